@@ -1,0 +1,1 @@
+"""Everything of scene-attack that is neither HTTP nor queue."""

@@ -1,0 +1,1 @@
+"""Goals, budgets, traces and the attacks themselves."""

@@ -1,0 +1,1 @@
+"""A job from request to result: spec, record, queue, artifacts, execution."""

@@ -1,0 +1,89 @@
+"""What a finished job says: `result.json`, the API's `result`, the dashboard's job page."""
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class Answer(_Record):
+    """The network's answer to one picture, as saved (8 bits)."""
+
+    label: str
+    index: int
+    confidence: float = Field(description="probability of `label`")
+    goal_probability: float = Field(description="probability of the goal's label (the one to leave, or to reach)")
+    top: list[tuple[str, float]] = Field(description="the five most probable labels")
+
+
+class Subset(_Record):
+    """The found perturbation with only some groups applied, rendered exactly."""
+
+    groups: list[str]
+    label: str
+    goal_probability: float
+    perceptibility: float
+    fooled: bool
+
+
+class TraceRow(_Record):
+    """One step of the attack, before its update. Image-space numbers are of the float picture unless said otherwise."""
+
+    step: int
+    loss: float = Field(description="probability of the goal's label (non-targeted), or 1 minus it (targeted)")
+    label: str = Field(description="first answer to the picture as saved")
+    confidence: float
+    advantage: float = Field(
+        description="log p_leave − max other log p; targeted: max other − log p_reach; <0 is fooled"
+    )
+    distance: float = Field(description="‖ΔY‖₂ over all pixels and channels")
+    perceptibility: float = Field(description="p(ΔY), RGB in [0,1]")
+    truncated: int = Field(description="pixels held back by U in this step")
+    flat: int = Field(0, description="differences below the noise floor in this step (zoo)")
+    queries: int = Field(description="network queries so far, verification included")
+    renders: int = Field(description="images rendered so far")
+    seconds: float
+
+
+class Provenance(_Record):
+    """What it takes to get the same bits again."""
+
+    seed: int
+    backend: str
+    versions: dict[str, str]
+    scene_sha256: str
+    weights_sha256: str
+    meshes: dict[str, str] = Field(description="mesh name to sha256 of its file")
+    credits: list[str] = Field(description="creators and licences of the models and maps shown")
+
+
+class Result(_Record):
+    """The outcome of a job that ran to its end.
+
+    fooled: inside the loop the (truncated, 8-bit) picture was misclassified as the goal asks. verified: the stored
+    perturbation, rendered afresh by the exact path and rounded to 8 bits, still is. Only a verified adversary counts.
+    """
+
+    spec: dict[str, object]
+    fooled: bool
+    verified: bool
+    stopped: str = Field(description='why the loop ended: "verified", "steps", "queries", "seconds" or "cancelled"')
+    leave: str | None
+    reach: str | None
+    original: Answer
+    attacked: Answer = Field(description="the exact re-rendering of the stored perturbation")
+    in_loop: Answer = Field(description="the loop's own, truncated picture at the stored step")
+    perceptibility: float = Field(description="p(ΔY) of the exact re-rendering")
+    group_perceptibility: dict[str, float]
+    beyond_truncation: int | None = Field(description="pixels of the exact re-rendering that moved more than U")
+    subsets: list[Subset]
+    settings: dict[str, object] = Field(description="settings found while running, e.g. measured difference steps")
+    steps: int
+    queries: int
+    renders: int
+    truncated: int = Field(description="pixels that were ever truncated")
+    seconds: float
+    step: int = Field(description="step whose perturbation is stored")
+    trace: list[TraceRow]
+    provenance: Provenance

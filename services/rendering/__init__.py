@@ -1,0 +1,1 @@
+"""Renderers: named parameter groups in, images out."""

@@ -1,0 +1,44 @@
+"""The one protocol everything else is generic over: a renderer turns named parameter groups into images."""
+
+from collections.abc import Mapping
+from typing import Protocol
+
+from torch import Tensor
+
+Parameters = dict[str, Tensor]
+"""Group name to values. Without a batch dimension for a state or a perturbation, with one ([B, …]) to render."""
+
+
+class Renderer(Protocol):
+    """A scene, compiled for one set of groups.
+
+    `groups` is ordered and is the order used in tables. `backend` names everything that decides the bits of an image:
+    library versions, GL platform and driver, dtype, threads. Rendering is deterministic: the same parameters give the
+    same bits, whatever else is in the batch.
+    """
+
+    name: str
+    groups: tuple[str, ...]
+    differentiable: bool
+    backend: str
+    size: tuple[int, int]
+
+    def initial(self) -> Parameters:
+        """The scene's own values, {group: tensor}, without a batch dimension."""
+        ...
+
+    def bounds(self) -> Mapping[str, tuple[Tensor, Tensor]]:
+        """Lowest and highest physically meaningful value of each group, broadcastable to it; ±inf where unbounded."""
+        ...
+
+    def names(self, group: str) -> list[str] | None:
+        """A word for each coordinate of a small group ("point 0 energy"), in flat order; None for image-like groups."""
+        ...
+
+    def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
+        """Images [B, H, W, 3] in [0,1], as displayed. Groups left out keep their initial values; B is shared by all."""
+        ...
+
+    def exact(self) -> "Renderer":
+        """The twin that judges: no shortcut, float64 where that matters. May be the renderer itself."""
+        ...

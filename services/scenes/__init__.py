@@ -1,0 +1,1 @@
+"""What is in front of the camera: descriptions, meshes, environment maps, built-in scenes."""

@@ -1,0 +1,112 @@
+"""The scene of a request: camera, objects, lights, ground.
+
+Angles in radians, lengths in scene units (an object of scale 1 fits the frame at the paper's distance of 1.8), +y up,
+colours in [0,1]. Every field has a default that works and bounds that are checked before anything is queued.
+"""
+
+from math import pi
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Unit = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+Coordinate = Annotated[float, Field(ge=-100, le=100, allow_inf_nan=False)]
+Angle = Annotated[float, Field(ge=-2 * pi, le=2 * pi, allow_inf_nan=False)]
+Vector = tuple[Coordinate, Coordinate, Coordinate]
+Rotation = tuple[Angle, Angle, Angle]
+Colour = tuple[Unit, Unit, Unit]
+Pixels = Annotated[int, Field(ge=1, le=2048)]
+
+ELEVATION = 0.3490658503988659
+"""π/9, the paper's fixed elevation."""
+DISTANCE = 1.8
+"""The paper's fixed distance."""
+FIELD_OF_VIEW = 0.8575
+"""49.1°, vertical: Blender's default lens, which the paper's views were taken with."""
+GROUND = 128 / 255
+
+
+class Model(BaseModel):
+    """Base of every part of a request: frozen, no unknown fields."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Camera(Model):
+    """A camera on a sphere around the origin, looking at it, +y up."""
+
+    azimuth: Angle = Field(0.61, description="angle about +y from +z towards +x, radians")
+    elevation: Annotated[float, Field(ge=-pi / 2, le=pi / 2, allow_inf_nan=False)] = Field(
+        ELEVATION, description="angle above the horizon, radians; the paper's is π/9"
+    )
+    distance: Annotated[float, Field(ge=0.05, le=100, allow_inf_nan=False)] = Field(
+        DISTANCE, description="distance from the origin, scene units; the paper's is 1.8"
+    )
+    field_of_view: Annotated[float, Field(ge=0.01, le=2.8, allow_inf_nan=False)] = Field(
+        FIELD_OF_VIEW, description="vertical field of view, radians"
+    )
+    size: tuple[Pixels, Pixels] = Field((224, 224), description="height and width in pixels; the paper's is 448×448")
+
+
+class SceneObject(Model):
+    """One mesh in the scene, with its surface and its pose."""
+
+    mesh: str = Field(
+        min_length=1,
+        max_length=200,
+        description="`furniture/<slug>`, `primitive/<name>`, or the id of an uploaded mesh (`sha256:<hex>`)",
+    )
+    material: str = Field("matte", max_length=64, description="DSBRDF preset of the torch renderer")
+    color: Colour = Field((1.0, 1.0, 1.0), description="linear RGB factor on the mesh's own colours")
+    translation: Vector = Field((0.0, 0.0, 0.0), description="position of the object's centre, scene units")
+    rotation: Rotation = Field((0.0, 0.0, 0.0), description="rotation vector (axis times angle), radians")
+    scale: Annotated[float, Field(ge=1e-3, le=100, allow_inf_nan=False)] = Field(
+        1.0, description="size; at 1 the object's bounding sphere fits the frame at distance 1.8"
+    )
+
+
+class PointLight(Model):
+    """A point light of the pyrender renderer; its light falls off with the square of the distance."""
+
+    energy: Annotated[float, Field(ge=0, le=10_000, allow_inf_nan=False)] = Field(
+        30.0, description="radiant intensity; 30 at distance 3 lights a white surface facing it about fully"
+    )
+    position: Vector = Field((1.2, 2.0, 1.5), description="scene units")
+
+
+class Environment(Model):
+    """A high-dynamic-range environment map: the light of the torch renderer."""
+
+    map: str = Field("studio", min_length=1, max_length=200, description="name of a built-in map")
+    size: tuple[Annotated[int, Field(ge=1, le=64)], Annotated[int, Field(ge=1, le=128)]] = Field(
+        (16, 32), description="rows (polar angle) and columns (azimuth) it is averaged down to"
+    )
+    rotation: Angle = Field(0.0, description="turn about +y, radians")
+
+
+class Lights(Model):
+    """All light of a scene. pyrender uses ambient and points, torch the environment."""
+
+    ambient: Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)] = Field(
+        0.4, description="magnitude of uniform light (pyrender)"
+    )
+    points: tuple[PointLight, ...] = Field((PointLight(),), max_length=4, description="at most 4 (pyrender)")
+    environment: Environment = Environment()
+
+
+class Scene(Model):
+    """What the camera sees. `{}` plus one object is a complete scene."""
+
+    camera: Camera = Camera()
+    objects: tuple[SceneObject, ...] = Field(min_length=1, max_length=16)
+    lights: Lights = Lights()
+    ground: Colour = Field(
+        (GROUND, GROUND, GROUND),
+        description="colour behind the objects as displayed; rounded to k/255, so that saving moves nothing",
+    )
+
+    @field_validator("ground")
+    @classmethod
+    def _eight_bits(cls, value: tuple[float, float, float]) -> Any:
+        return tuple(round(v * 255) / 255 for v in value)

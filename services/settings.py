@@ -1,0 +1,46 @@
+"""Settings from the environment (prefix SCENE_ATTACK_), with defaults that work on a laptop."""
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+
+class Settings(BaseSettings):
+    """Everything an operator may set; `scene-attack serve --help` and docs/operations.md explain each."""
+
+    model_config = SettingsConfigDict(env_prefix="SCENE_ATTACK_", frozen=True)
+
+    cache: Path = Field(Path("~/.cache/scene-attack"), description="downloaded and derived files; safe to delete")
+    data: Path = Field(Path("~/.local/share/scene-attack"), description="database, artifacts, uploaded assets")
+    database_url: str | None = Field(None, description="SQLAlchemy URL; default: SQLite (WAL) in the data directory")
+    redis_url: str | None = Field(None, description="redis:// URL; default: an embedded Redis on loopback")
+    host: str = Field("127.0.0.1", description="address the API listens on")
+    port: int = Field(8008, ge=0, le=65535, description="port the API listens on; 0 picks a free one")
+    workers: int = Field(1, ge=1, le=64, description="job processes")
+    threads: int = Field(2, ge=1, le=256, description="torch threads of a job process; part of the backend string")
+    gl: Literal["auto", "egl", "osmesa"] = Field("auto", description="OpenGL platform; auto tries EGL, then OSMesa")
+    max_upload_bytes: int = Field(32 * 2**20, ge=1, description="largest mesh upload")
+    max_faces: int = Field(300_000, ge=1, description="largest mesh, in triangles")
+    max_queued: int = Field(1000, ge=1, description="queued jobs beyond which new ones get 503")
+    lease_seconds: float = Field(20.0, gt=0, description="a running job whose worker is silent so long is taken back")
+    max_attempts: int = Field(3, ge=1, description="times a job is started before it fails as worker-lost")
+    job_seconds: float = Field(3600.0, gt=0, description="longest run of one job before it fails as timeout")
+
+    @property
+    def cache_dir(self) -> Path:
+        """The cache directory, absolute."""
+        return self.cache.expanduser().resolve()
+
+    @property
+    def data_dir(self) -> Path:
+        """The data directory, absolute."""
+        return self.data.expanduser().resolve()
+
+
+@lru_cache(maxsize=1)
+def settings() -> Settings:
+    """The process's settings, read from the environment once."""
+    return Settings()

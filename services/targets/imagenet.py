@@ -1,0 +1,11 @@
+"""The 1,000 ImageNet-1k classes, in the order every published network uses."""
+
+from functools import lru_cache
+from importlib.resources import files
+
+
+@lru_cache(maxsize=1)
+def imagenet_labels() -> tuple[str, ...]:
+    """Label names: the first WordNet lemma of each synset, made unique where two share it."""
+    lines = files("services.targets").joinpath("imagenet.tsv").read_text("utf-8").splitlines()
+    return tuple(line.split("\t")[1] for line in lines)

@@ -1,0 +1,29 @@
+"""Probabilities, log-odds and margins, computed so that a confident network does not hide its gradient."""
+
+import torch
+from torch import Tensor
+
+
+def probability(logits: Tensor, label: int) -> Tensor:
+    """Softmax probability of `label`, [B], in float64: at a margin of 20 float32 has already lost it to 1."""
+    return torch.softmax(logits.double(), dim=-1)[..., label]
+
+
+def _others(logits: Tensor, label: int) -> Tensor:
+    return torch.cat([logits[..., :label], logits[..., label + 1 :]], dim=-1)
+
+
+def log_odds(logits: Tensor, label: int) -> Tensor:
+    """z_label − logsumexp of the others, [B]. Same gradient direction as the probability's, and never saturated.
+
+    For a one-class network there are no others and the log-odds are +inf.
+    """
+    return logits[..., label] - torch.logsumexp(_others(logits, label), dim=-1)
+
+
+def advantage(logits: Tensor, label: int) -> Tensor:
+    """log p_label − max over others of log p, [B]; negative once another label wins (paper, attack curves)."""
+    others = _others(logits, label)
+    if others.shape[-1] == 0:
+        return torch.full_like(logits[..., label], float("inf"))
+    return logits[..., label] - others.amax(dim=-1)
