@@ -44,6 +44,17 @@ class Goal(Model):
     reach: Label | None = Field(None, description="a label the network must come to say (targeted)")
 
 
+def _fill_groups(data: dict[str, Any]) -> dict[str, Any]:
+    """The data with the groups and the picture's renderer said, where they were left out."""
+    data = dict(data)
+    renderer = data.get("renderer", "torch")
+    if isinstance(renderer, str) and renderer in RENDERER_GROUPS and not data.get("groups"):
+        data["groups"] = RENDERER_GROUPS[renderer]
+    if renderer == "image" and data.get("picture") is None:
+        data["picture"] = "torch"
+    return data
+
+
 class _Attack(Model):
     """What every method has."""
 
@@ -58,19 +69,6 @@ class _Attack(Model):
     seconds: Annotated[float, Field(gt=0, le=86_400, allow_inf_nan=False)] | None = Field(
         None, description="stop after so many seconds; such a job may end differently on another machine"
     )
-
-    @model_validator(mode="before")
-    @classmethod
-    def _fill(cls, data: Any) -> Any:
-        if not isinstance(data, dict):
-            return data
-        data = dict(data)
-        renderer = data.get("renderer", "torch")
-        if isinstance(renderer, str) and renderer in RENDERER_GROUPS and not data.get("groups"):
-            data["groups"] = RENDERER_GROUPS[renderer]
-        if renderer == "image" and data.get("picture") is None:
-            data["picture"] = "torch"
-        return data
 
     @model_validator(mode="after")
     def _consistent(self) -> "_Attack":
@@ -102,12 +100,12 @@ class Fgsm(_Attack):
     @model_validator(mode="before")
     @classmethod
     def _rates(cls, data: Any) -> Any:
-        data = cls._fill(data)
-        if isinstance(data, dict):
-            given = data.get("learning_rate") or {}
-            groups = data.get("groups", ())
-            if isinstance(given, dict) and isinstance(groups, (list, tuple)):
-                data["learning_rate"] = {g: FGSM_RATES[g] for g in groups if g in FGSM_RATES} | given
+        if not isinstance(data, dict):
+            return data
+        data = _fill_groups(data)
+        given, groups = data.get("learning_rate") or {}, data.get("groups", ())
+        if isinstance(given, dict) and isinstance(groups, (list, tuple)):
+            data["learning_rate"] = {g: FGSM_RATES[g] for g in groups if g in FGSM_RATES} | given
         return data
 
     @model_validator(mode="after")
@@ -143,10 +141,9 @@ class Zoo(_Attack):
     @model_validator(mode="before")
     @classmethod
     def _preset(cls, data: Any) -> Any:
-        if isinstance(data, dict):
-            preset = ZOO_PRESETS.get(str(data.get("preset", "measured")), {})
-            data = preset | data
-        return cls._fill(data)
+        if not isinstance(data, dict):
+            return data
+        return _fill_groups(ZOO_PRESETS.get(str(data.get("preset", "measured")), {}) | data)
 
     @model_validator(mode="after")
     def _known_groups(self) -> "Zoo":

@@ -17,11 +17,30 @@ class Renderer(Protocol):
     same bits, whatever else is in the batch.
     """
 
-    name: str
-    groups: tuple[str, ...]
-    differentiable: bool
-    backend: str
-    size: tuple[int, int]
+    @property
+    def name(self) -> str:
+        """The word of the request."""
+        ...
+
+    @property
+    def groups(self) -> tuple[str, ...]:
+        """Parameter groups, in the order of every table."""
+        ...
+
+    @property
+    def differentiable(self) -> bool:
+        """Whether gradients reach the input."""
+        ...
+
+    @property
+    def backend(self) -> str:
+        """Everything that decides the bits of the output: versions, driver, dtype, threads."""
+        ...
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width of the images."""
+        ...
 
     def initial(self) -> Parameters:
         """The scene's own values, {group: tensor}, without a batch dimension."""

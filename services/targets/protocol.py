@@ -8,13 +8,40 @@ from torch import Tensor
 class Target(Protocol):
     """A network that turns pictures (and, for some, a question) into scores for a fixed list of labels."""
 
-    name: str
-    labels: tuple[str, ...]
-    input_size: tuple[int, int]
-    differentiable: bool
-    takes_question: bool
-    weights_sha256: str
-    backend: str
+    @property
+    def name(self) -> str:
+        """The word of the request."""
+        ...
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """One per score, unique."""
+        ...
+
+    @property
+    def input_size(self) -> tuple[int, int]:
+        """Height and width of the pictures it was trained on."""
+        ...
+
+    @property
+    def differentiable(self) -> bool:
+        """Whether gradients reach the input."""
+        ...
+
+    @property
+    def takes_question(self) -> bool:
+        """Whether `logits` needs a question."""
+        ...
+
+    @property
+    def weights_sha256(self) -> str:
+        """Of the file the weights came from."""
+        ...
+
+    @property
+    def backend(self) -> str:
+        """Everything that decides the bits of the output: versions, driver, dtype, threads."""
+        ...
 
     def logits(self, images: Tensor, question: str | None = None) -> Tensor:
         """Unnormalised scores [B, K], float32.

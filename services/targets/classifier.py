@@ -1,0 +1,48 @@
+"""An image classifier as a target: resize, normalise, run."""
+
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+
+@dataclass
+class Classifier:
+    """A differentiable network over pictures; implements `Target`.
+
+    `mean` and `scale` are its input normalisation: (pixel − mean) / scale with pixels in [0,1].
+    """
+
+    name: str
+    network: nn.Module
+    labels: tuple[str, ...]
+    input_size: tuple[int, int]
+    mean: tuple[float, float, float]
+    scale: tuple[float, float, float]
+    weights_sha256: str
+    dtype: torch.dtype = torch.float32
+    differentiable: bool = field(default=True, init=False)
+    takes_question: bool = field(default=False, init=False)
+
+    def __post_init__(self) -> None:
+        # channels_last is 1.4 to 1.7 times faster on a CPU for depthwise networks
+        self.network = self.network.to(self.dtype).eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self._mean = torch.tensor(self.mean, dtype=self.dtype)
+        self._scale = torch.tensor(self.scale, dtype=self.dtype)
+
+    @property
+    def backend(self) -> str:
+        """What decides the bits of its answers."""
+        kind = str(self.dtype).removeprefix("torch.")
+        return f"torch {torch.__version__} {kind} {torch.get_num_threads()} threads"
+
+    def logits(self, images: Tensor, question: str | None = None) -> Tensor:
+        """Scores [B, K] of pictures [B, H, W, 3] in [0,1]; see `Target.logits`."""
+        if question is not None:
+            raise ValueError(f"{self.name} takes no question")
+        x = ((images.to(self.dtype) - self._mean) / self._scale).permute(0, 3, 1, 2)
+        if tuple(x.shape[-2:]) != self.input_size:
+            x = F.interpolate(x, self.input_size, mode="bilinear", antialias=True)
+        scores: Tensor = self.network(x.contiguous(memory_format=torch.channels_last))
+        return scores
