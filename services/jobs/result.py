@@ -2,6 +2,8 @@
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from services.attacks.trace import TraceRow
+
 
 class _Record(BaseModel):
     model_config = ConfigDict(extra="forbid")
@@ -27,25 +29,6 @@ class Subset(_Record):
     fooled: bool
 
 
-class TraceRow(_Record):
-    """One step of the attack, before its update. Image-space numbers are of the float picture unless said otherwise."""
-
-    step: int
-    loss: float = Field(description="probability of the goal's label (non-targeted), or 1 minus it (targeted)")
-    label: str = Field(description="first answer to the picture as saved")
-    confidence: float
-    advantage: float = Field(
-        description="log p_leave − max other log p; targeted: max other − log p_reach; <0 is fooled"
-    )
-    distance: float = Field(description="‖ΔY‖₂ over all pixels and channels")
-    perceptibility: float = Field(description="p(ΔY), RGB in [0,1]")
-    truncated: int = Field(description="pixels held back by U in this step")
-    flat: int = Field(0, description="differences below the noise floor in this step (zoo)")
-    queries: int = Field(description="network queries so far, verification included")
-    renders: int = Field(description="images rendered so far")
-    seconds: float
-
-
 class Provenance(_Record):
     """What it takes to get the same bits again."""
 
@@ -68,7 +51,7 @@ class Result(_Record):
     spec: dict[str, object]
     fooled: bool
     verified: bool
-    stopped: str = Field(description='why the loop ended: "verified", "steps", "queries", "seconds" or "cancelled"')
+    stopped: str = Field(description='why the loop ended: "verified", "steps", "queries" or "seconds"')
     leave: str | None
     reach: str | None
     original: Answer

@@ -1,0 +1,62 @@
+"""A running attack on disk: one safetensors file, replaced atomically."""
+
+import json
+import os
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+
+from services.attacks.exact import Judge
+from services.attacks.method import Method
+from services.attacks.problem import Problem
+from services.attacks.trace import TraceRow
+
+if TYPE_CHECKING:
+    from services.attacks.loop import Run
+
+EVERY = 2.0
+"""Seconds between checkpoints."""
+_PLAIN = ("step", "settings", "flat", "seconds", "stopped", "fooled", "verified", "stored_step")
+
+
+def save(path: Path, run: "Run", problem: Problem, method: Method, judge: Judge) -> None:
+    """Writes the run and the method's state."""
+    tensors = {f"method.{name}": value for name, value in method.state().items()}
+    tensors |= {f"stored.{group}": value for group, value in run.stored.items()}
+    tensors |= {"ever": run.ever, "picture": run.picture}
+    words = {name: getattr(run, name) for name in _PLAIN}
+    words["trace"] = [row.model_dump() for row in run.trace]
+    words["counts"] = [problem.queries, problem.renders, judge.queries, judge.renders]
+    part = path.with_suffix(".part")
+    save_file({name: value.contiguous() for name, value in tensors.items()}, part, {"run": json.dumps(words)})
+    with part.open("rb+") as file:
+        os.fsync(file.fileno())
+    part.replace(path)
+
+
+def load(path: Path | None, problem: Problem, method: Method, judge: Judge) -> "Run | None":
+    """The saved run, with its state put into the method and the counts into problem and judge; None if there is none.
+
+    A file that cannot be read is as good as none: the attack starts again and ends in the same result.
+    """
+    from services.attacks.loop import Run
+
+    if path is None or not path.exists():
+        return None
+    try:
+        with safe_open(path, "pt") as file:
+            words = json.loads((file.metadata() or {})["run"])
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
+    except (SafetensorError, KeyError, ValueError, OSError):
+        return None
+    run = Run(**{name: words[name] for name in _PLAIN})
+    assert {field.name for field in fields(run)} == {*_PLAIN, "trace", "ever", "stored", "picture"}
+    run.trace = [TraceRow(**row) for row in words["trace"]]
+    run.ever, run.picture = tensors["ever"], tensors["picture"]
+    run.stored = {n.removeprefix("stored."): v for n, v in tensors.items() if n.startswith("stored.")}
+    method.load({n.removeprefix("method."): v for n, v in tensors.items() if n.startswith("method.")})
+    problem.queries, problem.renders, judge.queries, judge.renders = words["counts"]
+    return run

@@ -1,0 +1,163 @@
+"""Central differences of the objective, coordinate by coordinate, and the noise they have to beat.
+
+All attacked groups are one flat vector here, group after group. Each coordinate's two pictures depend on nothing but
+that coordinate, so an estimate is the same whatever else is differenced beside it.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from services.attacks.problem import Problem, truncate
+from services.attacks.seeds import generator
+from services.rendering.protocol import Parameters
+
+CHUNK_VALUES = 8_000_000
+"""Values (pixels × channels) rendered at a time: about 100 MB with the network's activations beside it."""
+CANDIDATES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4)
+"""Half-steps among which `measure` chooses."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where each group's coordinates are in the flat vector."""
+
+    groups: tuple[str, ...]
+    shapes: dict[str, torch.Size]
+    starts: dict[str, int]
+    total: int
+
+    def group_of(self, coordinate: int) -> str:
+        """The group a flat coordinate belongs to."""
+        return next(g for g in reversed(self.groups) if coordinate >= self.starts[g])
+
+    def flatten(self, parameters: Parameters) -> Tensor:
+        """One vector of all groups."""
+        return torch.cat([parameters[g].flatten() for g in self.groups])
+
+    def unflatten(self, vectors: Tensor) -> Parameters:
+        """Vectors [..., total] as groups [..., shape]."""
+        lead = vectors.shape[:-1]
+        return {
+            g: vectors[..., self.starts[g] : self.starts[g] + self.shapes[g].numel()].reshape(*lead, *self.shapes[g])
+            for g in self.groups
+        }
+
+
+def layout(problem: Problem) -> Layout:
+    """The layout of a problem's attacked groups."""
+    starts, total = {}, 0
+    for group in problem.groups:
+        starts[group] = total
+        total += problem.initial[group].numel()
+    return Layout(problem.groups, {g: v.shape for g, v in problem.initial.items()}, starts, total)
+
+
+def objective(problem: Problem, images: Tensor) -> Tensor:
+    """The hinge-free objective of ZOO, [B] float64: log-probability advantage + λ·‖ΔY‖².
+
+    Each picture is scored alone: the sums run over its own pixels, never over the batch.
+    """
+    advantage = problem.goal.advantage(problem.logits(images)).double()
+    if problem.weight == 0:
+        return advantage
+    return advantage + problem.weight * (images.double() - problem.original.double()).square().sum(dim=(1, 2, 3))
+
+
+@torch.no_grad()
+def evaluate(problem: Problem, vectors: Tensor, where: Layout) -> Tensor:
+    """The objective at perturbations [B, total], [B] float64, rendered and asked in chunks of bounded memory."""
+    height, width = problem.renderer.size
+    size = max(1, min(28, CHUNK_VALUES // (height * width * 3)))
+    start = where.flatten(problem.initial)
+    scores = []
+    for chunk in torch.split(vectors, size):
+        images = problem.render(where.unflatten(start + chunk))
+        if problem.truncation is not None:
+            images = torch.cat([truncate(image[None], problem.original, problem.truncation)[0] for image in images])
+        scores.append(objective(problem, images))
+    return torch.cat(scores)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Central differences. `flat` marks those whose two values differ by less than the noise; their slope is 0."""
+
+    slopes: Tensor
+    flat: Tensor
+
+
+def estimate(problem: Problem, perturbation: Tensor, coordinates: Tensor, deltas: Tensor, noise: float) -> Estimate:
+    """∂objective/∂x_d ≈ (f(x + δ_d e_d) − f(x − δ_d e_d)) / 2δ_d at the flat coordinates [k] (paper, section 3.2).
+
+    Where a side would leave the physical bounds it stops there, and the true distance divides. `deltas` [k].
+    """
+    where = layout(problem)
+    rows = torch.arange(len(coordinates))
+    sides = []
+    for sign in (1.0, -1.0):
+        moved = perturbation.repeat(len(coordinates), 1)
+        moved[rows, coordinates] += sign * deltas.to(moved.dtype)
+        sides.append(where_clamped(problem, moved, where))
+    both = torch.stack(sides, dim=1)  # [k, 2, total]: the two sides of a difference are neighbours
+    scores = evaluate(problem, both.flatten(0, 1), where).reshape(-1, 2)
+    width = (both[rows, 0, coordinates] - both[rows, 1, coordinates]).double()
+    change = scores[:, 0] - scores[:, 1]
+    flat = (change.abs() <= noise) | (width == 0)
+    slopes = torch.where(flat, 0.0, change / width.where(width != 0, torch.ones_like(width)))
+    return Estimate(slopes, flat)
+
+
+def where_clamped(problem: Problem, vectors: Tensor, where: Layout) -> Tensor:
+    """Perturbations [B, total] pulled back into the physical bounds."""
+    clamped = problem.clamp(where.unflatten(vectors))
+    return torch.cat([clamped[g].flatten(1) for g in where.groups], dim=1)
+
+
+def measure_noise(problem: Problem, perturbation: Tensor, samples: int = 8) -> float:
+    """How much the objective moves when nothing does: the spread under changes of the picture by float rounding.
+
+    Pictures are jittered by one float32 ulp at 1 (1.2e-7); twice the range seen is called noise.
+    """
+    where = layout(problem)
+    random = generator(problem.seed, "noise")
+    with torch.no_grad():
+        picture = problem.render(where.unflatten((where.flatten(problem.initial) + perturbation)[None]))
+        scores = []
+        for _ in range(samples):
+            jitter = (torch.rand(picture.shape, generator=random) - 0.5) * 2.4e-7
+            scores.append(objective(problem, (picture + jitter).to(picture.dtype)))
+    values = torch.cat(scores)
+    return 2 * float(values.max() - values.min())
+
+
+def measure_deltas(problem: Problem, perturbation: Tensor, noise: float, probes: int = 3) -> dict[str, float]:
+    """For each group the half-step whose slope agrees best with those of the neighbouring half-steps.
+
+    Too small a step drowns in rounding, too large a one sees curvature and edges; both show as disagreement with the
+    next step. A few random coordinates are probed and the median disagreement decides; where all is flat, the largest
+    step is taken.
+    """
+    where = layout(problem)
+    chosen = {}
+    for group in problem.groups:
+        count = where.shapes[group].numel()
+        order = torch.randperm(count, generator=generator(problem.seed, "deltas", group))[: min(probes, count)]
+        coordinates = (order + where.starts[group]).repeat_interleave(len(CANDIDATES))
+        steps = torch.tensor(CANDIDATES, dtype=torch.float64).repeat(len(order))
+        found = estimate(problem, perturbation, coordinates, steps, noise)
+        slopes = found.slopes.reshape(len(order), len(CANDIDATES))
+        flat = found.flat.reshape(len(order), len(CANDIDATES))
+        chosen[group] = _steadiest(slopes, flat)
+    return chosen
+
+
+def _steadiest(slopes: Tensor, flat: Tensor) -> float:
+    """The candidate whose slope changes least, relatively, towards its neighbours. Slopes [probes, candidates]."""
+    gap = (slopes[:, 1:] - slopes[:, :-1]).abs() / torch.maximum(slopes[:, 1:].abs(), slopes[:, :-1].abs())
+    gap = torch.where(flat[:, 1:] | flat[:, :-1], float("inf"), gap.nan_to_num(nan=float("inf")))
+    inner = torch.maximum(gap[:, 1:], gap[:, :-1])
+    gaps = torch.cat([gap[:, :1], inner, gap[:, -1:]], dim=1).median(dim=0).values
+    best = int(gaps.argmin())  # all flat: index 0, the largest
+    return CANDIDATES[best]

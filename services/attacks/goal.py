@@ -1,0 +1,49 @@
+"""What an attack wants the network to say, as numbers: an objective to minimise and a test of success."""
+
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from services.targets.scores import advantage, log_odds, probability
+
+
+@dataclass(frozen=True)
+class ResolvedGoal:
+    """A goal over label indices. `reach` None: stop saying `leave`; otherwise: say `reach`."""
+
+    leave: int | None
+    reach: int | None
+
+    def __post_init__(self) -> None:
+        if self.leave is None and self.reach is None:
+            raise ValueError("a goal needs a label to leave or to reach")
+
+    @property
+    def label(self) -> int:
+        """The label whose probability is followed: the one to reach, or else to leave."""
+        label = self.leave if self.reach is None else self.reach
+        assert label is not None
+        return label
+
+    def objective(self, logits: Tensor) -> Tensor:
+        """What FGSM descends, [B]: the log-odds of the label to leave, or minus those of the label to reach.
+
+        Its gradient has the direction of the paper's loss (the probability) and does not vanish on a confident network.
+        """
+        odds = log_odds(logits, self.label)
+        return odds if self.reach is None else -odds
+
+    def advantage(self, logits: Tensor) -> Tensor:
+        """Log-probability advantage still to be overcome, [B]; negative once fooled (paper, attack curves)."""
+        value = advantage(logits, self.label)
+        return value if self.reach is None else -value
+
+    def loss(self, logits: Tensor) -> Tensor:
+        """The loss as the paper reports it, [B]: probability of the label to leave, or 1 minus that to reach."""
+        value = probability(logits, self.label)
+        return value if self.reach is None else 1 - value
+
+    def fooled(self, logits: Tensor) -> Tensor:
+        """Whether the first answer is what the goal asks for, [B] bool. On a tie the lower index is the answer."""
+        answer = logits.argmax(dim=-1)
+        return answer != self.label if self.reach is None else answer == self.label

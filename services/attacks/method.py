@@ -1,0 +1,31 @@
+"""What the loop needs of an attack method. A method is its state: tensors that can be saved and loaded."""
+
+from typing import Protocol
+
+from torch import Tensor
+
+from services.attacks.problem import Problem, View
+from services.rendering.protocol import Parameters
+
+
+class Method(Protocol):
+    """One way of moving a perturbation."""
+
+    needs_gradient: bool
+    perturbation: Parameters
+
+    def start(self, problem: Problem) -> dict[str, object]:
+        """Called once before the first step, not on resuming; returns settings that were found by measuring."""
+        ...
+
+    def advance(self, problem: Problem, view: View, step: int) -> int:
+        """Moves the perturbation one step. Returns how many differences were flat (below the noise; 0 if none used)."""
+        ...
+
+    def state(self) -> dict[str, Tensor]:
+        """Everything `advance` depends on, by name."""
+        ...
+
+    def load(self, state: dict[str, Tensor]) -> None:
+        """Continues from a state."""
+        ...

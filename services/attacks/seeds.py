@@ -1,0 +1,12 @@
+"""Randomness that can be resumed: each step has a generator of its own, derived from the job's seed."""
+
+import hashlib
+
+import torch
+
+
+def generator(seed: int, *words: str | int) -> torch.Generator:
+    """A CPU generator that depends on the seed and the words (what for, which step) and on nothing else."""
+    text = "/".join([str(seed), *map(str, words)])
+    number = int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big")
+    return torch.Generator().manual_seed(number % 2**63)
