@@ -1,0 +1,130 @@
+"""What the camera sees, before any light: normals, coverage, base colour, depth and objects per pixel."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from services.errors import InvalidRequest
+from services.rendering import gl
+from services.scenes.resolve import ResolvedScene
+
+FACTOR = 4
+"""Samples per pixel in each direction. The disk of tests/unit/rendering/test_gbuffer.py has its area to 1e-4 at 4."""
+
+TILE = 256
+"""Pixels a side drawn at once: 1024 x 1024 samples of 36 bytes, whatever the size of the picture."""
+
+THRESHOLDS = (np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]], np.float32).ravel() + 0.5) / 16
+"""Ordered dither (Bayer 1973) over the samples of a pixel, for opacity."""
+
+
+@dataclass(frozen=True)
+class GBuffer:
+    """Geometry and base colour of a picture, torch CPU tensors. Values mean nothing where `coverage` is 0 (they are 0).
+
+    normals float32 [H, W, 3], unit, world space, on the viewer's side; coverage float32 [H, W] in [0,1];
+    base_color float32 [H, W, 3], linear; depth float32 [H, W], along the viewing direction, scene units;
+    object_index int64 [H, W], -1 outside; backend names the driver and library versions.
+    """
+
+    normals: Tensor
+    coverage: Tensor
+    base_color: Tensor
+    depth: Tensor
+    object_index: Tensor
+    backend: str
+
+
+def rasterise(scene: ResolvedScene) -> GBuffer:
+    """Draw the scene's geometry with 4x4 samples per pixel and average: coverage is the share of samples on an object;
+    normal (renormalised) and base colour are means over those; the object is the one with most samples (the first of
+    equals), the depth the mean of its samples.
+
+    A part of opacity d < 1 is seen by about the share d of the samples and seen through by the others, so that it
+    counts with its opacity in coverage, colour and normal; texels of less than half alpha are holes.
+
+    Raises InvalidRequest("scene.objects") when no sample meets an object.
+    """
+    context = gl.context()
+    from services.rendering.drawing import Drawing, View  # imports OpenGL, so after the context
+
+    height, width = scene.description.camera.size
+    count = len(scene.meshes)
+    view = View.of(scene.view, scene.projection)
+    drawing = Drawing(scene.meshes)
+    colors = np.array([o.color for o in scene.description.objects], np.float64)
+    images = {
+        "normals": torch.zeros(height, width, 3),
+        "coverage": torch.zeros(height, width),
+        "base_color": torch.zeros(height, width, 3),
+        "depth": torch.zeros(height, width),
+        "object_index": torch.full((height, width), -1, dtype=torch.int64),
+    }
+    for rows, columns in _tiles(height, width):
+        geometry, surface = context.renderer.draw(
+            drawing,
+            "gbuffer.frag",
+            View(_crop(rows, columns, height, width) @ view.clip_from_world, view.eye, view.forward),
+            np.asarray(scene.models),
+            colors,
+            {"forward": view.forward, "factor": FACTOR, "thresholds[0]": THRESHOLDS},
+            {"object_number": [float(i + 1) for i in range(count)]},
+            size=((rows.stop - rows.start) * FACTOR, (columns.stop - columns.start) * FACTOR),
+            samples=1,
+            outputs=2,
+            blend=False,
+        )
+        for name, tile in _average(torch.from_numpy(geometry), torch.from_numpy(surface), count, view.forward).items():
+            images[name][rows, columns] = tile
+    if not images["coverage"].any():
+        raise InvalidRequest("scene.objects", "out of view: no object covers any part of the picture")
+    return GBuffer(**images, backend=f"{context.backend}; {FACTOR}x{FACTOR} samples per pixel")
+
+
+def _tiles(height: int, width: int) -> Iterator[tuple[slice, slice]]:
+    for top in range(0, height, TILE):
+        for left in range(0, width, TILE):
+            yield slice(top, min(top + TILE, height)), slice(left, min(left + TILE, width))
+
+
+def _crop(rows: slice, columns: slice, height: int, width: int) -> NDArray[np.float64]:
+    """The clip-space matrix that makes a part of the picture fill the whole."""
+    left, right = 2 * columns.start / width - 1, 2 * columns.stop / width - 1
+    bottom, top = 1 - 2 * rows.stop / height, 1 - 2 * rows.start / height
+    crop = np.eye(4)
+    crop[0, 0], crop[0, 3] = 2 / (right - left), -(right + left) / (right - left)
+    crop[1, 1], crop[1, 3] = 2 / (top - bottom), -(top + bottom) / (top - bottom)
+    return crop
+
+
+def _average(geometry: Tensor, surface: Tensor, count: int, forward: NDArray[np.float64]) -> dict[str, Tensor]:
+    """Samples [h*FACTOR, w*FACTOR, 4] to pixels [h, w]."""
+
+    def blocks(samples: Tensor) -> Tensor:
+        h, w = samples.shape[0] // FACTOR, samples.shape[1] // FACTOR
+        return samples.reshape(h, FACTOR, w, FACTOR, -1).sum(dim=(1, 3))
+
+    number = surface[..., 3]
+    owned = torch.stack([number == i + 1 for i in range(count)], dim=-1)
+    votes = blocks(owned.float())
+    covered = votes.sum(-1)
+    share = covered.clamp_min(1)[..., None]
+    winner = votes.argmax(-1, keepdim=True)
+    depths = blocks(geometry[..., 3:] * owned)
+    normal = blocks(geometry[..., :3]) / share
+    length = normal.norm(dim=-1, keepdim=True)
+    # Samples that face opposite ways cancel; such a pixel faces the viewer.
+    facing = torch.from_numpy(-forward).float().expand_as(normal)
+    unit = torch.where(length > 1e-3, normal / length.clamp_min(1e-3), facing)
+    seen = covered > 0
+    return {
+        "normals": unit * seen[..., None],
+        "coverage": covered / FACTOR**2,
+        "base_color": blocks(surface[..., :3]) / share,
+        "depth": (depths / votes.clamp_min(1)).gather(-1, winner)[..., 0],
+        "object_index": torch.where(seen, winner[..., 0], -1),
+    }

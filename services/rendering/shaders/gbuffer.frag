@@ -1,0 +1,18 @@
+// Geometry of the visible surface, one sample per pixel of a grid finer than the picture.
+
+uniform vec3 forward;         // viewing direction
+uniform float object_number;  // index + 1; 0 is where nothing was drawn
+uniform int factor;           // samples per picture pixel, in each direction
+uniform float thresholds[16]; // opacity above which the sample (row, column) of a pixel sees the surface
+
+layout(location = 0) out vec4 normal_and_depth;
+layout(location = 1) out vec4 color_and_object;
+
+void main() {
+    vec4 color = surface_color();
+    ivec2 cell = ivec2(gl_FragCoord.xy) % factor;
+    if (color.a < 1.0 && color.a <= thresholds[cell.y * factor + cell.x]) discard;
+    vec3 from_eye = world_position - eye;
+    normal_and_depth = vec4(surface_normal(-normalize(from_eye)), dot(from_eye, forward));
+    color_and_object = vec4(color.rgb, object_number);
+}
