@@ -118,7 +118,7 @@ def where_clamped(problem: Problem, vectors: Tensor, where: Layout) -> Tensor:
 def measure_noise(problem: Problem, perturbation: Tensor, samples: int = 8) -> float:
     """How much the objective moves when nothing does: the spread under changes of the picture by float rounding.
 
-    Pictures are jittered by one float32 ulp at 1 (1.2e-7); twice the range seen is called noise.
+    Pictures are jittered by one unit in the last place at 1, of their own dtype; twice the range seen is called noise.
     """
     where = layout(problem)
     random = generator(problem.seed, "noise")
@@ -126,8 +126,8 @@ def measure_noise(problem: Problem, perturbation: Tensor, samples: int = 8) -> f
         picture = problem.render(where.unflatten((where.flatten(problem.initial) + perturbation)[None]))
         scores = []
         for _ in range(samples):
-            jitter = (torch.rand(picture.shape, generator=random) - 0.5) * 2.4e-7
-            scores.append(objective(problem, (picture + jitter).to(picture.dtype)))
+            jitter = torch.rand(picture.shape, generator=random, dtype=picture.dtype) - 0.5
+            scores.append(objective(problem, picture + 2 * torch.finfo(picture.dtype).eps * jitter))
     values = torch.cat(scores)
     return 2 * float(values.max() - values.min())
 

@@ -48,8 +48,12 @@ def _fill_groups(data: dict[str, Any]) -> dict[str, Any]:
     """The data with the groups and the picture's renderer said, where they were left out."""
     data = dict(data)
     renderer = data.get("renderer", "torch")
-    if isinstance(renderer, str) and renderer in RENDERER_GROUPS and not data.get("groups"):
-        data["groups"] = RENDERER_GROUPS[renderer]
+    if isinstance(renderer, str) and renderer in RENDERER_GROUPS:
+        has, asked = RENDERER_GROUPS[renderer], data.get("groups")
+        if not asked:
+            data["groups"] = has
+        elif isinstance(asked, (list, tuple)) and all(group in has for group in asked):
+            data["groups"] = sorted(asked, key=has.index)  # the same request, whatever order it was written in
     if renderer == "image" and data.get("picture") is None:
         data["picture"] = "torch"
     return data

@@ -2,31 +2,13 @@
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from services.analysis.answers import Answer
+from services.analysis.subsets import Subset
 from services.attacks.trace import TraceRow
 
 
 class _Record(BaseModel):
     model_config = ConfigDict(extra="forbid")
-
-
-class Answer(_Record):
-    """The network's answer to one picture, as saved (8 bits)."""
-
-    label: str
-    index: int
-    confidence: float = Field(description="probability of `label`")
-    goal_probability: float = Field(description="probability of the goal's label (the one to leave, or to reach)")
-    top: list[tuple[str, float]] = Field(description="the five most probable labels")
-
-
-class Subset(_Record):
-    """The found perturbation with only some groups applied, rendered exactly."""
-
-    groups: list[str]
-    label: str
-    goal_probability: float
-    perceptibility: float
-    fooled: bool
 
 
 class Provenance(_Record):

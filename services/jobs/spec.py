@@ -1,5 +1,6 @@
 """A whole request: the same JSON for `POST /v1/jobs` and `scene-attack run`."""
 
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Any
 
 from pydantic import Field, ValidationError, model_validator
@@ -45,8 +46,13 @@ def parse(data: object) -> JobSpec:
 
 def problems(error: ValidationError) -> list[InvalidRequest]:
     """One InvalidRequest per bad field, with the path a client would write (no tags of unions or of the method)."""
+    return named(error.errors(include_url=False, include_input=False))
+
+
+def named(items: Iterable[Mapping[str, Any]]) -> list[InvalidRequest]:
+    """The same for pydantic's error items however they came, as from the web framework."""
     found = []
-    for item in error.errors(include_url=False, include_input=False):
+    for item in items:
         path = [str(part) for part in item["loc"] if part not in ("body", "fgsm", "zoo") and not _is_type(part)]
         detail = item["msg"].removeprefix("Value error, ")
         if item["type"] == "value_error" and ": " in detail:  # a check over several fields names its own

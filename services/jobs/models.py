@@ -1,0 +1,130 @@
+"""The tables of the record. The database is the truth about every job; Redis only carries ids."""
+
+from datetime import UTC, datetime
+from enum import StrEnum
+from typing import Any
+
+from sqlalchemy import JSON, BigInteger, DateTime, Dialect, Enum, ForeignKey, Index, String, Text, TypeDecorator
+from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+
+
+class State(StrEnum):
+    """Where a job stands. Succeeded means that it ran to its end, not that the network was fooled."""
+
+    QUEUED = "queued"
+    RUNNING = "running"
+    CANCELLING = "cancelling"
+    SUCCEEDED = "succeeded"
+    FAILED = "failed"
+    CANCELLED = "cancelled"
+
+    @property
+    def terminal(self) -> bool:
+        """Whether nothing can happen to the job any more."""
+        return self in (State.SUCCEEDED, State.FAILED, State.CANCELLED)
+
+
+class UtcTime(TypeDecorator[datetime]):
+    """Aware UTC datetimes; SQLite stores no time zone, so it is taken off and put back."""
+
+    impl = DateTime
+    cache_ok = True
+
+    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> datetime | None:  # noqa: ARG002
+        """To the database: naive UTC."""
+        return None if value is None else value.astimezone(UTC).replace(tzinfo=None)
+
+    def process_result_value(self, value: datetime | None, dialect: Dialect) -> datetime | None:  # noqa: ARG002
+        """From the database: aware UTC."""
+        return None if value is None else value.replace(tzinfo=UTC)
+
+
+_STATE = Enum(State, native_enum=False, length=16, values_callable=lambda states: [state.value for state in states])
+
+
+class Base(DeclarativeBase):
+    """Base of the tables."""
+
+    type_annotation_map = {datetime: UtcTime, dict[str, Any]: JSON, State: _STATE}  # noqa: RUF012
+
+
+class Job(Base):
+    """One attack on one scene, from request to result."""
+
+    __tablename__ = "jobs"
+    __table_args__ = (Index("jobs_by_state", "state", "created_at"), Index("jobs_by_age", "created_at", "id"))
+
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    state: Mapped[State]
+    spec: Mapped[dict[str, Any]]
+    seed: Mapped[int] = mapped_column(BigInteger)
+    created_at: Mapped[datetime]
+
+    queued_at: Mapped[datetime | None]
+    running_at: Mapped[datetime | None]
+    cancelling_at: Mapped[datetime | None]
+    succeeded_at: Mapped[datetime | None]
+    failed_at: Mapped[datetime | None]
+    cancelled_at: Mapped[datetime | None]
+
+    sent_at: Mapped[datetime | None]
+    """When the id was last put on the queue in this state; empty until then."""
+    attempt: Mapped[int] = mapped_column(default=0)
+    """Times it was taken by a worker. Every write of an attempt carries its number and fails when that is over."""
+    lost: Mapped[int] = mapped_column(default=0)
+    """Attempts that ended with the death of their process."""
+    lease_owner: Mapped[str | None] = mapped_column(String(100))
+    lease_until: Mapped[datetime | None]
+
+    phase: Mapped[str | None] = mapped_column(String(32))
+    step: Mapped[int | None]
+    steps: Mapped[int | None]
+    outcome: Mapped[dict[str, Any] | None]
+    """The few numbers of the result that lists show."""
+    result: Mapped[dict[str, Any] | None] = mapped_column(deferred=True)
+    failure_kind: Mapped[str | None] = mapped_column(String(64))
+    failure_detail: Mapped[str | None] = mapped_column(Text)
+    events: Mapped[int] = mapped_column(default=0)
+    """Number of the last event."""
+
+    @property
+    def times(self) -> dict[str, datetime]:
+        """State to the last time it was entered, in the order of the states."""
+        found = {state.value: getattr(self, f"{state.value}_at") for state in State}
+        return {state: time for state, time in found.items() if time is not None}
+
+
+class Event(Base):
+    """Something that happened to a job: numbered without gaps, so that a reader can resume after any of them."""
+
+    __tablename__ = "events"
+
+    job_id: Mapped[str] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True)
+    number: Mapped[int] = mapped_column(primary_key=True)
+    kind: Mapped[str] = mapped_column(String(16))
+    data: Mapped[dict[str, Any]]
+    created_at: Mapped[datetime]
+
+
+class Artifact(Base):
+    """A named file of a finished job; its bytes lie in the artifact store under their hash."""
+
+    __tablename__ = "artifacts"
+
+    job_id: Mapped[str] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True)
+    name: Mapped[str] = mapped_column(String(100), primary_key=True)
+    sha256: Mapped[str] = mapped_column(String(64))
+    media_type: Mapped[str] = mapped_column(String(100))
+    size: Mapped[int] = mapped_column(BigInteger)
+
+
+class IdempotencyKey(Base):
+    """A client's key for one submission, and the answer it was first given."""
+
+    __tablename__ = "idempotency_keys"
+
+    key: Mapped[str] = mapped_column(String(255), primary_key=True)
+    digest: Mapped[str] = mapped_column(String(64))
+    job_id: Mapped[str] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"))
+    answer: Mapped[dict[str, Any]]
+    created_at: Mapped[datetime]

@@ -1,0 +1,93 @@
+"""The queue: RQ on Redis carries job ids to workers. It may forget everything; the record does not."""
+
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+
+import rq
+from redis import Redis
+from rq.exceptions import DuplicateJobError, NoSuchJobError
+from rq.job import Job as Message
+
+from services.jobs.repository import Repository, Waiting
+
+NAME = "scene-attack"
+TASK = "worker.rq_worker.run_job"
+"""The only function a message may name."""
+HEARTBEAT_SECONDS = 5
+"""A live worker says so at least this often."""
+SETTLE_SECONDS = 5.0
+"""A message younger than this may be in the hands of a worker that has not leased its job yet."""
+
+
+def connect(url: str) -> Redis:
+    """A client that gives up soon when Redis does not answer."""
+    return Redis.from_url(url, socket_timeout=3, socket_connect_timeout=3)
+
+
+@dataclass(frozen=True)
+class Queue:
+    """Messages that say: this job, in this attempt, waits."""
+
+    redis: Redis
+
+    def _queue(self) -> rq.Queue:
+        return rq.Queue(NAME, connection=self.redis, serializer="json")
+
+    def send(self, job_id: str, attempt: int) -> None:
+        """Put a job's id on the queue, once. `attempt` is the number of attempts it has had. Raises RedisError."""
+        try:
+            self._queue().enqueue_call(
+                TASK,
+                args=(job_id,),
+                job_id=_message_id(job_id, attempt),
+                unique=True,
+                timeout=-1,  # limits are the worker's own
+                result_ttl=0,
+                failure_ttl=60,
+                description=job_id,
+            )
+        except DuplicateJobError:
+            pass
+
+    def waiting(self) -> set[str]:
+        """Ids of the messages that wait. Raises RedisError."""
+        return set(self._queue().get_job_ids())
+
+    def forget(self, job_id: str, attempt: int) -> None:
+        """Remove what is left of a message that no worker can receive any more. Raises RedisError."""
+        try:
+            Message.fetch(_message_id(job_id, attempt), connection=self.redis, serializer="json").delete()
+        except NoSuchJobError:
+            pass
+
+    def live_workers(self) -> int:
+        """How many workers gave a sign of life lately. Raises RedisError."""
+        since = datetime.now(UTC) - timedelta(seconds=3 * HEARTBEAT_SECONDS)
+        workers = rq.Worker.all(connection=self.redis, serializer="json")
+        return sum(1 for worker in workers if worker.last_heartbeat is not None and worker.last_heartbeat > since)
+
+
+def reconcile(repository: Repository, queue: Queue) -> int:
+    """Send every queued job that no message stands for, as after a loss of Redis. Returns how many were sent."""
+    jobs = repository.queued()
+    if not jobs:
+        return 0
+    waiting = queue.waiting()
+    sent = 0
+    for job in jobs:
+        if _message_id(job.job_id, job.attempt) in waiting or _settling(job):
+            continue
+        if job.sent_at is not None:
+            queue.forget(job.job_id, job.attempt)
+        queue.send(job.job_id, job.attempt)
+        repository.sent(job.job_id, job.attempt)
+        sent += 1
+    return sent
+
+
+def _settling(job: Waiting) -> bool:
+    return job.sent_at is not None and datetime.now(UTC) - job.sent_at < timedelta(seconds=SETTLE_SECONDS)
+
+
+def _message_id(job_id: str, attempt: int) -> str:
+    return f"{job_id}-{attempt}"

@@ -1,0 +1,41 @@
+import math
+
+import pytest
+import torch
+
+from services.analysis.perceptibility import VECTOR_DIMENSIONS, beyond, of_groups, of_pictures, perceptibility
+from services.attacks.spec import RENDERER_GROUPS
+
+
+def test_a_constant_change_by_hand() -> None:
+    # every pixel moves by (3, 4, 0)/255: p is exactly 5/255
+    original = torch.zeros(6, 7, 3, dtype=torch.uint8)
+    attacked = original + torch.tensor([3, 4, 0], dtype=torch.uint8)
+    assert of_pictures(original, attacked) == pytest.approx(5 / 255, rel=1e-12)
+    assert of_pictures(attacked, original) == pytest.approx(5 / 255, rel=1e-12)  # uint8 must not wrap
+
+
+def test_one_pixel_of_many() -> None:
+    change = torch.zeros(10, 10, 3)
+    change[4, 2] = 1.0
+    # mean over 100 pixels of a squared norm of 3; a mean over channels too would lose a factor √3
+    assert perceptibility(change) == pytest.approx(math.sqrt(3 / 100), rel=1e-12)
+
+
+def test_groups_take_the_mean_over_their_places() -> None:
+    ones = {"normals": torch.ones(5, 5, 2), "illumination": torch.ones(4, 8), "material": torch.ones(1, 3, 3, 2, 6)}
+    p = of_groups("torch", ones)
+    assert p == pytest.approx({"normals": math.sqrt(2), "illumination": 1.0, "material": math.sqrt(12)})
+    assert of_groups("pyrender", {"illumination": torch.ones(5)}) == pytest.approx({"illumination": math.sqrt(5)})
+
+
+def test_every_group_of_every_renderer_has_a_form() -> None:
+    assert {name: tuple(groups) for name, groups in VECTOR_DIMENSIONS.items()} == RENDERER_GROUPS
+
+
+def test_beyond_counts_pixels_not_channels() -> None:
+    original = torch.full((2, 2, 3), 100, dtype=torch.uint8)
+    attacked = original.clone()
+    attacked[0, 0] = torch.tensor([119, 119, 100])
+    attacked[1, 1] = torch.tensor([118, 82, 100])  # exactly at the limit, both ways
+    assert beyond(original, attacked, 18) == 1

@@ -1,0 +1,21 @@
+import torch
+
+from services.analysis.subsets import subsets
+from services.attacks.exact import Judge
+from tests.unit.attacks.small import problem
+
+
+def test_every_subset_once_and_the_ends_are_the_original_and_the_attacked() -> None:
+    case = problem()
+    judge = Judge(case.renderer, case.target)
+    perturbation = {"a": torch.full((2, 3), 0.05), "b": torch.full((3,), 0.3)}
+    original, attacked = judge.picture({}), judge.picture(perturbation)
+    rows = subsets(judge, case.goal, perturbation, original, attacked)
+    assert [row.groups for row in rows] == [[], ["a"], ["b"], ["a", "b"]]
+    assert rows[0].perceptibility == 0
+    assert not rows[0].fooled
+    for row in rows:
+        fresh = judge.logits(judge.picture({g: perturbation[g] for g in row.groups}))
+        assert row.goal_probability == float(torch.softmax(fresh.double(), 0)[case.goal.label])
+    # a subset applies its own groups and no other
+    assert len({row.perceptibility for row in rows}) == 4

@@ -1,0 +1,86 @@
+"""A renderer and a network small enough to know everything about: both linear, in float64 if asked."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from services.attacks.goal import ResolvedGoal
+from services.attacks.problem import Problem
+
+
+@dataclass
+class LinearRenderer:
+    """image = base + A·a + B·b, clipped to [0,1]. `eight_bits` rounds it, as stock pyrender does."""
+
+    dtype: torch.dtype = torch.float64
+    eight_bits: bool = False
+    seed: int = 0
+
+    name = "torch"
+    groups = ("a", "b")
+    differentiable = True
+    backend = "linear"
+    size = (4, 5)
+
+    def __post_init__(self) -> None:
+        random = torch.Generator().manual_seed(self.seed)
+        self.base = 0.5 + 0.1 * torch.randn(4, 5, 3, generator=random, dtype=torch.float64).clamp(-2, 2)
+        self.weights = {
+            "a": 0.2 * torch.randn(60, 6, generator=random, dtype=torch.float64),
+            "b": 0.2 * torch.randn(60, 3, generator=random, dtype=torch.float64),
+        }
+
+    def initial(self) -> dict[str, Tensor]:
+        return {"a": torch.zeros(2, 3, dtype=self.dtype), "b": torch.zeros(3, dtype=self.dtype)}
+
+    def bounds(self) -> dict[str, tuple[Tensor, Tensor]]:
+        return {"a": (torch.tensor(-torch.inf), torch.tensor(torch.inf)), "b": (torch.tensor(0.0), torch.tensor(1.0))}
+
+    def names(self, group: str) -> None:
+        return None
+
+    def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
+        image = self.base.to(self.dtype).flatten()[None]
+        for group, value in parameters.items():
+            image = image + value.flatten(1) @ self.weights[group].to(self.dtype).T
+        image = image.clamp(0, 1)
+        if self.eight_bits:
+            image = (image * 255).round() / 255
+        return image.reshape(-1, 4, 5, 3)
+
+    def exact(self) -> "LinearRenderer":
+        return self
+
+
+@dataclass
+class LinearTarget:
+    """logits = scale·W·pixels."""
+
+    scale: float = 3.0
+    classes: int = 4
+    dtype: torch.dtype = torch.float64
+
+    name = "linear"
+    input_size = (4, 5)
+    differentiable = True
+    takes_question = False
+    weights_sha256 = "0" * 64
+    backend = "linear"
+
+    def __post_init__(self) -> None:
+        self.labels = tuple(f"label {k}" for k in range(self.classes))
+        random = torch.Generator().manual_seed(1)
+        self.weights = torch.randn(60, self.classes, generator=random, dtype=torch.float64)
+
+    def logits(self, images: Tensor, question: str | None = None) -> Tensor:
+        return self.scale * (images.to(self.dtype).flatten(1) - 0.5) @ self.weights.to(self.dtype)
+
+
+def problem(renderer: LinearRenderer | None = None, target: LinearTarget | None = None, **settings: object) -> Problem:
+    """The linear problem of leaving the first answer, with all groups attacked."""
+    renderer, target = renderer or LinearRenderer(), target or LinearTarget()
+    start = {g: v[None] for g, v in renderer.initial().items()}
+    first = int(target.logits(renderer.render(start)).argmax())
+    return Problem(renderer, target, ResolvedGoal(first, None), renderer.groups, **settings)  # type: ignore[arg-type]

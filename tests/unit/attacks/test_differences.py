@@ -1,0 +1,84 @@
+import torch
+
+from services.attacks.differences import CANDIDATES, estimate, layout, measure_deltas, measure_noise
+from services.attacks.problem import Problem
+from tests.unit.attacks.small import LinearRenderer, LinearTarget, problem
+
+ALL = torch.arange(9)
+
+
+def gradient(case: Problem) -> torch.Tensor:
+    """Of the objective at the start, by autograd: the reference no difference is involved in."""
+    where = layout(case)
+    flat = torch.zeros(where.total, dtype=torch.float64, requires_grad=True)
+    images = case.renderer.render(where.unflatten((where.flatten(case.initial) + flat)[None]))
+    value = case.goal.advantage(case.target.logits(images))
+    value = value + case.weight * (images - case.original).square().sum()
+    return torch.autograd.grad(value.sum(), flat)[0]
+
+
+def test_slopes_agree_with_autograd() -> None:
+    case = problem(weight=0.3)
+    found = estimate(case, torch.zeros(9).double(), ALL, torch.full((9,), 1e-5).double(), noise=0.0)
+    # group b starts on its lower bound: the difference there is one-sided, of first order in δ only
+    torch.testing.assert_close(found.slopes[:6], gradient(case)[:6], rtol=1e-6, atol=1e-9)
+    torch.testing.assert_close(found.slopes[6:], gradient(case)[6:], rtol=1e-3, atol=1e-5)
+    assert not found.flat.any()
+
+
+def test_a_coordinate_does_not_hear_of_the_others_in_its_batch() -> None:
+    """The classic bug sums a batch inside the loss; the λ term would then scale with the batch."""
+    case = problem(weight=50.0)
+    at = 0.05 * torch.ones(9).double()
+    deltas = torch.full((9,), 1e-3).double()
+    together = estimate(case, at, ALL, deltas, 0.0).slopes
+    alone = torch.stack([estimate(case, at, ALL[k : k + 1], deltas[k : k + 1], 0.0).slopes[0] for k in range(9)])
+    torch.testing.assert_close(together, alone, rtol=1e-9, atol=1e-10)
+
+
+def test_eight_bit_pictures_make_small_differences_flat_and_they_are_called_so() -> None:
+    deltas = torch.full((6,), 1e-4).double()
+    rounded = estimate(problem(LinearRenderer(eight_bits=True)), torch.zeros(9).double(), ALL[:6], deltas, 1e-9)
+    floating = estimate(problem(), torch.zeros(9).double(), ALL[:6], deltas, 1e-9)
+    assert not floating.flat.any()
+    truth = gradient(problem())[:6]
+    wrong = (rounded.slopes - truth).abs() / truth.abs()
+    assert rounded.flat.any() or float(wrong.max()) > 0.5
+    assert (rounded.slopes[rounded.flat] == 0).all()
+
+
+def test_noise_is_that_of_the_arithmetic() -> None:
+    noise32 = measure_noise(problem(LinearRenderer(torch.float32), LinearTarget(dtype=torch.float32)), torch.zeros(9))
+    # float32 sums of 60 products of size 3 cannot be better than 1e-7 nor much worse than 60·3·1.2e-7
+    assert 1e-7 < noise32 < 1e-4
+
+
+def test_the_measured_step_gives_a_slope_near_the_truth() -> None:
+    case = problem(LinearRenderer(torch.float32), LinearTarget(dtype=torch.float32))
+    noise = measure_noise(case, torch.zeros(9))
+    chosen = measure_deltas(case, torch.zeros(9), noise)
+    assert set(chosen) == {"a", "b"}
+    assert all(value in CANDIDATES for value in chosen.values())
+    deltas = torch.full((6,), chosen["a"]).double()
+    found = estimate(case, torch.zeros(9), ALL[:6], deltas, noise).slopes
+    truth = gradient(problem())[:6]
+    assert float(torch.nn.functional.cosine_similarity(found, truth, dim=0)) > 0.99
+
+
+def test_a_group_that_cannot_change_the_picture_gets_the_largest_step_and_is_flat() -> None:
+    renderer = LinearRenderer()
+    renderer.weights["b"] *= 0
+    case = problem(renderer)
+    chosen = measure_deltas(case, torch.zeros(9).double(), 1e-12)
+    assert chosen["b"] == CANDIDATES[0]
+    assert estimate(case, torch.zeros(9).double(), ALL[6:], torch.full((3,), 0.1).double(), 1e-12).flat.all()
+
+
+def test_the_layout_is_its_own_inverse() -> None:
+    case = problem()
+    where = layout(case)
+    vectors = torch.randn(4, where.total)
+    parts = where.unflatten(vectors)
+    assert parts["a"].shape == (4, 2, 3)
+    torch.testing.assert_close(torch.cat([parts["a"].flatten(1), parts["b"]], 1), vectors)
+    assert [where.group_of(k) for k in (0, 5, 6, 8)] == ["a", "a", "b", "b"]

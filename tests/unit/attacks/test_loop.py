@@ -1,0 +1,131 @@
+from pathlib import Path
+
+import pytest
+import torch
+
+from services.attacks.exact import Judge
+from services.attacks.fgsm import FgsmMethod
+from services.attacks.loop import Budget, Run, run
+from services.attacks.problem import Problem
+from services.attacks.spec import Fgsm, Zoo
+from services.attacks.zoo import ZooMethod
+from services.errors import Cancelled, JobFailure
+from tests.unit.attacks.small import LinearRenderer, LinearTarget, problem
+
+FGSM = Fgsm.model_construct(learning_rate={"a": 0.01, "b": 0.01}, momentum=0.9, weight_decay=1e-4)
+ZOO = Zoo.model_construct(coordinates=4, delta=1e-4, learning_rate=2e-3)
+
+
+def attack(case: Problem, budget: Budget, *, zoo: bool = False, saved: Path | None = None) -> Run:
+    method = ZooMethod(ZOO, case) if zoo else FgsmMethod(FGSM, case)
+    return run(case, method, Judge(case.renderer, case.target), budget, saved=saved)
+
+
+def test_it_stops_when_verified_and_stores_that_step() -> None:
+    case = problem()
+    found = attack(case, Budget(120))
+    assert found.stopped == "verified"
+    assert found.fooled
+    assert found.verified
+    assert found.stored_step == found.step == found.trace[-1].step
+    assert [row.advantage < 0 for row in found.trace] == [False] * found.step + [True]
+    assert found.trace[0].distance == 0
+    assert found.trace[0].perceptibility == 0
+
+
+def test_the_trace_counts_every_query_and_rendering() -> None:
+    case = problem()
+    found = attack(case, Budget(120))
+    # a look is 1 query and 1 rendering, an FGSM step 1 query more, the original 1 rendering, the verdict 1 of each
+    assert found.trace[-1].queries == 2 * found.step + 1
+    assert found.trace[-1].renders == found.step + 2
+    assert case.queries == found.trace[-1].queries
+
+
+def test_success_is_judged_on_the_picture_as_saved() -> None:
+    """A float picture that crosses the boundary by less than rounding gives back must not count."""
+
+    class Edge(LinearTarget):
+        """Answers by the sum of sin(2π·255·x): zero on every k/255, so no saved picture ever crosses."""
+
+        def logits(self, images: torch.Tensor, question: str | None = None) -> torch.Tensor:
+            off = torch.sin(2 * torch.pi * 255 * images.double()).flatten(1).sum(1)
+            return torch.stack([torch.full_like(off, 0.1), off], 1)
+
+    renderer = LinearRenderer(eight_bits=False)
+    renderer.base = (renderer.base * 255).round() / 255
+    case = problem(renderer, Edge(classes=2))
+    found = attack(case, Budget(10))
+    assert bool(case.goal.fooled(case.target.logits(case.view(found.stored).images)))
+    assert not found.fooled
+    assert found.stopped == "steps"
+
+
+def test_a_picture_fooled_by_truncation_alone_does_not_end_the_loop() -> None:
+    """Truncation makes picture and parameters disagree: the exact re-rendering decides."""
+
+    class Shy(LinearTarget):
+        """Another label wins only for pictures that moved, and moved by no more than U = 0.01."""
+
+        def logits(self, images: torch.Tensor, question: str | None = None) -> torch.Tensor:
+            change = (images.double() - original).abs().flatten(1).amax(1)
+            wins = ((change > 0.004) & (change < 0.02)).double()
+            slope = images.double().flatten(1).sum(1) * 1e-3
+            return torch.stack([1 + slope, 2 * wins], 1)
+
+    renderer = LinearRenderer()
+    original = ((renderer.base * 255).round() / 255)[None]
+    renderer.base = original[0]
+    quick = Fgsm.model_construct(learning_rate={"a": 0.5, "b": 0.5}, momentum=0.0, weight_decay=0.0)
+    case = problem(renderer, Shy(classes=2), truncation=0.01)
+    found = run(case, FgsmMethod(quick, case), Judge(case.renderer, case.target), Budget(3))
+    assert found.fooled
+    assert not found.verified
+    assert found.stopped == "steps"
+    assert int(found.ever.sum()) > 0
+
+
+@pytest.mark.parametrize("zoo", [False, True])
+def test_budgets_end_it(zoo: bool) -> None:
+    hard = LinearTarget(scale=1e-3)
+    assert attack(problem(target=hard), Budget(2), zoo=zoo).stopped in ("steps", "verified")
+    spent = attack(problem(target=hard, truncation=0.001), Budget(10_000, queries=30), zoo=zoo)
+    assert spent.stopped == "queries"
+    assert spent.trace[-2].queries < 30 <= spent.trace[-1].queries
+    assert attack(problem(target=hard, truncation=0.001), Budget(10_000, seconds=1e-9), zoo=zoo).stopped == "seconds"
+
+
+@pytest.mark.parametrize("zoo", [False, True])
+def test_a_resumed_attack_ends_in_the_same_result(zoo: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.attacks.checkpoint.EVERY", -1.0)  # after every step
+    whole = attack(problem(truncation=0.002), Budget(12), zoo=zoo)
+    seen = 0
+
+    def die() -> None:
+        nonlocal seen
+        seen += 1
+        if seen > (8 if zoo else 7):
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        attack(problem(truncation=0.002, interrupt=die), Budget(12), zoo=zoo, saved=tmp_path / "checkpoint")
+    resumed = attack(problem(truncation=0.002), Budget(12), zoo=zoo, saved=tmp_path / "checkpoint")
+    for group, value in whole.stored.items():
+        assert torch.equal(value, resumed.stored[group])
+    assert [row.model_copy(update={"seconds": 0}) for row in whole.trace] == [
+        row.model_copy(update={"seconds": 0}) for row in resumed.trace
+    ]
+    assert torch.equal(whole.ever, resumed.ever)
+    assert whole.settings == resumed.settings
+
+
+def test_a_damaged_checkpoint_is_as_good_as_none(tmp_path: Path) -> None:
+    (tmp_path / "checkpoint").write_bytes(b"not safetensors at all")
+    assert attack(problem(), Budget(12), saved=tmp_path / "checkpoint").step == attack(problem(), Budget(12)).step
+
+
+def test_a_picture_of_nan_ends_the_job() -> None:
+    renderer = LinearRenderer()
+    renderer.base[0, 0, 0] = torch.nan
+    with pytest.raises(JobFailure, match="non-finite: the renderer"):
+        problem(renderer)

@@ -1,0 +1,85 @@
+import torch
+
+from services.attacks.spec import Zoo
+from services.attacks.zoo import ZooMethod
+from tests.unit.attacks.small import LinearRenderer, problem
+
+
+def settings(**changes: object) -> Zoo:
+    values = {"coordinates": 128, "delta": 1e-4, "learning_rate": 2e-3, "steps": 10}
+    return Zoo.model_construct(**(values | changes))  # type: ignore[arg-type]
+
+
+def test_with_all_coordinates_it_is_adam_on_the_true_gradient() -> None:
+    """torch.optim.Adam, fed by autograd, is the reference: nothing of the estimate or the update is shared."""
+    case = problem(weight=0.3)
+    method = ZooMethod(settings(), case)
+    method.start(case)
+    leaf = torch.zeros(2, 3, dtype=torch.float64, requires_grad=True)
+    adam = torch.optim.Adam([leaf], lr=2e-3)
+    for step in range(5):
+        images = case.renderer.render({"a": leaf[None], "b": method.perturbation["b"].double()[None]})
+        value = case.goal.advantage(case.target.logits(images)).sum()
+        value = value + 0.3 * (images - case.original).square().sum()
+        (leaf.grad,) = torch.autograd.grad(value, leaf)
+        method.advance(case, case.view(method.perturbation), step)
+        adam.step()
+        torch.testing.assert_close(method.perturbation["a"].double(), leaf.detach(), rtol=1e-4, atol=1e-7)
+
+
+def test_only_chosen_coordinates_move_and_the_choice_is_the_seeds() -> None:
+    moved = []
+    for seed in (0, 0, 1):
+        case = problem(seed=seed)
+        method = ZooMethod(settings(coordinates=3), case)
+        method.start(case)
+        method.advance(case, case.view(method.perturbation), 0)
+        assert int((method.moves > 0).sum()) <= 3
+        moved.append(method.flat.clone())
+    assert torch.equal(moved[0], moved[1])
+    assert not torch.equal(moved[0], moved[2])
+
+
+def test_flat_coordinates_are_counted_and_left_alone() -> None:
+    renderer = LinearRenderer()
+    renderer.weights["b"] *= 0
+    case = problem(renderer)
+    method = ZooMethod(settings(), case)
+    method.start(case)
+    assert method.advance(case, case.view(method.perturbation), 0) == 3
+    assert (method.moves[6:] == 0).all()
+    assert (method.flat[6:] == 0).all()
+
+
+def test_a_heavy_weight_keeps_the_picture_closer() -> None:
+    distances = []
+    for weight in (0.0, 100.0):
+        case = problem(weight=weight)
+        method = ZooMethod(settings(), case)
+        method.start(case)
+        for step in range(60):
+            method.advance(case, case.view(method.perturbation), step)
+        distances.append(float((case.view(method.perturbation).images - case.original).norm()))
+    assert distances[1] < 0.5 * distances[0]
+
+
+def test_measured_steps_are_reported() -> None:
+    case = problem()
+    found = ZooMethod(settings(delta="measured"), case).start(case)
+    assert set(found) == {"delta", "noise"}
+    assert set(found["delta"]) == {"a", "b"}  # type: ignore[call-overload]
+
+
+def test_its_state_continues_where_it_was() -> None:
+    case = problem()
+    whole, half, rest = (ZooMethod(settings(coordinates=4), case) for _ in range(3))
+    whole.start(case)
+    half.start(case)
+    for step in range(6):
+        whole.advance(case, case.view(whole.perturbation), step)
+    for step in range(3):
+        half.advance(case, case.view(half.perturbation), step)
+    rest.load({name: value.clone() for name, value in half.state().items()})
+    for step in range(3, 6):
+        rest.advance(case, case.view(rest.perturbation), step)
+    assert torch.equal(whole.flat, rest.flat)
