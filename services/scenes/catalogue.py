@@ -1,0 +1,147 @@
+"""The furniture catalogue: what models there are, who made them, how large they are. Read from `*.sh3f` archives.
+
+The archives are Sweet Home 3D furniture libraries: zip files with a `PluginFurnitureCatalog.properties` that numbers
+its models (`name#12=…`) and an OBJ model with materials and textures for each.
+"""
+
+import json
+import re
+import unicodedata
+import zipfile
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
+
+from services.scenes.properties import parse_properties
+from services.scenes.store import write_atomically
+
+CATALOGUE = "PluginFurnitureCatalog.properties"
+IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+INDEX_VERSION = 1
+
+
+class Model(BaseModel):
+    """One model of a library. `size` is width (x), depth (z), height (y) in centimetres; `rotation` the 3×3 matrix,
+    row by row, that turns the model upright and its front towards +z; `path` the OBJ file inside the archive.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    slug: str
+    key: str
+    title: str
+    category: str
+    creator: str
+    licence: str
+    library: str
+    archive: str
+    path: str
+    size: tuple[float, float, float]
+    rotation: tuple[float, ...]
+
+    @property
+    def credit(self) -> str:
+        """The attribution line."""
+        return f"“{self.title}” by {self.creator}, {self.licence}, from the Sweet Home 3D library {self.library}"
+
+
+def read_catalogue(directory: Path, index: Path) -> dict[str, Model]:
+    """All models of all `*.sh3f` archives in `directory` by slug, in catalogue order; empty if there are none.
+
+    `index` is a file the result is kept in, and taken from while the archives have the same names, sizes and times.
+    """
+    archives = sorted(directory.glob("*.sh3f"))
+    stamp = [INDEX_VERSION, *([path.name, path.stat().st_size, path.stat().st_mtime_ns] for path in archives)]
+    try:
+        kept = json.loads(index.read_bytes())
+        if kept["stamp"] == stamp:
+            models = TypeAdapter(list[Model]).validate_python(kept["models"])
+            return {model.slug: model for model in models}
+    except (OSError, ValueError, KeyError, TypeError, ValidationError):
+        pass
+    models = with_slugs([model for path in archives for model in read_archive(path)])
+    text = json.dumps({"stamp": stamp, "models": [model.model_dump(mode="json") for model in models]})
+    write_atomically(index, text.encode())
+    return {model.slug: model for model in models}
+
+
+def read_archive(path: Path) -> list[Model]:
+    """The models of one archive, in the order of their numbers; their slugs are still empty.
+
+    Models without a name, a size or an OBJ file that is in the archive are left out.
+    """
+    with zipfile.ZipFile(path) as archive:
+        values = parse_properties(archive.read(CATALOGUE))
+        files = set(archive.namelist())
+    library = values.get("name", path.stem).removesuffix(" catalog")
+    licence = _licence(values.get("license", ""))
+    models = []
+    for number in sorted(int(key.partition("#")[2]) for key in values if re.fullmatch(r"name#\d+", key)):
+        title = values[f"name#{number}"].strip()
+        model = values.get(f"model#{number}", "").strip().lstrip("/")
+        size = tuple(_number(values.get(f"{side}#{number}", "")) for side in ("width", "depth", "height"))
+        if not title or model not in files or not model.lower().endswith(".obj") or min(size) <= 0:
+            continue
+        identity = values.get(f"id#{number}", title)
+        models.append(
+            Model(
+                slug="",
+                key=identity.rpartition("#")[2],
+                title=title,
+                category=values.get(f"category#{number}", "").strip() or "Miscellaneous",
+                creator=values.get(f"creator#{number}", "").strip() or library,
+                licence=licence,
+                library=library,
+                archive=path.name,
+                path=model,
+                size=(size[0], size[1], size[2]),
+                rotation=_rotation(values.get(f"modelRotation#{number}", "")),
+            )
+        )
+    return models
+
+
+def with_slugs(models: list[Model]) -> list[Model]:
+    """The models with a unique slug each: the name; if taken, with the library's key; if taken too, with a number.
+
+    Models with an earlier place in the list are served first, so a name means the same model as long as no archive
+    is put before its own.
+    """
+    taken: set[str] = set()
+    named: list[Model] = []
+    for model in models:
+        plain, key = slugify(model.title), slugify(model.key)
+        words = key if key.startswith(plain) else f"{plain}-{key}"
+        candidates = [plain, words, f"{words}-{slugify(model.library)}"]
+        candidates += [f"{words}-{n}" for n in range(2, len(models) + 2)]
+        slug = next(candidate for candidate in candidates if candidate and candidate not in taken)
+        taken.add(slug)
+        named.append(model.model_copy(update={"slug": slug}))
+    return named
+
+
+def slugify(text: str) -> str:
+    """Lower-case ASCII letters and digits with single hyphens: "Café table (2)" becomes "cafe-table-2"."""
+    ascii_only = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode()
+    return re.sub(r"[^a-z0-9]+", "-", ascii_only.lower()).strip("-")
+
+
+def _licence(text: str) -> str:
+    lowered = text.lower()
+    if "public domain" in lowered or "cc-0" in lowered or "cc0" in lowered:
+        return "CC0 1.0"
+    if "attribution 3.0" in lowered:
+        return "CC BY 3.0 US" if "united states" in lowered else "CC BY 3.0"
+    return text.strip() or "unknown"
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return 0.0
+
+
+def _rotation(text: str) -> tuple[float, ...]:
+    values = tuple(_number(word) for word in text.split())
+    return values if len(values) == 9 else IDENTITY

@@ -1,0 +1,131 @@
+"""What a mesh file claims to be and to hold, checked against its bytes before a parser spends memory on it."""
+
+import json
+import re
+import struct
+from collections.abc import Callable
+from typing import Any
+
+_SIZES = {
+    **dict.fromkeys(("char", "uchar", "int8", "uint8"), 1),
+    **dict.fromkeys(("short", "ushort", "int16", "uint16"), 2),
+    **dict.fromkeys(("int", "uint", "int32", "uint32", "float", "float32"), 4),
+    **dict.fromkeys(("double", "float64", "int64", "uint64"), 8),
+}
+_MAX_NODES = 10_000
+
+
+def _obj(data: bytes, max_faces: int) -> None:
+    if b"\0" in data:
+        raise ValueError("it is not text")
+    if not re.search(rb"^\s*v\s", data, re.MULTILINE):
+        raise ValueError("it has no vertices (`v x y z`)")
+    faces = re.findall(rb"^[ \t]*f\b([^\r\n]*)", data, re.MULTILINE)
+    if not faces:
+        raise ValueError("it has no faces (`f a b c`)")
+    _few(sum(len(face.split()) - 2 for face in faces), max_faces)
+    number = rb"[ \t]+-?\d+(?:/-?\d*){0,2}"
+    for face in faces:
+        # A backslash continues the line; what follows is then left to the parser.
+        if not re.fullmatch(rb"(?:" + number + rb"){3,}[ \t]*\\?", face):
+            raise ValueError(f"the face `f{face[:60].decode('latin-1')}` has no three vertex numbers")
+
+
+def _ply(data: bytes, max_faces: int) -> None:
+    header, end, body = data.partition(b"end_header")
+    if not re.match(rb"ply\r?\n", data) or not end or len(header) > 100_000:
+        raise ValueError("it does not begin with a PLY header")
+    lines = [line.split() for line in header.decode("ascii", "replace").splitlines()]
+    ascii_body = ["format", "ascii", "1.0"] in lines
+    counts: dict[str, int] = {}
+    needed, row = 0, 0
+    for words in lines:
+        if words[:1] == ["element"] and len(words) == 3:
+            name, row = words[1], int(words[2])
+            if row < 0 or name in counts:
+                raise ValueError("its header declares an element twice, or a negative number of them")
+            counts[name] = row
+        elif words[:1] == ["property"] and len(words) in (3, 5):
+            # A list may be empty: it needs its count only.
+            kind = words[2] if words[1] == "list" else words[1]
+            if kind not in _SIZES:
+                raise ValueError(f"its header names the unknown type {kind!r}")
+            # In text a value is at least a digit and a blank.
+            needed += row * (2 if ascii_body else _SIZES[kind])
+    if not counts.get("vertex") or not counts.get("face"):
+        raise ValueError("it has no vertices or no faces")
+    _few(counts["face"], max_faces)
+    if needed > len(body) + 1:
+        raise ValueError(f"its header declares at least {needed:,} bytes of elements, but {len(body):,} follow")
+    if ascii_body and len(body.split(b"\n")) - 1 < sum(counts.values()):
+        raise ValueError("it has fewer lines than its header declares")
+
+
+def _stl(data: bytes, max_faces: int) -> None:
+    if len(data) >= 84:
+        (count,) = struct.unpack_from("<I", data, 80)
+        if len(data) == 84 + 50 * count:
+            _few(count, max_faces)
+            return
+    text = data[:4096].lstrip().lower()
+    if not text.startswith(b"solid") or b"\0" in data:
+        raise ValueError("it is neither text that begins with `solid` nor as long as its triangle count says")
+    vertices = len(re.findall(rb"\bvertex\b", data, re.IGNORECASE))
+    _few(vertices // 3, max_faces)
+    complete = len(re.findall(rb"\bvertex(?:[ \t]+[-+.\dA-Za-z]+){3}[ \t]*\r?$", data, re.IGNORECASE | re.MULTILINE))
+    if not vertices or vertices % 3 or complete != vertices or b"endsolid" not in data.lower():
+        raise ValueError("its triangles are incomplete")
+
+
+def _off(data: bytes, max_faces: int) -> None:
+    lines = [line for line in (raw.partition(b"#")[0].strip() for raw in data.splitlines()) if line]
+    match = re.match(rb"C?OFF\b(.*)", lines[0]) if lines else None
+    if match is None:
+        raise ValueError("it does not begin with OFF or COFF")
+    rest = [match[1].strip(), *lines[1:]] if match[1].strip() else lines[1:]
+    counts = rest[0].split() if rest else []
+    if len(counts) < 2:
+        raise ValueError("it does not say how many vertices and faces it has")
+    vertices, faces = int(counts[0]), int(counts[1])
+    if vertices < 3 or faces < 1:
+        raise ValueError("it has no vertices or no faces")
+    _few(faces, max_faces)
+    if len(rest) - 1 < vertices + faces:
+        raise ValueError(f"it declares {vertices:,} vertices and {faces:,} faces, but {len(rest) - 1:,} lines follow")
+
+
+def _glb(data: bytes, max_faces: int) -> None:
+    if len(data) < 20 or data[:4] != b"glTF":
+        raise ValueError("it does not begin with glTF")
+    version, length, chunk, kind = struct.unpack_from("<IIII", data, 4)
+    if version != 2 or length != len(data) or kind != 0x4E4F534A or 20 + chunk > len(data):
+        raise ValueError("its lengths do not add up, or it is not glTF 2")
+    tree = json.loads(data[20 : 20 + chunk])
+    if not isinstance(tree, dict):
+        raise ValueError("its JSON is not an object")
+    accessors: list[dict[str, Any]] = tree.get("accessors", [])
+    if any("bufferView" not in accessor for accessor in accessors):
+        raise ValueError("it has accessors without data (compressed geometry is not read)")
+    if sum(int(view["byteLength"]) for view in tree.get("bufferViews", [])) > 4 * len(data):
+        raise ValueError("its buffer views declare more than the file holds")
+    nodes = tree.get("nodes", [])
+    children = [child for node in nodes for child in node.get("children", [])]
+    if len(nodes) > _MAX_NODES or len(set(children)) != len(children):
+        raise ValueError(f"its nodes are not a tree of at most {_MAX_NODES:,}")
+    corners, vertices = 0, 0
+    for primitive in (p for mesh in tree.get("meshes", []) for p in mesh.get("primitives", [])):
+        position = int(accessors[primitive["attributes"]["POSITION"]]["count"])
+        corners += int(accessors[primitive["indices"]]["count"]) if "indices" in primitive else position
+        vertices += position
+    # Counted as lists of triangles; strips of as many triangles have fewer corners.
+    _few(corners // 3, max_faces)
+    _few(vertices // 20, max_faces)
+
+
+def _few(triangles: int, max_faces: int) -> None:
+    if triangles > max_faces:
+        raise ValueError(f"it declares {triangles:,} triangles; at most {max_faces:,} are taken")
+
+
+CHECKS: dict[str, Callable[[bytes, int], None]] = {"obj": _obj, "ply": _ply, "stl": _stl, "glb": _glb, "off": _off}
+"""By kind: raises ValueError (or whatever its parsing trips over) if the file cannot be what it claims to be."""

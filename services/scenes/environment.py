@@ -1,0 +1,102 @@
+"""Environment maps: light from every direction, as radiance on a grid of polar angle and azimuth.
+
+Everywhere in this project row i of a map of `rows` rows is the polar angle θ = (i + ½)π/rows from +y and column j of
+`cols` columns the azimuth φ = (j + ½)2π/cols, measured about +y from +z towards +x: the direction
+(sin θ sin φ, cos θ, sin θ cos φ).
+
+Equirectangular picture files run the other way round, because they are drawn as seen from inside: their top row is
+straight up, their middle column is +x, and going right the view turns to +z, −x, −z (Blender's and three.js's reading,
+with +y up). `from_picture` turns one into the other.
+"""
+
+import hashlib
+from dataclasses import dataclass
+from math import pi
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+
+from services.errors import JobFailure
+from services.scenes.mesh import Doubles, Floats
+
+
+@dataclass(frozen=True, eq=False)
+class EnvironmentMap:
+    """radiance: float32 [rows, cols, 3], linear, finite, at least 0, in this project's directions. sha256: of the
+    file. credit: the line to show.
+    """
+
+    name: str
+    radiance: Floats
+    sha256: str
+    credit: str | None
+
+
+def read_exr(path: Path, credit: str | None) -> EnvironmentMap:
+    """A map from an equirectangular OpenEXR picture; negative and non-finite values become 0.
+
+    Raises JobFailure("asset-missing") if the file cannot be read or has no colours.
+    """
+    try:
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        with OpenEXR.File(str(path)) as file:
+            channels = file.channels()
+            if "RGBA" in channels or "RGB" in channels:
+                pixels = np.asarray(channels["RGBA" if "RGBA" in channels else "RGB"].pixels)[..., :3]
+            else:
+                pixels = np.stack([np.asarray(channels[name].pixels) for name in "RGB"], axis=-1)
+    except (OSError, KeyError, RuntimeError, ValueError) as error:
+        raise JobFailure("asset-missing", f"cannot read the environment map {path.name}: {error}") from error
+    clean = np.nan_to_num(pixels.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0).clip(min=0.0)
+    return EnvironmentMap(name=path.stem, radiance=from_picture(clean), sha256=digest, credit=credit)
+
+
+def uniform() -> EnvironmentMap:
+    """The same radiance, 1, from every direction."""
+    radiance = np.ones((1, 4, 3), np.float32)
+    return EnvironmentMap("uniform", radiance, hashlib.sha256(radiance.tobytes()).hexdigest(), credit=None)
+
+
+def from_picture(picture: Floats) -> Floats:
+    """An equirectangular picture [h,w,3] in this project's directions (see the module's text)."""
+    width = picture.shape[1]
+    mirrored = picture[:, ::-1]
+    # Picture position u (0 left, 1 right) looks along the azimuth φ = 2π(¾ − u); mirrored, 1 − u comes first.
+    if width % 4 == 0:
+        return np.ascontiguousarray(np.roll(mirrored, -width // 4, axis=1))
+    weights = _column_weights(width, width, -pi / 2)
+    picture64: Doubles = np.einsum("jw,hwc->hjc", weights, mirrored.astype(np.float64))
+    return picture64.astype(np.float32)
+
+
+def average(radiance: Floats, rows: int, cols: int, rotation: float = 0.0) -> Floats:
+    """The map on a grid of `rows` × `cols`, turned about +y by `rotation` radians: float32 [rows, cols, 3].
+
+    Every texel is the mean radiance over its solid angle, each source texel counting by the solid angle they share, so
+    the light of the whole sphere stays the same for any grid. Positive rotations turn +z towards +x.
+    """
+    height, width = radiance.shape[:2]
+    source = np.cos(np.linspace(0, pi, height + 1))
+    target = np.cos(np.linspace(0, pi, rows + 1))
+    shared = np.minimum(target[:-1, None], source[None, :-1]) - np.maximum(target[1:, None], source[None, 1:])
+    vertical = shared.clip(min=0) / (target[:-1] - target[1:])[:, None]
+    horizontal = _column_weights(width, cols, rotation)
+    out: Doubles = np.einsum("ih,hwc->iwc", vertical, radiance.astype(np.float64), optimize=True)
+    out = np.einsum("jw,iwc->ijc", horizontal, out, optimize=True)
+    return out.astype(np.float32)
+
+
+def _column_weights(width: int, cols: int, rotation: float) -> Doubles:
+    """Share [cols, width] of each source column in each target column of a map turned by `rotation`; rows sum to 1."""
+    # In units of source columns: target column j covers [low, low + span) of the unturned map, modulo the width.
+    span = width / cols
+    low = np.arange(cols) * span - rotation / (2 * pi) * width
+    left = np.arange(width)
+    weights = np.zeros((cols, width))
+    # Shifts by whole turns, enough for low in any position and a span of up to a full turn.
+    start = np.mod(low, width)[:, None]
+    for turn in (0, width):
+        overlap = np.minimum(start + span, left + 1 + turn) - np.maximum(start, left + turn)
+        weights += overlap.clip(min=0)
+    return weights / span

@@ -1,0 +1,217 @@
+"""Everything a scene can name: furniture, primitives, uploaded meshes, environment maps; with who made it."""
+
+import difflib
+import re
+import threading
+from collections import OrderedDict
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict
+
+from services.errors import InvalidRequest
+from services.scenes.catalogue import Model, read_catalogue
+from services.scenes.environment import EnvironmentMap, read_exr, uniform
+from services.scenes.furniture import load_model
+from services.scenes.mesh import Mesh
+from services.scenes.primitives import PRIMITIVES, primitive
+from services.scenes.uploads import Upload, Uploads
+
+KEPT_MESHES = 32
+"""Meshes kept in memory, the latest used; a large one has some 30 MB."""
+SETUP = "run scripts/setup to fetch the furniture library and the environment maps"
+
+
+class Entry(BaseModel):
+    """One thing a scene can name, and whom to thank for it. `size` is width, depth, height in centimetres."""
+
+    model_config = ConfigDict(frozen=True)
+
+    name: str
+    title: str
+    kind: Literal["furniture", "primitive", "upload", "environment"]
+    category: str
+    creator: str
+    licence: str
+    credit: str | None
+    size: tuple[float, float, float] | None = None
+    triangles: int | None = None
+
+
+class Library:
+    """The assets of an installation. cache_dir holds what scripts/setup fetched, data_dir what users uploaded.
+
+    Safe to share between threads. Two Libraries on the same directories see the same assets.
+    """
+
+    def __init__(self, cache_dir: Path, data_dir: Path) -> None:
+        self._furniture = cache_dir / "furniture"
+        self._environments = cache_dir / "environments"
+        self._processed = cache_dir / "meshes"
+        self._uploads = Uploads(data_dir / "assets", self._processed)
+        self._lock = threading.RLock()
+        self._models: dict[str, Model] | None = None
+        self._meshes: OrderedDict[str, Mesh] = OrderedDict()
+        self._maps: dict[str, EnvironmentMap] = {}
+
+    def mesh(self, name: str) -> Mesh:
+        """The mesh of that name: `furniture/<slug>`, `primitive/<name>` or `sha256:<hex>` of an upload.
+
+        Raises InvalidRequest("mesh", …) for an unknown name, with close matches, and JobFailure("asset-missing") if
+        its file is damaged.
+        """
+        with self._lock:
+            if name in self._meshes:
+                self._meshes.move_to_end(name)
+                return self._meshes[name]
+        mesh = self._load(name)
+        with self._lock:
+            self._meshes[name] = mesh
+            while len(self._meshes) > KEPT_MESHES:
+                self._meshes.popitem(last=False)
+        return mesh
+
+    def entries(
+        self,
+        category: str | None = None,
+        creator: str | None = None,
+        licence: str | None = None,
+        search: str | None = None,
+    ) -> list[Entry]:
+        """Meshes, by kind and then by name; each filter that is given must hold, without regard to case.
+
+        category, creator and licence must be equal; every word of search must be part of the name, the title, the
+        category or the creator. Without the furniture library there is no furniture in the list.
+        """
+        words = (search or "").lower().split()
+
+        def matches(entry: Entry) -> bool:
+            text = f"{entry.name} {entry.title} {entry.category} {entry.creator}".lower()
+            return (
+                (category is None or entry.category.lower() == category.lower())
+                and (creator is None or entry.creator.lower() == creator.lower())
+                and (licence is None or entry.licence.lower() == licence.lower())
+                and all(word in text for word in words)
+            )
+
+        return [entry for entry in self._all() if matches(entry)]
+
+    def add_mesh(self, data: bytes, kind: str) -> Entry:
+        """Check an uploaded file (obj, ply, stl, glb or off) and store it by content; the same bytes give the same
+        entry. Raises InvalidRequest("file" or "kind", …).
+        """
+        return _uploaded(self._uploads.add(data, kind))
+
+    def environment(self, name: str) -> EnvironmentMap:
+        """The environment map of that name. Raises InvalidRequest("environment", …) with close matches."""
+        with self._lock:
+            if name not in self._maps:
+                known = {entry.name: entry for entry in self.environments()}
+                if name not in known:
+                    hint = "" if len(known) > 1 else f"; {SETUP}"
+                    raise InvalidRequest("environment", _unknown("environment map", name, known) + hint)
+                path = self._environments / f"{name}.exr"
+                self._maps[name] = uniform() if name == "uniform" else read_exr(path, known[name].credit)
+            return self._maps[name]
+
+    def environments(self) -> list[Entry]:
+        """The environment maps, by name; `uniform`, the same radiance 1 from everywhere, is always there."""
+        maps = [_environment(path.stem) for path in self._environments.glob("*.exr")]
+        even = Entry(
+            name="uniform",
+            title="Uniform",
+            kind="environment",
+            category="environment",
+            creator="scene-attack",
+            licence="CC0 1.0",
+            credit=None,
+        )
+        return sorted([*(entry for entry in maps if entry.name != "uniform"), even], key=lambda entry: entry.name)
+
+    def _load(self, name: str) -> Mesh:
+        kind, _, rest = name.partition("/")
+        if kind == "primitive" and rest in PRIMITIVES:
+            return primitive(rest)
+        if re.fullmatch(r"sha256:[0-9a-f]{64}", name):
+            upload = self._uploads.record(name.removeprefix("sha256:"))
+            if upload is not None:
+                return self._uploads.load(upload)
+        models = self._catalogue()
+        if kind == "furniture" and rest in models:
+            return load_model(models[rest], self._furniture, self._processed)
+        if kind == "furniture" and not models:
+            raise InvalidRequest("mesh", f"there is no furniture in {self._furniture}; {SETUP}")
+        raise InvalidRequest("mesh", _unknown("mesh", name, [entry.name for entry in self._all()]))
+
+    def _catalogue(self) -> dict[str, Model]:
+        with self._lock:
+            # An empty catalogue is looked for again: the set-up may still be running.
+            if not self._models:
+                self._models = read_catalogue(self._furniture, self._processed / "catalogue.json")
+            return self._models
+
+    def _all(self) -> list[Entry]:
+        furniture = [_furniture(model) for model in self._catalogue().values()]
+        solids = [_solid(name) for name in PRIMITIVES]
+        return [
+            *sorted(furniture, key=lambda entry: entry.name),
+            *sorted(solids, key=lambda entry: entry.name),
+            *(_uploaded(record) for record in self._uploads.all()),
+        ]
+
+
+def _furniture(model: Model) -> Entry:
+    return Entry(
+        name=f"furniture/{model.slug}",
+        title=model.title,
+        kind="furniture",
+        category=model.category,
+        creator=model.creator,
+        licence=model.licence,
+        credit=model.credit,
+        size=model.size,
+    )
+
+
+def _solid(name: str) -> Entry:
+    return Entry(
+        name=f"primitive/{name}",
+        title=name.capitalize(),
+        kind="primitive",
+        category="primitive",
+        creator="scene-attack",
+        licence="CC0 1.0",
+        credit=None,
+    )
+
+
+def _uploaded(record: Upload) -> Entry:
+    return Entry(
+        name=f"sha256:{record.sha256}",
+        title=f"Uploaded {record.kind} mesh {record.sha256[:8]}",
+        kind="upload",
+        category="upload",
+        creator="uploader",
+        licence="unknown",
+        credit=None,
+        triangles=record.triangles,
+    )
+
+
+def _environment(name: str) -> Entry:
+    return Entry(
+        name=name,
+        title=name.capitalize(),
+        kind="environment",
+        category="environment",
+        creator="Greg Zaal",
+        licence="CC0 1.0",
+        credit=f"Environment map “{name}” by Greg Zaal, CC0 1.0, HDRI Haven (hdrihaven.com), as shipped with Blender",
+    )
+
+
+def _unknown(what: str, name: str, known: Iterable[str]) -> str:
+    close = difflib.get_close_matches(name, list(known), n=3, cutoff=0.5)
+    suggestion = f"; did you mean {' or '.join(repr(match) for match in close)}?" if close else ""
+    return f"there is no {what} {name!r}{suggestion}"

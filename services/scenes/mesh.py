@@ -1,0 +1,68 @@
+"""A mesh as renderers take it: triangles in parts, one surface each, upright, centred and scaled to fit the frame."""
+
+from dataclasses import dataclass, replace
+from math import sin
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.scenes.description import DISTANCE, FIELD_OF_VIEW
+
+Floats = NDArray[np.float32]
+Doubles = NDArray[np.float64]
+Integers = NDArray[np.int32]
+Bytes = NDArray[np.uint8]
+
+FIT_RADIUS = 0.9 * DISTANCE * sin(FIELD_OF_VIEW / 2)
+"""Bounding-sphere radius that fills nine tenths of the frame's height at the paper's distance, scene units."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Triangles with one surface.
+
+    vertices: float32 [V,3], scene units. normals: float32 [V,3], unit. faces: int32 [F,3], counter-clockwise seen from
+    the side their normals point to. uv: float32 [V,2], v upwards (OpenGL), or None. color: float32 [4], linear RGBA.
+    texture: uint8 [h,w,4], sRGB with straight alpha, row 0 at the top, or None; its colour is multiplied by `color`.
+    """
+
+    vertices: Floats
+    normals: Floats
+    faces: Integers
+    uv: Floats | None
+    color: Floats
+    texture: Bytes | None
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """An object in its own frame: +y up, front towards +z, bounding-box centre at 0, bounding-sphere radius FIT_RADIUS.
+
+    sha256 is the hex digest of the source it was made from; credit is the line to show wherever the model is shown.
+    """
+
+    parts: tuple[Part, ...]
+    sha256: str
+    credit: str | None
+
+    @property
+    def triangles(self) -> int:
+        """Number of triangles in all parts."""
+        return sum(len(part.faces) for part in self.parts)
+
+
+def fitted(parts: tuple[Part, ...]) -> tuple[Part, ...]:
+    """The parts moved and uniformly scaled together so that they fit the frame (see `Mesh`).
+
+    Raises ValueError if they have no extent.
+    """
+    points = np.concatenate([part.vertices for part in parts]).astype(np.float64)
+    centre = (points.min(axis=0) + points.max(axis=0)) / 2
+    radius = float(np.sqrt(((points - centre) ** 2).sum(axis=1).max()))
+    if not radius > 0:
+        raise ValueError("all vertices are at one point")
+    scale = FIT_RADIUS / radius
+    return tuple(
+        replace(part, vertices=((part.vertices.astype(np.float64) - centre) * scale).astype(np.float32))
+        for part in parts
+    )

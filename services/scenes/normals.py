@@ -1,0 +1,182 @@
+"""Smooth vertex normals with a crease angle, for meshes as they are found: unwelded, doubled, partly inside out."""
+
+from dataclasses import dataclass
+from math import cos, pi
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import breadth_first_order, connected_components
+
+from services.scenes.mesh import Doubles
+
+Longs = NDArray[np.int64]
+
+CREASE_ANGLE = 40 * pi / 180
+"""Faces that meet at less than this angle are shaded as one smooth surface, radians."""
+WELD = 1e-5
+"""Vertices closer than about this fraction of the mesh's diagonal are one point for shading."""
+
+
+@dataclass(frozen=True, eq=False)
+class Smoothed:
+    """Vertices split where shading is not smooth.
+
+    `source` int64 [V]: the input vertex each vertex is a copy of; `normals` float64 [V,3]; `faces` int64 [F,3] into
+    them, with consistent winding; `kept` int64 [F]: the input face each came from.
+    """
+
+    source: Longs
+    normals: Doubles
+    faces: Longs
+    kept: Longs
+
+
+def smooth_normals(vertices: Doubles, faces: Longs, crease: float = CREASE_ANGLE) -> Smoothed:
+    """Unit vertex normals: the mean of the face normals around a vertex, weighted by the faces' angles there.
+
+    vertices [V,3] finite, faces [F,3]. Two faces are averaged at a vertex if one can walk from one to the other around
+    it, over edges where the faces meet at less than `crease` radians. Vertices at the same place count as one vertex
+    for this, so that texture seams and unshared vertices do not show; the vertices themselves are not merged. Faces
+    without area and repeated faces are dropped, faces wound against their neighbours are turned over (the winding of
+    most of the connected area is kept). Angle weights (Thürmer and Wüthrich 1998) do not depend on how a polygon
+    was cut into triangles.
+    """
+    points = _weld(vertices)
+    kept = _proper(vertices, faces, points)
+    faces = faces[kept].copy()
+    if not len(faces):
+        return Smoothed(np.zeros(0, np.int64), np.zeros((0, 3)), faces, kept)
+    corners = points[faces]
+    cross = _cross(vertices, faces)
+    lengths = np.linalg.norm(cross, axis=1)
+    first, second, opposed, manifold = _neighbours(corners)
+
+    sign = _orientation(len(faces), first[manifold], second[manifold], opposed[manifold], lengths)
+    unit = sign[:, None] * cross / lengths[:, None]
+    smooth = np.einsum("ij,ij->i", unit[first], unit[second]) > cos(crease)
+    # On an edge of two faces the winding must agree too; on a busier edge the angle alone decides.
+    smooth &= ~manifold | (sign[first] * sign[second] == np.where(opposed, 1, -1))
+
+    groups = _groups(corners, first[smooth], second[smooth])
+    weighted = _angles(vertices, faces)[:, :, None] * unit[:, None, :]
+    sums = np.zeros((groups.max() + 1, 3))
+    for axis in range(3):
+        sums[:, axis] = np.bincount(groups.ravel(), weighted[:, :, axis].ravel(), minlength=len(sums))
+    norms = np.linalg.norm(sums, axis=1)
+
+    # One output vertex per (input vertex, smooth fan): the seams of the input stay, and creases split.
+    pairs, new = np.unique(faces.ravel() * np.int64(len(sums)) + groups.ravel(), return_inverse=True)
+    source, group = np.divmod(pairs, len(sums))
+    normals = sums[group] / np.maximum(norms[group], 1e-300)[:, None]
+    # A fan can cancel out (a folded-over sliver); any face of it is then as good as another.
+    fallback = np.zeros(len(pairs), np.int64)
+    fallback[new] = np.repeat(np.arange(len(faces)), 3)
+    normals = np.where((norms[group] < 1e-9)[:, None], unit[fallback], normals)
+
+    out = new.reshape(-1, 3)
+    out[sign < 0] = out[sign < 0][:, ::-1]
+    return Smoothed(source, normals, out, kept)
+
+
+def _weld(vertices: Doubles) -> Longs:
+    """For each vertex the number of its point; vertices in one cell of a fine grid share a point."""
+    if not len(vertices):
+        return np.zeros(0, np.int64)
+    low = vertices.min(axis=0)
+    cell = max(float(np.linalg.norm(vertices.max(axis=0) - low)) * WELD, 1e-300)
+    grid = np.rint((vertices - low) / cell).astype(np.int64)
+    side = int(2 / WELD) + 2
+    key = (grid[:, 0] * side + grid[:, 1]) * side + grid[:, 2]
+    return np.unique(key, return_inverse=True)[1]
+
+
+def _cross(vertices: Doubles, faces: Longs) -> Doubles:
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    return np.cross(b - a, c - a)
+
+
+def _proper(vertices: Doubles, faces: Longs, points: Longs) -> Longs:
+    """Indices of the faces that have an area, each set of three points once."""
+    corners = np.sort(points[faces], axis=1)
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    longest = np.maximum(np.maximum(((b - a) ** 2).sum(1), ((c - b) ** 2).sum(1)), ((a - c) ** 2).sum(1))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    # Below this height-to-length ratio a normal from float32 coordinates is noise.
+    proper = np.flatnonzero(
+        (area > 1e-6 * longest) & (corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2])
+    )
+    _, once = np.unique(corners[proper], axis=0, return_index=True)
+    return proper[np.sort(once)]
+
+
+def _neighbours(corners: Longs) -> tuple[Longs, Longs, NDArray[np.bool_], NDArray[np.bool_]]:
+    """Pairs of faces that share an edge: first, second, whether they run along it in opposite directions (as they do
+    on a consistently wound surface), and whether they are the edge's only two faces.
+
+    Up to four faces at one edge all meet each other; of more, only those close in order.
+    """
+    start, end = corners.ravel(), np.roll(corners, -1, axis=1).ravel()
+    face = np.repeat(np.arange(len(corners)), 3)
+    key = np.minimum(start, end) * np.int64(corners.max() + 1) + np.maximum(start, end)
+    order = np.argsort(key, kind="stable")
+    key, face, forward = key[order], face[order], (start < end)[order]
+    _, which, count = np.unique(key, return_inverse=True, return_counts=True)
+    pairs = [(here := np.flatnonzero(key[step:] == key[:-step]), here + step) for step in (1, 2, 3) if len(key) > step]
+    i = np.concatenate([pair[0] for pair in pairs])
+    j = np.concatenate([pair[1] for pair in pairs])
+    return face[i], face[j], forward[i] != forward[j], count[which[i]] == 2
+
+
+def _orientation(n: int, first: Longs, second: Longs, opposed: NDArray[np.bool_], areas: Doubles) -> Doubles:
+    """+1 or -1 for each face, so that neighbours are wound alike; most of each connected area keeps its winding."""
+    graph = coo_array((np.ones(len(first), np.int8), (first, second)), shape=(n, n)).tocsr()
+    _, component = connected_components(graph, directed=False)
+    _, roots = np.unique(component, return_index=True)
+    # A virtual face n next to one face of every component makes one tree of all of them.
+    rows = np.concatenate([first, roots])
+    columns = np.concatenate([second, np.full(len(roots), n)])
+    joined = coo_array((np.ones(len(rows), np.int8), (rows, columns)), shape=(n + 1, n + 1)).tocsr()
+    _, parent = breadth_first_order(joined, n, directed=False)
+    parent = parent.astype(np.int64)
+    parent[n] = n
+
+    lookup = np.concatenate([first * np.int64(n) + second, second * np.int64(n) + first])
+    relation = np.tile(np.where(opposed, 1.0, -1.0), 2)
+    order = np.argsort(lookup, kind="stable")
+    lookup, relation = lookup[order], relation[order]
+    sign = np.ones(n + 1)
+    child = np.flatnonzero(parent[:n] != n)
+    sign[child] = relation[np.searchsorted(lookup, child * np.int64(n) + parent[child])]
+    # Multiply along the path to the root by doubling: after k rounds each face knows its 2^k nearest ancestors.
+    while not (parent == n).all():
+        sign = sign * sign[parent]
+        parent = parent[parent]
+    sign = sign[:n]
+    majority = np.bincount(component, sign * areas)
+    turned: Doubles = sign * np.where(majority < 0, -1.0, 1.0)[component]
+    return turned
+
+
+def _angles(vertices: Doubles, faces: Longs) -> Doubles:
+    """The three inner angles of each face [F,3], radians."""
+    corners = vertices[faces]
+    after, before = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
+    sine = np.linalg.norm(np.cross(after, before), axis=2)
+    angles: Doubles = np.arctan2(sine, (after * before).sum(axis=2))
+    return angles
+
+
+def _groups(corners: Longs, first: Longs, second: Longs) -> Longs:
+    """A number for each corner [F,3]; corners at one point have the same if smooth edges (face pairs) join them."""
+    rows, columns = [], []
+    for k in range(3):
+        for m in range(3):
+            # Faces that share an edge share its two points: their corners there belong together.
+            same = corners[first, k] == corners[second, m]
+            rows.append(first[same] * 3 + k)
+            columns.append(second[same] * 3 + m)
+    i, j = np.concatenate(rows), np.concatenate(columns)
+    graph = coo_array((np.ones(len(i), np.int8), (i, j)), shape=(corners.size, corners.size)).tocsr()
+    labels: Longs = connected_components(graph, directed=False)[1].astype(np.int64)
+    return labels.reshape(corners.shape)

@@ -1,0 +1,40 @@
+"""Java's .properties format, as far as catalogues use it: all of it but the XML variant."""
+
+import re
+from collections.abc import Iterator
+
+_ESCAPES = {"t": "\t", "n": "\n", "r": "\r", "f": "\f"}
+
+
+def parse_properties(data: bytes) -> dict[str, str]:
+    """Keys and values of a .properties file (Latin-1, backslash escapes, continued lines, `#` and `!` comments).
+
+    Of a repeated key the last value counts. A malformed backslash-u escape is kept as written.
+    """
+    values: dict[str, str] = {}
+    for line in _logical_lines(data.decode("latin-1")):
+        match = re.match(r"((?:\\.|[^\\=:\s])*)[ \t\f]*[=:]?[ \t\f]*(.*)", line, re.DOTALL)
+        assert match is not None  # every part may be empty
+        values[_unescape(match[1])] = _unescape(match[2])
+    return values
+
+
+def _logical_lines(text: str) -> Iterator[str]:
+    lines = iter(re.split(r"\r\n|\r|\n", text))
+    for raw in lines:
+        line = raw.lstrip(" \t\f")
+        if not line or line[0] in "#!":
+            continue
+        # An odd number of backslashes at the end continues the line.
+        while (len(line) - len(line.rstrip("\\"))) % 2:
+            line = line[:-1] + next(lines, "").lstrip(" \t\f")
+        yield line
+
+
+def _unescape(text: str) -> str:
+    def one(match: re.Match[str]) -> str:
+        if match[1]:
+            return chr(int(match[1], 16))
+        return _ESCAPES.get(match[2], match[2])
+
+    return re.sub(r"\\(?:u([0-9a-fA-F]{4})|(.))", one, text, flags=re.DOTALL)

@@ -1,0 +1,69 @@
+"""Processed meshes on disk, so that the second time is fast. Safe to delete at any moment."""
+
+import os
+import tempfile
+import zipfile
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+
+from services.scenes.mesh import Part
+
+FORMAT = 1
+"""Part of every file's name: raise it when anything that decides a processed mesh changes."""
+
+
+def write_atomically(path: Path, data: bytes) -> None:
+    """Write a file so that a reader sees all of it or the old one, whatever happens to the writer."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        Path(temporary).chmod(0o644)
+        Path(temporary).replace(path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+def mesh_path(directory: Path, key: str) -> Path:
+    """Where the processed mesh of a source with this digest is kept."""
+    return directory / f"{key}-v{FORMAT}.npz"
+
+
+def save_parts(path: Path, parts: tuple[Part, ...]) -> None:
+    """Write parts as an uncompressed .npz, atomically."""
+    arrays = {
+        f"{k}.{name}": value for k, part in enumerate(parts) for name, value in vars(part).items() if value is not None
+    }
+    buffer = BytesIO()
+    np.savez(buffer, allow_pickle=False, **arrays)
+    write_atomically(path, buffer.getvalue())
+
+
+def load_parts(path: Path) -> tuple[Part, ...] | None:
+    """The parts written by `save_parts`; None if there is no such file or it is damaged."""
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            names = set(arrays.files)
+            count = len({name.partition(".")[0] for name in names})
+            return (
+                tuple(
+                    Part(
+                        vertices=arrays[f"{k}.vertices"],
+                        normals=arrays[f"{k}.normals"],
+                        faces=arrays[f"{k}.faces"],
+                        uv=arrays[f"{k}.uv"] if f"{k}.uv" in names else None,
+                        color=arrays[f"{k}.color"],
+                        texture=arrays[f"{k}.texture"] if f"{k}.texture" in names else None,
+                    )
+                    for k in range(count)
+                )
+                or None
+            )
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return None

@@ -1,0 +1,79 @@
+"""Meshes that users uploaded: checked once, kept by the SHA-256 of their bytes, never by a name from outside."""
+
+import hashlib
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from services.errors import InvalidRequest, JobFailure
+from services.scenes.mesh import Mesh
+from services.scenes.reading import read_mesh
+from services.scenes.store import load_parts, mesh_path, save_parts, write_atomically
+from services.settings import settings
+
+
+class Upload(BaseModel):
+    """What is known of an uploaded mesh; kept beside it as JSON."""
+
+    model_config = ConfigDict(frozen=True)
+
+    sha256: str
+    kind: str
+    size: int
+    triangles: int
+
+
+class Uploads:
+    """The uploaded meshes under one directory: `<sha256>` with the bytes and `<sha256>.json` with an `Upload`."""
+
+    def __init__(self, directory: Path, processed: Path) -> None:
+        self._directory = directory
+        self._processed = processed
+
+    def add(self, data: bytes, kind: str) -> Upload:
+        """Check and keep a file; what is kept already is not checked again.
+
+        Raises InvalidRequest("kind", …) for a kind that is not read, InvalidRequest("file", …) for everything that is
+        wrong with the bytes.
+        """
+        limit = settings().max_upload_bytes
+        if len(data) > limit:
+            raise InvalidRequest("file", f"it has {len(data):,} bytes; at most {limit:,} are taken")
+        sha256 = hashlib.sha256(data).hexdigest()
+        known = self.record(sha256)
+        if known is not None and known.kind == kind:
+            return known
+        parts = read_mesh(data, kind, settings().max_faces)
+        record = Upload(sha256=sha256, kind=kind, size=len(data), triangles=sum(len(part.faces) for part in parts))
+        save_parts(mesh_path(self._processed, f"{sha256}-{kind}"), parts)
+        # The record goes last: an entry that can be seen is complete.
+        write_atomically(self._directory / sha256, data)
+        write_atomically(self._directory / f"{sha256}.json", record.model_dump_json().encode())
+        return record
+
+    def record(self, sha256: str) -> Upload | None:
+        """What is known of the upload with this digest (64 hexadecimal digits); None if there is none."""
+        try:
+            return Upload.model_validate_json((self._directory / f"{sha256}.json").read_bytes())
+        except (OSError, ValidationError):
+            return None
+
+    def all(self) -> list[Upload]:
+        """All uploads, by digest."""
+        names = sorted(path.stem for path in self._directory.glob("*.json") if not path.name.startswith("."))
+        return [record for record in map(self.record, names) if record is not None]
+
+    def load(self, upload: Upload) -> Mesh:
+        """The mesh of an upload. Raises JobFailure("asset-missing") if its bytes have gone or changed."""
+        kept = mesh_path(self._processed, f"{upload.sha256}-{upload.kind}")
+        parts = load_parts(kept)
+        if parts is None:
+            try:
+                data = (self._directory / upload.sha256).read_bytes()
+            except OSError as error:
+                raise JobFailure("asset-missing", f"the uploaded mesh {upload.sha256} has gone: {error}") from error
+            if hashlib.sha256(data).hexdigest() != upload.sha256:
+                raise JobFailure("asset-missing", f"the uploaded mesh {upload.sha256} has changed on disk")
+            parts = read_mesh(data, upload.kind, settings().max_faces)
+            save_parts(kept, parts)
+        return Mesh(parts=parts, sha256=upload.sha256, credit=None)

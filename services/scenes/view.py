@@ -1,0 +1,101 @@
+"""The camera: where it stands, how it projects, and whether it sees anything of an object."""
+
+from math import cos, sin, tan
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from services.scenes.description import Camera, SceneObject
+from services.scenes.mesh import Doubles, Mesh
+
+NEAR = 0.01
+"""Nothing closer to the camera than this is drawn, scene units."""
+
+
+def camera_to_world(camera: Camera) -> Doubles:
+    """The camera's pose, float64 [4,4]: it looks along its −z at the origin, its +y as far up as can be.
+
+    It stands at distance · (sin az · cos el, sin el, cos az · cos el). Straight above or below, where up has no
+    meaning, the azimuth still decides which way its +y points: the limit of lower elevations.
+    """
+    azimuth, elevation = camera.azimuth, camera.elevation
+    back = np.array([sin(azimuth) * cos(elevation), sin(elevation), cos(azimuth) * cos(elevation)])
+    right = np.array([cos(azimuth), 0.0, -sin(azimuth)])
+    pose = np.eye(4)
+    pose[:3, 0], pose[:3, 1], pose[:3, 2] = right, np.cross(back, right), back
+    pose[:3, 3] = camera.distance * back
+    return pose
+
+
+def projection(camera: Camera, far: float) -> Doubles:
+    """OpenGL's perspective matrix, float64 [4,4], for the camera's vertical field of view and its size."""
+    height, width = camera.size
+    focal = 1 / tan(camera.field_of_view / 2)
+    matrix = np.zeros((4, 4))
+    matrix[0, 0], matrix[1, 1] = focal * height / width, focal
+    matrix[2, 2], matrix[2, 3] = -(far + NEAR) / (far - NEAR), -2 * far * NEAR / (far - NEAR)
+    matrix[3, 2] = -1.0
+    return matrix
+
+
+def model_matrix(placed: SceneObject) -> Doubles:
+    """Mesh to world, float64 [4,4]: scaled, then rotated by the rotation vector, then moved."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_rotvec(placed.rotation).as_matrix() * placed.scale
+    matrix[:3, 3] = placed.translation
+    return matrix
+
+
+def visible_area(mesh: Mesh, to_clip: Doubles, size: tuple[int, int], enough: float) -> float:
+    """Area in pixels of the mesh's triangles inside the frame, hidden ones and both sides counted; at least `enough`
+    as soon as that is reached. to_clip: mesh to clip space [4,4]; size: height and width in pixels.
+
+    Triangles that reach behind the camera or out of the frame count with the part that is inside.
+    """
+    total = 0.0
+    pixels = np.array([size[1] / 2, size[0] / 2])
+    for part in mesh.parts:
+        points = (
+            np.concatenate([part.vertices.astype(np.float64), np.ones((len(part.vertices), 1))], axis=1) @ to_clip.T
+        )
+        # One column for each plane of the frustum; inside is positive.
+        heights = np.stack([points[:, 3] + sign * points[:, axis] for axis in range(3) for sign in (1, -1)], axis=1)
+        inside: NDArray[np.bool_] = heights[part.faces] >= 0
+        whole = inside.all(axis=(1, 2))
+        screen = points[part.faces[whole]]
+        total += float(_areas(screen[..., :2] / screen[..., 3:] * pixels).sum())
+        # A triangle with all corners beyond one plane is out; the rest is cut, until there is enough.
+        for face in part.faces[~whole & np.all(inside.any(axis=1), axis=1)]:
+            if total >= enough:
+                return total
+            polygon = _cut(points[face])
+            if len(polygon) >= 3:
+                flat = polygon[:, :2] / polygon[:, 3:] * pixels
+                fan = np.stack([np.broadcast_to(flat[0], flat[2:].shape), flat[1:-1], flat[2:]], axis=1)
+                total += float(_areas(fan).sum())
+    return total
+
+
+def _areas(triangles: Doubles) -> Doubles:
+    first, second = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    areas: Doubles = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]) / 2
+    return areas
+
+
+def _cut(polygon: Doubles) -> Doubles:
+    """The part of a convex polygon [n,4] in clip space that is inside the frustum (Sutherland and Hodgman 1974)."""
+    for axis in range(3):
+        for sign in (1, -1):
+            if not len(polygon):
+                return polygon
+            height = polygon[:, 3] + sign * polygon[:, axis]
+            after, beyond = np.roll(polygon, -1, axis=0), np.roll(height, -1)
+            kept = []
+            for here, there, low, high in zip(polygon, after, height, beyond, strict=True):
+                if low >= 0:
+                    kept.append(here)
+                if (low >= 0) != (high >= 0):
+                    kept.append(here + (there - here) * (low / (low - high)))
+            polygon = np.array(kept).reshape(-1, 4)
+    return polygon
