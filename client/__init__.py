@@ -1,1 +1,1 @@
-"""HTTP client and command line."""
+"""The command line and the HTTP client."""

@@ -1,0 +1,142 @@
+"""The service over HTTP."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from time import sleep
+from types import TracebackType
+from typing import Any, Self
+
+import httpx
+from httpx_sse import connect_sse
+
+TERMINAL = ("succeeded", "failed", "cancelled")
+_PATIENCE = 30.0
+"""Seconds without a byte after which an event stream is taken for dead; the service sends a comment more often."""
+_RECONNECTS = 8
+
+
+class ApiError(Exception):
+    """The service refused: its problem document in one line."""
+
+    def __init__(self, status: int, problem: Mapping[str, Any]) -> None:
+        self.status = status
+        self.problem = dict(problem)
+        said = [f"{item.get('field')}: {item.get('detail')}" for item in problem.get("errors") or []]
+        super().__init__("; ".join(said) or str(problem.get("detail") or problem.get("title") or f"HTTP {status}"))
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened to a job, numbered."""
+
+    number: str
+    kind: str
+    data: dict[str, Any]
+
+
+class ApiClient:
+    """Calls the service; raises ApiError where it refuses, httpx.HTTPError where it is silent."""
+
+    def __init__(self, url: str, *, transport: httpx.BaseTransport | None = None) -> None:
+        self._http = httpx.Client(base_url=url, timeout=_PATIENCE, transport=transport)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._http.close()
+
+    @property
+    def url(self) -> str:
+        """Where the service is, without a slash at the end."""
+        return str(self._http.base_url).rstrip("/")
+
+    def submit(self, spec: Mapping[str, Any]) -> dict[str, Any]:
+        """Queues a job."""
+        return self._json(self._http.post("/v1/jobs", json=spec))
+
+    def job(self, job_id: str) -> dict[str, Any]:
+        """One job, with its spec, state and, when it has succeeded, its result."""
+        return self._json(self._http.get(f"/v1/jobs/{job_id}"))
+
+    def jobs(self, limit: int = 20, state: str | None = None, cursor: str | None = None) -> dict[str, Any]:
+        """A page of jobs, newest first: {"items": […], "next": cursor or null}."""
+        given = {"limit": limit, "state": state, "cursor": cursor}
+        return self._json(self._http.get("/v1/jobs", params={k: v for k, v in given.items() if v is not None}))
+
+    def cancel(self, job_id: str) -> dict[str, Any]:
+        """Asks a job to stop; harmless if it has ended."""
+        return self._json(self._http.post(f"/v1/jobs/{job_id}/cancel"))
+
+    def events(self, job_id: str, after: str | None = None) -> Iterator[Event]:
+        """The job's events, each once and in order, until it has ended; a dropped connection is taken up again."""
+        failures = 0
+        while True:
+            headers = {} if after is None else {"Last-Event-ID": after}
+            try:
+                with connect_sse(self._http, "GET", f"/v1/jobs/{job_id}/events", headers=headers) as stream:
+                    if stream.response.status_code != httpx.codes.OK:
+                        stream.response.read()
+                        raise _refusal(stream.response)
+                    for event in stream.iter_sse():
+                        failures, after = 0, event.id
+                        found = Event(event.id, event.event, event.json())
+                        yield found
+                        if found.kind == "state" and found.data["state"] in TERMINAL:
+                            return
+            except (httpx.TransportError, httpx.StreamError):
+                failures += 1
+                if failures > _RECONNECTS:
+                    raise
+            else:
+                failures += 1  # ended politely, before the job did: the service is restarting
+                if failures > _RECONNECTS:
+                    raise httpx.RemoteProtocolError("the event stream keeps ending before the job does")
+            sleep(min(0.1 * 2**failures, 5.0))
+
+    def artifacts(self, job_id: str) -> list[dict[str, Any]]:
+        """The files of a finished job: name, sha256, media type, size."""
+        return list(self._json(self._http.get(f"/v1/jobs/{job_id}/artifacts"))["items"])
+
+    def download(self, job_id: str, name: str, to: Path) -> None:
+        """Writes one artifact to the file `to`, which appears only when it is whole."""
+        part = to.with_name(to.name + ".part")
+        with self._http.stream("GET", f"/v1/jobs/{job_id}/artifacts/{name}") as response:
+            if response.status_code != httpx.codes.OK:
+                response.read()
+                raise _refusal(response)
+            with part.open("wb") as file:
+                for chunk in response.iter_bytes():
+                    file.write(chunk)
+        part.replace(to)
+
+    def add_asset(self, path: Path, kind: str) -> dict[str, Any]:
+        """Uploads a mesh; `kind` is obj, ply, stl, glb or off."""
+        with path.open("rb") as file:
+            return self._json(self._http.post("/v1/assets", files={"file": (path.name, file)}, data={"kind": kind}))
+
+    def ready(self) -> bool:
+        """Whether the service has a database, a queue and a worker."""
+        try:
+            return self._http.get("/readyz").status_code == httpx.codes.OK
+        except httpx.TransportError:
+            return False
+
+    def _json(self, response: httpx.Response) -> dict[str, Any]:
+        if response.is_error:
+            raise _refusal(response)
+        data = response.json()
+        if not isinstance(data, dict):
+            raise httpx.DecodingError(f"{response.url} answered a JSON {type(data).__name__}, not an object")
+        return data
+
+
+def _refusal(response: httpx.Response) -> ApiError:
+    try:
+        problem = response.json()
+    except ValueError:
+        problem = {}
+    return ApiError(response.status_code, problem if isinstance(problem, dict) else {})

@@ -1,0 +1,114 @@
+"""`demo`: the service, attacking furniture."""
+
+from contextlib import suppress
+from time import sleep
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from client.api_client import ApiClient
+
+LOOK_EVERY = 0.5
+"""Seconds between two looks at the jobs."""
+
+
+def register(app: typer.Typer) -> None:
+    """Adds the command."""
+    app.command(epilog="Example: [bold]scene-attack demo --once[/bold]")(demo)
+
+
+def demo(
+    once: Annotated[bool, typer.Option("--once", help="End when the jobs have ended.")] = False,
+) -> None:
+    """Start the service, attack furniture through its HTTP API, and show the outcome.
+
+    Three things the network gets right, each attacked in image space, through the differentiable renderer and through
+    the physical parameters of the other renderer. Whatever fails to fool the network is shown as held.
+
+    The exit code is 0 if all jobs ran to their end.
+    """
+    from client.api_client import ApiClient
+    from client.console import err, out
+    from client.demo_jobs import specs
+    from client.service_process import running_service
+    from services.settings import settings
+
+    values, say = settings(), err()
+    data = values.data_dir / "demo"
+    say.print("starting the service: networks and OpenGL are loaded once")
+    with running_service(data, {"SCENE_ATTACK_PORT": str(_free_port(values.host, values.port))}) as (url, process):
+        say.print(f"service at {url}, its log in {data / 'service.log'}", markup=False, highlight=False)
+        with ApiClient(url) as client:
+            jobs = _watch(client, [client.submit(spec)["id"] for spec in specs()])
+        out().print(_table(jobs))
+        for job in jobs:
+            if job["state"] == "failed":
+                say.print(f"{_name(job)} failed: {job['failure']['detail']}", markup=False, highlight=False)
+        out().print(f"Dashboard: {url}", markup=False, highlight=False)
+        if not once:
+            say.print("It stays up; Ctrl-C ends it.")
+            with suppress(KeyboardInterrupt):
+                process.wait()
+    if any(job["state"] != "succeeded" for job in jobs):
+        raise typer.Exit(1)
+
+
+def _watch(client: "ApiClient", ids: list[str]) -> list[dict[str, Any]]:
+    """Shows the jobs until all have ended; returns them in the order of `ids`."""
+    from rich.live import Live
+
+    from client.api_client import TERMINAL
+    from client.console import err
+
+    console, told = err(), dict.fromkeys(ids, "")
+    with Live(console=console, auto_refresh=False, transient=True) as live:
+        while True:
+            jobs = [client.job(job_id) for job_id in ids]
+            if console.is_terminal:
+                live.update(_table(jobs), refresh=True)
+            else:
+                for job in jobs:
+                    if told[job["id"]] != job["state"]:
+                        told[job["id"]] = job["state"]
+                        console.print(f"{_name(job)}: {job['state']}", markup=False, highlight=False)
+            if all(job["state"] in TERMINAL for job in jobs):
+                return jobs
+            sleep(LOOK_EVERY)
+
+
+def _table(jobs: list[dict[str, Any]]) -> "Table":
+    from client.console import state_text, table
+    from client.outcomes import COLUMNS, cells
+    from services.jobs.names import attack_name, scene_name
+
+    rows = []
+    for job in jobs:
+        scene, attack = scene_name(job["spec"]), attack_name(job["spec"])
+        if job.get("outcome"):
+            rows.append([*cells(scene, attack, job["outcome"])])
+        else:
+            state = state_text(job["state"])
+            if job["state"] == "running" and job.get("steps"):
+                state.append(f" {job['step']}/{job['steps']}")
+            rows.append([scene, attack, state, *[""] * (len(COLUMNS) - 3)])
+    return table(COLUMNS, rows)
+
+
+def _name(job: dict[str, Any]) -> str:
+    from services.jobs.names import attack_name, scene_name
+
+    return f"{scene_name(job['spec'])}, {attack_name(job['spec'])}"
+
+
+def _free_port(host: str, wanted: int) -> int:
+    """The port wanted, or 0 (any free one) if somebody has it."""
+    import socket
+
+    try:
+        socket.create_server((host, wanted)).close()
+    except OSError:
+        return 0
+    return wanted

@@ -1,0 +1,115 @@
+"""`jobs`: looking at the jobs of a service, and stopping them."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from client.commands.options import DEFAULT_URL, JsonOption, UrlOption
+
+app = typer.Typer(help="List, show, follow, cancel and download the jobs of a running service.", no_args_is_help=True)
+
+JobId = Annotated[str, typer.Argument(metavar="ID", help="The id that `submit` printed.")]
+
+
+@app.command(
+    "list", epilog="Examples: [bold]scene-attack jobs list[/bold]; [bold]scene-attack jobs list --state failed[/bold]"
+)
+def list_jobs(
+    url: UrlOption = DEFAULT_URL,
+    state: Annotated[
+        str | None, typer.Option(help="Only queued, running, cancelling, succeeded, failed or cancelled ones.")
+    ] = None,
+    limit: Annotated[int, typer.Option(min=1, max=100, help="At most so many, newest first.")] = 20,
+    as_json: JsonOption = False,
+) -> None:
+    """List jobs, newest first."""
+    from client.api_client import ApiClient
+    from client.console import out, print_json, state_text, table, yes
+    from client.outcomes import said, verdict
+    from services.jobs.names import attack_name, scene_name
+
+    with ApiClient(url) as client:
+        page = client.jobs(limit, state)
+    if as_json:
+        print_json(page)
+        return
+    rows = []
+    for job in page["items"]:
+        done = job.get("outcome")
+        rows.append(
+            [
+                job["id"],
+                state_text(job["state"]),
+                scene_name(job["spec"]),
+                attack_name(job["spec"]),
+                "" if done is None else f"{said(done, 'before')} → {said(done, 'after')}",
+                "" if done is None else verdict(done["fooled"]),
+                yes(None if done is None else done["verified"]),
+            ]
+        )
+    out().print(table(("id", "state", "scene", "attack", "before → after", "network", "verified"), rows))
+
+
+@app.command(epilog="Example: [bold]scene-attack jobs show 0f3c… --json[/bold]")
+def show(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
+    """Show one job: its state, outcome, or the reason it failed."""
+    from client.api_client import ApiClient
+    from client.commands import submit
+    from client.console import print_json
+
+    with ApiClient(url) as client:
+        job = client.job(job_id)
+    if as_json:
+        print_json(job)
+    else:
+        submit.show(job)
+
+
+@app.command(epilog="Example: [bold]scene-attack jobs watch 0f3c…[/bold]")
+def watch(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
+    """Follow a job until it ends. The exit code is 0 when it succeeded."""
+    from client.api_client import ApiClient
+    from client.commands import submit
+    from client.console import print_json
+
+    with ApiClient(url) as client:
+        job = submit.follow(client, client.job(job_id))
+    if as_json:
+        print_json(job)
+    else:
+        submit.show(job)
+    if job["state"] != "succeeded":
+        raise typer.Exit(1)
+
+
+@app.command(epilog="Example: [bold]scene-attack jobs cancel 0f3c…[/bold]")
+def cancel(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
+    """Ask a job to stop; a running one does within one step. Harmless if it has ended."""
+    from client.api_client import ApiClient
+    from client.console import out, print_json
+
+    with ApiClient(url) as client:
+        job = client.cancel(job_id)
+    if as_json:
+        print_json(job)
+    else:
+        out().print(f"{job['id']}  {job['state']}", markup=False, highlight=False)
+
+
+@app.command(epilog="Example: [bold]scene-attack jobs download 0f3c… --out out/piano[/bold]")
+def download(
+    job_id: JobId,
+    to: Annotated[Path, typer.Option("--out", help="Directory for the files.")],
+    url: UrlOption = DEFAULT_URL,
+) -> None:
+    """Fetch the files of a finished job; `scene-attack replay` works on the directory."""
+    from client.api_client import ApiClient
+    from client.console import out
+
+    to.mkdir(parents=True, exist_ok=True)
+    with ApiClient(url) as client:
+        for artifact in client.artifacts(job_id):
+            name = Path(artifact["name"]).name  # a service can name no file outside the directory
+            client.download(job_id, name, to / name)
+            out().print(f"{to / name}  {artifact['size']:,} bytes", markup=False, highlight=False)

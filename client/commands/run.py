@@ -1,0 +1,156 @@
+"""`run` and `replay`: one job in this process, without a service."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from client.commands.options import JsonOption, SeedOption
+
+if TYPE_CHECKING:
+    from rich.text import Text
+
+    from client.live import JobLine
+    from services.jobs.execute import Progress
+    from services.jobs.result import Result
+    from services.jobs.spec import JobSpec
+    from services.scenes.library import Library
+
+
+def register(app: typer.Typer) -> None:
+    """Adds the commands."""
+    app.command(
+        epilog="Examples: [bold]scene-attack run examples/torch-combined.json --out out/combined[/bold]\n\n"
+        "[bold]scene-attack run - --out out/x < spec.json[/bold]"
+    )(run)
+    app.command(epilog="Example: [bold]scene-attack replay out/combined[/bold]")(replay)
+
+
+def run(
+    spec: Annotated[str, typer.Argument(metavar="SPEC", help="A job as JSON; - reads it from stdin.")],
+    out: Annotated[Path, typer.Option(help="Directory for result.json, the perturbation and the pictures.")],
+    seed: SeedOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run one job here, without a service, and write its files.
+
+    If it is interrupted, the same command goes on where it stopped. The exit code is 0 when the job ran to its end,
+    whether the network was fooled or held.
+    """
+    from client import spec_input
+    from client.console import err, print_json, table
+    from client.console import out as stdout
+    from client.live import JobLine
+    from client.outcomes import COLUMNS, cells
+    from services.jobs.names import attack_name, scene_name
+
+    _keep_memory()
+    data = spec_input.read(spec, seed)
+    _prepare_folder(out)
+    with err().status("loading"):
+        full, library = _preflight(data)
+    words = full.model_dump(mode="json")
+    name, attack = scene_name(words), attack_name(words)
+    with JobLine(f"{name}, {attack}") as line:
+        result = _execute(full, out, library, line)
+    if as_json:
+        print_json(result.model_dump(mode="json"))
+        return
+    from services.jobs.outcome import outcome
+
+    stdout().print(table(COLUMNS, [cells(name, attack, outcome(result))]))
+    for credit in result.provenance.credits:
+        err().print(f"Shown: {credit}", markup=False, highlight=False)
+    err().print(f"Files in {out}", markup=False, highlight=False)
+
+
+def replay(
+    directory: Annotated[Path, typer.Argument(help="What `run --out` wrote.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Render a stored perturbation again and compare label and picture with what was stored.
+
+    The exit code is 0 when the label is the stored one and, on the same backend, no pixel differs; else 1.
+    """
+    from client.console import answer_text, err, print_json, table, yes
+    from client.console import out as stdout
+
+    with err().status("rendering"):
+        from services.jobs.replay import replay as render_again
+
+        again = render_again(directory, _library())
+    same = again.stored.label == again.replayed.label and (again.pixels_differing == 0 or not again.same_backend)
+    if as_json:
+        print_json(again.model_dump(mode="json") | {"reproduced": same})
+    else:
+        row: list[str | Text] = [
+            answer_text(again.stored.model_dump()),
+            answer_text(again.replayed.model_dump()),
+            yes(again.fooled),
+            f"{again.pixels_differing:,}",
+            yes(again.same_backend),
+            yes(same),
+        ]
+        columns = ("stored", "rendered again", "fooled", "pixels differing>", "same backend", "reproduced")
+        stdout().print(table(columns, [row]))
+    if not same:
+        raise typer.Exit(1)
+
+
+def _keep_memory() -> None:
+    """Starts this process again with the allocator settings of a worker; they are read at start only."""
+    import os
+    import sys
+
+    from services.jobs.child import ALLOCATOR
+
+    if not ALLOCATOR.keys() <= os.environ.keys():
+        os.execve(sys.executable, [sys.executable, "-m", "client", *sys.argv[1:]], os.environ | ALLOCATOR)
+
+
+def _prepare_folder(out: Path) -> None:
+    from services.errors import InvalidRequest
+
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InvalidRequest("--out", f"cannot make the directory {out}: {error.strerror}") from error
+
+
+def _library() -> "Library":
+    import torch
+
+    from services.scenes.library import Library
+    from services.settings import settings
+
+    torch.set_num_threads(settings().threads)
+    return Library(settings().cache_dir, settings().data_dir)
+
+
+def _preflight(data: dict[str, Any]) -> "tuple[JobSpec, Library]":
+    from services.jobs.spec import parse
+
+    spec = parse(data)  # before anything heavy is loaded
+    from services.jobs.prepare import preflight
+
+    library = _library()
+    return preflight(spec, library), library
+
+
+def _execute(spec: "JobSpec", out: Path, library: "Library", line: "JobLine") -> "Result":
+    """Runs the job; a checkpoint in `out` is resumed from if it is of this very job, and removed at the end."""
+    from services.jobs.execute import execute
+
+    def report(progress: "Progress") -> None:
+        row = None if progress.row is None else progress.row.model_dump()
+        line.update(progress.phase, progress.step, progress.steps, row)
+
+    checkpoint, begun = out / "checkpoint", out / "checkpoint.json"
+    words = spec.model_dump_json()
+    if not (begun.exists() and begun.read_text("utf-8") == words):
+        checkpoint.unlink(missing_ok=True)
+        begun.write_text(words, "utf-8")
+    result = execute(spec, out, library, progress=report, checkpoint=checkpoint)
+    checkpoint.unlink(missing_ok=True)
+    begun.unlink(missing_ok=True)
+    return result

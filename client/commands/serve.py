@@ -1,0 +1,83 @@
+"""`serve`, `api` and `worker`: the service, whole or in parts. Options are settings; see docs/operations.md."""
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from services.settings import Settings
+
+HostOption = Annotated[str | None, typer.Option("--host", help="Address to listen on [SCENE_ATTACK_HOST, 127.0.0.1].")]
+PortOption = Annotated[
+    int | None, typer.Option("--port", "-p", help="Port to listen on, 0 for a free one [SCENE_ATTACK_PORT, 8008].")
+]
+WorkersOption = Annotated[int | None, typer.Option("--workers", "-w", help="Job processes [SCENE_ATTACK_WORKERS, 1].")]
+DataOption = Annotated[
+    Path | None, typer.Option("--data", help="Directory of database, artifacts and uploads [SCENE_ATTACK_DATA].")
+]
+
+
+def register(app: typer.Typer) -> None:
+    """Adds the commands."""
+    app.command(epilog="Example: [bold]scene-attack serve --port 8008 --workers 2[/bold]")(serve)
+    app.command(
+        epilog="Example: [bold]SCENE_ATTACK_REDIS_URL=redis://redis:6379 scene-attack api --host 0.0.0.0[/bold]"
+    )(api)
+    app.command(epilog="Example: [bold]SCENE_ATTACK_REDIS_URL=redis://redis:6379 scene-attack worker[/bold]")(worker)
+
+
+def serve(
+    host: HostOption = None, port: PortOption = None, workers: WorkersOption = None, data: DataOption = None
+) -> None:
+    """Run the whole service: the API with the dashboard, workers, and a Redis unless SCENE_ATTACK_REDIS_URL names one.
+
+    Prints "ready URL" once it takes jobs. Ctrl-C stops everything; a running job goes on from its checkpoint next time.
+    """
+    from services.errors import InvalidRequest
+    from worker.stack import serve as run
+
+    values = _settings(host=host, port=port, workers=workers, data=data)
+    try:
+        code = run(values)
+    except OSError as error:
+        raise InvalidRequest(
+            "--port", f"cannot listen on {values.host}:{values.port} ({error.strerror}); try --port 0"
+        ) from error
+    raise typer.Exit(code)
+
+
+def api(host: HostOption = None, port: PortOption = None, data: DataOption = None) -> None:
+    """Run only the API with the dashboard. Needs SCENE_ATTACK_REDIS_URL, as its workers run elsewhere."""
+    from api.main import run
+
+    _settings(host=host, port=port, data=data)
+    raise typer.Exit(run())
+
+
+def worker(workers: WorkersOption = None, data: DataOption = None) -> None:
+    """Run only workers. Needs SCENE_ATTACK_REDIS_URL, and the database and data directory of the API."""
+    from worker.main import run
+
+    _settings(workers=workers, data=data)
+    raise typer.Exit(run())
+
+
+def _settings(**given: str | int | Path | None) -> "Settings":
+    """The settings with these put over the environment's, here and for child processes."""
+    from pydantic import ValidationError
+
+    from services.errors import InvalidRequest
+    from services.settings import settings
+
+    os.environ.update(
+        {f"SCENE_ATTACK_{name.upper()}": str(value) for name, value in given.items() if value is not None}
+    )
+    try:
+        return settings()
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise InvalidRequest(
+            f"SCENE_ATTACK_{str(first['loc'][0]).upper()}", f"{first['msg']}, not {first['input']!r}"
+        ) from error

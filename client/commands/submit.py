@@ -1,0 +1,77 @@
+"""`submit`: a job through the service; and following one."""
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from client.commands.options import DEFAULT_URL, JsonOption, SeedOption, UrlOption
+
+if TYPE_CHECKING:
+    from client.api_client import ApiClient
+
+
+def register(app: typer.Typer) -> None:
+    """Adds the command."""
+    app.command(
+        epilog="Examples: [bold]scene-attack submit examples/image-fgsm.json --watch[/bold]\n\n"
+        "[bold]scene-attack submit - --url http://10.0.0.7:8008 < spec.json[/bold]"
+    )(submit)
+
+
+def submit(
+    spec: Annotated[str, typer.Argument(metavar="SPEC", help="A job as JSON; - reads it from stdin.")],
+    url: UrlOption = DEFAULT_URL,
+    watch: Annotated[bool, typer.Option("--watch", "-w", help="Follow the job until it ends.")] = False,
+    seed: SeedOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Queue a job at a running service.
+
+    With --watch the exit code is 0 when the job succeeded (ran to its end), 1 when it failed or was cancelled.
+    """
+    from client import spec_input
+    from client.api_client import ApiClient
+    from client.console import err, out, print_json
+
+    data = spec_input.read(spec, seed)
+    with ApiClient(url) as client:
+        job = client.submit(data)
+        if watch:
+            err().print(f"{client.url}/jobs/{job['id']}", markup=False, highlight=False)
+            job = follow(client, job)
+        if as_json:
+            print_json(job)
+        elif watch:
+            show(job)
+        else:
+            out().print(f"{job['id']}  {client.url}/jobs/{job['id']}", markup=False, highlight=False)
+    if watch and job["state"] != "succeeded":
+        raise typer.Exit(1)
+
+
+def follow(client: "ApiClient", job: dict[str, Any]) -> dict[str, Any]:
+    """Shows the job's progress until it has ended; returns it as it then is."""
+    from client.live import JobLine
+    from services.jobs.names import attack_name, scene_name
+
+    with JobLine(f"{scene_name(job['spec'])}, {attack_name(job['spec'])}") as line:
+        for event in client.events(job["id"]):
+            if event.kind == "progress":
+                rows = event.data["rows"]
+                line.update(event.data["phase"], event.data["step"], event.data["steps"], rows[-1] if rows else None)
+    return client.job(job["id"])
+
+
+def show(job: dict[str, Any]) -> None:
+    """Prints a job: its state, and its outcome or why it failed."""
+    from client.console import err, out, state_text, table
+    from client.outcomes import COLUMNS, cells
+    from services.jobs.names import attack_name, scene_name
+
+    scene, attack = scene_name(job["spec"]), attack_name(job["spec"])
+    if job.get("outcome"):
+        out().print(table(COLUMNS, [cells(scene, attack, job["outcome"])]))
+        return
+    out().print(table(("id", "state", "scene", "attack"), [[job["id"], state_text(job["state"]), scene, attack]]))
+    if job.get("failure"):
+        err().print(f"failed ({job['failure']['kind']}): {job['failure']['detail']}", markup=False, highlight=False)

@@ -1,0 +1,56 @@
+"""A running job on the terminal: one line that moves, or, in a log, a line now and then."""
+
+from collections.abc import Mapping
+from time import monotonic
+from types import TracebackType
+from typing import Any, Self
+
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+from client.console import err
+
+LOG_EVERY = 5.0
+"""Seconds between two lines of a log."""
+
+
+class JobLine:
+    """Shows the progress of one job."""
+
+    def __init__(self, name: str) -> None:
+        console = err()
+        self._name = name
+        self._log = None if console.is_terminal else console
+        self._logged: tuple[str, float] = ("", 0.0)
+        self._bar = Progress(
+            SpinnerColumn(),
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=24),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("{task.fields[now]}"),
+            console=console,
+            disable=self._log is not None,
+        )
+        self._task = self._bar.add_task(name, total=None, now="")
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._bar.stop()
+
+    def update(self, phase: str, step: int, steps: int, row: Mapping[str, Any] | None) -> None:
+        """Shows how far the job is; `row` is the newest row of its trace, while attacking."""
+        now = phase if row is None else row_text(row)
+        self._bar.update(self._task, completed=step, total=steps, now=now)
+        if self._log is not None and (phase != self._logged[0] or monotonic() - self._logged[1] > LOG_EVERY):
+            self._logged = (phase, monotonic())
+            self._log.print(f"{self._name}: {phase} {step}/{steps}  {row_text(row) if row else ''}", markup=False)
+
+
+def row_text(row: Mapping[str, Any]) -> str:
+    """The newest step in words: first answer, confidence, perceptibility, queries."""
+    return f"{row['label']} {row['confidence']:.2f}  p {row['perceptibility'] * 1000:.1f}e-3  {row['queries']} queries"
