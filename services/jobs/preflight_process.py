@@ -1,0 +1,76 @@
+"""The process that checks requests before they are queued: warm network and OpenGL context, strangers' mesh files.
+
+`python -m services.jobs.preflight_process FD`, started by the API.
+"""
+
+import resource
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import torch
+
+from services.errors import InvalidRequest, JobFailure
+from services.jobs.child import connect, reply, requests
+from services.jobs.prepare import preflight
+from services.jobs.spec import JobSpec
+from services.logs import configure, logger
+from services.rendering.gl import gl_backend
+from services.scenes.library import Library
+from services.settings import settings
+from services.targets import registry
+
+MESH_BYTES = 3 * 2**30
+"""Address space the parse of an uploaded mesh may add."""
+
+log = logger(__name__)
+
+
+def answer(message: dict[str, Any], data: bytes, library: Library) -> dict[str, Any]:
+    """The answer to one question: {"spec": …}, {"entry": …}, a bad field {"field", "detail"}, or {"trouble"}."""
+    try:
+        if "check" in message:
+            return {"spec": preflight(JobSpec.model_validate(message["check"]), library).model_dump(mode="json")}
+        with _limited(MESH_BYTES):
+            return {"entry": library.add_mesh(data, message["mesh"]).model_dump(mode="json")}
+    except InvalidRequest as error:
+        return {"field": error.field, "detail": error.detail}
+    except MemoryError:
+        return {"field": "file", "detail": "it needs more memory than reading a mesh may take"}
+    except JobFailure as error:
+        return {"trouble": f"{error.kind}: {error.detail}"}
+    except Exception as error:
+        log.error("preflight failed", exc_info=error)
+        return {"trouble": "internal: the service's log says why"}
+
+
+@contextmanager
+def _limited(extra: int) -> Iterator[None]:
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    with open("/proc/self/statm") as file:
+        used = int(file.read().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (min(used + extra, hard), hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (hard, hard))
+
+
+def main() -> None:
+    """Load everything once, say so, then answer until the parent is gone."""
+    configure("preflight")
+    values = settings()
+    connection = connect()
+    inbox = requests(connection)
+    resource.setrlimit(resource.RLIMIT_AS, (values.job_memory_bytes, values.job_memory_bytes))
+    torch.set_num_threads(values.threads)
+    library = Library(values.cache_dir, values.data_dir)
+    registry.load(registry.available()[0].name)
+    gl_backend()
+    reply(connection, {"ready": True})
+    for message, data in inbox:
+        reply(connection, answer(message, data, library))
+
+
+if __name__ == "__main__":
+    main()
