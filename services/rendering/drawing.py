@@ -17,8 +17,7 @@ import numpy as np
 import pyrender
 from numpy.typing import NDArray
 from OpenGL import GL
-from OpenGL import platform as gl_platform
-from pyrender.shader_program import ShaderProgram, ShaderProgramCache
+from pyrender.shader_program import ShaderProgram
 from pyrender.texture import Texture
 
 from services.rendering.framebuffer import Framebuffer
@@ -31,17 +30,18 @@ Image = NDArray[np.float32]
 
 
 class Program(ShaderProgram):  # type: ignore[misc]
-    """A shader program that refuses a uniform it does not have."""
+    """A compiled shader program that refuses a uniform it does not have."""
 
     def __init__(self, fragment: str) -> None:
         super().__init__(str(SHADERS / "surface.vert"), str(SHADERS / fragment))
         self._locations: dict[str, int] = {}
+        self._add_to_context()
 
     def _load(self, path: str) -> str:
         text = Path(path).read_text()
         return text if path.endswith(".vert") else (SHADERS / "surface.frag").read_text() + text
 
-    def set_uniform(self, name: str, value: Any, unsigned: bool = False) -> None:  # noqa: ARG002 (pyrender's signature)
+    def set(self, name: str, value: Any) -> None:
         """Set a float or int, a vector, a 3x3 or 4x4 matrix, or an array of floats or of vectors ("name[n]").
 
         Raises KeyError for a uniform the linked program does not use.
@@ -66,27 +66,6 @@ class Program(ShaderProgram):  # type: ignore[misc]
             else:
                 setter = GL.glUniformMatrix3fv if len(value) == 3 else GL.glUniformMatrix4fv
                 setter(location, 1, GL.GL_TRUE, value)
-
-
-class Programs(ShaderProgramCache):  # type: ignore[misc]
-    """Compiled programs by context address and fragment shader.
-
-    pyrender's own key holds the context as PyOpenGL hands it out. On OSMesa that is a new pointer object each time,
-    hashed by identity: every draw misses the cache, compiles again and leaks the old program (3 MB a draw).
-    """
-
-    def get_program(
-        self, vertex_shader: Any, fragment_shader: str, geometry_shader: Any = None, defines: Any = None
-    ) -> Program:  # noqa: ARG002, E501
-        """The program of a fragment shader of ours, compiled on first use in this context."""
-        current = gl_platform.GetCurrentContext()
-        address = ctypes.cast(current, ctypes.c_void_p).value if isinstance(current, ctypes._Pointer) else int(current)
-        key = (address, fragment_shader)
-        if key not in self._program_cache:
-            program = Program(fragment_shader)
-            program._add_to_context()
-            self._program_cache[key] = program
-        return self._program_cache[key]  # type: ignore[no-any-return]
 
 
 class SrgbTexture(Texture):  # type: ignore[misc]
@@ -181,7 +160,9 @@ class FloatRenderer(pyrender.Renderer):  # type: ignore[misc]
     def __init__(self, surface: Any) -> None:
         super().__init__(1, 1)
         self._surface = surface  # keeps the context alive
-        self._program_cache = Programs()
+        # By shader alone: there is one context. pyrender's cache is keyed by the context as PyOpenGL hands it out, on
+        # OSMesa a new pointer object each time, so that every draw compiles again and leaks a program (3 MB).
+        self._programs: dict[str, Program] = {}
         self._framebuffer: Framebuffer | None = None
         self._resident: Drawing | None = None
 
@@ -191,8 +172,13 @@ class FloatRenderer(pyrender.Renderer):  # type: ignore[misc]
     def check(self) -> None:
         """Raise where this driver cannot compile our shaders or draw to float32 with 4 samples."""
         for fragment in ("radiance.frag", "gbuffer.frag"):
-            self._program_cache.get_program(None, fragment)
+            self._program(fragment)
         self._target((4, 4), samples=4, outputs=1)
+
+    def _program(self, fragment: str) -> Program:
+        if fragment not in self._programs:
+            self._programs[fragment] = Program(fragment)
+        return self._programs[fragment]
 
     def _target(self, size: tuple[int, int], samples: int, outputs: int) -> Framebuffer:
         if self._framebuffer is None or self._framebuffer.key != (size, samples, outputs):
@@ -234,24 +220,24 @@ class FloatRenderer(pyrender.Renderer):  # type: ignore[misc]
         GL.glBlendFunc(GL.GL_ONE, GL.GL_ONE_MINUS_SRC_ALPHA)
         (GL.glEnable if samples > 1 else GL.glDisable)(GL.GL_MULTISAMPLE)
 
-        program = self._program_cache.get_program(None, fragment)
+        program = self._program(fragment)
         program._bind()
-        program.set_uniform("eye", view.eye)
-        program.set_uniform("base_color_texture", 0)
+        program.set("eye", view.eye)
+        program.set("base_color_texture", 0)
         for name, value in uniforms.items():
-            program.set_uniform(name, value)
+            program.set(name, value)
         GL.glActiveTexture(GL.GL_TEXTURE0)
         for piece in self._ordered(drawing, poses, view.eye) if blend else drawing.pieces:
             see_through = blend and not piece.solid
             (GL.glEnable if see_through else GL.glDisable)(GL.GL_BLEND)
             GL.glDepthMask(GL.GL_FALSE if see_through else GL.GL_TRUE)
             pose = poses[piece.index]
-            program.set_uniform("clip_from_object", view.clip_from_world @ pose)
-            program.set_uniform("world_from_object", pose)
-            program.set_uniform("normal_from_object", np.linalg.inv(pose[:3, :3]).T)
-            program.set_uniform("base_color", piece.part.color * np.append(colors[piece.index], 1.0))
+            program.set("clip_from_object", view.clip_from_world @ pose)
+            program.set("world_from_object", pose)
+            program.set("normal_from_object", np.linalg.inv(pose[:3, :3]).T)
+            program.set("base_color", piece.part.color * np.append(colors[piece.index], 1.0))
             for name, values in object_uniforms.items():
-                program.set_uniform(name, values[piece.index])
+                program.set(name, values[piece.index])
             piece.texture._bind()
             piece.primitive._bind()
             GL.glDrawElements(GL.GL_TRIANGLES, piece.primitive.indices.size, GL.GL_UNSIGNED_INT, ctypes.c_void_p(0))

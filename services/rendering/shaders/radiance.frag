@@ -1,9 +1,11 @@
-// Linear, unclamped radiance of a surface under uniform and point light. Exactly linear in `ambient` and `intensities`.
+// Linear, unclamped radiance of a surface under light from all around and point lights. Exactly linear in `ambient` and
+// in each of `intensities`. With base colour C, unit vectors n, v, l to the lights at distances d, up direction y:
 //
-//   radiance = base * (ambient * sky(n) + sum_i I_i (n.l_i) / (pi d_i^2)) + sum_i I_i (n.l_i) / d_i^2 * D G F / (4 (n.l_i) (n.v))
+//   C (ambient (1 + n.y / 3) + sum I n.l / (pi d^2))  +  ambient S(n.v)  +  sum I n.l / d^2 * D G F / (4 n.l n.v)
 //
-// A Lambertian body under a thin dielectric coat: GGX distribution (Walter et al. 2007), height-correlated Smith
-// shadowing, Schlick's Fresnel term.
+// A Lambertian body under a rough dielectric coat. The ambient light is a sky of radiance ambient * (1 + w.y / 2) in
+// direction w, so that shapes show in the shade too. The coat is GGX (Walter et al. 2007) with height-correlated Smith
+// shadowing and Schlick's Fresnel term F; S is F with its rise at grazing angles damped by the roughness.
 
 const float ROUGHNESS = 0.45;        // alpha is its square
 const float NORMAL_REFLECTANCE = 0.04;
@@ -14,6 +16,10 @@ uniform float intensities[4];
 
 layout(location = 0) out vec4 radiance_and_opacity;  // radiance times opacity
 
+float fresnel(float grazing, float cosine) {
+    return NORMAL_REFLECTANCE + (grazing - NORMAL_REFLECTANCE) * pow(1.0 - clamp(cosine, 0.0, 1.0), 5.0);
+}
+
 float coat(vec3 n, vec3 v, vec3 l) {
     float a2 = pow(ROUGHNESS, 4.0);
     vec3 h = normalize(l + v);
@@ -22,16 +28,15 @@ float coat(vec3 n, vec3 v, vec3 l) {
     float distribution = a2 / (PI * q * q);
     // Smith's G over 4 (n.l)(n.v), in one.
     float visibility = 0.5 / (nl * sqrt(nv * nv * (1.0 - a2) + a2) + nv * sqrt(nl * nl * (1.0 - a2) + a2));
-    float fresnel = NORMAL_REFLECTANCE + (1.0 - NORMAL_REFLECTANCE) * pow(1.0 - clamp(dot(v, h), 0.0, 1.0), 5.0);
-    return distribution * visibility * fresnel;
+    return distribution * visibility * fresnel(1.0, dot(v, h));
 }
 
 void main() {
     vec4 color = surface_color();
     vec3 v = normalize(eye - world_position);
     vec3 n = surface_normal(v);
-    float body = ambient;
-    float gloss = 0.0;
+    float body = ambient * (1.0 + n.y / 3.0);
+    float gloss = ambient * fresnel(1.0 - ROUGHNESS, dot(n, v));
     for (int i = 0; i < 4; ++i) {
         vec3 to_light = positions[i] - world_position;
         float distance2 = max(dot(to_light, to_light), 1e-6);
