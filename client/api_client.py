@@ -13,6 +13,8 @@ from httpx_sse import connect_sse
 TERMINAL = ("succeeded", "failed", "cancelled")
 _PATIENCE = 30.0
 """Seconds without a byte after which an event stream is taken for dead; the service sends a comment more often."""
+_CHECK = 300.0
+"""Seconds the service may take to check a request; its first one waits for a process to warm up."""
 _RECONNECTS = 8
 
 
@@ -56,7 +58,7 @@ class ApiClient:
 
     def submit(self, spec: Mapping[str, Any]) -> dict[str, Any]:
         """Queues a job."""
-        return self._json(self._http.post("/v1/jobs", json=spec))
+        return self._json(self._http.post("/v1/jobs", json=spec, timeout=_CHECK))
 
     def job(self, job_id: str) -> dict[str, Any]:
         """One job, with its spec, state and, when it has succeeded, its result."""
@@ -78,6 +80,8 @@ class ApiClient:
             headers = {} if after is None else {"Last-Event-ID": after}
             try:
                 with connect_sse(self._http, "GET", f"/v1/jobs/{job_id}/events", headers=headers) as stream:
+                    if stream.response.status_code == httpx.codes.NO_CONTENT:
+                        return  # over, and all of it told
                     if stream.response.status_code != httpx.codes.OK:
                         stream.response.read()
                         raise _refusal(stream.response)
@@ -116,7 +120,9 @@ class ApiClient:
     def add_asset(self, path: Path, kind: str) -> dict[str, Any]:
         """Uploads a mesh; `kind` is obj, ply, stl, glb or off."""
         with path.open("rb") as file:
-            return self._json(self._http.post("/v1/assets", files={"file": (path.name, file)}, data={"kind": kind}))
+            return self._json(
+                self._http.post("/v1/assets", files={"file": (path.name, file)}, data={"kind": kind}, timeout=_CHECK)
+            )
 
     def ready(self) -> bool:
         """Whether the service has a database, a queue and a worker."""

@@ -91,8 +91,8 @@ def _table(jobs: list[dict[str, Any]]) -> "Table":
             rows.append([*cells(scene, attack, job["outcome"])])
         else:
             state = state_text(job["state"])
-            if job["state"] == "running" and job.get("steps"):
-                state.append(f" {job['step']}/{job['steps']}")
+            if job["state"] == "running" and job["progress"]:
+                state.append(f" {job['progress']['step']}/{job['progress']['steps']}")
             rows.append([scene, attack, state, *[""] * (len(COLUMNS) - 3)])
     return table(COLUMNS, rows)
 

@@ -1,0 +1,103 @@
+"""Curves of a trace, laid out for an SVG of fixed size; the template only writes the numbers down."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import floor, isfinite, log10
+
+WIDTH, HEIGHT = 420, 210
+LEFT, RIGHT, TOP, BOTTOM = 46, 12, 12, 28
+"""Margins in SVG units."""
+BUCKETS = 200
+"""A long curve is drawn by the lowest and the highest point of so many stretches: no spike is lost."""
+
+
+@dataclass(frozen=True)
+class Tick:
+    """A mark on an axis: where, in SVG units, and what it says."""
+
+    at: float
+    text: str
+
+
+@dataclass(frozen=True)
+class Chart:
+    """One curve, in SVG units."""
+
+    title: str
+    x_label: str
+    summary: str
+    path: str
+    last: tuple[float, float]
+    x_ticks: list[Tick]
+    y_ticks: list[Tick]
+    threshold: float | None
+    note: str
+
+
+def chart(
+    title: str,
+    x_label: str,
+    points: Sequence[tuple[float, float]],
+    *,
+    low: float | None = None,
+    high: float | None = None,
+    threshold: float | None = None,
+    note: str = "",
+) -> Chart:
+    """Lays out a curve of at least one point (x, y). `low` and `high` are values the y axis must show; at `threshold`
+    a line is drawn.
+    """
+    points = [point for point in points if isfinite(point[0]) and isfinite(point[1])]
+    shown = [y for _, y in points] + [value for value in (low, high, threshold) if value is not None]
+    x_axis = _Axis([x for x, _ in points], LEFT, WIDTH - RIGHT)
+    y_axis = _Axis(shown, HEIGHT - BOTTOM, TOP)
+    drawn = [(x_axis.at(x), y_axis.at(y)) for x, y in _thinned(points)]
+    (first_x, first), (last_x, last) = points[0], points[-1]
+    return Chart(
+        title=title,
+        x_label=x_label,
+        summary=f"{title}: {first:.3g} at {first_x:.3g}, {last:.3g} at {last_x:.3g} ({x_label})",
+        path="M" + " L".join(f"{x:.1f} {y:.1f}" for x, y in drawn),
+        last=drawn[-1],
+        x_ticks=x_axis.ticks(6),
+        y_ticks=y_axis.ticks(5),
+        threshold=None if threshold is None else y_axis.at(threshold),
+        note=note,
+    )
+
+
+class _Axis:
+    """Maps values onto the stretch [start, end] of the picture."""
+
+    def __init__(self, values: Sequence[float], start: float, end: float) -> None:
+        self._low, self._high = min(values), max(values)
+        if self._high - self._low < 1e-12 * max(1.0, abs(self._low)):
+            self._high = self._low + max(1.0, abs(self._low))
+        self._start, self._end = start, end
+
+    def at(self, value: float) -> float:
+        part = (value - self._low) / (self._high - self._low)
+        return self._start + part * (self._end - self._start)
+
+    def ticks(self, most: int) -> list[Tick]:
+        """At multiples of 1, 2 or 5 times a power of ten, at most so many."""
+        step = _nice((self._high - self._low) / (most - 1))
+        first = -floor(-self._low / step + 1e-9)
+        values = [(first + i) * step for i in range(most + 1) if (first + i) * step <= self._high + step * 1e-9]
+        return [Tick(round(self.at(value), 1), f"{value:.6g}") for value in values]
+
+
+def _nice(least: float) -> float:
+    """The smallest of 1, 2, 5, 10, … times a power of ten that is not below `least`."""
+    power = 10.0 ** floor(log10(least))
+    return next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= least * (1 - 1e-9))
+
+
+def _thinned(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    if len(points) <= 2 * BUCKETS:
+        return list(points)
+    kept = {0, len(points) - 1}
+    for bucket in range(BUCKETS):
+        span = range(bucket * len(points) // BUCKETS, (bucket + 1) * len(points) // BUCKETS)
+        kept |= {min(span, key=lambda i: points[i][1]), max(span, key=lambda i: points[i][1])}
+    return [points[i] for i in sorted(kept)]

@@ -1,0 +1,120 @@
+"""The pages. They read the record as the API does; a little script keeps them up to date, and they work without it."""
+
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from hashlib import sha256
+from importlib.resources import files
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query, Request, Response
+from fastapi.responses import HTMLResponse, RedirectResponse
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from api.dashboard import views, words
+from api.schemas import cursor_after, read_cursor
+from api.state import Has, Services
+from services.errors import InvalidRequest
+from services.jobs.models import Event, State
+
+PAGE = 30
+"""Jobs on one page of the list."""
+
+HEADERS = {
+    "Content-Security-Policy": (
+        "default-src 'none'; img-src 'self'; style-src 'self'; script-src 'self'; connect-src 'self'; "
+        "form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
+    ),
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+
+_KINDS = {"css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
+_STATIC = {file.name: file.read_bytes() for file in files(__package__).joinpath("static").iterdir()}
+_VERSION = sha256(b"".join(_STATIC[name] for name in sorted(_STATIC))).hexdigest()[:12]
+
+router = APIRouter(include_in_schema=False)
+
+_templates = Environment(
+    loader=PackageLoader(__package__), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+)
+_templates.globals |= {"version": _VERSION, "words": words, "states": list(State)}
+
+
+@router.get("/")
+def jobs(has: Has, state: State | None = None, cursor: Annotated[str | None, Query(max_length=200)] = None) -> Response:
+    """The list of jobs, newest first."""
+    return _list("jobs.html", has, state, cursor)
+
+
+@router.get("/parts/jobs")
+def jobs_part(
+    has: Has, state: State | None = None, cursor: Annotated[str | None, Query(max_length=200)] = None
+) -> Response:
+    """The part of the list that changes."""
+    return _list("_jobs.html", has, state, cursor)
+
+
+@router.get("/jobs/{job_id}")
+def job(job_id: str, has: Has) -> Response:
+    """One job."""
+    return _job("job.html", job_id, has)
+
+
+@router.get("/parts/jobs/{job_id}")
+def job_part(job_id: str, has: Has) -> Response:
+    """The part of a job's page that changes."""
+    return _job("_job.html", job_id, has)
+
+
+@router.post("/jobs/{job_id}/cancel")
+def cancel(job_id: str, has: Has) -> Response:
+    """The cancel button."""
+    if has.repository.request_cancel(job_id) is None:
+        return _missing()
+    return RedirectResponse(f"/jobs/{job_id}", 303, HEADERS)
+
+
+@router.get("/static/{name}")
+def static(name: str, request: Request) -> Response:
+    """Style, script and icon. Their address carries a version, so that they can be kept."""
+    data = _STATIC.get(name)
+    if data is None:
+        return _missing()
+    kept = "max-age=31536000, immutable" if request.query_params.get("v") == _VERSION else "no-cache"
+    return Response(data, headers=HEADERS | {"Cache-Control": kept}, media_type=_KINDS[name.rpartition(".")[2]])
+
+
+def _list(template: str, has: Services, state: State | None, cursor: str | None) -> Response:
+    try:
+        before = None if cursor is None else read_cursor(cursor)
+    except InvalidRequest:
+        before = None
+    found = has.repository.page(state, PAGE + 1, before)
+    older = cursor_after(found[PAGE - 1]) if len(found) > PAGE else None
+    lines = [views.line(one) for one in found[:PAGE]]
+    return _html(template, lines=lines, state=state, cursor=cursor, older=older)
+
+
+def _job(template: str, job_id: str, has: Services) -> Response:
+    found = has.repository.get(job_id, with_result=True)
+    if found is None:
+        return _missing()
+    events = [] if found.result else _all_events(has, job_id)
+    return _html(template, page=views.page(found, events, has.repository.artifacts(job_id)))
+
+
+def _all_events(has: Services, job_id: str) -> Iterator[Event]:
+    after = 0
+    while page := has.repository.events(job_id, after):
+        yield from page
+        after = page[-1].number
+
+
+def _missing() -> Response:
+    return _html("missing.html", 404)
+
+
+def _html(template: str, status: int = 200, **values: Any) -> Response:
+    text = _templates.get_template(template).render(now=datetime.now(UTC), **values)
+    return HTMLResponse(text, status, HEADERS)

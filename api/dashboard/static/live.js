@@ -1,0 +1,74 @@
+// Keeps the part of the page that changes (#live) up to date: asks the service for it again when there is news.
+"use strict";
+
+const live = document.getElementById("live");
+const connection = document.getElementById("connection");
+
+// Puts the new part in place; what the reader has opened, chosen or focused stays so.
+function replace(html) {
+  const open = [...live.querySelectorAll("details[open][id]")].map((e) => e.id);
+  const checked = [...live.querySelectorAll("input:checked")].map((e) => e.id);
+  const focused = live.contains(document.activeElement) ? document.activeElement.id : "";
+  live.innerHTML = html;
+  for (const id of open) document.getElementById(id)?.setAttribute("open", "");
+  for (const id of checked) {
+    const input = document.getElementById(id);
+    if (input) input.checked = true;
+  }
+  if (focused) document.getElementById(focused)?.focus();
+}
+
+let last = "";
+async function refresh() {
+  try {
+    const response = await fetch(live.dataset.part, { headers: { Accept: "text/html" } });
+    if (!response.ok) throw new Error(String(response.status));
+    const html = await response.text();
+    if (html !== last) replace(html);
+    last = html;
+    connection.hidden = true;
+  } catch {
+    connection.hidden = false;
+  }
+}
+
+// At most one question at a time, and at most one in `pause` milliseconds.
+function throttled(action, pause) {
+  let waiting = false;
+  let again = false;
+  return async function run() {
+    if (waiting) {
+      again = true;
+      return;
+    }
+    waiting = true;
+    await action();
+    await new Promise((done) => setTimeout(done, pause));
+    waiting = false;
+    if (again) {
+      again = false;
+      run();
+    }
+  };
+}
+
+if (live?.dataset.events) {
+  const update = throttled(refresh, 700);
+  const source = new EventSource(live.dataset.events);
+  source.addEventListener("progress", update);
+  source.addEventListener("state", (event) => {
+    update();
+    if (["succeeded", "failed", "cancelled"].includes(JSON.parse(event.data).state)) source.close();
+  });
+  source.addEventListener("error", () => {
+    connection.hidden = false;
+  });
+  source.addEventListener("open", () => {
+    connection.hidden = true;
+  });
+} else if (live?.dataset.poll) {
+  const update = throttled(refresh, 0);
+  setInterval(() => {
+    if (!document.hidden) update();
+  }, Number(live.dataset.poll));
+}

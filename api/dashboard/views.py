@@ -1,0 +1,116 @@
+"""What the pages show of a job, made of the record's rows."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+from api.dashboard.charts import Chart, chart
+from services.jobs.models import Artifact, Event, Job, State
+from services.jobs.names import attack_name, scene_name
+
+PICTURES = ("original.png", "attacked.png", "perturbation.png")
+
+
+@dataclass(frozen=True)
+class Line:
+    """A job in the list."""
+
+    id: str
+    state: State
+    scene: str
+    attack: str
+    target: str
+    created_at: datetime
+    phase: str | None
+    step: int | None
+    steps: int | None
+    outcome: dict[str, Any] | None
+    failure_kind: str | None
+
+
+@dataclass(frozen=True)
+class Page:
+    """A job on its page."""
+
+    line: Line
+    spec: dict[str, Any]
+    times: dict[str, datetime]
+    attempt: int
+    failure_detail: str | None
+    result: dict[str, Any] | None
+    last: dict[str, Any] | None
+    by_step: list[Chart]
+    by_seconds: list[Chart]
+    artifacts: list[Artifact]
+    cancellable: bool
+
+
+def line(job: Job) -> Line:
+    """A job as the list shows it."""
+    return Line(
+        id=job.id,
+        state=job.state,
+        scene=scene_name(job.spec),
+        attack=attack_name(job.spec),
+        target=job.spec["target"]["name"],
+        created_at=job.created_at,
+        phase=job.phase,
+        step=job.step,
+        steps=job.steps,
+        outcome=job.outcome,
+        failure_kind=job.failure_kind,
+    )
+
+
+def page(job: Job, events: Iterable[Event], artifacts: Sequence[Artifact]) -> Page:
+    """A job as its page shows it. The trace is the result's, or, without one, what its events tell so far."""
+    trace = job.result["trace"] if job.result else told(events)
+    return Page(
+        line=line(job),
+        spec=job.spec,
+        times=job.times,
+        attempt=job.attempt,
+        failure_detail=job.failure_detail,
+        result=job.result,
+        last=trace[-1] if trace else None,
+        by_step=charts(trace, job.spec, "step"),
+        by_seconds=charts(trace, job.spec, "seconds"),
+        artifacts=list(artifacts),
+        cancellable=not job.state.terminal and job.state != State.CANCELLING,
+    )
+
+
+def told(events: Iterable[Event]) -> list[dict[str, Any]]:
+    """The trace so far. An attempt that took up an older checkpoint tells some steps again: the later word counts."""
+    rows: list[dict[str, Any]] = []
+    for event in events:
+        if event.kind != "progress":
+            continue
+        for row in event.data["rows"]:
+            while rows and rows[-1]["step"] >= row["step"]:
+                rows.pop()
+            rows.append(row)
+    return rows
+
+
+def charts(trace: Sequence[dict[str, Any]], spec: dict[str, Any], against: str) -> list[Chart]:
+    """The curves of a trace against "step" or "seconds"; none for an empty one."""
+    if not trace:
+        return []
+    goal = spec["goal"]
+    if goal.get("reach") is not None:
+        loss, other = f"1 − probability of “{goal['reach']}”", "below 0: the network says the wanted label"
+    else:
+        said = "the label to leave" if goal.get("leave") is None else f"“{goal['leave']}”"
+        loss, other = f"Probability of {said}", "below 0: fooled"
+
+    def curve(key: str, scale: float = 1.0) -> list[tuple[float, float]]:
+        return [(row[against], row[key] * scale) for row in trace]
+
+    return [
+        chart(loss, against, curve("loss"), low=0, high=1),
+        chart("Log-probability advantage", against, curve("advantage"), threshold=0, note=other),
+        chart("Perceptibility p, in thousandths", against, curve("perceptibility", 1000), low=0),
+        chart("Distance ‖ΔY‖₂", against, curve("distance"), low=0),
+    ]

@@ -1,0 +1,72 @@
+"""Numbers, times and reasons as a person reads them."""
+
+import json
+from datetime import datetime
+
+FAILURES = {
+    "non-finite": "A picture, loss or gradient was not a number, so the attack could not go on.",
+    "asset-missing": "Something the scene names is gone or damaged since the job was taken.",
+    "out-of-memory": "The job needed more memory than a job may have.",
+    "worker-lost": "The process running the job died more often than it may be restarted.",
+    "timeout": "The job ran longer than a job may.",
+    "internal": "Something in the program itself went wrong.",
+}
+
+STOPPED = {
+    "verified": "it found an adversary that holds when rendered afresh",
+    "steps": "its steps were used up",
+    "queries": "its queries were used up",
+    "seconds": "its time was used up",
+}
+
+GROUPS = {
+    "image": "pixels",
+    "normals": "surface normals",
+    "illumination": "illumination",
+    "material": "material",
+    "color": "colour",
+    "translation": "position",
+    "rotation": "rotation",
+}
+
+
+def written(value: object) -> str:
+    """Any part of a request or result as indented JSON."""
+    return json.dumps(value, indent=2, ensure_ascii=False)
+
+
+def failure(kind: str | None) -> str:
+    """Why a job failed, in a sentence."""
+    return FAILURES.get(kind or "", "The job could not be finished.")
+
+
+def milli(value: float) -> str:
+    """A perceptibility in thousandths, as the paper's tables have it: "5.70"."""
+    return f"{value * 1000:.2f}"
+
+
+def percent(value: float) -> str:
+    """A probability: "76.6 %"; small ones keep a digit that is not zero: "0.0021 %"."""
+    return f"{value:.1%}".replace("%", " %") if value >= 0.001 or value == 0 else f"{value * 100:.2g} %"
+
+
+def seconds(value: float) -> str:
+    """A duration: "4.2 s", "3 min 20 s", "2 h 5 min"."""
+    if value < 60:
+        return f"{value:.1f} s"
+    whole = round(value)
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60} s"
+    return f"{whole // 3600} h {whole % 3600 // 60} min"
+
+
+def ago(then: datetime, now: datetime) -> str:
+    """How long ago: "just now", "5 min ago", "3 h ago", "2 days ago"."""
+    minutes = int((now - then).total_seconds() // 60)
+    if minutes < 1:
+        return "just now"
+    if minutes < 60:
+        return f"{minutes} min ago"
+    if minutes < 48 * 60:
+        return f"{minutes // 60} h ago"
+    return f"{minutes // (24 * 60)} days ago"

@@ -1,0 +1,148 @@
+"""A record with jobs in every state, and the dashboard on it."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, cast
+
+from fastapi import FastAPI
+
+from api import dashboard
+from api.state import Services
+from services.jobs.database import connect, migrate
+from services.jobs.models import Artifact, Job
+from services.jobs.outcome import outcome
+from services.jobs.repository import Attempt, Repository
+from services.jobs.result import Result
+from services.jobs.spec import JobSpec, parse
+from services.settings import Settings
+
+SPEC = parse(
+    {
+        "scene": {"objects": [{"mesh": "furniture/grand-piano"}]},
+        "goal": {"leave": "grand piano"},
+        "attack": {"renderer": "torch"},
+        "seed": 7,
+    }
+)
+
+
+def row(step: int, **changed: Any) -> dict[str, Any]:
+    """A row of a trace whose numbers fall and rise with the step."""
+    return {
+        "step": step,
+        "loss": 0.8 * 0.6**step,
+        "label": "grand piano" if step < 4 else "upright",
+        "confidence": 0.8 if step < 4 else 0.55,
+        "advantage": 3.0 - step,
+        "distance": 2.0 * step,
+        "perceptibility": 0.003 * step,
+        "truncated": 0,
+        "flat": 0,
+        "queries": 2 * step + 2,
+        "renders": 2 * step + 2,
+        "seconds": 0.25 * step,
+    } | changed
+
+
+def result(spec: JobSpec = SPEC, **changed: Any) -> dict[str, Any]:
+    """A result that a job of this spec could have."""
+
+    def answer(label: str, confidence: float) -> dict[str, Any]:
+        top = [[label, confidence], ["upright", 0.1], ["accordion", 0.05], ["desk", 0.002], ["harp", 0.0000213]]
+        return {"label": label, "index": 1, "confidence": confidence, "goal_probability": 0.2, "top": top}
+
+    def subset(groups: list[str], fooled: bool) -> dict[str, Any]:
+        said = "upright" if fooled else "grand piano"
+        return {
+            "groups": groups,
+            "label": said,
+            "confidence": 0.6,
+            "goal_probability": 0.31,
+            "perceptibility": 0.004 * len(groups),
+            "fooled": fooled,
+        }
+
+    values = {
+        "spec": spec.model_dump(mode="json"),
+        "fooled": True,
+        "verified": True,
+        "stopped": "verified",
+        "leave": "grand piano",
+        "reach": None,
+        "original": answer("grand piano", 0.77),
+        "attacked": answer("upright", 0.55),
+        "in_loop": answer("upright", 0.58),
+        "perceptibility": 0.0123,
+        "group_perceptibility": {"normals": 0.02, "illumination": 0.01, "material": 0.03},
+        "beyond_truncation": 4,
+        "subsets": [
+            subset([], False),
+            subset(["normals"], False),
+            subset(["illumination"], False),
+            subset(["normals", "illumination"], True),
+        ],
+        "settings": {"delta": {"normals": 0.001}},
+        "steps": 5,
+        "queries": 1234,
+        "renders": 12,
+        "truncated": 3,
+        "seconds": 1.25,
+        "step": 5,
+        "trace": [row(step) for step in range(6)],
+        "provenance": {
+            "seed": 7,
+            "backend": "torch 2.13; OSMesa",
+            "versions": {"python": "3.11"},
+            "scene_sha256": "5c" * 32,
+            "weights_sha256": "3e" * 32,
+            "meshes": {"furniture/grand-piano": "9a" * 32},
+            "credits": ["“Grand piano” by Dante, CC0 1.0"],
+        },
+    } | changed
+    return Result.model_validate(values).model_dump(mode="json")
+
+
+def add(repository: Repository, spec: JobSpec = SPEC) -> Job:
+    """A queued job."""
+    job, _ = repository.create(spec, 1000, None, lambda _: {})
+    assert job is not None
+    return job
+
+
+def start(repository: Repository, job: Job) -> Attempt:
+    """The job, running."""
+    attempt = repository.lease(job.id, "worker", 20)
+    assert attempt is not None
+    return attempt
+
+
+def succeed(repository: Repository, job: Job, found: dict[str, Any]) -> None:
+    """The job, ended with this result and its pictures."""
+    attempt = start(repository, job)
+    artifacts = [
+        Artifact(job_id=job.id, name=name, sha256="ab" * 32, media_type="image/png", size=12345)
+        for name in ("original.png", "attacked.png", "perturbation.png")
+    ]
+    assert repository.succeed(attempt, found, outcome(Result.model_validate(found)), artifacts)
+
+
+@contextmanager
+def record(folder: Path) -> Iterator[Repository]:
+    """An empty record in a folder."""
+    settings = Settings(data=folder)
+    engine = connect(settings)
+    migrate(engine, settings)
+    yield Repository(engine)
+    engine.dispose()
+
+
+def app(repository: Repository) -> FastAPI:
+    """The dashboard alone, on this record. It uses nothing else of the services."""
+    made = FastAPI()
+    made.include_router(dashboard.router)
+    none = cast(Any, None)
+    made.state.services = Services(
+        repository=repository, queue=none, submissions=none, store=none, library=none, preflight=none
+    )
+    return made

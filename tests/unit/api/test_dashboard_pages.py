@@ -1,0 +1,218 @@
+"""The pages, rendered from a real record and parsed as a browser would."""
+
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+
+import httpx
+import pytest
+from httpx import ASGITransport
+
+from services.jobs.repository import Repository
+from services.jobs.spec import parse
+from tests.unit.api.dashboard_records import SPEC, add, app, record, result, row, start, succeed
+
+HOSTILE = "<script>alert(1)</script>\"'&"
+
+
+class Tags(HTMLParser):
+    """All start tags with their attributes, and all text."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.found: list[tuple[str, dict[str, str | None]]] = []
+        self.words: list[str] = []
+        self.feed(html)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.found.append((tag, dict(attrs)))
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+
+    def all(self, tag: str) -> list[dict[str, str | None]]:
+        return [attributes for name, attributes in self.found if name == tag]
+
+    @property
+    def text(self) -> str:
+        return " ".join(" ".join(self.words).split())
+
+
+@pytest.fixture
+def repository(tmp_path: Path) -> Iterator[Repository]:
+    with record(tmp_path) as made:
+        yield made
+
+
+async def get(repository: Repository, path: str) -> httpx.Response:
+    async with httpx.AsyncClient(transport=ASGITransport(app(repository)), base_url="http://dashboard") as client:
+        return await client.get(path)
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    return "asyncio"
+
+
+pytestmark = pytest.mark.anyio
+
+
+async def test_an_empty_list_says_how_to_begin(repository: Repository) -> None:
+    page = await get(repository, "/")
+    assert page.status_code == 200
+    assert "scene-attack submit" in page.text
+
+
+async def test_list_shows_state_and_outcome_newest_first(repository: Repository) -> None:
+    succeed(repository, add(repository), result())
+    repository.fail(start(repository, add(repository)), "timeout", "3600 seconds")
+    add(repository)
+    tags = Tags((await get(repository, "/")).text)
+    assert [a["href"] for a in tags.all("a") if (a["href"] or "").startswith("/jobs/")] == [
+        f"/jobs/{job.id}" for job in repository.page(None, 10, None)
+    ]
+    badges = [a["class"] for a in tags.all("span") if (a.get("class") or "").startswith("badge state")]
+    assert badges == ["badge state-queued", "badge state-failed", "badge state-succeeded"]
+    assert "grand piano 77.0 % → upright 55.0 %" in tags.text
+    assert "12.30" in tags.text
+    assert "1,234" in tags.text
+    assert "timeout" in tags.text
+
+
+async def test_list_is_paged_and_filtered(repository: Repository) -> None:
+    for _ in range(31):
+        add(repository)
+    repository.fail(start(repository, add(repository)), "internal", "x")
+    first = Tags((await get(repository, "/")).text)
+    rows = [a for a in first.all("a") if (a["href"] or "").startswith("/jobs/")]
+    older = next(a["href"] for a in first.all("a") if "cursor=" in (a["href"] or ""))
+    assert older is not None
+    second = Tags((await get(repository, older)).text)
+    rest = [a for a in second.all("a") if (a["href"] or "").startswith("/jobs/")]
+    assert len(rows) == 30
+    assert len(rest) == 2
+    assert not {a["href"] for a in rows} & {a["href"] for a in rest}
+    failed = Tags((await get(repository, "/?state=failed")).text)
+    assert len([a for a in failed.all("a") if (a["href"] or "").startswith("/jobs/")]) == 1
+
+
+async def test_job_page_tells_the_whole_result(repository: Repository) -> None:
+    job = add(repository)
+    succeed(repository, job, result())
+    tags = Tags((await get(repository, f"/jobs/{job.id}")).text)
+    pictures = [a["src"] for a in tags.all("img") if "artifacts" in (a["src"] or "")]
+    assert pictures == [f"/v1/jobs/{job.id}/artifacts/{name}.png" for name in ("original", "attacked", "perturbation")]
+    for words in (
+        "it says upright (55.0 %) where it said grand piano (77.0 %)",
+        "p of surface normals 20.00 × 10⁻³",
+        "surface normals + illumination upright 60.0 % 31.0 % 8.00 fooled",
+        "“Grand piano” by Dante, CC0 1.0",
+        "harp 0.0021 %",
+        "5c" * 32,
+        "stopped because it found an adversary that holds when rendered afresh",
+    ):
+        assert words in tags.text
+    labels = [a["aria-label"] for a in tags.all("svg")]
+    assert len(labels) == 8  # four curves, against steps and against seconds
+    assert labels[0] == "Probability of “grand piano”: 0.8 at 0, 0.0622 at 5 (step)"
+    assert labels[4] == "Probability of “grand piano”: 0.8 at 0, 0.0622 at 1.25 (seconds)"
+
+
+async def test_fooled_but_not_verified_is_not_called_an_adversary(repository: Repository) -> None:
+    job = add(repository)
+    succeed(repository, job, result(verified=False, stopped="steps"))
+    text = Tags((await get(repository, f"/jobs/{job.id}")).text).text
+    assert "rendered afresh does not fool it" in text
+    assert "not verified" in text
+
+
+async def test_running_job_shows_the_trace_so_far_and_listens(repository: Repository) -> None:
+    job = add(repository)
+    attempt = start(repository, job)
+    repository.progress(attempt, "attacking", 2, 120, [row(0), row(1), row(2)])
+    tags = Tags((await get(repository, f"/jobs/{job.id}")).text)
+    assert "step 2 of at most 120" in tags.text
+    assert "after 6 queries" in tags.text
+    assert len(tags.all("svg")) == 8
+    assert any(a.get("data-events") == f"/v1/jobs/{job.id}/events" for a in tags.all("div"))
+    assert any(a.get("action") == f"/jobs/{job.id}/cancel" for a in tags.all("form"))
+
+
+async def test_failed_job_says_why_in_plain_words(repository: Repository) -> None:
+    job = add(repository)
+    repository.fail(start(repository, job), "worker-lost", "its process died 3 times")
+    tags = Tags((await get(repository, f"/jobs/{job.id}")).text)
+    assert "The process running the job died more often than it may be restarted." in tags.text
+    assert "its process died 3 times" in tags.text
+    assert not tags.all("form")
+
+
+async def test_cancel_button_cancels(repository: Repository) -> None:
+    job = add(repository)
+    async with httpx.AsyncClient(transport=ASGITransport(app(repository)), base_url="http://dashboard") as client:
+        answer = await client.post(f"/jobs/{job.id}/cancel")
+        assert answer.status_code == 303
+        assert answer.headers["location"] == f"/jobs/{job.id}"
+        assert (await client.post("/jobs/unknown/cancel")).status_code == 404
+    found = repository.get(job.id)
+    assert found is not None
+    assert found.state == "cancelled"
+
+
+async def test_an_unknown_job_is_a_page_that_says_so(repository: Repository) -> None:
+    page = await get(repository, "/jobs/nothing")
+    assert page.status_code == 404
+    assert "There is no such page" in page.text
+
+
+async def test_whatever_a_job_says_is_text_and_never_markup(repository: Repository) -> None:
+    spec = SPEC.model_copy(
+        update={
+            "scene": SPEC.scene.model_copy(
+                update={"objects": (SPEC.scene.objects[0].model_copy(update={"mesh": HOSTILE}),)}
+            )
+        }
+    )
+    job = add(repository, spec)
+    found = result(spec, leave=HOSTILE)
+    found["attacked"]["label"] = found["attacked"]["top"][0][0] = found["subsets"][0]["label"] = HOSTILE
+    found["provenance"]["credits"] = [HOSTILE]
+    found["settings"] = {HOSTILE: HOSTILE}
+    succeed(repository, job, found)
+    failed = add(repository, spec)
+    repository.fail(start(repository, failed), "internal", HOSTILE)
+    for path in ("/", f"/jobs/{job.id}", f"/jobs/{failed.id}"):
+        tags = Tags((await get(repository, path)).text)
+        assert [a.get("src") for a in tags.all("script")] == [a["src"] for a in tags.all("script")]
+        assert all((a["src"] or "").startswith("/static/") for a in tags.all("script"))
+        assert "alert(1)" in tags.text
+
+
+async def test_pages_keep_their_own_content_policy(repository: Repository) -> None:
+    """Nothing inline that the policy would block, nothing from elsewhere, and what a screen reader needs is there."""
+    job, targeted = add(repository), add(repository, parse(SPEC.model_dump() | {"goal": {"reach": "harp"}}))
+    succeed(repository, job, result())
+    repository.progress(start(repository, targeted), "attacking", 0, 120, [row(0)])
+    for path in ("/", f"/jobs/{job.id}", f"/jobs/{targeted.id}", "/jobs/nothing"):
+        page = await get(repository, path)
+        assert "default-src 'none'" in page.headers["content-security-policy"]
+        tags = Tags(page.text)
+        for tag, attributes in tags.found:
+            assert "style" not in attributes
+            assert not [name for name in attributes if name.startswith("on")]
+            for name in ("src", "href", "action"):
+                assert (attributes.get(name) or "/").startswith(("/", "#")), (tag, attributes)
+                assert not (attributes.get(name) or "/").startswith("//")
+        assert all("alt" in a for a in tags.all("img"))
+        assert all("scope" in a for a in tags.all("th"))
+        assert len(tags.all("h1")) == 1
+        assert not tags.all("style")
+
+
+async def test_static_files_are_kept_only_under_their_version(repository: Repository) -> None:
+    page = await get(repository, "/")
+    style = next(a["href"] for a in Tags(page.text).all("link") if a["rel"] == "stylesheet")
+    assert style is not None
+    assert "immutable" in (await get(repository, style)).headers["cache-control"]
+    assert (await get(repository, "/static/style.css")).headers["cache-control"] == "no-cache"
+    assert (await get(repository, "/static/..%2froutes.py")).status_code == 404
