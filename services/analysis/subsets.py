@@ -2,27 +2,14 @@
 
 from itertools import combinations
 
-from pydantic import BaseModel, ConfigDict
 from torch import Tensor
 
 from services.analysis.answers import answer
 from services.analysis.perceptibility import of_pictures
+from services.analysis.records import Subset
 from services.attacks.exact import Judge
 from services.attacks.goal import ResolvedGoal
 from services.rendering.protocol import Parameters
-
-
-class Subset(BaseModel):
-    """The found perturbation with only some groups applied, rendered exactly."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    groups: list[str]
-    label: str
-    confidence: float
-    goal_probability: float
-    perceptibility: float
-    fooled: bool
 
 
 def subsets(

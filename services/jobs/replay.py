@@ -5,7 +5,8 @@ from pathlib import Path
 from pydantic import BaseModel
 from safetensors.torch import load_file
 
-from services.analysis.answers import Answer, answer
+from services.analysis.answers import answer
+from services.analysis.records import Answer
 from services.analysis.pictures import load_png
 from services.errors import InvalidRequest
 from services.jobs.execute import PERTURBATION

@@ -2,8 +2,7 @@
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from services.analysis.answers import Answer
-from services.analysis.subsets import Subset
+from services.analysis.records import Answer, Subset
 from services.attacks.trace import TraceRow
 
 
