@@ -2,6 +2,7 @@
 
 import logging
 import sys
+from collections.abc import MutableMapping
 from typing import Any
 
 import structlog
@@ -9,8 +10,12 @@ import structlog
 
 def configure(process: str) -> None:
     """Send structlog's and the standard library's records to stderr, each carrying the name of the process."""
+
+    def name(_logger: Any, _method: str, record: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
+        return {"process": process, **record}
+
     shared: list[Any] = [
-        structlog.contextvars.merge_contextvars,
+        name,
         structlog.stdlib.add_log_level,
         structlog.stdlib.add_logger_name,
         structlog.processors.TimeStamper(fmt="iso", utc=True),
@@ -20,7 +25,6 @@ def configure(process: str) -> None:
         renderer = structlog.dev.ConsoleRenderer()
     else:
         shared.append(structlog.processors.format_exc_info)
-    structlog.contextvars.bind_contextvars(process=process)
     structlog.configure(
         processors=[
             structlog.stdlib.filter_by_level,
@@ -42,6 +46,8 @@ def configure(process: str) -> None:
     root = logging.getLogger()
     root.handlers[:] = [handler]
     root.setLevel(logging.INFO)
+    for chatty in ("httpx", "alembic", "OpenGL"):
+        logging.getLogger(chatty).setLevel(logging.WARNING)
 
 
 def logger(name: str) -> Any:
