@@ -1,0 +1,16 @@
+"""A child process for the tests of children: answers, is silent, or dies, as asked."""
+
+import os
+import signal
+
+from services.jobs.child import connect, reply, requests
+
+if __name__ == "__main__":
+    connection = connect()
+    reply(connection, {"ready": os.getpid(), "allocator": os.environ["MALLOC_TOP_PAD_"]})
+    for message, data in requests(connection):
+        if message == {"do": "die"}:
+            os.kill(os.getpid(), signal.SIGKILL)
+        if message == {"do": "hang"}:
+            signal.pause()
+        reply(connection, {"message": message, "bytes": len(data)})

@@ -1,0 +1,35 @@
+"""Jobs in the record, without anything that would run them."""
+
+from typing import Any
+
+from services.jobs.models import Artifact, Job
+from services.jobs.repository import Attempt, Repository
+from services.jobs.spec import JobSpec, parse
+
+SPEC = parse({"scene": {"objects": [{"mesh": "primitive/sphere"}]}, "seed": 7})
+OUTCOME = {"fooled": True, "verified": False}
+
+
+def add(repository: Repository, spec: JobSpec = SPEC) -> Job:
+    job, _ = repository.create(spec, 1000, None, lambda job: {"id": job.id})
+    assert job is not None
+    return job
+
+
+def start(repository: Repository, job: Job, owner: str = "w", seconds: float = 20) -> Attempt:
+    attempt = repository.lease(job.id, owner, seconds)
+    assert attempt is not None
+    return attempt
+
+
+def artifact(job: Job, name: str = "result.json") -> Artifact:
+    return Artifact(job_id=job.id, name=name, sha256="ab" * 32, media_type="application/json", size=3)
+
+
+def row(repository: Repository, job: Job) -> dict[str, Any]:
+    """Everything the record has of a job, to compare."""
+    found = repository.get(job.id, with_result=True)
+    assert found is not None
+    values = {column.name: getattr(found, column.name) for column in Job.__table__.columns}
+    events = [(event.number, event.kind, event.data) for event in repository.events(job.id, 0)]
+    return values | {"events": events, "artifacts": [a.name for a in repository.artifacts(job.id)]}

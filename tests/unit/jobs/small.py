@@ -1,0 +1,16 @@
+"""Real jobs that are over in a second or two."""
+
+from typing import Any
+
+from services.jobs.spec import JobSpec, parse
+from services.scenes.library import Library
+from services.settings import settings
+
+LIBRARY = Library(settings().cache_dir, settings().data_dir)
+SPHERE = {"objects": [{"mesh": "primitive/sphere"}], "camera": {"size": [64, 64]}}
+
+
+def spec(attack: dict[str, Any] | None = None, **changes: Any) -> JobSpec:
+    """A sphere at 64², attacked for three steps."""
+    scene = SPHERE | changes.pop("scene", {})
+    return parse({"scene": scene, "attack": {"steps": 3} | (attack or {})} | changes)

@@ -1,0 +1,73 @@
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from services.jobs.child import Child, ChildDied
+from services.settings import Settings
+
+ECHO = "tests.unit.jobs.echo_child"
+
+
+@pytest.fixture
+def child(tmp_path: Path) -> Iterator[Child]:
+    child = Child(ECHO, Settings(data=tmp_path))
+    assert child.receive(30) == {"ready": child.pid, "allocator": str(256 * 2**20)}
+    yield child
+    child.kill()
+
+
+def test_it_answers_messages_and_files(child: Child) -> None:
+    child.send({"do": "echo"}, b"line\nline\n" * 1000)
+    assert child.receive(10) == {"message": {"do": "echo"}, "bytes": 10_000}
+    assert child.alive()
+    assert child.memory() > 2**20
+
+
+def test_its_death_is_told_not_waited_for(child: Child) -> None:
+    child.send({"do": "die"})
+    with pytest.raises(ChildDied):
+        child.receive(30)
+    assert child.kill() == -9
+    assert not child.alive()
+    assert child.memory() == 0
+
+
+def test_silence_is_not_death(child: Child) -> None:
+    child.send({"do": "hang"})
+    assert child.receive(0.05) is None
+    assert child.alive()
+
+
+@pytest.mark.parametrize("busy", [False, True])
+def test_it_does_not_outlive_a_parent_that_is_killed(busy: bool) -> None:
+    script = f"""
+from services.jobs.child import Child
+from services.settings import Settings
+child = Child({ECHO!r}, Settings())
+child.receive(30)
+if {busy}:
+    child.send({{"do": "hang"}})
+print(child.pid, flush=True)
+child.receive(60)
+"""
+    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        pid = int(parent.stdout.readline())
+        os.kill(pid, 0)  # it lives
+        parent.kill()
+    deadline = time.monotonic() + 10
+    while _runs(pid):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def _runs(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False

@@ -1,0 +1,105 @@
+import json
+import zlib
+from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
+
+import pytest
+from rq.job import Job as Message
+
+from services.jobs.queue import SETTLE_SECONDS, TASK, Queue, connect, reconcile
+from services.jobs.repository import Repository
+from services.jobs.service import Submissions
+from tests.unit.jobs.conftest import Clock
+from tests.unit.jobs.records import SPEC, add, start
+
+
+@pytest.fixture
+def queue(redis_url: str) -> Iterator[Queue]:
+    redis = connect(redis_url)
+    redis.flushall()
+    yield Queue(redis)
+    redis.close()
+
+
+@pytest.fixture
+def clock() -> Clock:
+    clock = Clock()
+    clock.now = datetime.now(UTC)
+    return clock
+
+
+def lost(queue: Queue) -> None:
+    """What Redis looks like after it was restarted."""
+    queue.redis.flushall()
+
+
+def taken_and_dropped(queue: Queue) -> None:
+    """What Redis looks like after a worker took the message and died: its list is empty, its hash is there."""
+    assert queue.redis.delete("rq:queue:scene-attack") == 1
+
+
+def test_a_message_is_a_name_and_an_id_in_json(queue: Queue) -> None:
+    queue.send("abc", 0)
+    (message_id,) = queue.waiting()
+    message = Message.fetch(message_id, connection=queue.redis, serializer="json")
+    assert (message.func_name, message.args, message.kwargs) == (TASK, ["abc"], {})
+    data = queue.redis.hget(message.key, "data")
+    assert isinstance(data, bytes)
+    assert json.loads(zlib.decompress(data)) == ["worker.rq_worker.run_job", None, ["abc"], {}]
+
+
+def test_a_job_is_sent_once_however_often_it_is_tried(repository: Repository, queue: Queue) -> None:
+    job = add(repository)
+    queue.send(job.id, 0)
+    queue.send(job.id, 0)
+    reconcile(repository, queue)
+    assert queue.redis.llen("rq:queue:scene-attack") == 1
+
+
+def test_what_was_recorded_but_never_sent_is_sent(repository: Repository, queue: Queue) -> None:
+    first, second = add(repository), add(repository)
+    assert reconcile(repository, queue) == 2
+    assert queue.waiting() == {f"{first.id}-0", f"{second.id}-0"}
+    assert reconcile(repository, queue) == 0
+
+
+@pytest.mark.parametrize("accident", [lost, taken_and_dropped])
+def test_what_redis_lost_is_sent_again(repository: Repository, queue: Queue, clock: Clock, accident) -> None:  # type: ignore[no-untyped-def]
+    clock.now -= timedelta(seconds=SETTLE_SECONDS + 1)
+    job = add(repository)
+    assert reconcile(repository, queue) == 1
+    accident(queue)
+    assert reconcile(repository, queue) == 1
+    assert queue.waiting() == {f"{job.id}-0"}
+
+
+def test_a_message_just_taken_is_not_sent_again(repository: Repository, queue: Queue) -> None:
+    add(repository)
+    reconcile(repository, queue)
+    taken_and_dropped(queue)
+    assert reconcile(repository, queue) == 0
+
+
+def test_only_queued_jobs_are_sent(repository: Repository, queue: Queue) -> None:
+    start(repository, add(repository))
+    repository.request_cancel(add(repository).id)
+    assert reconcile(repository, queue) == 0
+
+
+def test_a_job_given_back_is_sent_for_its_next_attempt(repository: Repository, queue: Queue) -> None:
+    job = add(repository)
+    reconcile(repository, queue)
+    repository.give_back(start(repository, job))
+    assert reconcile(repository, queue) == 1
+    assert f"{job.id}-1" in queue.waiting()
+
+
+def test_a_job_is_taken_while_redis_is_away(repository: Repository, queue: Queue, tmp_path) -> None:  # type: ignore[no-untyped-def]
+    nowhere = Queue(connect(f"unix://{tmp_path}/none.sock"))
+    said = Submissions(repository, nowhere, 10).submit(SPEC, None, lambda job: {"id": job.id})
+    assert reconcile(repository, queue) == 1
+    assert queue.waiting() == {f"{said['id']}-0"}
+
+
+def test_no_worker_no_sign_of_life(queue: Queue) -> None:
+    assert queue.live_workers() == 0

@@ -1,0 +1,228 @@
+from concurrent.futures import ThreadPoolExecutor
+from math import nan
+
+import pytest
+from sqlalchemy.exc import StatementError
+
+from services.jobs.models import State
+from services.jobs.repository import Attempt, Key, KeyReused, QueueFull, Repository, Standing
+from tests.unit.jobs.conftest import Clock
+from tests.unit.jobs.records import OUTCOME, SPEC, add, artifact, row, start
+
+
+def state(repository: Repository, job_id: str) -> State:
+    job = repository.get(job_id)
+    assert job is not None
+    return job.state
+
+
+def test_a_new_job_is_queued_with_its_whole_spec(repository: Repository, clock: Clock) -> None:
+    job = repository.get(add(repository).id)
+    assert job is not None
+    assert (job.state, job.attempt, job.seed, job.events) == (State.QUEUED, 0, 7, 1)
+    assert job.times == {"queued": clock.now}
+    assert job.spec == SPEC.model_dump(mode="json")
+
+
+def test_a_job_is_leased_once(repository: Repository) -> None:
+    job = add(repository)
+    assert repository.lease(job.id, "a", 20) == Attempt(job.id, 1)
+    assert repository.lease(job.id, "b", 20) is None
+
+
+def test_eight_workers_get_one_lease(repository: Repository) -> None:
+    job = add(repository)
+    with ThreadPoolExecutor(8) as pool:
+        leases = list(pool.map(lambda n: repository.lease(job.id, f"w{n}", 20), range(8)))
+    assert sum(lease is not None for lease in leases) == 1
+
+
+def test_success_records_result_artifacts_times_and_events(repository: Repository, clock: Clock) -> None:
+    job = add(repository)
+    clock.advance(1)
+    attempt = start(repository, job)
+    assert repository.progress(attempt, "attacking", 3, 120, [{"step": 3}])
+    clock.advance(1)
+    assert repository.succeed(attempt, {"spec": {}}, OUTCOME, [artifact(job)])
+    found = row(repository, job)
+    assert (found["state"], found["result"], found["outcome"]) == (State.SUCCEEDED, {"spec": {}}, OUTCOME)
+    assert (found["step"], found["steps"], found["lease_owner"]) == (3, 120, None)
+    assert found["artifacts"] == ["result.json"]
+    assert [event[:2] for event in found["events"]] == [
+        (1, "state"),
+        (2, "state"),
+        (3, "progress"),
+        (4, "state"),
+    ]
+    assert found["events"][2][2] == {"phase": "attacking", "step": 3, "steps": 120, "rows": [{"step": 3}]}
+    assert found["events"][3][2]["outcome"] == OUTCOME
+
+
+@pytest.mark.parametrize("write", ["progress", "succeed", "fail", "cancelled", "give_back", "lose", "renew"])
+@pytest.mark.parametrize("since", ["taken back", "taken again", "over"])
+def test_a_late_write_of_an_old_attempt_changes_nothing(
+    repository: Repository, clock: Clock, write: str, since: str
+) -> None:
+    job = add(repository)
+    old = start(repository, job)
+    clock.advance(21)
+    repository.take_back(max_attempts=3)
+    if since != "taken back":
+        new = start(repository, job)
+        if since == "over":
+            repository.fail(new, "internal", "because")
+    before = row(repository, job)
+    writes = {
+        "progress": lambda: repository.progress(old, "attacking", 1, 2, []),
+        "succeed": lambda: repository.succeed(old, {}, OUTCOME, [artifact(job)]),
+        "fail": lambda: repository.fail(old, "internal", "late"),
+        "cancelled": lambda: repository.cancelled(old),
+        "give_back": lambda: repository.give_back(old),
+        "lose": lambda: repository.lose(old, 3),
+        "renew": lambda: repository.renew(old, 1000) is not Standing.LOST,
+    }
+    assert not writes[write]()
+    assert row(repository, job) == before
+    assert repository.standing(old) is Standing.LOST
+
+
+def test_a_result_and_its_artifacts_are_recorded_together_or_not_at_all(repository: Repository) -> None:
+    job = add(repository)
+    attempt = start(repository, job)
+    before = row(repository, job)
+    with pytest.raises(StatementError, match="JSON compliant"):
+        repository.succeed(attempt, {"loss": nan}, OUTCOME, [artifact(job)])
+    assert row(repository, job) == before
+
+
+def test_a_lease_lapses_unless_it_is_renewed(repository: Repository, clock: Clock) -> None:
+    job = add(repository)
+    attempt = start(repository, job, seconds=20)
+    clock.advance(15)
+    assert repository.renew(attempt, 20) is Standing.GO_ON
+    clock.advance(15)
+    assert repository.take_back(max_attempts=3) == []
+    clock.advance(6)
+    assert repository.take_back(max_attempts=3) == [job.id]
+    found = repository.get(job.id)
+    assert found is not None
+    assert (found.state, found.lost, found.sent_at) == (State.QUEUED, 1, None)
+    assert start(repository, job).number == 2
+
+
+def test_the_leases_of_a_dead_worker_are_taken_back_at_once(repository: Repository) -> None:
+    dead, alive = add(repository), add(repository)
+    start(repository, dead, owner="dead")
+    start(repository, alive, owner="alive")
+    assert repository.take_back(max_attempts=3, owner="dead") == [dead.id]
+    assert state(repository, alive.id) is State.RUNNING
+
+
+def test_a_job_that_loses_its_process_too_often_fails(repository: Repository) -> None:
+    job = add(repository)
+    for _ in range(2):
+        repository.lose(start(repository, job), max_attempts=3)
+        assert state(repository, job.id) is State.QUEUED
+    repository.lose(start(repository, job), max_attempts=3)
+    found = repository.get(job.id)
+    assert found is not None
+    assert (found.state, found.failure_kind) == (State.FAILED, "worker-lost")
+    assert repository.events(job.id, 0)[-1].data["failure"]["kind"] == "worker-lost"
+
+
+def test_a_job_given_back_is_not_counted_as_lost(repository: Repository) -> None:
+    job = add(repository)
+    for _ in range(5):
+        repository.give_back(start(repository, job))
+    found = repository.get(job.id)
+    assert found is not None
+    assert (found.state, found.attempt, found.lost) == (State.QUEUED, 5, 0)
+
+
+@pytest.mark.parametrize("end", ["give_back", "lose", "take_back"])
+def test_a_job_that_was_to_stop_is_not_started_again(repository: Repository, clock: Clock, end: str) -> None:
+    job = add(repository)
+    attempt = start(repository, job)
+    repository.request_cancel(job.id)
+    clock.advance(21)
+    {
+        "give_back": lambda: repository.give_back(attempt),
+        "lose": lambda: repository.lose(attempt, 3),
+        "take_back": lambda: repository.take_back(3),
+    }[end]()
+    assert state(repository, job.id) is State.CANCELLED
+
+
+def test_cancel_asks_once_and_changes_nothing_afterwards(repository: Repository, clock: Clock) -> None:
+    queued, running, over = add(repository), add(repository), add(repository)
+    attempt = start(repository, running)
+    repository.fail(start(repository, over), "internal", "because")
+    for job, after in ((queued, State.CANCELLED), (running, State.CANCELLING), (over, State.FAILED)):
+        first = repository.request_cancel(job.id)
+        clock.advance(1)
+        again = repository.request_cancel(job.id)
+        assert first is not None
+        assert again is not None
+        assert (first.state, first.times, first.events) == (again.state, again.times, again.events)
+        assert again.state is after
+    assert repository.standing(attempt) is Standing.CANCEL
+    assert repository.cancelled(attempt)
+    assert state(repository, running.id) is State.CANCELLED
+    assert repository.request_cancel("no such job") is None
+
+
+def test_events_of_concurrent_writers_are_numbered_without_gaps(repository: Repository) -> None:
+    job = add(repository)
+    attempt = start(repository, job)
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(lambda n: repository.progress(attempt, "attacking", n, 40, []), range(40)))
+    assert [event.number for event in repository.events(job.id, 0)] == list(range(1, 43))
+    assert [event.number for event in repository.events(job.id, 40)] == [41, 42]
+
+
+def test_pages_show_each_job_once_while_others_are_added(repository: Repository, clock: Clock) -> None:
+    first = []
+    for n in range(7):
+        first.append(add(repository).id)
+        clock.advance(n % 2)  # some at the same moment
+    seen: list[str] = []
+    before = None
+    while jobs := repository.page(None, 2, before):
+        seen += [job.id for job in jobs]
+        before = (jobs[-1].created_at, jobs[-1].id)
+        clock.advance(1)
+        add(repository)
+    assert sorted(seen) == sorted(first)
+
+
+def test_pages_are_newest_first_and_by_state(repository: Repository, clock: Clock) -> None:
+    jobs = []
+    for _ in range(3):
+        jobs.append(add(repository))
+        clock.advance(1)
+    start(repository, jobs[1])
+    assert [job.id for job in repository.page(None, 9, None)] == [job.id for job in reversed(jobs)]
+    assert [job.id for job in repository.page(State.RUNNING, 9, None)] == [jobs[1].id]
+
+
+def test_a_key_makes_one_job_however_often_it_comes(repository: Repository) -> None:
+    key = Key("k", "same")
+    with ThreadPoolExecutor(8) as pool:
+        made = list(pool.map(lambda _: repository.create(SPEC, 1000, key, lambda job: {"id": job.id}), range(8)))
+    assert sum(job is not None for job, _ in made) == 1
+    assert len({said["id"] for _, said in made}) == 1
+    assert len(repository.page(None, 9, None)) == 1
+    with pytest.raises(KeyReused):
+        repository.create(SPEC, 1000, Key("k", "other"), lambda job: {"id": job.id})
+    with pytest.raises(KeyReused):
+        repository.first_answer(Key("k", "other"))
+
+
+def test_a_full_queue_takes_no_more(repository: Repository) -> None:
+    started = add(repository)
+    repository.create(SPEC, 2, None, lambda job: {})
+    with pytest.raises(QueueFull):
+        repository.create(SPEC, 2, None, lambda job: {})
+    start(repository, started)
+    repository.create(SPEC, 2, None, lambda job: {})
+    assert len(repository.page(None, 9, None)) == 3

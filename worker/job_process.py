@@ -1,0 +1,170 @@
+"""The warm process that runs jobs: networks and the OpenGL context are loaded once and kept from job to job.
+
+`python -m worker.job_process FD`, started by a worker. It writes progress and the outcome itself; its parent keeps the
+lease and ends it if need be.
+"""
+
+import json
+import os
+import resource
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from services.errors import Cancelled, InvalidRequest, JobFailure
+from services.jobs.artifacts import ArtifactStore, media_type
+from services.jobs.child import connect, reply, requests
+from services.jobs.database import connect as connect_database
+from services.jobs.execute import Progress, execute
+from services.jobs.models import Artifact
+from services.jobs.outcome import outcome
+from services.jobs.repository import Attempt, Repository, Standing
+from services.jobs.result import Result
+from services.jobs.spec import JobSpec
+from services.jobs.workplace import Workplace
+from services.logs import configure, logger
+from services.rendering.gl import gl_backend
+from services.scenes.library import Library
+from services.settings import Settings, settings
+from services.targets import registry
+
+REPORT_SECONDS = 0.25
+"""Progress is written at most so often; the trace rows in between go along with the next report."""
+LOOK_SECONDS = 0.02
+"""The record is asked whether to stop before every rendering, but at most so often: far less than a step takes."""
+
+log = logger(__name__)
+
+
+class Reporter:
+    """Tells the record how far a job is, and the job what the record says."""
+
+    def __init__(self, repository: Repository, attempt: Attempt, clock: Callable[[], float] = time.monotonic) -> None:
+        self._repository = repository
+        self._attempt = attempt
+        self._clock = clock
+        self._rows: list[dict[str, Any]] = []
+        self._phase: str | None = None
+        self._told = self._looked = float("-inf")
+        self._stop = False
+
+    def progress(self, progress: Progress) -> None:
+        """Called by the job, once a step."""
+        if progress.row is not None:
+            self._rows.append(finite(progress.row.model_dump(mode="json")))
+        now = self._clock()
+        if progress.phase == self._phase and now - self._told < REPORT_SECONDS:
+            return
+        self._phase, self._told = progress.phase, now
+        self._repository.progress(self._attempt, progress.phase, progress.step, progress.steps, self._rows)
+        self._rows = []
+
+    def stop(self) -> bool:
+        """Whether the job was cancelled, or belongs to somebody else by now."""
+        now = self._clock()
+        if not self._stop and now - self._looked >= LOOK_SECONDS:
+            self._looked = now
+            self._stop = self._repository.standing(self._attempt) is not Standing.GO_ON
+        return self._stop
+
+
+def finite(record: dict[str, Any]) -> dict[str, Any]:
+    """The record, if all its numbers are finite. Raises JobFailure("non-finite")."""
+    try:
+        json.dumps(record, allow_nan=False)
+    except ValueError as error:
+        raise JobFailure("non-finite", "the job produced a number that is infinite or not a number") from error
+    return record
+
+
+class Jobs:
+    """What the process keeps between jobs."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._repository = Repository(connect_database(settings))
+        self._store = ArtifactStore(settings.data_dir / "artifacts")
+        self._library = Library(settings.cache_dir, settings.data_dir)
+        self._workplace = Workplace(settings.data_dir)
+
+    def run(self, attempt: Attempt) -> None:
+        """Run one attempt and record how it ended."""
+        repository = self._repository
+        job = repository.get(attempt.job_id)
+        if job is None:
+            return
+        reporter = Reporter(repository, attempt)
+        try:
+            with self._workplace.desk(attempt) as out:
+                result = execute(
+                    JobSpec.model_validate(job.spec),
+                    out,
+                    self._library,
+                    progress=reporter.progress,
+                    cancelled=reporter.stop,
+                    checkpoint=self._workplace.checkpoint(attempt.job_id),
+                )
+                self._keep(attempt, result, out)
+        except Cancelled:
+            repository.cancelled(attempt)
+        except Exception as error:
+            failure = classify(error)
+            log.warning("job failed", job=attempt.job_id, kind=failure.kind, exc_info=error)
+            repository.fail(attempt, failure.kind, failure.detail)
+        self._workplace.forget(repository, attempt.job_id)
+
+    def _keep(self, attempt: Attempt, result: Result, out: Path) -> None:
+        record = finite(result.model_dump(mode="json"))
+        artifacts = []
+        for file in sorted(out.iterdir()):
+            stored = self._store.put(file)
+            artifacts.append(
+                Artifact(
+                    job_id=attempt.job_id,
+                    name=file.name,
+                    sha256=stored.sha256,
+                    media_type=media_type(file.name),
+                    size=stored.size,
+                )
+            )
+        self._repository.succeed(attempt, record, outcome(result), artifacts)
+
+
+def classify(error: Exception) -> JobFailure:
+    """The typed failure an exception amounts to."""
+    if isinstance(error, JobFailure):
+        return error
+    if isinstance(error, InvalidRequest):
+        # It was good when it was taken: what it names must have gone since.
+        return JobFailure("asset-missing", str(error))
+    if isinstance(error, MemoryError | torch.OutOfMemoryError) or "can't allocate memory" in str(error):
+        return JobFailure("out-of-memory", "the job needed more memory than a job process may have")
+    return JobFailure("internal", f"{type(error).__name__}: {error}")
+
+
+def main() -> None:
+    """Load everything once, say so, then run jobs until the parent is gone."""
+    configure("job")
+    values = settings()
+    connection = connect()
+    inbox = requests(connection)
+    resource.setrlimit(resource.RLIMIT_AS, (values.job_memory_bytes, values.job_memory_bytes))
+    torch.set_num_threads(values.threads)
+    jobs = Jobs(values)
+    warm()
+    reply(connection, {"ready": os.getpid()})
+    for request, _ in inbox:
+        jobs.run(Attempt(request["job"], request["attempt"]))
+        reply(connection, {"done": request["job"]})
+
+
+def warm() -> None:
+    """Load the default network and open the OpenGL context."""
+    registry.load(registry.available()[0].name)
+    log.info("warm", gl=gl_backend())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,95 @@
+"""`scene-attack worker`: N workers kept running, and the record kept in order."""
+
+import secrets
+import socket
+import sys
+import time
+from collections.abc import Callable
+
+from redis.exceptions import RedisError
+from sqlalchemy.exc import SQLAlchemyError
+
+from services.errors import JobFailure
+from services.jobs.database import connect as connect_database
+from services.jobs.database import migrate
+from services.jobs.queue import Queue, reconcile
+from services.jobs.queue import connect as connect_redis
+from services.jobs.repository import Repository
+from services.jobs.workplace import Workplace
+from services.logs import configure, logger
+from services.settings import Settings, settings
+from worker.supervisor import Program, Supervisor
+
+SWEEP_SECONDS = 60.0
+
+log = logger(__name__)
+
+
+def run() -> int:
+    """Supervise the workers until SIGTERM or SIGINT. Returns the exit status."""
+    configure("worker-supervisor")
+    values = settings()
+    if values.redis_url is None:
+        raise JobFailure(
+            "internal", "workers on their own need SCENE_ATTACK_REDIS_URL; `scene-attack serve` brings one"
+        )
+    engine = connect_database(values)
+    migrate(engine, values)
+    repository = Repository(engine)
+    Supervisor(workers(values, repository), housekeeping(values, repository)).run()
+    return 0
+
+
+def workers(values: Settings, repository: Repository) -> list[Program]:
+    """The worker programs."""
+    return [_worker(index, values, repository) for index in range(values.workers)]
+
+
+def _worker(index: int, values: Settings, repository: Repository) -> Program:
+    # A new name at each start: a lease of the name before is then known to be a dead worker's.
+    name = ""
+
+    def command() -> list[str]:
+        nonlocal name
+        name = f"{socket.gethostname()[:60]}-{index}-{secrets.token_hex(4)}"
+        return [sys.executable, "-m", "worker.rq_worker", name]
+
+    def ended() -> None:
+        try:
+            lost = repository.take_back(values.max_attempts, owner=name)
+        except SQLAlchemyError as error:
+            log.warning("jobs of a dead worker not taken back yet", error=str(error))
+        else:
+            for job_id in lost:
+                log.warning("job taken back from a dead worker", job=job_id, worker=name)
+
+    return Program(f"worker-{index}", command, values.environ(), ended=ended)
+
+
+def housekeeping(values: Settings, repository: Repository) -> Callable[[], None]:
+    """What a supervisor does once a second: take lapsed leases back, send queued jobs that the queue has lost.
+
+    Several supervisors may do so at once; each step is a transaction that changes a job at most once.
+    """
+    assert values.redis_url is not None
+    queue = Queue(connect_redis(values.redis_url))
+    workplace = Workplace(values.data_dir)
+    swept = float("-inf")
+
+    def tick() -> None:
+        nonlocal swept
+        try:
+            for job_id in repository.take_back(values.max_attempts):
+                log.warning("job taken back, its lease had lapsed", job=job_id)
+            if time.monotonic() - swept > SWEEP_SECONDS:
+                swept = time.monotonic()
+                workplace.sweep(repository)
+            reconcile(repository, queue)
+        except (SQLAlchemyError, RedisError) as error:
+            log.warning("housekeeping put off", error=str(error))
+
+    return tick
+
+
+if __name__ == "__main__":
+    sys.exit(run())

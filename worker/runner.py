@@ -1,0 +1,120 @@
+"""One job at a time: leases it, hands it to the warm job process, and keeps watch until it ends.
+
+Neither torch nor OpenGL is loaded here, so whatever happens to the job process, this one lives to report it.
+"""
+
+import time
+from collections.abc import Callable
+
+from sqlalchemy.exc import OperationalError
+
+from services.jobs.child import Child, ChildDied
+from services.jobs.repository import Attempt, Repository, Standing
+from services.logs import logger
+from services.settings import Settings
+
+START_SECONDS = 180.0
+"""Longest a job process may take to load."""
+LOOK_SECONDS = 0.1
+"""How often the watch looks whether the worker is to stop."""
+STOP_SECONDS = 10.0
+"""A job process that has not stopped by itself so long after its job was cancelled or taken back is killed."""
+MAX_JOBS = 200
+MAX_GROWTH = 2 * 2**30
+"""Jobs, and bytes of growth since it was ready, after which a job process is replaced."""
+
+log = logger(__name__)
+
+
+class Runner:
+    """Runs jobs for one worker, whose name `owner` is on the leases."""
+
+    def __init__(self, settings: Settings, repository: Repository, owner: str) -> None:
+        self._settings = settings
+        self._repository = repository
+        self._owner = owner
+        self._child: Child | None = None
+        self._jobs = 0
+        self._memory = 0
+        self._stopping = False
+
+    def request_stop(self) -> None:
+        """Give back the job that runs, if one does, and take no other. Safe in a signal handler."""
+        self._stopping = True
+
+    def close(self) -> None:
+        """End the job process."""
+        if self._child is not None:
+            self._child.kill()
+            self._child = None
+
+    def ensure_ready(self) -> None:
+        """Have a warm job process. Raises ChildDied if none can be had."""
+        if self._child is not None and (not self._child.alive() or self._worn()):
+            self.close()
+        if self._child is not None:
+            return
+        started = time.monotonic()
+        child = self._child = Child("worker.job_process", self._settings)
+        while child.receive(LOOK_SECONDS) is None:
+            if self._stopping or time.monotonic() - started > START_SECONDS:
+                self.close()
+                raise ChildDied
+        self._jobs, self._memory = 0, child.memory()
+        log.info("job process ready", pid=child.pid, seconds=round(time.monotonic() - started, 2))
+
+    def _worn(self) -> bool:
+        assert self._child is not None
+        return self._jobs >= MAX_JOBS or self._child.memory() - self._memory > MAX_GROWTH
+
+    def run(self, job_id: str, beat: Callable[[], None]) -> None:
+        """Run a job to its end, whatever that is. Does nothing if it is not queued any more. `beat` is called often."""
+        self.ensure_ready()
+        attempt = self._repository.lease(job_id, self._owner, self._settings.lease_seconds)
+        if attempt is None:
+            log.info("job is not queued, message dropped", job=job_id)
+            return
+        log.info("job taken", job=job_id, attempt=attempt.number)
+        self._jobs += 1
+        try:
+            self._watch(attempt, beat)
+        except ChildDied:
+            self.close()
+            log.warning("job process died", job=job_id, attempt=attempt.number)
+            self._repository.lose(attempt, self._settings.max_attempts)
+
+    def _watch(self, attempt: Attempt, beat: Callable[[], None]) -> None:
+        child = self._child
+        assert child is not None
+        started = renewed = time.monotonic()
+        told_to_stop: float | None = None
+        child.send({"job": attempt.job_id, "attempt": attempt.number})
+        while child.receive(LOOK_SECONDS) is None:
+            now = time.monotonic()
+            if self._stopping:
+                self.close()
+                self._repository.give_back(attempt)
+                log.info("job given back", job=attempt.job_id)
+                return
+            if now - started > self._settings.job_seconds:
+                self.close()
+                self._repository.fail(attempt, "timeout", f"it ran longer than {self._settings.job_seconds:g} seconds")
+                return
+            if told_to_stop is not None and now - told_to_stop > STOP_SECONDS:
+                self.close()
+                self._repository.cancelled(attempt)  # changes nothing if the attempt was lost
+                return
+            if now - renewed < min(1.0, self._settings.lease_seconds / 4):
+                continue
+            renewed = now
+            beat()
+            if self._renew(attempt) is not Standing.GO_ON and told_to_stop is None:
+                told_to_stop = now
+
+    def _renew(self, attempt: Attempt) -> Standing:
+        try:
+            return self._repository.renew(attempt, self._settings.lease_seconds)
+        except OperationalError as error:
+            # The lease is still good for a while; if the database stays away, the reaper decides.
+            log.warning("lease not renewed", job=attempt.job_id, error=str(error))
+            return Standing.GO_ON

@@ -1,0 +1,94 @@
+"""`scene-attack serve`: Redis where none is given, the API and the workers; they start and stop together."""
+
+import socket
+import sys
+
+import httpx
+
+from services.jobs.database import connect as connect_database
+from services.jobs.database import migrate
+from services.jobs.repository import Repository
+from services.logs import configure, logger
+from services.settings import Settings, settings
+from worker.main import housekeeping, workers
+from worker.redis_server import EmbeddedRedis
+from worker.supervisor import Program, Supervisor
+
+log = logger(__name__)
+
+
+def serve(values: Settings) -> int:
+    """Run the whole service until SIGTERM or SIGINT; prints "ready URL" once it takes jobs. Returns the exit status.
+
+    Raises OSError if the address is taken.
+    """
+    configure("supervisor")
+    engine = connect_database(values)
+    migrate(engine, values)
+    repository = Repository(engine)
+    redis = EmbeddedRedis() if values.redis_url is None else None
+    try:
+        with listen(values.host, values.port) as listener:
+            port = listener.getsockname()[1]
+            url = values.redis_url if redis is None else redis.url
+            values = values.model_copy(update={"port": port, "redis_url": url})
+            programs = [] if redis is None else [redis.program()]
+            programs += [_api(values, listener), *workers(values, repository)]
+            tidy = housekeeping(values, repository)
+            announce = _Announcement(f"http://{_reachable(values.host)}:{port}")
+
+            def duty() -> None:
+                tidy()
+                announce()
+
+            Supervisor(programs, duty).run()
+    finally:
+        if redis is not None:
+            redis.remove()
+        engine.dispose()
+    return 0
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """A listening socket; port 0 takes a free one. Raises OSError if the address is taken."""
+    return socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
+
+
+def _api(values: Settings, listener: socket.socket) -> Program:
+    # The socket is the supervisor's: it stays open while the API restarts, and requests wait instead of failing.
+    fd = listener.fileno()
+    return Program("api", lambda: [sys.executable, "-m", "api.main", str(fd)], values.environ(), fds=[fd])
+
+
+def _reachable(host: str) -> str:
+    if host in ("", "0.0.0.0", "::"):
+        return "127.0.0.1"
+    return f"[{host}]" if ":" in host else host
+
+
+class _Announcement:
+    """Says once, on stdout, that the service is ready."""
+
+    def __init__(self, url: str) -> None:
+        self._url = url
+        self._said = False
+
+    def __call__(self) -> None:
+        if self._said:
+            return
+        try:
+            ready = httpx.get(f"{self._url}/readyz", timeout=2.0, trust_env=False).status_code == 200
+        except httpx.HTTPError:
+            return
+        if ready:
+            self._said = True
+            print(f"ready {self._url}", flush=True)
+
+
+def main() -> int:
+    """`python -m worker.stack`."""
+    return serve(settings())
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,115 @@
+"""Keeps programs running: starts them, restarts whichever ends, and ends them all together."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from services.jobs.tether import die_with_parent
+from services.logs import logger
+
+LOOK_SECONDS = 0.1
+TICK_SECONDS = 1.0
+"""How often the supervisor's duty is called."""
+STEADY_SECONDS = 10.0
+"""A program that ran so long is restarted at once; one that keeps failing sooner waits longer each time."""
+LONGEST_WAIT = 5.0
+STOP_SECONDS = 4.0
+"""Time to end by themselves; then they are killed."""
+
+log = logger(__name__)
+
+
+@dataclass
+class Program:
+    """Something to keep running. `command` is asked anew at each start; `ended` is told of each end."""
+
+    name: str
+    command: Callable[[], Sequence[str]]
+    environ: dict[str, str] = field(default_factory=dict)
+    fds: Sequence[int] = ()
+    ended: Callable[[], None] = lambda: None
+    last: bool = False
+    """Stopped after the others, which need it to stop well."""
+
+    process: "subprocess.Popen[bytes] | None" = field(default=None, init=False)
+    _started: float = field(default=0.0, init=False)
+    _wait: float = field(default=0.0, init=False)
+
+    def look(self) -> None:
+        """Start it if it does not run and its time has come."""
+        if self.process is not None:
+            status = self.process.poll()
+            if status is None:
+                return
+            lived = time.monotonic() - self._started
+            self._wait = 0.0 if lived > STEADY_SECONDS else min(LONGEST_WAIT, 2 * self._wait + 0.1)
+            log.warning("program ended", program=self.name, status=status, restart_in=self._wait)
+            self.process = None
+            self._started = time.monotonic()
+            self.ended()
+        if time.monotonic() - self._started >= self._wait:
+            self._start()
+
+    def _start(self) -> None:
+        self.process = subprocess.Popen(
+            list(self.command()),
+            env=os.environ | self.environ,
+            pass_fds=tuple(self.fds),
+            stdin=subprocess.DEVNULL,
+            stdout=sys.__stderr__,
+            start_new_session=True,  # Ctrl-C reaches the supervisor only, which stops them in order
+            preexec_fn=die_with_parent,  # safe: a supervisor has one thread
+        )
+        self._started = time.monotonic()
+        log.info("program started", program=self.name, pid=self.process.pid)
+
+
+class Supervisor:
+    """Runs programs, and a duty once a second, until told to stop."""
+
+    def __init__(self, programs: Sequence[Program], duty: Callable[[], None]) -> None:
+        self._programs = programs
+        self._duty = duty
+        self._stop = threading.Event()
+
+    def run(self) -> None:
+        """Block until SIGTERM, SIGINT or stop(); then end all programs."""
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: self._stop.set())
+        due = time.monotonic()
+        try:
+            while not self._stop.is_set():
+                for program in self._programs:
+                    program.look()
+                if time.monotonic() >= due:
+                    due = time.monotonic() + TICK_SECONDS
+                    self._duty()
+                self._stop.wait(LOOK_SECONDS)
+        finally:
+            self._end([program for program in self._programs if not program.last])
+            self._end([program for program in self._programs if program.last])
+
+    def stop(self) -> None:
+        """Make `run` return."""
+        self._stop.set()
+
+    def _end(self, programs: Sequence[Program]) -> None:
+        running = [program for program in programs if program.process is not None]
+        for program in running:
+            assert program.process is not None
+            program.process.terminate()
+        deadline = time.monotonic() + STOP_SECONDS
+        for program in running:
+            assert program.process is not None
+            try:
+                program.process.wait(max(0.0, deadline - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                log.warning("program killed, it did not stop", program=program.name)
+                program.process.kill()
+                program.process.wait()
+            program.ended()
