@@ -6,8 +6,8 @@ from pydantic import BaseModel
 from safetensors.torch import load_file
 
 from services.analysis.answers import answer
-from services.analysis.records import Answer
 from services.analysis.pictures import load_png
+from services.analysis.records import Answer
 from services.errors import InvalidRequest
 from services.jobs.execute import PERTURBATION
 from services.jobs.prepare import prepare
