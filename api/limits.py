@@ -1,0 +1,101 @@
+"""What is refused before a request is looked at: bodies that are too large, and other web sites' requests."""
+
+from collections.abc import Mapping
+from ipaddress import ip_address
+from urllib.parse import urlsplit
+
+from starlette.datastructures import Headers
+from starlette.exceptions import HTTPException
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from api.problems import BadRequestField, http_problem, problem
+from services.errors import InvalidRequest
+
+JSON_BYTES = 2**20
+"""Largest body that is not an upload."""
+FORM_BYTES = 2**16
+"""What a multipart form needs around its file."""
+DRAIN = 4
+"""A body up to so many times too large is read and thrown away, so that the client hears the answer; beyond that the
+connection is closed on it."""
+
+
+class BodyLimit:
+    """Answers 413 for bodies over their path's limit, before reading more than that into memory.
+
+    `uploads` maps a path to the most bytes its file may have; there a body that is too large is a bad `file`, 422.
+    """
+
+    def __init__(self, app: ASGIApp, uploads: Mapping[str, int]) -> None:
+        self.app = app
+        self.uploads = uploads
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI."""
+        if scope["type"] != "http":
+            return await self.app(scope, receive, send)
+        upload = self.uploads.get(scope["path"])
+        limit = JSON_BYTES if upload is None else upload + FORM_BYTES
+        length = Headers(scope=scope).get("content-length", "")
+        if length.isdigit() and int(length) > limit:
+            if int(length) <= DRAIN * limit:
+                await _drain(receive)
+            return await http_problem(_too_large(limit, upload))(scope, receive, send)
+        total = 0
+
+        async def counted() -> Message:
+            nonlocal total
+            message = await receive()
+            total += len(message.get("body", b""))
+            if total > limit:  # a body that did not say its length
+                raise _too_large(limit, upload)
+            return message
+
+        return await self.app(scope, counted, send)
+
+
+def _too_large(limit: int, upload: int | None) -> HTTPException:
+    if upload is None:
+        return HTTPException(413, f"the body may have at most {limit:,} bytes")
+    return BadRequestField(InvalidRequest("file", f"it may have at most {upload:,} bytes"))
+
+
+async def _drain(receive: Receive) -> None:
+    while True:
+        message = await receive()
+        if message["type"] != "http.request" or not message.get("more_body", False):
+            return
+
+
+class SameSite:
+    """Refuses what another web site has a browser send here: foreign Origins, and foreign Hosts while on loopback.
+
+    There is no password yet; a page the user happens to visit must not be able to start jobs on their machine.
+    """
+
+    def __init__(self, app: ASGIApp, loopback: bool) -> None:
+        self.app = app
+        self.loopback = loopback
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI."""
+        if scope["type"] != "http":
+            return await self.app(scope, receive, send)
+        headers = Headers(scope=scope)
+        host = headers.get("host", "")
+        if self.loopback and not is_loopback(urlsplit(f"//{host}").hostname or ""):
+            return await problem(421, f"this service does not answer for host {host!r}")(scope, receive, send)
+        origin = headers.get("origin")
+        if origin is not None and scope["method"] not in ("GET", "HEAD") and urlsplit(origin).netloc != host:
+            return await problem(403, "requests from other web sites are refused")(scope, receive, send)
+        return await self.app(scope, receive, send)
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a host name or address means this machine alone."""
+    if host == "localhost":
+        return True
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return False

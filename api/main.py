@@ -1,0 +1,107 @@
+"""The HTTP API."""
+
+import socket
+import sys
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from importlib.metadata import version
+
+import uvicorn
+from fastapi import FastAPI
+from starlette.middleware import Middleware
+
+from api import dashboard
+from api import dashboard
+from api.limits import BodyLimit, SameSite, is_loopback
+from api.openapi import describe
+from api.preflight import Preflight
+from api.problems import Answers, install
+from api.routes import artifacts, assets, events, health, jobs, library
+from api.state import Services
+from services.errors import JobFailure
+from services.jobs.artifacts import ArtifactStore
+from services.jobs.database import connect as connect_database
+from services.jobs.database import migrate
+from services.jobs.queue import Queue
+from services.jobs.queue import connect as connect_redis
+from services.jobs.repository import Repository
+from services.jobs.service import Submissions
+from services.jobs.tether import die_with_parent
+from services.logs import configure, logger
+from services.scenes.library import Library
+from services.settings import Settings, settings
+
+log = logger(__name__)
+
+
+def create_app(values: Settings | None = None) -> FastAPI:
+    """The app. It opens database, Redis and its preflight process when it starts, and closes them when it ends."""
+    chosen = values or settings()
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        if chosen.redis_url is None:
+            raise JobFailure("internal", "the API on its own needs SCENE_ATTACK_REDIS_URL; `serve` brings one")
+        engine = connect_database(chosen)
+        migrate(engine, chosen)
+        repository = Repository(engine)
+        redis = connect_redis(chosen.redis_url)
+        queue = Queue(redis)
+        preflight = Preflight(chosen)
+        preflight.start()
+        app.state.services = Services(
+            repository=repository,
+            queue=queue,
+            submissions=Submissions(repository, queue, chosen.max_queued),
+            store=ArtifactStore(chosen.data_dir / "artifacts"),
+            library=Library(chosen.cache_dir, chosen.data_dir),
+            preflight=preflight,
+        )
+        try:
+            yield
+        finally:
+            preflight.close()
+            redis.close()
+            engine.dispose()
+
+    app = FastAPI(
+        title="scene-attack",
+        version=version("scene-attack"),
+        lifespan=lifespan,
+        separate_input_output_schemas=False,
+        middleware=[
+            Middleware(Answers),
+            Middleware(SameSite, loopback=is_loopback(chosen.host)),
+            Middleware(BodyLimit, uploads={assets.PATH: chosen.max_upload_bytes}),
+        ],
+    )
+    for part in (jobs, events, artifacts, assets, library, health, dashboard):
+        app.include_router(part.router)
+    app.include_router(dashboard.router)
+    install(app)
+    describe(app)
+    return app
+
+
+def run(listener: socket.socket | None = None) -> int:
+    """Serve until SIGTERM or SIGINT, on a socket already listening or else on the settings' address."""
+    configure("api")
+    values = settings()
+    listener = listener or socket.create_server((values.host, values.port))
+    log.info("listening", address=listener.getsockname())
+    config = uvicorn.Config(
+        create_app(values),
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        timeout_graceful_shutdown=2,  # event streams do not end by themselves
+    )
+    uvicorn.Server(config).run(sockets=[listener])
+    return 0
+
+
+if __name__ == "__main__":
+    if len(sys.argv) > 1:
+        die_with_parent()
+        sys.exit(run(socket.socket(fileno=int(sys.argv[1]))))
+    sys.exit(run())

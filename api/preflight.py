@@ -1,0 +1,105 @@
+"""Asking the preflight process, so that the API itself never touches OpenGL, torch or a stranger's file."""
+
+import asyncio
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+from services.errors import InvalidRequest
+from services.jobs.child import Child, ChildDied
+from services.jobs.spec import JobSpec
+from services.logs import logger
+from services.scenes.library import Entry
+from services.settings import Settings
+
+START_SECONDS = 180.0
+CHECK_SECONDS = 120.0
+"""Longest check of a spec: the scene is rendered and classified once."""
+MESH_SECONDS = 30.0
+"""Longest parse of an uploaded mesh; beyond it the process is killed, whatever the file made it do."""
+
+log = logger(__name__)
+
+
+class Unavailable(Exception):
+    """The check could not be made; it may be tried again."""
+
+
+class Preflight:
+    """One warm process, one question at a time; started again when it died."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._child: Child | None = None
+        # One thread: questions wait for one another, and a client that hangs up leaves its own to finish.
+        self._thread = ThreadPoolExecutor(1, "preflight")
+
+    def start(self) -> None:
+        """Begin to warm up, without waiting."""
+        self._thread.submit(self._warm)
+
+    def close(self) -> None:
+        """End the process; questions that wait are dropped."""
+        child = self._child
+        if child is not None:
+            child.end()  # a question that is being asked gets ChildDied
+        self._thread.shutdown(cancel_futures=True)
+        if self._child is not None:
+            self._child.kill()
+            self._child = None
+
+    async def check(self, spec: JobSpec) -> JobSpec:
+        """The spec as it would run. Raises InvalidRequest, or Unavailable."""
+        try:
+            answer = await self._ask({"check": spec.model_dump(mode="json")}, b"", CHECK_SECONDS)
+        except ChildDied as error:
+            raise Unavailable("the check of this request was cut short; try again") from error
+        return JobSpec.model_validate(answer["spec"])
+
+    async def add_mesh(self, data: bytes, kind: str) -> Entry:
+        """Check and store an uploaded mesh. Raises InvalidRequest, or Unavailable."""
+        try:
+            answer = await self._ask({"mesh": kind}, data, MESH_SECONDS)
+        except ChildDied as error:
+            detail = f"it could not be read within {MESH_SECONDS:g} seconds and the memory allowed"
+            raise InvalidRequest("file", detail) from error
+        return Entry.model_validate(answer["entry"])
+
+    async def _ask(self, message: dict[str, Any], data: bytes, seconds: float) -> dict[str, Any]:
+        loop = asyncio.get_running_loop()
+        answer = await loop.run_in_executor(self._thread, self._ask_now, message, data, seconds)
+        if "field" in answer:
+            raise InvalidRequest(answer["field"], answer["detail"])
+        if "trouble" in answer:
+            raise Unavailable(f"the check of this request failed: {answer['trouble']}")
+        return answer
+
+    def _ask_now(self, message: dict[str, Any], data: bytes, seconds: float) -> dict[str, Any]:
+        child = self._warm()
+        try:
+            child.send(message, data)
+            answer = child.receive(seconds)
+            if answer is not None:
+                return answer
+            raise ChildDied
+        except ChildDied:
+            log.warning("preflight process died or was too slow", pid=child.pid)
+            child.kill()
+            self._child = None
+            raise
+
+    def _warm(self) -> Child:
+        if self._child is not None and self._child.alive():
+            return self._child
+        if self._child is not None:
+            self._child.kill()
+        child = self._child = Child("services.jobs.preflight_process", self._settings)
+        try:
+            ready = child.receive(START_SECONDS)
+        except ChildDied:
+            ready = None
+        if ready is None:
+            child.kill()
+            self._child = None
+            raise Unavailable("the process that checks requests does not start; the service's log says why")
+        log.info("preflight process ready", pid=child.pid)
+        return child

@@ -1,0 +1,156 @@
+"""Every error as `application/problem+json` (RFC 9457)."""
+
+from collections.abc import Sequence
+from http import HTTPStatus
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from pydantic import BaseModel, Field
+from starlette.datastructures import MutableHeaders
+from starlette.exceptions import HTTPException
+from starlette.responses import JSONResponse, Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from api.preflight import Unavailable
+from services.errors import InvalidRequest
+from services.jobs.repository import KeyReused, QueueFull
+from services.jobs.spec import named
+from services.logs import logger
+
+MEDIA_TYPE = "application/problem+json"
+log = logger(__name__)
+
+
+class BadField(BaseModel):
+    """One thing that was wrong with a request."""
+
+    field: str = Field(description='dotted path in the request, e.g. "scene.objects.0.mesh"')
+    detail: str = Field(description="what was wrong, and what would be right")
+
+
+class Problem(BaseModel):
+    """An error (RFC 9457)."""
+
+    type: str = Field("about:blank", description="about:blank: the status says it all")
+    title: str = Field(description="the words of the HTTP status")
+    status: int
+    detail: str = Field(description="what was wrong, for a person")
+    errors: list[BadField] = Field([], description="the fields that were wrong, where the request was at fault")
+
+
+def problem(status: int, detail: str, errors: Sequence[InvalidRequest] = (), headers: Any = None) -> JSONResponse:
+    """A problem as a response."""
+    body = Problem(
+        title=HTTPStatus(status).phrase,
+        status=status,
+        detail=detail,
+        errors=[BadField(field=error.field, detail=error.detail) for error in errors],
+    )
+    return JSONResponse(body.model_dump(), status, headers, MEDIA_TYPE)
+
+
+def invalid(errors: Sequence[InvalidRequest]) -> JSONResponse:
+    """422 for fields that were wrong."""
+    return problem(422, "; ".join(str(error) for error in errors[:3]), errors)
+
+
+class BadRequestField(HTTPException):
+    """An InvalidRequest found while the body is still being read, where the framework lets only its own errors pass."""
+
+    def __init__(self, error: InvalidRequest) -> None:
+        super().__init__(422, str(error))
+        self.errors = [error]
+
+
+def http_problem(error: HTTPException) -> Response:
+    """A framework error as a problem; its status and headers stay."""
+    if error.status_code < 400:
+        return Response(status_code=error.status_code, headers=error.headers)
+    errors = error.errors if isinstance(error, BadRequestField) else ()
+    return problem(error.status_code, str(error.detail), errors, error.headers)
+
+
+def install(app: FastAPI) -> None:
+    """Give an app these answers for all its errors."""
+
+    @app.exception_handler(InvalidRequest)
+    def _invalid(_: Request, error: InvalidRequest) -> Response:
+        return invalid([error])
+
+    @app.exception_handler(RequestValidationError)
+    def _unparsed(_: Request, error: RequestValidationError) -> Response:
+        items = error.errors()
+        if items and items[0]["type"] == "json_invalid":
+            return problem(400, f"the body is not JSON: {items[0]['ctx']['error']} at character {items[0]['loc'][-1]}")
+        # Bodies are known by their own paths, query parameters and headers by their names.
+        return invalid(named([item | {"loc": item["loc"][1:]} for item in items]))
+
+    @app.exception_handler(HTTPException)
+    def _http(_: Request, error: HTTPException) -> Response:
+        return http_problem(error)
+
+    @app.exception_handler(QueueFull)
+    def _full(_: Request, _error: QueueFull) -> Response:
+        return problem(503, "as many jobs are queued as this service takes; try again later", headers=_LATER)
+
+    @app.exception_handler(KeyReused)
+    def _reused(_: Request, _error: KeyReused) -> Response:
+        detail = "this key was used for a different request; take a new one"
+        return invalid([InvalidRequest("Idempotency-Key", detail)])
+
+    @app.exception_handler(Unavailable)
+    def _unavailable(_: Request, error: Unavailable) -> Response:
+        return problem(503, str(error), headers=_LATER)
+
+    @app.exception_handler(Exception)
+    def _unexpected(_: Request, error: Exception) -> Response:
+        log.error("request failed", exc_info=error)
+        return problem(500, "the service made a mistake; its log says which")
+
+
+_LATER = {"Retry-After": "5"}
+
+
+class Answers:
+    """Turns the plain-text errors of the framework's own parts (as for ranges) into problems.
+
+    Also tells browsers, with every answer, to take its media type at its word.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI."""
+        if scope["type"] != "http":
+            return await self.app(scope, receive, send)
+        start: Message | None = None
+        text = b""
+
+        async def rewrite(message: Message) -> None:
+            nonlocal start, text
+            if message["type"] == "http.response.start" and _is_plain_error(message):
+                start = message
+                return
+            if start is None:
+                if message["type"] == "http.response.start":
+                    MutableHeaders(raw=message["headers"])["x-content-type-options"] = "nosniff"
+                await send(message)
+                return
+            text += message.get("body", b"")
+            if not message.get("more_body", False):
+                kept = {k.decode(): v.decode() for k, v in start["headers"] if not k.startswith(b"content-")}
+                kept |= {k.decode(): v.decode() for k, v in start["headers"] if k == b"content-range"}
+                status = start["status"]
+                detail = text.decode(errors="replace") or HTTPStatus(status).description
+                start = None
+                await problem(status, detail, headers=kept)(scope, receive, rewrite)
+
+        return await self.app(scope, receive, rewrite)
+
+
+def _is_plain_error(message: Message) -> bool:
+    headers = dict(message["headers"])
+    kind: bytes = headers.get(b"content-type", b"text/plain")
+    return bool(message["status"] >= 400) and kind.startswith(b"text/plain")

@@ -1,0 +1,34 @@
+"""Meshes that users upload."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, File, Form, HTTPException, Request, UploadFile
+
+from api.schemas import AssetList
+from api.state import Has
+from services.scenes.library import Entry
+
+PATH = "/v1/assets"
+router = APIRouter(prefix=PATH, tags=["scenes"])
+
+
+def form_body(request: Request) -> None:
+    """415 unless the body is a multipart form."""
+    if not request.headers.get("content-type", "").lower().startswith("multipart/form-data"):
+        raise HTTPException(415, "send the mesh as multipart/form-data with the parts `file` and `kind`")
+
+
+@router.post("", status_code=201, dependencies=[Depends(form_body)])
+async def upload(
+    has: Has,
+    file: Annotated[UploadFile, File(description="the mesh; files it refers to are not looked at")],
+    kind: Annotated[str, Form(max_length=16, description="obj, ply, stl, glb or off")],
+) -> Entry:
+    """Check a mesh and keep it by the hash of its bytes; scenes name it by the `name` in the answer."""
+    return await has.preflight.add_mesh(await file.read(), kind)
+
+
+@router.get("")
+def listing(has: Has) -> AssetList:
+    """The meshes that were uploaded."""
+    return AssetList(items=has.library.entries(category="upload"))

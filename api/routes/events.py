@@ -1,0 +1,38 @@
+"""What happens to a job, as server-sent events."""
+
+from collections.abc import AsyncIterator
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Header, HTTPException
+from fastapi.sse import EventSourceResponse, ServerSentEvent
+
+from api.routes.following import events
+from api.state import Has, KnownJob
+
+router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
+
+
+def resume_after(
+    job: KnownJob,
+    last_event_id: Annotated[
+        int | None, Header(ge=0, description="number of the last event seen; the stream goes on after it")
+    ] = None,
+) -> int:
+    """The number to go on after. 204 where there is nothing left to hear: it tells browsers not to come back."""
+    after = last_event_id or 0
+    if job.state.terminal and after >= job.events:
+        raise HTTPException(204)
+    return after
+
+
+@router.get("/{job_id}/events", response_class=EventSourceResponse)
+async def stream(
+    job: KnownJob, has: Has, after: Annotated[int, Depends(resume_after)]
+) -> AsyncIterator[ServerSentEvent]:
+    """A job's events from the first, or from the one after `Last-Event-ID`, until the job is over.
+
+    `state`: {"state", "attempt"}, with "outcome" or "failure" at the end. `progress`: {"phase", "step", "steps",
+    "rows"}, rows being the trace's rows since the event before. A job that was interrupted repeats some of its steps.
+    """
+    async for event in events(has.repository, job.id, after):
+        yield ServerSentEvent(data=event.data, event=event.kind, id=str(event.number))

@@ -1,0 +1,38 @@
+"""Following a job in the record as it goes on elsewhere."""
+
+import asyncio
+import time
+from collections.abc import AsyncIterator
+
+from starlette.concurrency import run_in_threadpool
+
+from services.jobs.models import Event, Job
+from services.jobs.repository import Repository
+
+LOOK_SECONDS = 0.2
+"""How often the record is asked for news."""
+
+
+async def until_over(repository: Repository, job_id: str, seconds: float) -> Job | None:
+    """The job with its result as soon as it is over; None if it is not within so many seconds."""
+    deadline = time.monotonic() + seconds
+    while True:
+        job = await run_in_threadpool(repository.get, job_id)
+        if job is None or job.state.terminal:
+            return await run_in_threadpool(lambda: repository.get(job_id, with_result=True))
+        if time.monotonic() >= deadline:
+            return None
+        await asyncio.sleep(LOOK_SECONDS)
+
+
+async def events(repository: Repository, job_id: str, after: int) -> AsyncIterator[Event]:
+    """The job's events with a number above `after`, as they come, until the one that ends it."""
+    while True:
+        for event in await run_in_threadpool(repository.events, job_id, after):
+            yield event
+            after = event.number
+        job = await run_in_threadpool(repository.get, job_id)
+        if job is None or (job.state.terminal and after >= job.events):
+            return
+        if after >= job.events:
+            await asyncio.sleep(LOOK_SECONDS)

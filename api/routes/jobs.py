@@ -1,0 +1,103 @@
+"""Jobs: submit, list, look at, cancel."""
+
+import re
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Header, HTTPException, Query, Request, Response
+from starlette.concurrency import run_in_threadpool
+
+from api.routes.following import until_over
+from api.schemas import JobPage, JobSummary, JobView, cursor_after, read_cursor
+from api.state import Has, KnownJob, no_such
+from services.jobs.models import Job, State
+from services.jobs.repository import Key
+from services.jobs.service import digest
+from services.jobs.spec import JobSpec
+
+LONGEST_WAIT = 30.0
+"""Cap of `Prefer: wait=N`, in seconds."""
+
+router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
+
+
+def json_body(request: Request) -> None:
+    """415 unless the body says that it is JSON; a form of another web site cannot say so."""
+    kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    if kind != "application/json" and not re.fullmatch(r"application/[\w.-]+\+json", kind):
+        raise HTTPException(415, "send the job as application/json")
+
+
+def wait_preferred(prefer: Annotated[str | None, Header()] = None) -> float | None:
+    """Seconds of `Prefer: wait=N` (RFC 7240), capped; None without one. A preference not understood is ignored."""
+    found = re.search(r"(?:^|,)\s*wait\s*=\s*\"?(\d{1,9})\"?\s*(?:;[^,]*)?(?:,|$)", prefer or "", re.IGNORECASE)
+    return None if found is None else min(float(found[1]), LONGEST_WAIT)
+
+
+@router.post("", status_code=202, response_model=JobView, dependencies=[Depends(json_body)])
+async def submit(
+    spec: JobSpec,
+    has: Has,
+    response: Response,
+    wait: Annotated[float | None, Depends(wait_preferred)],
+    idempotency_key: Annotated[
+        str | None,
+        Header(min_length=1, max_length=255, description="a repeated key gets the first answer again, and no new job"),
+    ] = None,
+) -> Any:
+    """Queue one attack.
+
+    Everything that could be wrong with it is checked before the answer: a request that gets 202 is a job. With
+    `Prefer: wait=N` the answer comes when the job is over (200) or after N seconds, at most 30 (202).
+    """
+    key = None if idempotency_key is None else Key(idempotency_key, digest(spec))
+    said = None if key is None else await run_in_threadpool(has.repository.first_answer, key)
+    if said is None:
+        spec = await has.preflight.check(spec)
+        said = await run_in_threadpool(has.submissions.submit, spec, key, _answer)
+    response.headers["Location"] = f"/v1/jobs/{said['id']}"
+    if wait is not None:
+        job = await until_over(has.repository, said["id"], wait)
+        response.headers["Preference-Applied"] = f"wait={wait:g}"
+        if job is not None:
+            response.status_code = 200
+            return JobView.of(job, with_result=True)
+    return said
+
+
+def _answer(job: Job) -> dict[str, Any]:
+    return JobView.of(job).model_dump(mode="json")
+
+
+@router.get("")
+def page(
+    has: Has,
+    state: State | None = None,
+    limit: Annotated[int, Query(ge=1, le=200)] = 50,
+    cursor: Annotated[str | None, Query(max_length=200, description="`next` of the page before")] = None,
+) -> JobPage:
+    """Jobs, newest first."""
+    before = None if cursor is None else read_cursor(cursor)
+    jobs = has.repository.page(state, limit + 1, before)
+    more = cursor_after(jobs[limit - 1]) if len(jobs) > limit else None
+    return JobPage(items=[JobSummary.of(job) for job in jobs[:limit]], next=more)
+
+
+@router.get("/{job_id}")
+def get(job_id: str, has: Has) -> JobView:
+    """One job, with its result once it succeeded."""
+    job = has.repository.get(job_id, with_result=True)
+    if job is None:
+        raise no_such("job")
+    return JobView.of(job, with_result=True)
+
+
+@router.post("/{job_id}/cancel", status_code=202)
+def cancel(job: KnownJob, has: Has) -> JobView:
+    """Ask a job to stop: a queued one is cancelled at once, a running one stops within a step.
+
+    A job that is over stays as it is; asking twice is the same as asking once.
+    """
+    asked = has.repository.request_cancel(job.id)
+    if asked is None:
+        raise no_such("job")
+    return JobView.of(asked)

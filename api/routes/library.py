@@ -1,0 +1,37 @@
+"""What a request can name: meshes, environment maps, targets."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Query
+from pydantic import BaseModel
+
+from api.schemas import SceneLibrary
+from api.state import Has
+from services.targets.info import TargetInfo, available
+
+router = APIRouter(prefix="/v1", tags=["scenes"])
+
+Filter = Annotated[str | None, Query(max_length=200)]
+
+
+class TargetList(BaseModel):
+    """The networks that can be attacked."""
+
+    items: list[TargetInfo]
+
+
+@router.get("/scenes")
+def scenes(
+    has: Has, category: Filter = None, creator: Filter = None, licence: Filter = None, search: Filter = None
+) -> SceneLibrary:
+    """Meshes that match every filter given, environment maps, and whom to credit for them."""
+    meshes = has.library.entries(category=category, creator=creator, licence=licence, search=search)
+    environments = has.library.environments()
+    credits_ = {entry.credit for entry in [*meshes, *environments] if entry.credit is not None}
+    return SceneLibrary(meshes=meshes, environments=environments, credits=sorted(credits_))
+
+
+@router.get("/targets")
+def targets() -> TargetList:
+    """The networks that can be attacked."""
+    return TargetList(items=available())

@@ -1,0 +1,52 @@
+"""What the routes work with; one per app."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from fastapi import Depends, HTTPException, Request
+
+from api.preflight import Preflight
+from services.jobs.artifacts import ArtifactStore
+from services.jobs.models import Job
+from services.jobs.queue import Queue
+from services.jobs.repository import Repository
+from services.jobs.service import Submissions
+from services.scenes.library import Library
+
+
+@dataclass(frozen=True)
+class Services:
+    """The record, the queue, the files and the preflight process."""
+
+    repository: Repository
+    queue: Queue
+    submissions: Submissions
+    store: ArtifactStore
+    library: Library
+    preflight: Preflight
+
+
+def services(request: Request) -> Services:
+    """The app's services."""
+    found = request.app.state.services
+    assert isinstance(found, Services)
+    return found
+
+
+Has = Annotated[Services, Depends(services)]
+
+
+def known_job(job_id: str, has: Has) -> Job:
+    """The job of the path, without its result; 404 if there is none."""
+    job = has.repository.get(job_id)
+    if job is None:
+        raise no_such("job")
+    return job
+
+
+KnownJob = Annotated[Job, Depends(known_job)]
+
+
+def no_such(what: str) -> HTTPException:
+    """404 for something in the path."""
+    return HTTPException(404, f"there is no such {what}")

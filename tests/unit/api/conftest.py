@@ -1,0 +1,68 @@
+import socket
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+import uvicorn
+from fastapi import FastAPI
+
+from api.main import create_app
+from api.state import Services
+from services.jobs.models import Artifact
+from services.jobs.spec import parse
+from services.settings import Settings
+
+SPHERE: dict[str, Any] = {
+    "scene": {"camera": {"size": [32, 32]}, "objects": [{"mesh": "primitive/sphere"}]},
+    "attack": {"renderer": "pyrender", "steps": 1, "queries": 20},
+}
+
+
+@pytest.fixture(scope="session")
+def app(redis_url: str, tmp_path_factory: pytest.TempPathFactory) -> FastAPI:
+    """The real app with database, Redis and preflight process, and no worker: jobs stay queued."""
+    settings = Settings(
+        data=tmp_path_factory.mktemp("data"), redis_url=redis_url, max_upload_bytes=300_000, max_faces=5000
+    )
+    return create_app(settings)
+
+
+@pytest.fixture(scope="session")
+def client(app: FastAPI) -> Iterator[httpx.Client]:
+    """A client of the app, over HTTP."""
+    listener = socket.create_server(("127.0.0.1", 0))
+    server = uvicorn.Server(uvicorn.Config(app, log_config=None, timeout_graceful_shutdown=1))
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
+    thread.start()
+    with httpx.Client(base_url=f"http://127.0.0.1:{listener.getsockname()[1]}", timeout=300) as client:
+        assert client.get("/healthz").status_code == 200  # the socket listens: it waits until the app has started
+        yield client
+    server.should_exit = True
+    thread.join()
+    listener.close()
+
+
+@pytest.fixture
+def services(app: FastAPI, client: httpx.Client) -> Services:  # noqa: ARG001 - it starts the app
+    found = app.state.services
+    assert isinstance(found, Services)
+    return found
+
+
+@pytest.fixture
+def finished(services: Services, tmp_path: Path) -> str:
+    """A job with one artifact, run by hand through the record."""
+    job, _ = services.repository.create(parse(SPHERE), 1000, None, lambda _: {})
+    assert job is not None
+    job_id = job.id
+    (tmp_path / "original.png").write_bytes(b"0123456789")
+    stored = services.store.put(tmp_path / "original.png")
+    attempt = services.repository.lease(job_id, "test", 60)
+    assert attempt is not None
+    services.repository.progress(attempt, "attacking", 1, 2, [{"step": 1}])
+    file = Artifact(job_id=job_id, name="original.png", sha256=stored.sha256, media_type="image/png", size=stored.size)
+    services.repository.succeed(attempt, {}, {}, [file])
+    return job_id

@@ -1,0 +1,71 @@
+import hashlib
+
+import pytest
+from httpx import Client
+
+BYTES = b"0123456789"
+ETAG = f'"{hashlib.sha256(BYTES).hexdigest()}"'
+
+
+def get(client: Client, job_id: str, **headers: str):  # type: ignore[no-untyped-def]
+    return client.get(f"/v1/jobs/{job_id}/artifacts/original.png", headers=headers)
+
+
+def test_the_list_says_what_there_is(client: Client, finished: str) -> None:
+    assert client.get(f"/v1/jobs/{finished}/artifacts").json() == {
+        "items": [{"name": "original.png", "sha256": ETAG.strip('"'), "media_type": "image/png", "size": 10}]
+    }
+
+
+def test_a_file_comes_with_its_hash_and_type(client: Client, finished: str) -> None:
+    answer = get(client, finished)
+    assert (answer.status_code, answer.content) == (200, BYTES)
+    assert answer.headers["etag"] == ETAG
+    assert answer.headers["content-type"] == "image/png"
+    assert answer.headers["x-content-type-options"] == "nosniff"
+    assert "sandbox" in answer.headers["content-security-policy"]
+
+
+@pytest.mark.parametrize(
+    ("tag", "status"), [(ETAG, 304), (f'"other", {ETAG}', 304), (f"W/{ETAG}", 304), ("*", 304), ('"other"', 200)]
+)
+def test_a_file_the_client_has_is_not_sent(client: Client, finished: str, tag: str, status: int) -> None:
+    answer = get(client, finished, **{"If-None-Match": tag})
+    assert answer.status_code == status
+    assert answer.headers["etag"] == ETAG
+    assert answer.content == (b"" if status == 304 else BYTES)
+
+
+@pytest.mark.parametrize(
+    ("asked", "sent", "said"),
+    [
+        ("bytes=2-4", b"234", "bytes 2-4/10"),
+        ("bytes=7-", b"789", "bytes 7-9/10"),
+        ("bytes=-2", b"89", "bytes 8-9/10"),
+    ],
+)
+def test_a_part_of_a_file(client: Client, finished: str, asked: str, sent: bytes, said: str) -> None:
+    answer = get(client, finished, Range=asked)
+    assert (answer.status_code, answer.content) == (206, sent)
+    assert answer.headers["content-range"] == said
+    assert answer.headers["etag"] == ETAG
+
+
+def test_a_part_of_another_version_is_the_whole(client: Client, finished: str) -> None:
+    assert get(client, finished, **{"Range": "bytes=2-4", "If-Range": ETAG}).status_code == 206
+    assert get(client, finished, **{"Range": "bytes=2-4", "If-Range": '"other"'}).content == BYTES
+
+
+def test_a_part_beyond_the_end_is_a_problem(client: Client, finished: str) -> None:
+    answer = get(client, finished, Range="bytes=20-30")
+    assert answer.status_code == 416
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert answer.headers["content-range"] == "bytes */10"
+    assert answer.json()["status"] == 416
+
+
+@pytest.mark.parametrize("name", ["none.png", "..%2F..%2Fjobs.sqlite", "original.png%00"])
+def test_names_that_are_no_artifacts(client: Client, finished: str, name: str) -> None:
+    answer = client.get(f"/v1/jobs/{finished}/artifacts/{name}")
+    assert answer.status_code == 404
+    assert answer.headers["content-type"] == "application/problem+json"

@@ -1,0 +1,152 @@
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+from httpx import Client
+
+from api.state import Services
+from tests.unit.api.conftest import SPHERE
+
+
+def submit(client: Client, **headers: str) -> dict[str, object]:
+    answer = client.post("/v1/jobs", json=SPHERE, headers=headers)
+    assert answer.status_code == 202, answer.text
+    assert answer.headers["location"] == f"/v1/jobs/{answer.json()['id']}"
+    found: dict[str, object] = answer.json()
+    return found
+
+
+def test_a_job_is_accepted_and_echoes_the_whole_spec(client: Client) -> None:
+    job = submit(client)
+    assert job["state"] == "queued"
+    assert job["attempt"] == 0
+    assert list(job["times"]) == ["queued"]  # type: ignore[call-overload]
+    assert job["spec"]["attack"]["delta"] == "measured"  # type: ignore[index]
+    assert job["spec"]["scene"]["camera"]["distance"] == 1.8  # type: ignore[index]
+    got = client.get(f"/v1/jobs/{job['id']}")
+    assert got.json() == job
+
+
+def test_its_id_waits_on_the_queue(client: Client, services: Services) -> None:
+    job = submit(client)
+    assert f"{job['id']}-0" in services.queue.waiting()
+
+
+def test_a_key_gets_the_first_answer_and_no_second_job(client: Client, services: Services) -> None:
+    first = submit(client, **{"Idempotency-Key": "one"})
+    services.repository.request_cancel(str(first["id"]))
+    before = len(services.repository.page(None, 10_000, None))
+    assert submit(client, **{"Idempotency-Key": "one"}) == first
+    # The same request, written out: what it says counts, not how.
+    spelled = SPHERE | {"seed": 0}
+    answer = client.post("/v1/jobs", json=spelled, headers={"Idempotency-Key": "one"})
+    assert answer.json() == first
+    assert len(services.repository.page(None, 10_000, None)) == before
+
+
+def test_a_key_with_another_request_is_refused(client: Client) -> None:
+    submit(client, **{"Idempotency-Key": "two"})
+    answer = client.post("/v1/jobs", json=SPHERE | {"seed": 1}, headers={"Idempotency-Key": "two"})
+    assert answer.status_code == 422
+    assert answer.json()["errors"][0]["field"] == "Idempotency-Key"
+
+
+def test_a_key_at_the_same_moment_makes_one_job(client: Client) -> None:
+    with ThreadPoolExecutor(4) as pool:
+        jobs = list(pool.map(lambda _: submit(client, **{"Idempotency-Key": "three"}), range(4)))
+    assert len({job["id"] for job in jobs}) == 1
+
+
+def test_a_bad_request_does_not_use_its_key_up(client: Client) -> None:
+    headers = {"Idempotency-Key": "four"}
+    assert client.post("/v1/jobs", json=SPHERE | {"seed": -1}, headers=headers).status_code == 422
+    submit(client, **headers)
+
+
+def test_waiting_ends_when_the_time_is_over(client: Client) -> None:
+    answer = client.post("/v1/jobs", json=SPHERE, headers={"Prefer": "respond-async, wait=0"})
+    assert answer.status_code == 202
+    assert answer.headers["preference-applied"] == "wait=0"
+
+
+@pytest.mark.parametrize(
+    ("prefer", "seconds"),
+    [
+        (None, None),
+        ("wait=5", 5),
+        ("respond-async, wait=7", 7),
+        ('WAIT="3"; x=y', 3),
+        ("wait=100000", 30),
+        ("wait=soon", None),
+        ("await=5", None),
+    ],
+)
+def test_preferences(prefer: str | None, seconds: float | None) -> None:
+    from api.routes.jobs import wait_preferred
+
+    assert wait_preferred(prefer) == seconds
+
+
+def test_pages_are_followed_by_their_cursors(client: Client) -> None:
+    made = [submit(client)["id"] for _ in range(3)]
+    seen: list[str] = []
+    cursor = None
+    while True:
+        page = client.get("/v1/jobs", params={"limit": 2} | ({"cursor": cursor} if cursor else {})).json()
+        seen += [job["id"] for job in page["items"]]
+        cursor = page["next"]
+        if cursor is None:
+            break
+    assert seen[:3] == made[::-1]
+    assert len(seen) == len(set(seen))
+
+
+def test_pages_by_state(client: Client) -> None:
+    job = submit(client)
+    client.post(f"/v1/jobs/{job['id']}/cancel")
+    page = client.get("/v1/jobs", params={"state": "cancelled", "limit": 1}).json()
+    assert [found["id"] for found in page["items"]] == [job["id"]]
+
+
+@pytest.mark.parametrize("cursor", ["x", "!!", "bm90IGEgY3Vyc29y", "MjAyNi0wMS0wMVQwMDowMDowMCBhYmM"])
+def test_a_cursor_of_ones_own_making_is_refused(client: Client, cursor: str) -> None:
+    answer = client.get("/v1/jobs", params={"cursor": cursor})
+    assert answer.status_code == 422
+    assert answer.json()["errors"][0]["field"] == "cursor"
+
+
+@pytest.mark.parametrize(
+    ("params", "field"), [({"limit": 0}, "limit"), ({"limit": 1000}, "limit"), ({"state": "done"}, "state")]
+)
+def test_bad_parameters_are_named(client: Client, params: dict[str, str], field: str) -> None:
+    answer = client.get("/v1/jobs", params=params)
+    assert answer.status_code == 422
+    assert answer.json()["errors"][0]["field"] == field
+
+
+def test_cancel_is_the_same_however_often_it_is_asked(client: Client) -> None:
+    job = submit(client)
+    first = client.post(f"/v1/jobs/{job['id']}/cancel")
+    assert first.status_code == 202
+    assert first.json()["state"] == "cancelled"
+    assert client.post(f"/v1/jobs/{job['id']}/cancel").json() == first.json()
+
+
+def test_more_jobs_than_the_queue_takes_are_put_off(client: Client, services: Services) -> None:
+    object.__setattr__(services.submissions, "max_queued", 0)
+    try:
+        answer = client.post("/v1/jobs", json=SPHERE)
+    finally:
+        object.__setattr__(services.submissions, "max_queued", 1000)
+    assert answer.status_code == 503
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert int(answer.headers["retry-after"]) > 0
+
+
+def test_a_lost_preflight_process_is_replaced(client: Client, services: Services) -> None:
+    submit(client)
+    child = services.preflight._child
+    assert child is not None
+    child.end()
+    statuses = [client.post("/v1/jobs", json=SPHERE).status_code for _ in range(2)]
+    assert statuses[-1] == 202
+    assert set(statuses) <= {202, 503}

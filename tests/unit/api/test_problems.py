@@ -1,0 +1,70 @@
+import json
+
+import pytest
+from httpx import Client
+
+from api.state import Services
+from tests.unit.api.conftest import SPHERE
+
+JSON = {"content-type": "application/json"}
+
+PROBLEMS = {
+    "no such page": ("GET", "/v2/jobs", {}, 404),
+    "no such job": ("GET", "/v1/jobs/none", {}, 404),
+    "cancel no such job": ("POST", "/v1/jobs/none/cancel", {}, 404),
+    "artifacts of no such job": ("GET", "/v1/jobs/none/artifacts", {}, 404),
+    "wrong method": ("DELETE", "/v1/jobs", {}, 405),
+    "not JSON": ("POST", "/v1/jobs", {"content": "{", "headers": JSON}, 400),
+    "not UTF-8": ("POST", "/v1/jobs", {"content": b'{"\xff": 1}', "headers": JSON}, 400),
+    "nested without end": ("POST", "/v1/jobs", {"content": "[" * 200_000, "headers": JSON}, 400),
+    "no body": ("POST", "/v1/jobs", {"headers": JSON}, 422),
+    "a list": ("POST", "/v1/jobs", {"content": "[]", "headers": JSON}, 422),
+    "too large": ("POST", "/v1/jobs", {"content": b" " * (2**20 + 1), "headers": JSON}, 413),
+    "a job as a form": ("POST", "/v1/jobs", {"data": {"scene": "x"}}, 415),
+    "a job as text": ("POST", "/v1/jobs", {"content": "{}", "headers": {"content-type": "text/plain"}}, 415),
+    "a job as nothing": ("POST", "/v1/jobs", {"content": "{}"}, 415),
+    "a mesh as JSON": ("POST", "/v1/assets", {"json": {}}, 415),
+    "another site": ("POST", "/v1/jobs/none/cancel", {"headers": {"origin": "http://evil.example"}}, 403),
+    "another host": ("GET", "/healthz", {"headers": {"host": "evil.example:8008"}}, 421),
+}
+
+
+@pytest.mark.parametrize(("method", "path", "options", "status"), PROBLEMS.values(), ids=PROBLEMS.keys())
+def test_every_error_is_a_problem(
+    client: Client, method: str, path: str, options: dict[str, object], status: int
+) -> None:
+    answer = client.request(method, path, **options)  # type: ignore[arg-type]
+    assert answer.status_code == status, answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+    problem = answer.json()
+    assert problem["status"] == status
+    assert problem["title"]
+    assert problem["detail"]
+    assert set(problem) == {"type", "title", "status", "detail", "errors"}
+
+
+def test_a_wrong_method_is_told_the_right_ones(client: Client) -> None:
+    assert "POST" in client.delete("/v1/jobs").headers["allow"]
+
+
+def test_a_mistake_of_the_service_tells_nothing_of_its_insides(
+    client: Client, services: Services, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object) -> None:
+        raise RuntimeError("password is 1234")
+
+    monkeypatch.setattr(type(services.repository), "page", broken)
+    answer = client.get("/v1/jobs")
+    assert answer.status_code == 500
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert "1234" not in answer.text
+
+
+def test_the_site_itself_may_ask(client: Client) -> None:
+    answer = client.post("/v1/jobs", json=SPHERE, headers={"origin": str(client.base_url).rstrip("/")})
+    assert answer.status_code == 202
+
+
+def test_a_vendor_json_type_is_json(client: Client) -> None:
+    headers = {"content-type": "application/vnd.test+json; charset=utf-8"}
+    assert client.post("/v1/jobs", content=json.dumps(SPHERE), headers=headers).status_code == 202
