@@ -53,6 +53,7 @@ def test_coverage_of_a_disk_is_its_area() -> None:
     assert 150 < partial.sum() < 400
     # One sample a pixel would leave no partial pixels; so would thresholding.
     assert len(result.coverage[partial].unique()) > 10
+    np.testing.assert_allclose(result.depth[result.coverage > 0], 1.8, rtol=1e-5)  # on the edge too
 
 
 def test_depth_of_a_slanted_plane_is_measured_along_the_view() -> None:
