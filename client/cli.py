@@ -1,7 +1,7 @@
 """`scene-attack`: the front door. Exit codes: 0 done, 1 failed, 2 bad input."""
 
 import sys
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
@@ -14,6 +14,7 @@ app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
+    add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
@@ -45,29 +46,33 @@ demo.register(app)
 
 
 def main() -> None:
-    """Runs the command line; errors become one line on stderr and an exit code."""
+    """Runs the command line; an error that was foreseen becomes one line on stderr and an exit code."""
+    try:
+        app()
+    except KeyboardInterrupt:
+        _end(130, "interrupted")
+    except InvalidRequest as error:
+        _end(2, f"bad input: {error.field}: {error.detail}")
+    except JobFailure as error:
+        _end(1, f"failed ({error.kind}): {error.detail}")
+    except Exception as error:
+        _end_of_talk(error)
+
+
+def _end_of_talk(error: Exception) -> NoReturn:
+    """Errors of talking to a service; any other is raised again."""
     from httpx import HTTPError
 
     from client.api_client import ApiError
 
-    try:
-        app()
-    except InvalidRequest as error:
-        _say(f"bad input: {error.field}: {error.detail}")
-        sys.exit(2)
-    except ApiError as error:
-        _say(str(error))
-        sys.exit(2 if error.status in (400, 404, 409, 413, 415, 422) else 1)
-    except JobFailure as error:
-        _say(f"the job failed ({error.kind}): {error.detail}")
-        sys.exit(1)
-    except HTTPError as error:
-        _say(f"no answer from the service: {error or type(error).__name__} (is `scene-attack serve` running there?)")
-        sys.exit(1)
-    except KeyboardInterrupt:
-        _say("interrupted")
-        sys.exit(130)
+    if isinstance(error, ApiError):
+        _end(2 if 400 <= error.status < 500 else 1, f"refused: {error}")
+    if isinstance(error, HTTPError):
+        reason = str(error) or type(error).__name__
+        _end(1, f"no answer from the service ({reason}); start one with scene-attack serve, or name it with --url")
+    raise error
 
 
-def _say(message: str) -> None:
+def _end(code: int, message: str) -> NoReturn:
     print(f"scene-attack: {message}", file=sys.stderr)
+    sys.exit(code)

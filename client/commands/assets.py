@@ -109,7 +109,7 @@ def environments(as_json: JsonOption = False) -> None:
 def targets(as_json: JsonOption = False) -> None:
     """List the networks that can be attacked."""
     from client.console import out, print_json, table, yes
-    from services.targets.registry import available
+    from services.targets.info import available
 
     found = available()
     if as_json:

@@ -1,0 +1,112 @@
+"""The command line as a process: what it says and with which exit code."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from client.cli import app
+
+COMMANDS = [
+    [],
+    ["run"],
+    ["replay"],
+    ["submit"],
+    ["serve"],
+    ["api"],
+    ["worker"],
+    ["demo"],
+    ["targets"],
+    *(["jobs", *rest] for rest in ([], ["list"], ["show"], ["watch"], ["cancel"], ["download"])),
+    *(["assets", *rest] for rest in ([], ["list"], ["show"], ["add"], ["environments"])),
+]
+
+
+def cli(*arguments: str, stdin: str = "", **environ: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "client", *arguments],
+        input=stdin,
+        capture_output=True,
+        text=True,
+        env=os.environ | environ,
+        check=False,
+        timeout=120,
+    )
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_every_command_has_help_with_an_example(command: list[str]) -> None:
+    done = CliRunner().invoke(app, [*command, "--help"])
+    assert done.exit_code == 0
+    assert ("Example" in done.stdout) == (command not in ([], ["jobs"], ["assets"]))
+
+
+def test_help_loads_nothing_heavy() -> None:
+    """What makes --help slow is importing the renderers and the networks; it must not."""
+    code = (
+        "import sys; sys.argv = ['scene-attack', '--help']\n"
+        "try:\n    from client.cli import main; main()\nexcept SystemExit: pass\n"
+        "heavy = {'torch', 'numpy', 'pyrender', 'sqlalchemy', 'fastapi', 'httpx'} & set(sys.modules)\n"
+        "sys.exit(repr(heavy) if heavy else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_version() -> None:
+    assert cli("--version").stdout.startswith("scene-attack 0.")
+
+
+@pytest.mark.parametrize(
+    ("spec", "field"),
+    [
+        ('{"scene": {"objects": []}}', "scene.objects"),
+        ('{"scene": {"objects": [{"mesh": "primitive/cube"}], "camera": {"distance": -1}}}', "scene.camera.distance"),
+        ('{"scene": {"objects": [{"mesh": "x"}]}, "attack": {"renderer": "pyrender", "method": "fgsm"}}', "method"),
+        ('{"scene": {"objects": [{"mesh": "primitive/cube"}]}, "colour": 1}', "colour"),
+        ("nonsense", "SPEC"),
+    ],
+)
+def test_run_names_the_bad_field_and_exits_2(spec: str, field: str, tmp_path: Path) -> None:
+    done = cli("run", "-", "--out", str(tmp_path / "out"), stdin=spec)
+    assert done.returncode == 2
+    assert field in done.stderr
+    assert "Traceback" not in done.stderr
+    assert done.stdout == ""
+
+
+def test_submit_without_a_service_says_how_to_get_one() -> None:
+    done = cli("submit", "-", "--url", "http://127.0.0.1:1", stdin='{"scene": {}}')
+    assert done.returncode == 1
+    assert "scene-attack serve" in done.stderr
+
+
+def test_a_bad_setting_is_named() -> None:
+    done = cli("serve", SCENE_ATTACK_WORKERS="many")
+    assert done.returncode == 2
+    assert "SCENE_ATTACK_WORKERS" in done.stderr
+
+
+def test_an_upload_of_an_unknown_kind_is_refused_before_it_is_sent(tmp_path: Path) -> None:
+    (tmp_path / "scene.blend").write_bytes(b"x")
+    done = cli("assets", "add", str(tmp_path / "scene.blend"), "--url", "http://127.0.0.1:1")
+    assert done.returncode == 2
+    assert "obj, ply, stl, glb, off" in done.stderr
+
+
+def test_targets_for_machines() -> None:
+    names = [target["name"] for target in json.loads(cli("targets", "--json").stdout)]
+    assert "efficientnet-lite0" in names
+
+
+def test_assets_are_listed_from_the_cache_given(tmp_path: Path) -> None:
+    environ = {"SCENE_ATTACK_CACHE": str(tmp_path), "SCENE_ATTACK_DATA": str(tmp_path)}
+    listed = json.loads(cli("assets", "list", "--json", **environ).stdout)
+    assert listed
+    assert all(entry["kind"] == "primitive" for entry in listed)
+    shown = json.loads(cli("assets", "show", listed[0]["name"], "--json", **environ).stdout)
+    assert shown["faces"] > 0
