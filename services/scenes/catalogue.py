@@ -8,6 +8,7 @@ import json
 import re
 import unicodedata
 import zipfile
+from itertools import chain, count
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
@@ -110,11 +111,11 @@ def with_slugs(models: list[Model]) -> list[Model]:
     taken: set[str] = set()
     named: list[Model] = []
     for model in models:
-        plain, key = slugify(model.title), slugify(model.key)
-        words = key if key.startswith(plain) else f"{plain}-{key}"
-        candidates = [plain, words, f"{words}-{slugify(model.library)}"]
-        candidates += [f"{words}-{n}" for n in range(2, len(models) + 2)]
-        slug = next(candidate for candidate in candidates if candidate and candidate not in taken)
+        plain, key = slugify(model.title) or "model", slugify(model.key)
+        words = key if key.startswith(plain) else slugify(f"{plain} {key}")
+        longer = slugify(f"{words} {model.library}")
+        numbered = (f"{words}-{n}" for n in count(2))
+        slug = next(slug for slug in chain((plain, words, longer), numbered) if slug not in taken)
         taken.add(slug)
         named.append(model.model_copy(update={"slug": slug}))
     return named

@@ -29,6 +29,8 @@ def _obj(data: bytes, max_faces: int) -> None:
         # A backslash continues the line; what follows is then left to the parser.
         if not re.fullmatch(rb"(?:" + number + rb"){3,}[ \t]*\\?", face):
             raise ValueError(f"the face `f{face[:60].decode('latin-1')}` has no three vertex numbers")
+    for vertex in re.findall(rb"^[ \t]*v[ \t]+([^\r\n]*)", data, re.MULTILINE):
+        _numbers(vertex)
 
 
 def _ply(data: bytes, max_faces: int) -> None:
@@ -59,6 +61,8 @@ def _ply(data: bytes, max_faces: int) -> None:
         raise ValueError(f"its header declares at least {needed:,} bytes of elements, but {len(body):,} follow")
     if ascii_body and len(body.split(b"\n")) - 1 < sum(counts.values()):
         raise ValueError("it has fewer lines than its header declares")
+    if ascii_body:
+        _numbers(body)
 
 
 def _stl(data: bytes, max_faces: int) -> None:
@@ -73,7 +77,9 @@ def _stl(data: bytes, max_faces: int) -> None:
     vertices = len(re.findall(rb"\bvertex\b", data, re.IGNORECASE))
     _few(vertices // 3, max_faces)
     complete = len(re.findall(rb"\bvertex(?:[ \t]+[-+.\dA-Za-z]+){3}[ \t]*\r?$", data, re.IGNORECASE | re.MULTILINE))
-    if not vertices or vertices % 3 or complete != vertices or b"endsolid" not in data.lower():
+    if not vertices:
+        raise ValueError("it has no triangles")
+    if vertices % 3 or complete != vertices or b"endsolid" not in data.lower():
         raise ValueError("its triangles are incomplete")
 
 
@@ -90,6 +96,7 @@ def _off(data: bytes, max_faces: int) -> None:
     if vertices < 3 or faces < 1:
         raise ValueError("it has no vertices or no faces")
     _few(faces, max_faces)
+    _numbers(b" ".join(rest))
     if len(rest) - 1 < vertices + faces:
         raise ValueError(f"it declares {vertices:,} vertices and {faces:,} faces, but {len(rest) - 1:,} lines follow")
 
@@ -120,6 +127,13 @@ def _glb(data: bytes, max_faces: int) -> None:
     # Counted as lists of triangles; strips of as many triangles have fewer corners.
     _few(corners // 3, max_faces)
     _few(vertices // 20, max_faces)
+
+
+def _numbers(text: bytes) -> None:
+    # Parsers stop at what is not a number and go on with what they have.
+    strange = text.translate(None, b"0123456789+-.eE \t\r\nnaifNAIF")
+    if strange:
+        raise ValueError(f"it has {strange[:20].decode('latin-1')!r} where there should be numbers")
 
 
 def _few(triangles: int, max_faces: int) -> None:

@@ -84,8 +84,9 @@ class _Members(trimesh.resolvers.Resolver):  # type: ignore[misc]  # trimesh has
         self._files = {name.lower(): data for name, data in files.items()}
 
     def get(self, key: str) -> bytes:
-        # Exporters on Windows write any case and backslashes; catalogues keep files beside the model.
-        return self._files[posixpath.normpath(key.strip().replace("\\", "/")).lower()]
+        # Exporters write any case, backslashes, and where the file was on their own disk; it may be beside the model.
+        path = posixpath.normpath(key.strip().replace("\\", "/")).lower()
+        return self._files[path if path in self._files else posixpath.basename(path)]
 
     def keys(self) -> Iterable[str]:
         return self._files.keys()
@@ -99,6 +100,7 @@ class _Members(trimesh.resolvers.Resolver):  # type: ignore[misc]  # trimesh has
 
 def _files(archive: zipfile.ZipFile, path: str) -> dict[str, bytes]:
     """The model's own files by name relative to it: OBJ, its material library, its textures."""
+    archive.getinfo(path)  # a KeyError if the model itself is not there
     folder = posixpath.dirname(path) + "/"
     names = sorted(name for name in archive.namelist() if name.startswith(folder) and not name.endswith("/"))
     wanted = (".obj", ".mtl", ".png", ".jpg", ".jpeg", ".bmp", ".gif")

@@ -48,7 +48,7 @@ def save_parts(path: Path, parts: tuple[Part, ...]) -> None:
 def load_parts(path: Path) -> tuple[Part, ...] | None:
     """The parts written by `save_parts`; None if there is no such file or it is damaged."""
     try:
-        with np.load(path, allow_pickle=False) as arrays:
+        with np.load(BytesIO(path.read_bytes()), allow_pickle=False) as arrays:
             names = set(arrays.files)
             count = len({name.partition(".")[0] for name in names})
             return (
@@ -65,5 +65,5 @@ def load_parts(path: Path) -> tuple[Part, ...] | None:
                 )
                 or None
             )
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+    except (OSError, ValueError, KeyError, EOFError, TypeError, zipfile.BadZipFile):
         return None

@@ -15,6 +15,7 @@ MAX_TEXTURE = 1024
 """Textures are reduced to this many pixels a side; a frame has no more."""
 MAX_TEXTURE_SOURCE = 2**26
 """Pixels of all textures of a file together; more are not decoded."""
+MAX_COORDINATE = 1e30
 PLAIN = (204, 204, 204, 255)
 """Colour of a surface whose material says nothing: a light grey, as displayed."""
 
@@ -33,7 +34,8 @@ class Surface:
 def read_surfaces(scene: trimesh.Scene, opacity: Mapping[str, float] | None = None) -> list[Surface]:
     """All triangles of a loaded scene, every instance in its place; points and lines are left out.
 
-    `opacity`: by material name, where the loader does not read it (MTL `d` and `Tr`).
+    `opacity`: by material name, where the loader does not read it (MTL `d` and `Tr`). Raises ValueError if vertices are
+    not finite or beyond MAX_COORDINATE, or if a face names a vertex that is not there.
     """
     surfaces = []
     textures = _Textures()
@@ -42,8 +44,15 @@ def read_surfaces(scene: trimesh.Scene, opacity: Mapping[str, float] | None = No
         geometry = scene.geometry[name]
         if not isinstance(geometry, trimesh.Trimesh) or not len(geometry.faces):
             continue
+        # Checked before they meet a matrix: warnings of non-finite products would hide what is wrong.
+        if not (np.isfinite(geometry.vertices).all() and np.isfinite(transform).all()):
+            raise ValueError("it has vertices that are not finite numbers")
+        if max(np.abs(geometry.vertices).max(), np.abs(transform).max()) > MAX_COORDINATE:
+            raise ValueError(f"it has coordinates beyond {MAX_COORDINATE:g}")
         vertices = np.asarray(geometry.vertices, np.float64) @ transform[:3, :3].T + transform[:3, 3]
         faces = np.asarray(geometry.faces, np.int64)
+        if faces.min() < 0 or faces.max() >= len(vertices):
+            raise ValueError("a face names a vertex that is not there")
         surfaces.append(_surface(vertices, faces, geometry.visual, opacity or {}, textures))
     return surfaces
 
@@ -51,7 +60,7 @@ def read_surfaces(scene: trimesh.Scene, opacity: Mapping[str, float] | None = No
 def to_parts(surfaces: Sequence[Surface], crease: float = CREASE_ANGLE) -> tuple[Part, ...]:
     """Smooth normals over all surfaces together (a change of material is not a crease), then fitted to the frame.
 
-    Opaque parts come first. Raises ValueError if there are no triangles with an area, or vertices are not finite.
+    Opaque parts come first. Vertices must be finite. Raises ValueError if there are no triangles with an area.
     """
     surfaces = sorted(surfaces, key=lambda surface: bool(surface.color[3] < 1))
     offsets = np.cumsum([0, *(len(surface.vertices) for surface in surfaces)])
@@ -60,16 +69,12 @@ def to_parts(surfaces: Sequence[Surface], crease: float = CREASE_ANGLE) -> tuple
         raise ValueError("it has no triangles")
     vertices = np.concatenate([surface.vertices for surface in surfaces])
     faces = np.concatenate([surface.faces + offset for surface, offset in zip(surfaces, offsets, strict=False)])
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        raise ValueError("a face names a vertex that is not there")
-    if not np.isfinite(vertices[faces]).all():
-        raise ValueError("it has vertices that are not finite numbers")
     used = vertices[np.unique(faces)]
     extent = float((used.max(axis=0) - used.min(axis=0)).max())
-    if not 0 < extent < 1e30:
-        raise ValueError("all its vertices are at one point" if extent == 0 else "its vertices are too far apart")
+    if extent < 1 / MAX_COORDINATE:
+        raise ValueError("all its vertices are at one point: it has no area")
     # Files come in every unit; in their own, areas could over- or underflow.
-    vertices = np.where(np.isfinite(vertices), vertices - used.mean(axis=0), 0.0) / extent
+    vertices = (vertices - used.mean(axis=0)) / extent
 
     smoothed = smooth_normals(vertices, faces, crease)
     if not len(smoothed.faces):
@@ -103,18 +108,16 @@ def _surface(
         return _coloured(vertices, faces, visual)
     physical = isinstance(material, trimesh.visual.material.PBRMaterial)
     image = material.baseColorTexture if physical else material.image
-    factor = material.baseColorFactor if physical else material.diffuse
-    rgba = np.asarray((255, 255, 255, 255) if factor is None and physical else _or_plain(factor), np.float64) / 255
-    # glTF factors are linear, MTL colours are meant for the screen.
-    color = rgba if physical else np.append(_linear(rgba[:3]), opacity.get(material.name, rgba[3]))
     uv = getattr(visual, "uv", None)
-    if uv is None or image is None or len(uv) != len(vertices):
+    textured = uv is not None and image is not None and len(uv) == len(vertices)
+    color = _factor(material) if physical else _diffuse(material, textured, opacity)
+    if not textured:
         return Surface(vertices, faces, None, color.astype(np.float32), None)
-    if not physical and rgba[:3].max() < 0.05:
-        # Exporters write Kd 0 under a texture that is meant to be seen.
-        color[:3] = 1.0
     uv = np.nan_to_num(np.asarray(uv, np.float32), nan=0.0, posinf=0.0, neginf=0.0)
-    return Surface(vertices, faces, uv, color.astype(np.float32), textures.read(image))
+    texture = textures.read(image)
+    if physical and not _translucent(material):
+        texture = np.dstack([texture[..., :3], np.full(texture.shape[:2], 255, np.uint8)])
+    return Surface(vertices, faces, uv, color.astype(np.float32), texture)
 
 
 def _coloured(vertices: Doubles, faces: Longs, visual: Any) -> Surface:
@@ -152,8 +155,28 @@ class _Textures:
         return self._done[id(image)][1]
 
 
-def _or_plain(color: Any) -> Any:
-    return PLAIN if color is None else color
+def _factor(material: Any) -> Doubles:
+    """Linear RGBA of a glTF material; opaque unless it says that it blends or masks."""
+    factor = (255, 255, 255, 255) if material.baseColorFactor is None else material.baseColorFactor
+    color = np.asarray(factor, np.float64) / 255
+    if not _translucent(material):
+        color[3] = 1.0
+    return color
+
+
+def _translucent(material: Any) -> bool:
+    return material.alphaMode in ("BLEND", "MASK")
+
+
+def _diffuse(material: Any, textured: bool, opacity: Mapping[str, float]) -> Doubles:
+    """Linear RGBA of an MTL material, whose colours are meant for the screen."""
+    stated = "kd" in material.kwargs
+    rgba = np.asarray(material.diffuse if stated else PLAIN, np.float64) / 255
+    color = np.append(_linear(rgba[:3]), opacity.get(material.name, 1.0))
+    if textured and (not stated or rgba[:3].max() < 0.05):
+        # Exporters write no Kd, or Kd 0, under a texture that is meant to be seen.
+        color[:3] = 1.0
+    return color
 
 
 def _display_color(rgba: Any) -> Floats:

@@ -1,0 +1,23 @@
+"""A library on the real catalogue, with a place of its own for what it derives from it."""
+
+import pytest
+
+from services.scenes.library import Library
+from services.settings import settings
+
+
+@pytest.fixture(scope="session")
+def assets(tmp_path_factory):
+    """A cache directory with the installed archives and maps, and nothing processed yet."""
+    cache = tmp_path_factory.mktemp("cache")
+    for name in ("furniture", "environments"):
+        source = settings().cache_dir / name
+        if not source.is_dir():
+            pytest.fail(f"there is no {source}; run scripts/setup first")
+        (cache / name).symlink_to(source)
+    return cache
+
+
+@pytest.fixture(scope="session")
+def library(assets, tmp_path_factory):
+    return Library(assets, tmp_path_factory.mktemp("data"))
