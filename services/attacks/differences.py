@@ -132,32 +132,32 @@ def measure_noise(problem: Problem, perturbation: Tensor, samples: int = 8) -> f
     return 2 * float(values.max() - values.min())
 
 
-def measure_deltas(problem: Problem, perturbation: Tensor, noise: float, probes: int = 3) -> dict[str, float]:
-    """For each group the half-step whose slope agrees best with those of the neighbouring half-steps.
+def measure_deltas(problem: Problem, reach: Tensor, noise: float, probes: int = 4) -> dict[str, float]:
+    """For each group the half-step whose slopes agree best with those of the neighbouring half-steps.
 
-    Too small a step drowns in rounding, too large a one sees curvature and edges; both show as disagreement with the
-    next step. A few random coordinates are probed and the median disagreement decides; where all is flat, the largest
-    step is taken.
+    Too small a step drowns in rounding and in the pixels of an edge, too large a one sees curvature; both show as
+    disagreement with the next step. Slopes are probed at a few random coordinates of the perturbation ±`reach` [total]:
+    at zero the λ term is symmetric, any step cancels it, and the far too large ones look steady. Where all is flat, the
+    largest step is taken.
     """
     where = layout(problem)
+    signs = torch.randint(0, 2, (where.total,), generator=generator(problem.seed, "reach"))
+    at = where_clamped(problem, ((2 * signs - 1) * reach)[None], where)[0]
     chosen = {}
     for group in problem.groups:
         count = where.shapes[group].numel()
         order = torch.randperm(count, generator=generator(problem.seed, "deltas", group))[: min(probes, count)]
         coordinates = (order + where.starts[group]).repeat_interleave(len(CANDIDATES))
         steps = torch.tensor(CANDIDATES, dtype=torch.float64).repeat(len(order))
-        found = estimate(problem, perturbation, coordinates, steps, noise)
-        slopes = found.slopes.reshape(len(order), len(CANDIDATES))
-        flat = found.flat.reshape(len(order), len(CANDIDATES))
-        chosen[group] = _steadiest(slopes, flat)
+        slopes = estimate(problem, at, coordinates, steps, noise).slopes
+        chosen[group] = CANDIDATES[_steadiest(slopes.reshape(len(order), len(CANDIDATES)))]
     return chosen
 
 
-def _steadiest(slopes: Tensor, flat: Tensor) -> float:
-    """The candidate whose slope changes least, relatively, towards its neighbours. Slopes [probes, candidates]."""
-    gap = (slopes[:, 1:] - slopes[:, :-1]).abs() / torch.maximum(slopes[:, 1:].abs(), slopes[:, :-1].abs())
-    gap = torch.where(flat[:, 1:] | flat[:, :-1], float("inf"), gap.nan_to_num(nan=float("inf")))
-    inner = torch.maximum(gap[:, 1:], gap[:, :-1])
-    gaps = torch.cat([gap[:, :1], inner, gap[:, -1:]], dim=1).median(dim=0).values
-    best = int(gaps.argmin())  # all flat: index 0, the largest
-    return CANDIDATES[best]
+def _steadiest(slopes: Tensor) -> int:
+    """The inner candidate whose slopes [probes, candidates] change least towards both neighbours; 0 if all are flat."""
+    size = slopes.norm(dim=0)
+    gap = (slopes[:, 1:] - slopes[:, :-1]).norm(dim=0) / torch.maximum(size[1:], size[:-1])
+    gap = gap.nan_to_num(nan=float("inf"))  # 0/0: flat on both sides
+    inner = torch.maximum(gap[1:], gap[:-1])
+    return 0 if bool(inner.isinf().all()) else 1 + int(inner.argmin())

@@ -12,6 +12,8 @@ from services.rendering.protocol import Parameters
 
 BETAS = (0.9, 0.999)
 EPSILON = 1e-8
+REACH = 10
+"""Difference steps are measured where an attack comes in so many steps."""
 
 
 class ZooMethod:
@@ -42,7 +44,7 @@ class ZooMethod:
         self.noise = measure_noise(problem, self.flat)
         delta = self.settings.delta
         if isinstance(delta, str):
-            chosen = measure_deltas(problem, self.flat, self.noise)
+            chosen = measure_deltas(problem, REACH * self._rates(), self.noise)
         else:
             chosen = delta if isinstance(delta, dict) else dict.fromkeys(self.where.groups, delta)
         self.deltas = self._per_coordinate(chosen)

@@ -1,3 +1,5 @@
+from collections.abc import Mapping
+
 import torch
 
 from services.attacks.differences import CANDIDATES, estimate, layout, measure_deltas, measure_noise
@@ -56,7 +58,7 @@ def test_noise_is_that_of_the_arithmetic() -> None:
 def test_the_measured_step_gives_a_slope_near_the_truth() -> None:
     case = problem(LinearRenderer(torch.float32), LinearTarget(dtype=torch.float32))
     noise = measure_noise(case, torch.zeros(9))
-    chosen = measure_deltas(case, torch.zeros(9), noise)
+    chosen = measure_deltas(case, torch.full((9,), 0.02), noise)
     assert set(chosen) == {"a", "b"}
     assert all(value in CANDIDATES for value in chosen.values())
     deltas = torch.full((6,), chosen["a"]).double()
@@ -65,11 +67,24 @@ def test_the_measured_step_gives_a_slope_near_the_truth() -> None:
     assert float(torch.nn.functional.cosine_similarity(found, truth, dim=0)) > 0.99
 
 
+def test_steps_so_large_that_they_cancel_the_weight_are_not_taken() -> None:
+    """‖ΔY‖² that saturates, as that of a moving silhouette does: at zero every step looks steady, and 0.1 wins."""
+
+    class Saturating(LinearRenderer):
+        def render(self, parameters: Mapping[str, torch.Tensor]) -> torch.Tensor:
+            return 0.5 + 0.5 * torch.tanh(100 * (super().render(parameters) - self.base))
+
+    case = problem(Saturating(), weight=1.0)
+    reach = torch.full((9,), 0.02).double()
+    chosen = measure_deltas(case, reach, 1e-12)
+    assert chosen["a"] <= 3e-3
+
+
 def test_a_group_that_cannot_change_the_picture_gets_the_largest_step_and_is_flat() -> None:
     renderer = LinearRenderer()
     renderer.weights["b"] *= 0
     case = problem(renderer)
-    chosen = measure_deltas(case, torch.zeros(9).double(), 1e-12)
+    chosen = measure_deltas(case, torch.full((9,), 0.02).double(), 1e-12)
     assert chosen["b"] == CANDIDATES[0]
     assert estimate(case, torch.zeros(9).double(), ALL[6:], torch.full((3,), 0.1).double(), 1e-12).flat.all()
 

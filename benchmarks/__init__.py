@@ -1,0 +1,1 @@
+"""Side-by-side measurements; each writes the result file that the docs quote."""
