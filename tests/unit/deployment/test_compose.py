@@ -1,0 +1,85 @@
+"""docker-compose.yml and the Dockerfile against the code they run; no container engine is needed."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+from api.routes import health
+from client.cli import app
+from services.settings import Settings
+
+ROOT = Path(__file__).parents[3]
+COMPOSE: dict[str, Any] = yaml.safe_load((ROOT / "docker-compose.yml").read_text())
+DOCKERFILE = (ROOT / "Dockerfile").read_text()
+OURS = {name: service for name, service in COMPOSE["services"].items() if service.get("image") == "scene-attack"}
+
+
+def test_there_are_an_api_a_redis_and_several_workers() -> None:
+    assert set(COMPOSE["services"]) == {"redis", "api", "worker"}
+    assert set(OURS) == {"api", "worker"}
+    assert COMPOSE["services"]["worker"]["deploy"]["replicas"] >= 2
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_commands_are_commands_of_the_command_line(name: str) -> None:
+    program, *arguments = OURS[name]["command"]
+    assert program == "scene-attack"
+    # Parsed in full; --help then keeps it from running.
+    done = CliRunner().invoke(app, [*arguments, "--help"])
+    assert done.exit_code == 0, done.output
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_environment_variables_are_settings(name: str) -> None:
+    known = {f"SCENE_ATTACK_{field.upper()}" for field in Settings.model_fields}
+    assert set(OURS[name]["environment"]) <= known
+    assert set(re.findall(r"SCENE_ATTACK_\w+", DOCKERFILE)) <= known
+
+
+def test_health_checks_ask_what_the_api_answers() -> None:
+    paths = {getattr(route, "path", None) for route in health.router.routes}
+    for service in OURS.values():
+        (asked,) = re.findall(r"http://[\w.]+:(\d+)(/\w+)", service["healthcheck"]["test"][-1])
+        assert asked[1] in paths
+        assert asked[0] == "8008"
+
+
+def test_every_service_is_watched_and_keeps_its_hands_to_itself() -> None:
+    for service in COMPOSE["services"].values():
+        assert service["healthcheck"]["test"][0] == "CMD"
+        assert service["read_only"] is True
+        assert service["cap_drop"] == ["ALL"]
+    assert all(port.startswith("127.0.0.1:") for port in COMPOSE["services"]["api"]["ports"])
+
+
+def test_volumes_are_declared_and_are_where_the_image_keeps_things() -> None:
+    kept = dict(volume.split(":") for volume in OURS["worker"]["volumes"])
+    assert set(kept) == set(COMPOSE["volumes"])
+    assert f"SCENE_ATTACK_DATA={kept['data']}" in DOCKERFILE
+    assert f"SCENE_ATTACK_CACHE={kept['cache']}" in DOCKERFILE
+
+
+def test_the_image_has_what_setup_asks_for_and_is_not_run_by_root() -> None:
+    asked = re.search(r"^packages=\((.*)\)$", (ROOT / "scripts/setup").read_text(), re.MULTILINE)
+    assert asked is not None
+    assert all(f" {package}" in DOCKERFILE for package in asked[1].split())
+    assert DOCKERFILE.rindex("\nUSER scene-attack") > DOCKERFILE.rindex("\nRUN")
+
+
+def test_what_the_image_copies_exists_and_is_not_ignored() -> None:
+    allowed = [line[1:] for line in (ROOT / ".dockerignore").read_text().split() if line.startswith("!")]
+    for line in re.findall(r"^COPY (.*)$", DOCKERFILE, re.MULTILINE):
+        for source in line.split()[:-1]:
+            assert (ROOT / source).exists(), source
+            assert any(source == name or source.startswith(f"{name}/") for name in allowed), source
+
+
+def test_the_image_knows_every_package_when_it_installs() -> None:
+    """An editable installation finds the packages that are there at that moment, and no others."""
+    before = DOCKERFILE[: DOCKERFILE.index("RUN scripts/setup")]
+    for package in ("services", "api", "worker", "client"):
+        assert f"COPY {package}/__init__.py {package}/" in before
