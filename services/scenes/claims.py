@@ -29,8 +29,9 @@ def _obj(data: bytes, max_faces: int) -> None:
         # A backslash continues the line; what follows is then left to the parser.
         if not re.fullmatch(rb"(?:" + number + rb"){3,}[ \t]*\\?", face):
             raise ValueError(f"the face `f{face[:60].decode('latin-1')}` has no three vertex numbers")
-    for vertex in re.findall(rb"^[ \t]*v[ \t]+([^\r\n]*)", data, re.MULTILINE):
-        _numbers(vertex)
+    vertices = re.findall(rb"^[ \t]*v[ \t]+([^\r\n]*)", data, re.MULTILINE)
+    _few_vertices(len(vertices), max_faces)
+    _numbers(b" ".join(vertices))
 
 
 def _ply(data: bytes, max_faces: int) -> None:
@@ -57,6 +58,7 @@ def _ply(data: bytes, max_faces: int) -> None:
     if not counts.get("vertex") or not counts.get("face"):
         raise ValueError("it has no vertices or no faces")
     _few(counts["face"], max_faces)
+    _few_vertices(counts["vertex"], max_faces)
     if needed > len(body) + 1:
         raise ValueError(f"its header declares at least {needed:,} bytes of elements, but {len(body):,} follow")
     if ascii_body and len(body.split(b"\n")) - 1 < sum(counts.values()):
@@ -96,6 +98,7 @@ def _off(data: bytes, max_faces: int) -> None:
     if vertices < 3 or faces < 1:
         raise ValueError("it has no vertices or no faces")
     _few(faces, max_faces)
+    _few_vertices(vertices, max_faces)
     _numbers(b" ".join(rest))
     if len(rest) - 1 < vertices + faces:
         raise ValueError(f"it declares {vertices:,} vertices and {faces:,} faces, but {len(rest) - 1:,} lines follow")
@@ -126,7 +129,8 @@ def _glb(data: bytes, max_faces: int) -> None:
         vertices += position
     # Counted as lists of triangles; strips of as many triangles have fewer corners.
     _few(corners // 3, max_faces)
-    _few(vertices // 20, max_faces)
+    # Primitives may share one list of vertices, but the parser gives each a copy.
+    _few_vertices(vertices // 8, max_faces)
 
 
 def _numbers(text: bytes) -> None:
@@ -139,6 +143,12 @@ def _numbers(text: bytes) -> None:
 def _few(triangles: int, max_faces: int) -> None:
     if triangles > max_faces:
         raise ValueError(f"it declares {triangles:,} triangles; at most {max_faces:,} are taken")
+
+
+def _few_vertices(vertices: int, max_faces: int) -> None:
+    # A triangle has three; more than that are not used.
+    if vertices > 3 * max_faces:
+        raise ValueError(f"it declares {vertices:,} vertices; at most {3 * max_faces:,} are taken")
 
 
 CHECKS: dict[str, Callable[[bytes, int], None]] = {"obj": _obj, "ply": _ply, "stl": _stl, "glb": _glb, "off": _off}

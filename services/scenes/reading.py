@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from io import BytesIO
 from typing import Any
 
+import numpy as np
 import trimesh
 
 from services.errors import InvalidRequest
@@ -46,7 +47,9 @@ def read_mesh(data: bytes, kind: str, max_faces: int) -> tuple[Part, ...]:
         raise InvalidRequest("file", "it is empty")
     try:
         CHECKS[kind](data, max_faces)
-        scene = trimesh.load_scene(BytesIO(data), file_type=kind, resolver=_Nothing(), process=False)
+        # Numbers that are not finite are reported below, by name, not by whichever product met them first.
+        with np.errstate(all="ignore"):
+            scene = trimesh.load_scene(BytesIO(data), file_type=kind, resolver=_Nothing(), process=False)
     except ValueError as error:
         raise InvalidRequest("file", f"it is not a readable {kind} mesh: {error}") from error
     except Exception as error:  # whatever a parser of five formats trips over, the file was wrong
