@@ -89,7 +89,7 @@ class Lights(Model):
     """All light of a scene. pyrender uses ambient and points, torch the environment."""
 
     ambient: Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)] = Field(
-        0.4, description="magnitude of uniform light (pyrender)"
+        0.4, description="mean radiance of the light from all around, brighter above (pyrender)"
     )
     points: tuple[PointLight, ...] = Field((PointLight(),), max_length=4, description="at most 4 (pyrender)")
     environment: Environment = Environment()
