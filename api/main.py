@@ -11,7 +11,6 @@ from fastapi import FastAPI
 from starlette.middleware import Middleware
 
 from api import dashboard
-from api import dashboard
 from api.limits import BodyLimit, SameSite, is_loopback
 from api.openapi import describe
 from api.preflight import Preflight
@@ -77,7 +76,6 @@ def create_app(values: Settings | None = None) -> FastAPI:
     )
     for part in (jobs, events, artifacts, assets, library, health, dashboard):
         app.include_router(part.router)
-    app.include_router(dashboard.router)
     install(app)
     describe(app)
     return app

@@ -19,16 +19,9 @@ from services.jobs.tether import die_with_parent
 from services.logs import configure, logger
 from services.settings import settings
 from worker.runner import Runner
+from worker.task import bind
 
 log = logger(__name__)
-
-_worker: "JobWorker | None" = None
-
-
-def run_job(job_id: str) -> None:
-    """What a message asks for: run this job. The one function messages may name."""
-    assert _worker is not None
-    _worker.run(job_id)
 
 
 class JobWorker(SimpleWorker):  # type: ignore[misc]
@@ -88,7 +81,6 @@ class JobWorker(SimpleWorker):  # type: ignore[misc]
 
 def main() -> None:
     """Work until told to stop."""
-    global _worker
     die_with_parent()
     configure("worker")
     values = settings()
@@ -97,8 +89,9 @@ def main() -> None:
     assert values.redis_url is not None
     try:
         runner.ensure_ready()  # it counts as a live worker only once it can run something
-        _worker = JobWorker(runner, name=name, connection=queue.connect(values.redis_url))
-        _worker.work(logging_level="WARNING")
+        worker = JobWorker(runner, name=name, connection=queue.connect(values.redis_url))
+        bind(worker.run)
+        worker.work(logging_level="WARNING")
     except ChildDied:
         log.error("the job process could not be started")
         sys.exit(1)

@@ -12,7 +12,7 @@ from rq.job import Job as Message
 from services.jobs.repository import Repository, Waiting
 
 NAME = "scene-attack"
-TASK = "worker.rq_worker.run_job"
+TASK = "worker.task.run_job"
 """The only function a message may name."""
 HEARTBEAT_SECONDS = 5
 """A live worker says so at least this often."""

@@ -12,6 +12,7 @@ from fastapi import FastAPI
 from api.main import create_app
 from api.state import Services
 from services.jobs.models import Artifact
+from services.jobs.outcome import Outcome
 from services.jobs.spec import parse
 from services.settings import Settings
 
@@ -19,6 +20,20 @@ SPHERE: dict[str, Any] = {
     "scene": {"camera": {"size": [32, 32]}, "objects": [{"mesh": "primitive/sphere"}]},
     "attack": {"renderer": "pyrender", "steps": 1, "queries": 20},
 }
+
+OUTCOME = Outcome(
+    fooled=True,
+    verified=True,
+    stopped="verified",
+    before="balloon",
+    before_confidence=0.5,
+    after="golf ball",
+    after_confidence=0.4,
+    perceptibility=0.003,
+    steps=1,
+    queries=4,
+    seconds=0.1,
+)
 
 
 @pytest.fixture(scope="session")
@@ -64,5 +79,5 @@ def finished(services: Services, tmp_path: Path) -> str:
     assert attempt is not None
     services.repository.progress(attempt, "attacking", 1, 2, [{"step": 1}])
     file = Artifact(job_id=job_id, name="original.png", sha256=stored.sha256, media_type="image/png", size=stored.size)
-    services.repository.succeed(attempt, {}, {}, [file])
+    services.repository.succeed(attempt, {}, OUTCOME.model_dump(), [file])
     return job_id

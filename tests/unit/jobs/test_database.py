@@ -30,7 +30,7 @@ def test_processes_that_start_together_migrate_once(tmp_path: Path) -> None:
         engine.dispose()
 
 
-def test_sqlite_is_opened_for_several_processes(engine: Engine, tmp_path: Path) -> None:
+def test_sqlite_is_opened_for_several_processes(engine: Engine) -> None:
     with engine.connect() as connection:
         pragmas = {
             name: connection.exec_driver_sql(f"PRAGMA {name}").scalar()

@@ -220,9 +220,9 @@ def test_a_key_makes_one_job_however_often_it_comes(repository: Repository) -> N
 
 def test_a_full_queue_takes_no_more(repository: Repository) -> None:
     started = add(repository)
-    repository.create(SPEC, 2, None, lambda job: {})
+    repository.create(SPEC, 2, None, lambda _: {})
     with pytest.raises(QueueFull):
-        repository.create(SPEC, 2, None, lambda job: {})
+        repository.create(SPEC, 2, None, lambda _: {})
     start(repository, started)
-    repository.create(SPEC, 2, None, lambda job: {})
+    repository.create(SPEC, 2, None, lambda _: {})
     assert len(repository.page(None, 9, None)) == 3

@@ -1,0 +1,24 @@
+"""Real jobs, small enough to run many."""
+
+from typing import Any
+
+
+def scene(size: int = 64) -> dict[str, Any]:
+    return {"camera": {"size": [size, size]}, "objects": [{"mesh": "primitive/sphere"}]}
+
+
+QUICK: dict[str, Any] = {
+    "scene": scene(),
+    "attack": {"renderer": "image", "picture": "pyrender", "steps": 3},
+}
+"""Ends by itself at once."""
+
+
+def long(steps: int) -> dict[str, Any]:
+    """Takes all its steps: towards a label it cannot reach with steps so small. Its perturbation is not zero."""
+    attack = {"renderer": "image", "picture": "pyrender", "steps": steps, "learning_rate": {"image": 1e-6}}
+    return {"scene": scene(), "goal": {"reach": "tench"}, "attack": attack}
+
+
+ENDLESS = long(10_000)
+"""Minutes of steps: a test stops it."""

@@ -1,0 +1,105 @@
+"""Nothing that dies takes a job with it."""
+
+import signal
+from pathlib import Path
+
+import pytest
+
+from tests.integration.conftest import Stack, end, serving, until
+from tests.integration.specs import ENDLESS, QUICK, long
+from tests.integration.test_jobs import perturbation
+
+pytestmark = pytest.mark.integration
+
+STEPS = 150
+"""A few seconds of steps: time for a checkpoint, and to be killed in the middle."""
+
+
+@pytest.fixture(scope="module")
+def undisturbed(stack: Stack) -> str:
+    """The hash of the perturbation of a job that nothing happened to."""
+    return perturbation(stack, stack.submit(long(STEPS)))
+
+
+def checkpoint(stack: Stack, job_id: str) -> Path:
+    """The job's checkpoint, once there is one."""
+    path = stack.data / "checkpoints" / job_id
+    until(path.exists, "a checkpoint")
+    return path
+
+
+@pytest.mark.parametrize("module", ["worker.job_process", "worker.rq_worker"])
+def test_a_killed_process_does_not_lose_its_job(stack: Stack, undisturbed: str, module: str) -> None:
+    job_id = stack.submit(long(STEPS))
+    checkpoint(stack, job_id)
+    worker, runner = stack.one("worker.rq_worker"), stack.one("worker.job_process")
+    killed = stack.one(module)
+    killed.kill()
+    job = stack.ended(job_id)
+    assert (job["state"], job["attempt"]) == ("succeeded", 2)
+    assert perturbation(stack, job_id) == undisturbed
+    # It went on from its checkpoint: the trace was not begun again.
+    assert [row["step"] for row in job["result"]["trace"]] == sorted({row["step"] for row in job["result"]["trace"]})
+    assert not runner.is_running()
+    assert worker.is_running() == (module == "worker.job_process")
+    assert len(stack.processes("worker.rq_worker")) == len(stack.processes("worker.job_process")) == 1
+
+
+def test_a_job_that_kills_its_process_every_time_fails_by_name(stack: Stack) -> None:
+    job_id = stack.submit(ENDLESS)
+    for attempt in (1, 2, 3):
+        until(lambda n=attempt: stack.job(job_id)["attempt"] == n, f"attempt {attempt}")
+        stack.attacking(job_id)
+        stack.one("worker.job_process").kill()
+    job = stack.ended(job_id)
+    assert (job["state"], job["failure"]["kind"], job["attempt"]) == ("failed", "worker-lost", 3)
+    assert stack.ended(stack.submit(QUICK))["state"] == "succeeded"
+
+
+def test_redis_may_be_lost_with_all_it_held(stack: Stack) -> None:
+    running = stack.submit(long(STEPS))
+    stack.attacking(running)
+    queued = stack.submit(QUICK)
+    (redis,) = [p for p in stack.processes("--unixsocket") if "redis-server" in p.cmdline()[0]]
+    redis.kill()
+    late = stack.submit(QUICK)  # taken whether Redis is there or not
+    for job_id in (running, queued, late):
+        assert stack.ended(job_id)["state"] == "succeeded"
+    stack.ready()
+
+
+def test_the_api_may_be_killed(stack: Stack) -> None:
+    job_id = stack.submit(long(STEPS))
+    stack.one("api.main").kill()
+    # The supervisor kept the socket: this waits for the new API instead of failing.
+    assert stack.ended(job_id)["state"] == "succeeded"
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_a_restarted_service_finishes_what_was_running(
+    stack: Stack, undisturbed: str, number: signal.Signals, tmp_path: Path
+) -> None:
+    del stack  # it has made `undisturbed`
+    with serving(tmp_path / "data") as first:
+        running = first.submit(long(STEPS))
+        checkpoint(first, running)
+        queued = first.submit(QUICK)
+        end(first.process, number)
+    with serving(tmp_path / "data") as second:
+        job = second.ended(running)
+        assert (job["state"], job["attempt"]) == ("succeeded", 2)
+        assert perturbation(second, running) == undisturbed
+        assert second.ended(queued)["state"] == "succeeded"
+
+
+def test_two_workers_run_two_jobs_and_one_each(tmp_path: Path) -> None:
+    with serving(tmp_path / "data", SCENE_ATTACK_WORKERS="2", SCENE_ATTACK_JOB_SECONDS="20") as stack:
+        until(lambda: len(stack.processes("worker.job_process")) == 2, "two job processes")
+        first, second = stack.submit(ENDLESS), stack.submit(ENDLESS)
+        stack.attacking(first)
+        stack.attacking(second)
+        stack.client.post(f"/v1/jobs/{first}/cancel")
+        assert stack.ended(first)["state"] == "cancelled"
+        job = stack.ended(second)
+        assert (job["state"], job["failure"]["kind"], job["attempt"]) == ("failed", "timeout", 1)
+        assert stack.ended(stack.submit(QUICK))["state"] == "succeeded"

@@ -1,0 +1,99 @@
+from math import inf
+from pathlib import Path
+
+import pytest
+import torch
+
+from services.attacks.trace import TraceRow
+from services.errors import InvalidRequest, JobFailure
+from services.jobs.database import connect, migrate
+from services.jobs.execute import Progress
+from services.jobs.repository import Repository
+from services.settings import Settings
+from tests.unit.jobs.records import add, start
+from worker.job_process import LOOK_SECONDS, REPORT_SECONDS, Reporter, classify
+
+ROW = {
+    "loss": 0.5,
+    "label": "balloon",
+    "confidence": 0.5,
+    "advantage": 0.1,
+    "distance": 0.0,
+    "perceptibility": 0.0,
+    "truncated": 0,
+    "queries": 1,
+    "renders": 1,
+    "seconds": 0.1,
+}
+
+
+class Seconds:
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def repository(tmp_path: Path) -> Repository:
+    settings = Settings(data=tmp_path)
+    engine = connect(settings)
+    migrate(engine, settings)
+    return Repository(engine)
+
+
+def progress(step: int, phase: str = "attacking", **values: float) -> Progress:
+    row = TraceRow(step=step, **(ROW | values)) if phase == "attacking" else None
+    return Progress.model_validate({"phase": phase, "step": step, "steps": 9, "row": row and row.model_dump()})
+
+
+def test_reports_are_few_and_leave_no_step_out(repository: Repository) -> None:
+    job = add(repository)
+    seconds = Seconds()
+    reporter = Reporter(repository, start(repository, job), seconds)
+    reporter.progress(progress(0, "loading"))
+    for step in range(9):
+        reporter.progress(progress(step))
+        seconds.now += REPORT_SECONDS / 2
+    reporter.progress(progress(9, "analysing"))
+    told = [event.data for event in repository.events(job.id, 2)]
+    assert [data["phase"] for data in told] == ["loading", *["attacking"] * 5, "analysing"]
+    assert [row["step"] for data in told for row in data["rows"]] == list(range(9))
+
+
+def test_a_number_that_is_not_finite_ends_the_job_by_name(repository: Repository) -> None:
+    reporter = Reporter(repository, start(repository, add(repository)), Seconds())
+    with pytest.raises(JobFailure) as caught:
+        reporter.progress(progress(0, loss=inf))
+    assert caught.value.kind == "non-finite"
+
+
+@pytest.mark.parametrize("why", ["cancelled", "taken back"])
+def test_a_job_that_must_stop_is_told_at_the_next_look(repository: Repository, why: str) -> None:
+    job = add(repository)
+    seconds = Seconds()
+    attempt = start(repository, job)
+    reporter = Reporter(repository, attempt, seconds)
+    assert not reporter.stop()
+    if why == "cancelled":
+        repository.request_cancel(job.id)
+    else:
+        repository.lose(attempt, 3)
+    seconds.now += LOOK_SECONDS
+    assert reporter.stop()
+    assert reporter.stop()
+
+
+@pytest.mark.parametrize(
+    ("error", "kind"),
+    [
+        (JobFailure("non-finite", "x"), "non-finite"),
+        (InvalidRequest("scene.objects.0.mesh", "gone"), "asset-missing"),
+        (MemoryError(), "out-of-memory"),
+        (torch.OutOfMemoryError("x"), "out-of-memory"),
+        (RuntimeError("[enforce fail at alloc_cpu.cpp:1] DefaultCPUAllocator: can't allocate memory"), "out-of-memory"),
+        (ValueError("a mistake"), "internal"),
+    ],
+)
+def test_every_end_has_a_name(error: Exception, kind: str) -> None:
+    assert classify(error).kind == kind
