@@ -55,8 +55,6 @@ def smooth_normals(vertices: Doubles, faces: Longs, crease: float = CREASE_ANGLE
     sign = _orientation(len(faces), first[manifold], second[manifold], opposed[manifold], lengths)
     unit = sign[:, None] * cross / lengths[:, None]
     smooth = np.einsum("ij,ij->i", unit[first], unit[second]) > cos(crease)
-    # On an edge of two faces the winding must agree too; on a busier edge the angle alone decides.
-    smooth &= ~manifold | (sign[first] * sign[second] == np.where(opposed, 1, -1))
 
     groups = _groups(corners, first[smooth], second[smooth])
     weighted = _angles(vertices, faces)[:, :, None] * unit[:, None, :]

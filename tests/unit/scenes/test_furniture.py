@@ -117,8 +117,10 @@ def test_colours_are_made_linear_and_opacity_is_read(tmp_path):
     assert front(mesh).color[3] == pytest.approx(0.25)
 
 
-def test_opaque_parts_come_first(tmp_path):
-    mesh = load(make(tmp_path, "newmtl side\nKd 1 0 0\nd 0.5\nnewmtl front\nKd 0 1 0\n"))
+@pytest.mark.parametrize("glass", ["side", "front"])
+def test_opaque_parts_come_first(tmp_path, glass):
+    mtl = "".join(f"newmtl {name}\nKd 0 1 0\nd {0.5 if name == glass else 1}\n" for name in ("side", "front"))
+    mesh = load(make(tmp_path, mtl))
     assert [part.color[3] for part in mesh.parts] == [1.0, 0.5]
 
 
