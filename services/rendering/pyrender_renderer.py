@@ -46,7 +46,6 @@ class PyrenderRenderer:
         from services.rendering.drawing import Drawing, View  # imports OpenGL, so after the context
 
         description = scene.description
-        self._renderer = context.renderer
         self.backend = context.backend
         self.size = description.camera.size
         self._drawing = Drawing(scene.meshes)
@@ -94,8 +93,8 @@ class PyrenderRenderer:
     def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
         """Images float32 [B, H, W, 3] in [0,1]; `parameters` {group: [B, ...]}. An object out of frame leaves ground.
 
-        Raises JobFailure("non-finite") for parameters that are not finite, ValueError for unknown groups and wrong
-        shapes.
+        Raises JobFailure("non-finite") for parameters or radiances that are not finite, ValueError for unknown groups
+        and wrong shapes.
         """
         radiance = self.radiance(parameters)
         coverage = radiance[..., 3:]
@@ -109,7 +108,10 @@ class PyrenderRenderer:
         """
         batch = self._checked(parameters)
         frames = zip(*(batch[group] for group in self.groups), strict=True)
-        return torch.from_numpy(np.stack([self._frame(*frame) for frame in frames]))
+        radiance = torch.from_numpy(np.stack([self._frame(*frame) for frame in frames]))
+        if not torch.isfinite(radiance).all():
+            raise JobFailure("non-finite", "the picture has values that are not finite: light or colour is too strong")
+        return radiance
 
     def _checked(self, parameters: Mapping[str, Tensor]) -> dict[str, NDArray[np.float64]]:
         sizes = {len(value) for value in parameters.values()}
@@ -145,7 +147,7 @@ class PyrenderRenderer:
         poses = np.tile(np.eye(4), (len(self._scales), 1, 1))
         poses[:, :3, :3] = Rotation.from_rotvec(rotations).as_matrix() * np.array(self._scales)[:, None, None]
         poses[:, :3, 3] = translations
-        [image] = self._renderer.draw(
+        [image] = gl.context().renderer.draw(
             self._drawing,
             "radiance.frag",
             self._view,

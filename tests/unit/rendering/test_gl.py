@@ -74,12 +74,12 @@ def test_a_platform_already_chosen_is_kept(fresh: pytest.MonkeyPatch) -> None:
 
 
 def test_another_thread_is_refused() -> None:
-    gl.context()
+    renderer = PyrenderRenderer(placed(scene((8, 8)), mesh(quad(2.0))))
     caught: list[BaseException] = []
 
     def use() -> None:
         try:
-            gl.context()
+            renderer.render({})
         except JobFailure as error:
             caught.append(error)
 
@@ -162,7 +162,7 @@ print(json.dumps({"grown": resident() - before, "backend": gl.gl_backend(), "spr
 
 @pytest.mark.parametrize("platform", PLATFORMS)
 def test_two_thousand_frames_of_six_parts_hold_on_to_no_memory(platform: str) -> None:
-    """With programs cached by the context object, as pyrender does, this grows by gigabytes on OSMesa."""
+    """With programs cached by the context object, as pyrender does, this grew by 1,614 MiB on OSMesa."""
     answer = json.loads(on_platform(platform, _MEMORY))
     assert answer["backend"].startswith(platform)
     assert answer["spread"] > 0.01  # something was drawn

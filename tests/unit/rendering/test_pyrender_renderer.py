@@ -307,6 +307,10 @@ def test_bad_parameters_are_refused() -> None:
     with pytest.raises(JobFailure, match="rotation") as caught:
         renderer.render(bad)
     assert caught.value.kind == "non-finite"
+    bright = renderer.initial()["illumination"]
+    bright[1] = 1e38
+    with pytest.raises(JobFailure, match="not finite: light"):
+        renderer.render(one(renderer, illumination=bright))
     with pytest.raises(ValueError, match="no group 'normals'"):
         renderer.render({"normals": torch.zeros(1, 3)})
     with pytest.raises(ValueError, match=r"color is \[1, 3\], not \[B, \*\[1, 3\]\]"):
