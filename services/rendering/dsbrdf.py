@@ -1,0 +1,68 @@
+"""The directional statistics BRDF (Nishino, ICCV 2009), the material model of the paper's differentiable renderer.
+
+Per colour channel a material is a sum of lobes,
+
+    ρ(θ_h, θ_d) = Σ_lobes exp(κ(θ_d) · cos^γ(θ_d) θ_h) − 1,
+
+with θ_h the angle between normal and half vector and θ_d the angle between half vector and light. γ near 0 is
+Lambertian, large κ and γ a mirror-like lobe. ρ is the whole BRDF, in 1/steradian.
+
+log κ and log γ are polynomials of θ_d held by DEGREE + 1 Bernstein coefficients each, so κ and γ are positive whatever
+the coefficients. Bernstein, because its basis functions are positive and sum to 1: bounds on the coefficients bound the
+curve, moving all coefficients by s moves the curve by s, and there are no knots to choose.
+"""
+
+from math import comb, log, pi
+
+import torch
+from torch import Tensor
+
+CHANNELS, LOBES, DEGREE = 3, 3, 5
+SHAPE = (CHANNELS, LOBES, 2, DEGREE + 1)
+"""Shape of a material's coefficients: colour channel, lobe, (log κ, log γ), Bernstein coefficient. 108 numbers."""
+
+LOG_KAPPA_RANGE = (log(1e-6), log(1e4))
+"""At the lower end a lobe is dark: it reflects a millionth of what falls on it."""
+LOG_GAMMA_RANGE = (log(1e-3), log(1e5))
+"""At the lower end a lobe is Lambertian to 1 % of its height."""
+
+COSINE_FLOOR = 1e-4
+"""n·h is raised to this before its logarithm is taken; below it (0.006° from grazing) the gradient is zero."""
+
+LOG_EXPONENT_RANGE = (-40.0, log(20.0))
+"""log(κ cos^γ θ_h) is held in here, with zero gradient outside. At the upper end ρ = 5e8, orders of magnitude past
+display white (the peak of a GGX mirror of roughness 0.1 is about 1e3), and all that is computed from it stays finite in
+float32. At the lower end ρ = 4e-18 is lost beside anything; smaller numbers would only become denormal, and slow."""
+
+
+def basis(theta_d: Tensor) -> Tensor:
+    """Bernstein polynomials of θ_d in [0, π/2]: [D] to [D, DEGREE + 1], rows ≥ 0 that sum to 1."""
+    t = (theta_d / (pi / 2)).clamp(0.0, 1.0)
+    return torch.stack([comb(DEGREE, i) * t**i * (1 - t) ** (DEGREE - i) for i in range(DEGREE + 1)], dim=-1)
+
+
+def half_vectors(directions: Tensor, viewer: Tensor) -> tuple[Tensor, Tensor]:
+    """Half vectors [D, 3] and θ_d [D] of light directions [D, 3] and one viewer direction [3], all unit vectors.
+
+    For light from straight behind the surface the half vector has no direction: it is zero, and θ_d is π/2.
+    """
+    total = directions + viewer
+    length = torch.linalg.vector_norm(total, dim=-1)
+    theta_d = torch.atan2(torch.linalg.vector_norm(directions - viewer, dim=-1), length)
+    opposite = length < 1e-7
+    return torch.where(opposite[:, None], 0.0, total / torch.where(opposite, 1.0, length)[:, None]), theta_d
+
+
+def lobes(coefficients: Tensor, curves: Tensor) -> tuple[Tensor, Tensor]:
+    """log κ and γ, each [..., D], of coefficients [..., 2, DEGREE + 1] on curves = basis(θ_d) [D, DEGREE + 1].
+
+    Both stop at the upper ends of their ranges, with zero gradient beyond, so that no coefficient can overflow.
+    """
+    values = coefficients @ curves.T
+    return values[..., 0, :].clamp_max(LOG_KAPPA_RANGE[1]), values[..., 1, :].clamp_max(LOG_GAMMA_RANGE[1]).exp()
+
+
+def reflectance(log_cosine: Tensor, log_kappa: Tensor, gamma: Tensor) -> Tensor:
+    """One lobe, exp(κ cos^γ θ_h) − 1, from log cos θ_h, log κ and γ; shapes broadcast."""
+    log_exponent = torch.addcmul(log_kappa, gamma, log_cosine)
+    return torch.expm1(log_exponent.clamp(*LOG_EXPONENT_RANGE).exp())

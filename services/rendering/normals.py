@@ -1,0 +1,29 @@
+"""Unit normals as the paper's two angles per pixel, and back.
+
+The angles are of the camera's frame: polar angle θ from the camera's up axis (+y), azimuth φ about it from the axis
+towards the viewer (+z) to the camera's right (+x), so n = (sin θ sin φ, cos θ, sin θ cos φ). A surface that is seen has
+n·z > 0, hence φ in (−π/2, π/2), away from the jump at ±π; and the pole, where φ has no meaning, lies on the silhouette:
+only surfaces seen exactly edge-on have a normal straight up. Nothing breaks there: n is smooth in (θ, φ) everywhere and
+its gradient with respect to φ goes to zero at the pole.
+"""
+
+import torch
+from torch import Tensor
+
+
+def to_angles(vectors: Tensor) -> Tensor:
+    """Azimuth and polar angle [..., 2], radians, of vectors [..., 3] in the camera's frame (of any length > 0).
+
+    Azimuth in [−π, π], 0 at the poles; polar angle in [0, π]. The zero vector gives (0, 0).
+    """
+    x, y, z = vectors.unbind(-1)
+    horizontal = torch.hypot(x, z)
+    azimuth = torch.where(horizontal > 0, torch.atan2(x, z), 0.0)
+    return torch.stack((azimuth, torch.atan2(horizontal, y)), dim=-1)
+
+
+def to_vectors(angles: Tensor) -> Tensor:
+    """Unit vectors [..., 3] in the camera's frame of angles [..., 2] (azimuth, polar), for any finite angles."""
+    azimuth, polar = angles.unbind(-1)
+    horizontal = polar.sin()
+    return torch.stack((horizontal * azimuth.sin(), polar.cos(), horizontal * azimuth.cos()), dim=-1)

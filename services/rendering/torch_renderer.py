@@ -1,0 +1,175 @@
+"""The differentiable renderer of the paper: a G-buffer shaded by a DSBRDF under an environment map.
+
+Radiance of a pixel with normal n, for a viewer and light far away,
+
+    I = base_color · exposure · Σ_ω ρ(θ_h, θ_d) · chroma(ω) · ℓ(ω) · max(0, n·ω) · ΔΩ(ω),
+
+then the sRGB curve on [0,1], and over the ground by coverage. The viewer is one direction, from the scene's origin to
+the camera: a modelling choice of the paper, under which θ_d belongs to the light direction alone. The sum runs over
+every texel of the map and nothing is approximated; only pixels with coverage are shaded.
+"""
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+from torch.utils.checkpoint import checkpoint
+
+from services.rendering import dsbrdf
+from services.rendering.directions import directions, solid_angles
+from services.rendering.display import to_display
+from services.rendering.gbuffer import GBuffer
+from services.rendering.illumination import illumination
+from services.rendering.normals import to_angles, to_vectors
+from services.rendering.presets import preset
+from services.rendering.protocol import Parameters
+from services.rendering.units import MATERIAL_UNIT
+from services.scenes.resolve import ResolvedScene
+
+CHUNK = 2**19
+"""Pixels times directions shaded at once. Few enough that the 50-odd tensors of a chunk, recomputed in the backward
+pass one chunk at a time, take about 100 MB; many enough that Python does not count."""
+
+
+class TorchRenderer:
+    """Groups, each differentiable:
+
+    normals [H, W, 2]: azimuth and polar angle in the camera's frame, radians (services.rendering.normals). 0 and
+    without effect where nothing is covered.
+    illumination [rows, cols]: one intensity per texel of the map, ≥ 0, of mean ILLUMINATION_MEAN; the texel's colour
+    stays.
+    material [objects, 3, 3, 2, 6]: per object and colour channel three lobes' Bernstein coefficients of log κ and log γ
+    (services.rendering.dsbrdf), times MATERIAL_UNIT.
+    """
+
+    name = "torch"
+    groups = ("normals", "illumination", "material")
+    differentiable = True
+
+    def __init__(self, scene: ResolvedScene, gbuffer: GBuffer, dtype: torch.dtype = torch.float32) -> None:
+        """Prepare `scene`, as rasterised in `gbuffer`, for shading in `dtype`. Raises InvalidRequest for an unknown
+        material preset."""
+        self._scene, self._gbuffer, self._dtype = scene, gbuffer, dtype
+        height, width = gbuffer.coverage.shape
+        self.size = (height, width)
+        self.backend = (
+            f"torch {torch.__version__} cpu {str(dtype).removeprefix('torch.')} threads {torch.get_num_threads()}; "
+            f"{gbuffer.backend}"
+        )
+        self._twin = self if dtype == torch.float64 else TorchRenderer(scene, gbuffer, torch.float64)
+
+        to_camera = torch.as_tensor(scene.view, dtype=torch.float64)[:3, :3]
+        environment = torch.as_tensor(scene.environment)
+        light = illumination(environment)
+        rows, cols = light.intensity.shape
+        towards = directions(rows, cols) @ to_camera
+        half, theta_d = dsbrdf.half_vectors(towards, torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
+        self._towards, self._half = towards.T.to(dtype), half.T.to(dtype)
+        self._curves = (dsbrdf.basis(theta_d) / MATERIAL_UNIT).to(dtype)
+        power = light.exposure * light.chroma.reshape(-1, 3).T * solid_angles(rows, cols)
+        self._power = power.to(dtype)
+
+        # Pixels in the order of their objects, so that a chunk has one material.
+        coverage = gbuffer.coverage.flatten()
+        owner = torch.where(coverage > 0, gbuffer.object_index.flatten(), -1)
+        order = torch.argsort(owner, stable=True)
+        self._pixels = order[owner[order] >= 0]
+        self._counts = torch.bincount(owner[self._pixels], minlength=len(scene.description.objects)).tolist()
+        self._base_color = gbuffer.base_color.reshape(-1, 3)[self._pixels].to(dtype)
+        self._coverage = coverage[self._pixels, None].to(dtype)
+        self._ground = torch.tensor(scene.description.ground, dtype=dtype)
+
+        normals = gbuffer.normals.to(torch.float64) @ to_camera
+        materials = [
+            preset(thing.material, f"scene.objects.{i}.material") for i, thing in enumerate(scene.description.objects)
+        ]
+        initial = {
+            "normals": to_angles(normals) * (gbuffer.coverage > 0)[..., None],
+            "illumination": light.intensity,
+            "material": torch.stack(materials) * MATERIAL_UNIT,
+        }
+        # Rounded to float32 in the twin too: both mean the same scene.
+        self._initial = {group: value.to(torch.float32).to(dtype) for group, value in initial.items()}
+
+    def initial(self) -> Parameters:
+        """The scene's own values, in the renderer's dtype; all are float32 numbers."""
+        return {group: value.clone() for group, value in self._initial.items()}
+
+    def bounds(self) -> Mapping[str, tuple[Tensor, Tensor]]:
+        """Light is not negative; κ and γ stay in the ranges of services.rendering.dsbrdf; any angle is a normal."""
+        infinity = torch.tensor(torch.inf, dtype=self._dtype)
+        ranges = torch.tensor([dsbrdf.LOG_KAPPA_RANGE, dsbrdf.LOG_GAMMA_RANGE], dtype=self._dtype) * MATERIAL_UNIT
+        return {
+            "normals": (-infinity, infinity),
+            "illumination": (torch.zeros((), dtype=self._dtype), infinity),
+            "material": (ranges[:, :1], ranges[:, 1:]),
+        }
+
+    def names(self, group: str) -> list[str] | None:
+        """Words for the material's coordinates; None for the image-like groups."""
+        if group != "material":
+            return None
+        return [
+            f"object {thing} {channel} lobe {lobe} {curve} {i}"
+            for thing in range(len(self._counts))
+            for channel in ("red", "green", "blue")
+            for lobe in range(dsbrdf.LOBES)
+            for curve in ("kappa", "gamma")
+            for i in range(dsbrdf.DEGREE + 1)
+        ]
+
+    def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
+        """Images [B, H, W, 3] in [0,1], in the renderer's dtype. ValueError for a wrong shape or an unknown group."""
+        batch = {len(value) for value in parameters.values()} or {1}
+        if len(batch) > 1:
+            raise ValueError(f"groups with different batch sizes {sorted(batch)}")
+        for group, value in parameters.items():
+            if group not in self._initial or value.shape[1:] != self._initial[group].shape:
+                wanted = {name: ("B", *initial.shape) for name, initial in self._initial.items()}
+                raise ValueError(f"group {group!r} of shape {tuple(value.shape)}; wanted {wanted}")
+        # One image at a time: the same operations on the same shapes whatever else is in the batch, so the same bits.
+        return torch.stack(
+            [
+                self._image(**self._initial | {group: value[b].to(self._dtype) for group, value in parameters.items()})
+                for b in range(batch.pop())
+            ]
+        )
+
+    def exact(self) -> "TorchRenderer":
+        """The float64 twin."""
+        return self._twin
+
+    def _image(self, normals: Tensor, illumination: Tensor, material: Tensor) -> Tensor:
+        """One picture [H, W, 3]."""
+        vectors = to_vectors(normals.reshape(-1, 2)[self._pixels])
+        light = self._power * illumination.flatten()
+        pixels_at_once = max(16, CHUNK // light.shape[1])
+        radiance = []
+        for thing, of_thing in enumerate(torch.split(vectors, self._counts)):
+            log_kappa, gamma = dsbrdf.lobes(material[thing], self._curves)
+            for chunk in torch.split(of_thing, pixels_at_once):
+                if len(chunk):
+                    radiance.append(
+                        checkpoint(
+                            self._shade, chunk, light, log_kappa, gamma, use_reentrant=False, preserve_rng_state=False
+                        )
+                    )
+        height, width = self.size
+        picture = self._ground.expand(height * width, 3)
+        if radiance:
+            shaded = to_display(torch.cat(radiance) * self._base_color)
+            over = self._coverage * shaded + (1 - self._coverage) * self._ground
+            picture = picture.index_put((self._pixels,), over)
+        return picture.reshape(height, width, 3)
+
+    def _shade(self, normals: Tensor, light: Tensor, log_kappa: Tensor, gamma: Tensor) -> Tensor:
+        """Radiance [P, 3] before the base colour of normals [P, 3] under light [3, D], lobes [3, LOBES, D]."""
+        cosine = (normals @ self._towards).clamp_min(0.0)
+        log_half = (normals @ self._half).clamp_min(dsbrdf.COSINE_FLOOR).log()
+        channels = []
+        for channel in range(dsbrdf.CHANNELS):
+            rho = dsbrdf.reflectance(log_half, log_kappa[channel, 0], gamma[channel, 0])
+            for lobe in range(1, dsbrdf.LOBES):
+                rho = rho + dsbrdf.reflectance(log_half, log_kappa[channel, lobe], gamma[channel, lobe])
+            channels.append((rho * cosine) @ light[channel])
+        return torch.stack(channels, dim=-1)
