@@ -2,7 +2,7 @@
 
 import asyncio
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, BinaryIO
 
 from services.errors import InvalidRequest
 from services.jobs.child import Child, ChildDied
@@ -50,33 +50,34 @@ class Preflight:
     async def check(self, spec: JobSpec) -> JobSpec:
         """The spec as it would run. Raises InvalidRequest, or Unavailable."""
         try:
-            answer = await self._ask({"check": spec.model_dump(mode="json")}, b"", CHECK_SECONDS)
+            answer = await self._ask({"check": spec.model_dump(mode="json")}, None, CHECK_SECONDS)
         except ChildDied as error:
             raise Unavailable("the check of this request was cut short; try again") from error
         return JobSpec.model_validate(answer["spec"])
 
-    async def add_mesh(self, data: bytes, kind: str) -> Entry:
+    async def add_mesh(self, file: BinaryIO, kind: str) -> Entry:
         """Check and store an uploaded mesh. Raises InvalidRequest, or Unavailable."""
         try:
-            answer = await self._ask({"mesh": kind}, data, MESH_SECONDS)
+            answer = await self._ask({"mesh": kind}, file, MESH_SECONDS)
         except ChildDied as error:
             detail = f"it could not be read within {MESH_SECONDS:g} seconds and the memory allowed"
             raise InvalidRequest("file", detail) from error
         return Entry.model_validate(answer["entry"])
 
-    async def _ask(self, message: dict[str, Any], data: bytes, seconds: float) -> dict[str, Any]:
+    async def _ask(self, message: dict[str, Any], file: BinaryIO | None, seconds: float) -> dict[str, Any]:
         loop = asyncio.get_running_loop()
-        answer = await loop.run_in_executor(self._thread, self._ask_now, message, data, seconds)
+        answer = await loop.run_in_executor(self._thread, self._ask_now, message, file, seconds)
         if "field" in answer:
             raise InvalidRequest(answer["field"], answer["detail"])
         if "trouble" in answer:
             raise Unavailable(f"the check of this request failed: {answer['trouble']}")
         return answer
 
-    def _ask_now(self, message: dict[str, Any], data: bytes, seconds: float) -> dict[str, Any]:
+    def _ask_now(self, message: dict[str, Any], file: BinaryIO | None, seconds: float) -> dict[str, Any]:
         child = self._warm()
         try:
-            child.send(message, data)
+            # Uploads wait on the disk; only the one whose turn it is comes into memory.
+            child.send(message, b"" if file is None else file.read())
             answer = child.receive(seconds)
             if answer is not None:
                 return answer

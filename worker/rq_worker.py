@@ -41,6 +41,16 @@ class JobWorker(SimpleWorker):  # type: ignore[misc]
         """Run a job, saying to Redis now and then that this worker lives."""
         self._runner.run(job_id, self._beat)
 
+    def heartbeat(self, timeout: int | None = None, pipeline: Any = None) -> None:
+        """Say that this worker lives, for as long as it works on a queue."""
+        super().heartbeat(timeout, pipeline)
+        queue.Queue(self.connection).alive(self.name)
+
+    def register_death(self) -> None:
+        """Say that it does not any more."""
+        super().register_death()
+        queue.Queue(self.connection).gone(self.name)
+
     def _beat(self) -> None:
         now = time.monotonic()
         if self._message is None or now - self._beaten < queue.HEARTBEAT_SECONDS:

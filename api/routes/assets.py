@@ -25,7 +25,7 @@ async def upload(
     kind: Annotated[str, Form(max_length=16, description="obj, ply, stl, glb or off")],
 ) -> Entry:
     """Check a mesh and keep it by the hash of its bytes; scenes name it by the `name` in the answer."""
-    return await has.preflight.add_mesh(await file.read(), kind)
+    return await has.preflight.add_mesh(file.file, kind)
 
 
 @router.get("")

@@ -16,6 +16,7 @@ TASK = "worker.task.run_job"
 """The only function a message may name."""
 HEARTBEAT_SECONDS = 5
 """A live worker says so at least this often."""
+_SIGN = f"{NAME}:worker:"
 SETTLE_SECONDS = 5.0
 """A message younger than this may be in the hands of a worker that has not leased its job yet."""
 
@@ -57,11 +58,17 @@ class Queue:
         with suppress(NoSuchJobError):
             Message.fetch(_message_id(job_id, attempt), connection=self.redis, serializer="json").delete()
 
+    def alive(self, worker: str) -> None:
+        """Say that a worker lives. RQ's own register would stay empty after Redis lost it. Raises RedisError."""
+        self.redis.set(_SIGN + worker, "", ex=3 * HEARTBEAT_SECONDS)
+
+    def gone(self, worker: str) -> None:
+        """Say that a worker has ended. Raises RedisError."""
+        self.redis.delete(_SIGN + worker)
+
     def live_workers(self) -> int:
         """How many workers gave a sign of life lately. Raises RedisError."""
-        since = datetime.now(UTC) - timedelta(seconds=3 * HEARTBEAT_SECONDS)
-        workers = rq.Worker.all(connection=self.redis, serializer="json")
-        return sum(1 for worker in workers if worker.last_heartbeat is not None and worker.last_heartbeat > since)
+        return sum(1 for _ in self.redis.scan_iter(match=_SIGN + "*", count=1000))
 
 
 def reconcile(repository: Repository, queue: Queue) -> int:

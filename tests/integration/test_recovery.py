@@ -3,6 +3,7 @@
 import signal
 from pathlib import Path
 
+import psutil
 import pytest
 
 from tests.integration.conftest import Stack, end, serving, until
@@ -57,10 +58,10 @@ def test_a_job_that_kills_its_process_every_time_fails_by_name(stack: Stack) -> 
 
 
 def test_redis_may_be_lost_with_all_it_held(stack: Stack) -> None:
-    running = stack.submit(long(STEPS))
+    running = stack.submit(long(STEPS // 3))
     stack.attacking(running)
     queued = stack.submit(QUICK)
-    (redis,) = [p for p in stack.processes("--unixsocket") if "redis-server" in p.cmdline()[0]]
+    (redis,) = [p for p in psutil.Process(stack.process.pid).children() if p.name() == "redis-server"]
     redis.kill()
     late = stack.submit(QUICK)  # taken whether Redis is there or not
     for job_id in (running, queued, late):
@@ -69,8 +70,10 @@ def test_redis_may_be_lost_with_all_it_held(stack: Stack) -> None:
 
 
 def test_the_api_may_be_killed(stack: Stack) -> None:
-    job_id = stack.submit(long(STEPS))
-    stack.one("api.main").kill()
+    job_id = stack.submit(QUICK)
+    api = stack.one("api.main")
+    api.kill()
+    api.wait(30)
     # The supervisor kept the socket: this waits for the new API instead of failing.
     assert stack.ended(job_id)["state"] == "succeeded"
 

@@ -6,7 +6,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 from rq.job import Job as Message
 
-from services.jobs.queue import SETTLE_SECONDS, TASK, Queue, connect, reconcile
+from services.jobs.queue import HEARTBEAT_SECONDS, SETTLE_SECONDS, TASK, Queue, connect, reconcile
 from services.jobs.repository import Repository
 from services.jobs.service import Submissions
 from tests.unit.jobs.conftest import Clock
@@ -101,5 +101,12 @@ def test_a_job_is_taken_while_redis_is_away(repository: Repository, queue: Queue
     assert queue.waiting() == {f"{said['id']}-0"}
 
 
-def test_no_worker_no_sign_of_life(queue: Queue) -> None:
+def test_signs_of_life_are_counted_and_do_not_last(queue: Queue) -> None:
     assert queue.live_workers() == 0
+    queue.alive("a")
+    queue.alive("a")
+    queue.alive("b")
+    assert queue.live_workers() == 2
+    queue.gone("a")
+    assert queue.live_workers() == 1
+    assert 0 < queue.redis.ttl("scene-attack:worker:b") <= 3 * HEARTBEAT_SECONDS

