@@ -1,0 +1,77 @@
+"""ZOO's estimate against autograd through the real renderer and the real network, both in float64."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch.nn.functional import cosine_similarity
+
+from services.attacks.differences import estimate, layout, where_clamped
+from services.attacks.goal import ResolvedGoal
+from services.attacks.problem import Problem
+from services.rendering.gbuffer import rasterise
+from services.rendering.torch_renderer import TorchRenderer
+from services.scenes.description import Scene
+from services.scenes.resolve import resolve
+from services.targets import registry
+from services.targets.classifier import Classifier
+from tests.unit.jobs.small import LIBRARY
+
+SCENE = {
+    "objects": [{"mesh": "furniture/soccer-ball", "material": "plastic"}],
+    "camera": {"size": [48, 48]},
+    "lights": {"environment": {"size": [8, 16]}},
+}
+
+
+def build(group: str, weight: float = 0.1) -> Problem:
+    scene = resolve(Scene.model_validate(SCENE), LIBRARY)
+    renderer = TorchRenderer(scene, rasterise(scene), torch.float64)
+    target = registry.load("efficientnet-lite0", torch.float64)
+    assert isinstance(target, Classifier)
+    target = replace(target, input_size=(48, 48))  # the network takes any size, and float64 is slow
+    with torch.no_grad():
+        start = {g: v[None] for g, v in renderer.initial().items()}
+        first = int(target.logits(renderer.render(start)).argmax())
+    return Problem(renderer, target, ResolvedGoal(first, None), (group,), weight=weight)
+
+
+def at_random(problem: Problem) -> torch.Tensor:
+    """A small perturbation within bounds: at zero the λ term has no slope, and would not be tested."""
+    where = layout(problem)
+    at = 0.5 * torch.randn(1, where.total, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    return where_clamped(problem, at, where)[0]
+
+
+def autograd(problem: Problem, at: torch.Tensor) -> torch.Tensor:
+    where = layout(problem)
+    leaf = at.clone().requires_grad_()
+    images = problem.renderer.render(where.unflatten((where.flatten(problem.initial) + leaf)[None]))
+    value = problem.goal.advantage(problem.target.logits(images)).sum()
+    value = value + problem.weight * (images - problem.original).square().sum()
+    return torch.autograd.grad(value, leaf)[0]
+
+
+@pytest.mark.parametrize("group", ["illumination", "material"])
+def test_the_estimate_is_the_gradient(group: str) -> None:
+    problem = build(group)
+    at = at_random(problem)
+    truth = autograd(problem, at)
+    free = (problem.initial[group].flatten() + at > 1e-3).nonzero().flatten() if group == "illumination" else None
+    order = truth.abs().argsort(descending=True)[::6]  # a sixth of the coordinates, large slopes and small
+    chosen = order if free is None else order[torch.isin(order, free)]  # at a bound the difference is one-sided
+    found = estimate(problem, at, chosen, torch.full((len(chosen),), 1e-4).double(), 0.0).slopes
+    assert float(cosine_similarity(found, truth[chosen], dim=0)) > 0.999
+    # and of the right size: an estimator scaled by a constant has the same cosine
+    assert float(found.norm() / truth[chosen].norm()) == pytest.approx(1, abs=1e-3)
+
+
+def test_other_coordinates_in_the_batch_change_nothing() -> None:
+    problem = build("illumination")
+    at = at_random(problem)
+    deltas = torch.full((40,), 1e-3).double()
+    together = estimate(problem, at, torch.arange(40), deltas, 0.0).slopes
+    for chosen in (torch.tensor([7]), torch.arange(30, 40)):
+        alone = estimate(problem, at, chosen, deltas[: len(chosen)], 0.0).slopes
+        # the network's own sums may be blocked differently for another batch: float64 rounding over 2δ
+        torch.testing.assert_close(alone, together[chosen], rtol=1e-6, atol=1e-8)
