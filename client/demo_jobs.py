@@ -4,7 +4,7 @@ from typing import Any
 
 SCENES: dict[str, dict[str, Any]] = {
     "soccer ball": {"objects": [{"mesh": "furniture/soccer-ball"}]},
-    "toilet seat": {"objects": [{"mesh": "furniture/toilet"}]},
+    "toilet seat": {"objects": [{"mesh": "furniture/toilets-unit"}]},
     "grand piano": {"objects": [{"mesh": "furniture/grand-piano", "material": "glossy-paint"}]},
 }
 """The true label, which the network must say to begin with, and the scene."""

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from services.errors import JobFailure
+from services.jobs.tether import die_with_parent
 
 STOP_SECONDS = 30.0
 
@@ -17,8 +18,10 @@ STOP_SECONDS = 30.0
 def running_service(data: Path, environ: dict[str, str]) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
     """Starts `scene-attack serve` on the data directory with these settings; gives its address once it takes jobs.
 
-    Its log is `data`/service.log. Raises JobFailure("internal") if it ends before it is ready.
+    Its log is `data`/service.log. It is stopped on leaving, SIGTERM included. Raises JobFailure("internal") if it ends
+    before it is ready.
     """
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     data.mkdir(parents=True, exist_ok=True)
     log = data / "service.log"
     with log.open("ab") as errors:
@@ -30,6 +33,7 @@ def running_service(data: Path, environ: dict[str, str]) -> Iterator[tuple[str, 
             stderr=errors,
             text=True,
             start_new_session=True,  # Ctrl-C reaches us alone; we stop it
+            preexec_fn=die_with_parent,  # safe: there is one thread; for when we are killed and cannot
         )
     assert process.stdout is not None
     try:

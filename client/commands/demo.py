@@ -42,6 +42,7 @@ def demo(
     with running_service(data, {"SCENE_ATTACK_PORT": str(_free_port(values.host, values.port))}) as (url, process):
         say.print(f"service at {url}, its log in {data / 'service.log'}", markup=False, highlight=False)
         with ApiClient(url) as client:
+            _clear(client)
             jobs = _watch(client, [client.submit(spec)["id"] for spec in specs()])
         out().print(_table(jobs))
         for job in jobs:
@@ -54,6 +55,13 @@ def demo(
                 process.wait()
     if any(job["state"] != "succeeded" for job in jobs):
         raise typer.Exit(1)
+
+
+def _clear(client: "ApiClient") -> None:
+    """Cancels what a demonstration that was broken off has left behind."""
+    for state in ("queued", "running"):
+        for job in client.jobs(limit=200, state=state)["items"]:
+            client.cancel(job["id"])
 
 
 def _watch(client: "ApiClient", ids: list[str]) -> list[dict[str, Any]]:

@@ -1,7 +1,7 @@
 """`run` and `replay`: one job in this process, without a service."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -43,16 +43,16 @@ def run(
     from client.live import JobLine
     from client.outcomes import COLUMNS, cells
     from services.jobs.names import attack_name, scene_name
+    from services.jobs.spec import parse
 
     _keep_memory()
     data = spec_input.read(spec, seed)
+    job = parse(data)
     _prepare_folder(out)
-    with err().status("loading"):
-        full, library = _preflight(data)
-    words = full.model_dump(mode="json")
+    words = job.model_dump(mode="json")
     name, attack = scene_name(words), attack_name(words)
     with JobLine(f"{name}, {attack}") as line:
-        result = _execute(full, out, library, line)
+        result = _execute(job, out, line)
     if as_json:
         print_json(result.model_dump(mode="json"))
         return
@@ -127,18 +127,9 @@ def _library() -> "Library":
     return Library(settings().cache_dir, settings().data_dir)
 
 
-def _preflight(data: dict[str, Any]) -> "tuple[JobSpec, Library]":
-    from services.jobs.spec import parse
-
-    spec = parse(data)  # before anything heavy is loaded
-    from services.jobs.prepare import preflight
-
-    library = _library()
-    return preflight(spec, library), library
-
-
-def _execute(spec: "JobSpec", out: Path, library: "Library", line: "JobLine") -> "Result":
+def _execute(spec: "JobSpec", out: Path, line: "JobLine") -> "Result":
     """Runs the job; a checkpoint in `out` is resumed from if it is of this very job, and removed at the end."""
+    from services.errors import InvalidRequest
     from services.jobs.execute import execute
 
     def report(progress: "Progress") -> None:
@@ -150,7 +141,11 @@ def _execute(spec: "JobSpec", out: Path, library: "Library", line: "JobLine") ->
     if not (begun.exists() and begun.read_text("utf-8") == words):
         checkpoint.unlink(missing_ok=True)
         begun.write_text(words, "utf-8")
-    result = execute(spec, out, library, progress=report, checkpoint=checkpoint)
+    try:
+        result = execute(spec, out, _library(), progress=report, checkpoint=checkpoint)
+    except InvalidRequest:
+        begun.unlink()
+        raise
     checkpoint.unlink(missing_ok=True)
     begun.unlink(missing_ok=True)
     return result
