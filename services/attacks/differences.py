@@ -15,8 +15,9 @@ from services.rendering.protocol import Parameters
 
 CHUNK_VALUES = 8_000_000
 """Values (pixels × channels) rendered at a time: about 100 MB with the network's activations beside it."""
+NEARLY = 1.5
 CANDIDATES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4)
-"""Half-steps among which `measure` chooses."""
+"""Half-steps among which `measure_deltas` chooses."""
 
 
 @dataclass(frozen=True)
@@ -155,9 +156,15 @@ def measure_deltas(problem: Problem, reach: Tensor, noise: float, probes: int = 
 
 
 def _steadiest(slopes: Tensor) -> int:
-    """The inner candidate whose slopes [probes, candidates] change least towards both neighbours; 0 if all are flat."""
+    """Which candidate, given slopes [probes, candidates], largest step first; 0 if all are flat.
+
+    The change towards both neighbours is what counts, so only inner candidates can win. Among those nearly as steady as
+    the steadiest the largest step is taken: by chance two small steps may agree on noise, two large ones hardly do.
+    """
     size = slopes.norm(dim=0)
     gap = (slopes[:, 1:] - slopes[:, :-1]).norm(dim=0) / torch.maximum(size[1:], size[:-1])
     gap = gap.nan_to_num(nan=float("inf"))  # 0/0: flat on both sides
     inner = torch.maximum(gap[1:], gap[:-1])
-    return 0 if bool(inner.isinf().all()) else 1 + int(inner.argmin())
+    if bool(inner.isinf().all()):
+        return 0
+    return 1 + int((inner <= NEARLY * inner.min()).nonzero()[0])
