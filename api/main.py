@@ -25,7 +25,6 @@ from services.jobs.queue import Queue
 from services.jobs.queue import connect as connect_redis
 from services.jobs.repository import Repository
 from services.jobs.service import Submissions
-from services.jobs.tether import die_with_parent
 from services.logs import configure, logger
 from services.scenes.library import Library
 from services.settings import Settings, settings
@@ -100,6 +99,5 @@ def run(listener: socket.socket | None = None) -> int:
 
 if __name__ == "__main__":
     if len(sys.argv) > 1:
-        die_with_parent()
         sys.exit(run(socket.socket(fileno=int(sys.argv[1]))))
     sys.exit(run())

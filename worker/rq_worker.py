@@ -15,7 +15,6 @@ from services.jobs import queue
 from services.jobs.child import ChildDied
 from services.jobs.database import connect as connect_database
 from services.jobs.repository import Repository
-from services.jobs.tether import die_with_parent
 from services.logs import configure, logger
 from services.settings import settings
 from worker.runner import Runner
@@ -91,7 +90,6 @@ class JobWorker(SimpleWorker):  # type: ignore[misc]
 
 def main() -> None:
     """Work until told to stop."""
-    die_with_parent()
     configure("worker")
     values = settings()
     name = sys.argv[1]

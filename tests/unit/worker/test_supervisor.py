@@ -1,9 +1,11 @@
 import os
 import signal
+import subprocess
 import sys
 import time
 from pathlib import Path
 
+import psutil
 import pytest
 
 from worker import supervisor as module
@@ -107,3 +109,19 @@ def test_a_signal_ends_the_supervisor() -> None:
             return False
 
     Signalled().run(program("one", "import signal; signal.pause()"))
+
+
+def test_no_program_outlives_a_supervisor_that_is_killed() -> None:
+    script = """
+from services.logs import configure
+from worker.supervisor import Program, Supervisor
+configure("test")  # logs go to stderr
+program = Program("one", lambda: ["sleep", "600"])
+Supervisor([program], lambda: print(program.process.pid, flush=True)).run()
+"""
+    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True) as supervisor:
+        assert supervisor.stdout is not None
+        program = psutil.Process(int(supervisor.stdout.readline()))
+        supervisor.kill()
+    psutil.wait_procs([program], timeout=10)
+    assert not program.is_running() or program.status() == psutil.STATUS_ZOMBIE
