@@ -86,7 +86,10 @@ class ApiClient:
                         stream.response.read()
                         raise _refusal(stream.response)
                     for event in stream.iter_sse():
-                        failures, after = 0, event.id
+                        failures = 0
+                        if not event.data:
+                            continue  # a sign of life
+                        after = event.id
                         found = Event(event.id, event.event, event.json())
                         yield found
                         if found.kind == "state" and found.data["state"] in TERMINAL:

@@ -105,6 +105,17 @@ def test_a_stream_that_ends_before_the_job_is_taken_up_too(client: ApiClient, sc
     assert [headers.get("Last-Event-ID") for _, _, headers in script.seen] == [None, "1", "2"]
 
 
+def test_signs_of_life_are_not_events(client: ApiClient, script: Script) -> None:
+    def answer(handler: BaseHTTPRequestHandler) -> None:
+        handler.send_response(200)
+        handler.send_header("Content-Type", "text/event-stream")
+        handler.end_headers()
+        handler.wfile.write(b'id: 1\nevent: state\ndata: {"state": "running"}\n\n: ping\n\n: ping\n\n')
+
+    script.answers = [answer, streams(DONE)]
+    assert [event.number for event in client.events("j")] == ["1", "3"]
+
+
 def test_nothing_left_to_hear_is_the_end(client: ApiClient, script: Script) -> None:
     script.answers = [lambda handler: (handler.send_response(204), handler.end_headers())[0]]
     assert list(client.events("j", after="3")) == []

@@ -1,0 +1,71 @@
+"""The command line against the real stack."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.integration.conftest import Stack
+from tests.integration.specs import ENDLESS, QUICK
+
+pytestmark = pytest.mark.integration
+
+
+def cli(stack: Stack, *arguments: str, spec: dict[str, Any] | None = None) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "client", *arguments, "--url", str(stack.client.base_url)]
+    stdin = "" if spec is None else json.dumps(spec)
+    return subprocess.run(command, input=stdin, capture_output=True, text=True, check=False, timeout=300)
+
+
+def test_submit_watch_download_and_replay(stack: Stack, tmp_path: Path) -> None:
+    done = cli(stack, "submit", "-", "--watch", "--seed", "5", "--json", spec=QUICK)
+    assert done.returncode == 0, done.stderr
+    job = json.loads(done.stdout)
+    assert job["state"] == "succeeded"
+    assert job["seed"] == 5
+    assert "attacking" in done.stderr
+    listed = json.loads(cli(stack, "jobs", "list", "--state", "succeeded", "--json").stdout)
+    assert job["id"] in [item["id"] for item in listed["items"]]
+    shown = cli(stack, "jobs", "show", job["id"])
+    assert "sphere" in shown.stdout
+    assert "image fgsm" in shown.stdout
+    assert cli(stack, "jobs", "watch", job["id"]).returncode == 0
+    assert cli(stack, "jobs", "download", job["id"], "--out", str(tmp_path)).returncode == 0
+    assert json.loads((tmp_path / "result.json").read_text()) == job["result"]
+    again = subprocess.run([sys.executable, "-m", "client", "replay", str(tmp_path)], check=False, timeout=300)
+    assert again.returncode == 0
+
+
+def test_cancel_and_watch_a_cancelled_job(stack: Stack) -> None:
+    job_id = cli(stack, "submit", "-", spec=ENDLESS).stdout.split()[0]
+    stack.attacking(job_id)
+    assert cli(stack, "jobs", "cancel", job_id).returncode == 0
+    watched = cli(stack, "jobs", "watch", job_id)
+    assert watched.returncode == 1
+    assert "cancelled" in watched.stdout
+
+
+def test_a_refusal_names_the_field_and_exits_2(stack: Stack) -> None:
+    bad = QUICK | {"target": {"name": "alexnet-9"}}
+    done = cli(stack, "submit", "-", spec=bad)
+    assert done.returncode == 2
+    assert "target.name" in done.stderr
+    assert cli(stack, "jobs", "show", "nothing").returncode == 2
+
+
+def test_a_mesh_is_added_and_attacked(stack: Stack, tmp_path: Path) -> None:
+    tetrahedron = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
+    (tmp_path / "tetrahedron.obj").write_text(tetrahedron)
+    added = cli(stack, "assets", "add", str(tmp_path / "tetrahedron.obj"))
+    assert added.returncode == 0, added.stderr
+    name = added.stdout.strip()
+    assert name.startswith("sha256:")
+    scene = QUICK["scene"] | {"objects": [{"mesh": name}]}
+    assert cli(stack, "submit", "-", "--watch", spec=QUICK | {"scene": scene}).returncode == 0
+    (tmp_path / "empty.obj").write_text("v 0 0 0\n")
+    refused = cli(stack, "assets", "add", str(tmp_path / "empty.obj"))
+    assert refused.returncode == 2
+    assert "file" in refused.stderr

@@ -1,0 +1,116 @@
+"""The dashboard in a real browser, on the real stack."""
+
+from collections.abc import Iterator
+
+import pytest
+from playwright.sync_api import Browser, Page, expect, sync_playwright
+
+from tests.integration.conftest import Stack
+from tests.integration.specs import ENDLESS, QUICK
+
+pytestmark = pytest.mark.integration
+
+ARGUMENTS = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
+PATIENCE = 60_000
+LOADED = "images => images.every(image => image.complete && image.naturalWidth > 0)"
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path="/usr/bin/chromium", args=ARGUMENTS)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def page(browser: Browser) -> Iterator[Page]:
+    """A page of a fresh profile; whatever the browser complains about fails the test."""
+    context = browser.new_context()
+    page = context.new_page()
+    page.set_default_timeout(PATIENCE)
+    complaints: list[str] = []
+    page.on("console", lambda message: complaints.append(message.text) if message.type != "log" else None)
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    yield page
+    context.close()
+    assert complaints == []
+
+
+@pytest.fixture
+def endless(stack: Stack) -> Iterator[str]:
+    """A job that runs until it is cancelled; at the latest after the test."""
+    job_id = stack.submit(ENDLESS)
+    yield job_id
+    stack.client.post(f"/v1/jobs/{job_id}/cancel")
+    stack.ended(job_id)
+
+
+def test_list_and_job_page_of_a_finished_job(stack: Stack, page: Page) -> None:
+    job = stack.ended(stack.submit(QUICK))
+    page.goto(f"{stack.client.base_url}/")
+    row = page.locator("tbody tr", has=page.locator(f'a[href="/jobs/{job["id"]}"]'))
+    expect(row.locator(".badge").first).to_have_text("succeeded")
+    row.scroll_into_view_if_needed()
+    expect(row.locator("img")).to_have_count(2)
+    row.locator("a").click()
+    expect(page.locator("h1")).to_have_text("sphere")
+    pictures = page.locator(".pictures img")
+    expect(pictures).to_have_count(3)
+    page.wait_for_load_state("networkidle")
+    assert pictures.evaluate_all(LOADED)
+    expect(page.get_by_role("img", name="Log-probability advantage").first).to_be_visible()
+    curves = page.locator(".charts.by-step svg")
+    expect(curves).to_have_count(4)
+    assert curves.evaluate_all("svgs => svgs.every(svg => svg.querySelector('.curve').getTotalLength() > 0)")
+    expect(page.locator(".by-seconds").first).to_be_hidden()
+    page.get_by_role("radio", name="seconds").check()
+    expect(page.locator(".by-step").first).to_be_hidden()
+    expect(page.locator(".by-seconds").first).to_be_visible()
+    subsets = page.get_by_role("table", name="The found perturbation")
+    expect(subsets.locator("tbody tr")).to_have_count(2)
+    expect(page.get_by_role("heading", name="Provenance")).to_be_visible()
+
+
+def test_a_running_job_moves_and_can_be_cancelled_from_its_page(stack: Stack, page: Page, endless: str) -> None:
+    job_id = endless
+    page.goto(f"{stack.client.base_url}/jobs/{job_id}")
+    expect(page.locator(".badge")).to_have_text("running", timeout=PATIENCE)
+    progress = page.locator("#live progress")
+    expect(progress).to_be_visible(timeout=PATIENCE)
+    before = progress.evaluate("bar => bar.value")
+    page.wait_for_function("before => document.querySelector('#live progress')?.value > before", arg=before)
+    page.get_by_role("radio", name="seconds").check()
+    now = page.locator("#live progress").evaluate("bar => bar.value")
+    page.wait_for_function("now => document.querySelector('#live progress')?.value > now", arg=now)
+    assert page.get_by_role("radio", name="seconds").is_checked()  # what the reader chose outlives an update
+    page.get_by_role("button", name="Cancel").click()
+    expect(page.locator(".badge")).to_have_text("cancelled", timeout=PATIENCE)
+    assert stack.ended(job_id)["state"] == "cancelled"
+
+
+def test_the_list_moves_by_itself(stack: Stack, page: Page) -> None:
+    page.goto(f"{stack.client.base_url}/")
+    job_id = stack.submit(QUICK)
+    row = page.locator("tbody tr", has=page.locator(f'a[href="/jobs/{job_id}"]'))
+    expect(row.locator(".badge").first).to_have_text("succeeded", timeout=PATIENCE)
+
+
+def test_pages_work_without_script(stack: Stack, browser: Browser, endless: str) -> None:
+    job_id = endless
+    stack.attacking(job_id)
+    context = browser.new_context(java_script_enabled=False)
+    page = context.new_page()
+    page.goto(f"{stack.client.base_url}/jobs/{job_id}")
+    page.get_by_role("button", name="Cancel").click()
+    stack.ended(job_id)
+    page.reload()
+    expect(page.locator(".badge")).to_have_text("cancelled")
+    context.close()
