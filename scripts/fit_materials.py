@@ -73,8 +73,10 @@ class Reference:
 
 REFERENCES = {
     "matte": Reference("Lambertian, albedo 1", 1, albedo=1.0),
-    "plastic": Reference("Lambertian under a GGX dielectric of index 1.5, α 0.3", 3, 1.0, 0.04, 0.3),
-    "glossy-paint": Reference("Lambertian under a GGX dielectric of index 1.5, α 0.12", 3, 1.0, 0.04, 0.12),
+    "plastic": Reference("Lambertian, albedo 0.95, under a GGX dielectric of index 1.5, α 0.3", 3, 0.95, 0.04, 0.3),
+    "glossy-paint": Reference(
+        "Lambertian, albedo 0.95, under a GGX dielectric of index 1.5, α 0.12", 3, 0.95, 0.04, 0.12
+    ),
     "brushed-metal": Reference("GGX conductor, reflectance 0.92 (aluminium), α 0.3", 3, 0.0, 0.92, 0.3),
 }
 

@@ -29,4 +29,4 @@ def preset(name: str, field: str = "material") -> Tensor:
         close = get_close_matches(name, known, n=2, cutoff=0.4)
         hint = f"did you mean {' or '.join(close)}?" if close else f"there are {', '.join(known)}"
         raise InvalidRequest(field, f"no material preset {name!r}; {hint}")
-    return known[name]
+    return known[name].clone()

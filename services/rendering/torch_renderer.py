@@ -13,7 +13,6 @@ from collections.abc import Mapping
 
 import torch
 from torch import Tensor
-from torch.utils.checkpoint import checkpoint
 
 from services.rendering import dsbrdf
 from services.rendering.directions import directions, solid_angles
@@ -23,12 +22,9 @@ from services.rendering.illumination import illumination
 from services.rendering.normals import to_angles, to_vectors
 from services.rendering.presets import preset
 from services.rendering.protocol import Parameters
+from services.rendering.shading import radiance
 from services.rendering.units import MATERIAL_UNIT
 from services.scenes.resolve import ResolvedScene
-
-CHUNK = 2**19
-"""Pixels times directions shaded at once. Few enough that the 50-odd tensors of a chunk, recomputed in the backward
-pass one chunk at a time, take about 100 MB; many enough that Python does not count."""
 
 
 class TorchRenderer:
@@ -143,33 +139,12 @@ class TorchRenderer:
         """One picture [H, W, 3]."""
         vectors = to_vectors(normals.reshape(-1, 2)[self._pixels])
         light = self._power * illumination.flatten()
-        pixels_at_once = max(16, CHUNK // light.shape[1])
-        radiance = []
+        shaded = []
         for thing, of_thing in enumerate(torch.split(vectors, self._counts)):
             log_kappa, gamma = dsbrdf.lobes(material[thing], self._curves)
-            for chunk in torch.split(of_thing, pixels_at_once):
-                if len(chunk):
-                    radiance.append(
-                        checkpoint(
-                            self._shade, chunk, light, log_kappa, gamma, use_reentrant=False, preserve_rng_state=False
-                        )
-                    )
+            shaded.append(radiance(of_thing, light, log_kappa, gamma, self._towards, self._half))
+        shown = to_display(torch.cat(shaded) * self._base_color)
         height, width = self.size
-        picture = self._ground.expand(height * width, 3)
-        if radiance:
-            shaded = to_display(torch.cat(radiance) * self._base_color)
-            over = self._coverage * shaded + (1 - self._coverage) * self._ground
-            picture = picture.index_put((self._pixels,), over)
+        over = self._coverage * shown + (1 - self._coverage) * self._ground
+        picture = self._ground.expand(height * width, 3).index_put((self._pixels,), over)
         return picture.reshape(height, width, 3)
-
-    def _shade(self, normals: Tensor, light: Tensor, log_kappa: Tensor, gamma: Tensor) -> Tensor:
-        """Radiance [P, 3] before the base colour of normals [P, 3] under light [3, D], lobes [3, LOBES, D]."""
-        cosine = (normals @ self._towards).clamp_min(0.0)
-        log_half = (normals @ self._half).clamp_min(dsbrdf.COSINE_FLOOR).log()
-        channels = []
-        for channel in range(dsbrdf.CHANNELS):
-            rho = dsbrdf.reflectance(log_half, log_kappa[channel, 0], gamma[channel, 0])
-            for lobe in range(1, dsbrdf.LOBES):
-                rho = rho + dsbrdf.reflectance(log_half, log_kappa[channel, lobe], gamma[channel, lobe])
-            channels.append((rho * cosine) @ light[channel])
-        return torch.stack(channels, dim=-1)
