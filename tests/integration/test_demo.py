@@ -1,0 +1,69 @@
+"""The demonstration, as `scripts/demo` starts it."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import httpx
+import psutil
+import pytest
+
+from client.demo_jobs import specs
+
+pytestmark = pytest.mark.integration
+
+
+def demo(data: Path, *arguments: str) -> "subprocess.Popen[str]":
+    return subprocess.Popen(
+        [sys.executable, "-m", "client", "demo", *arguments],
+        env=os.environ | {"SCENE_ATTACK_DATA": str(data), "SCENE_ATTACK_PORT": "0"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def address(process: "subprocess.Popen[str]") -> str:
+    """Read from its standard error until it says where the service is."""
+    assert process.stderr is not None
+    for line in process.stderr:
+        if found := re.match(r"service at (http://\S+),", line):
+            return found[1]
+    raise AssertionError("it ended before its service was ready")
+
+
+def test_once_runs_every_job_shows_the_table_and_leaves_nothing_running(tmp_path: Path) -> None:
+    process = demo(tmp_path, "--once")
+    url = address(process)
+    table, _ = process.communicate(timeout=840)
+    assert process.returncode == 0, table
+    rows = [line for line in table.splitlines() if re.search(r"\b(fooled|held)\b", line)]
+    assert len(rows) == len(specs()) >= 9
+    assert f"Dashboard: {url}" in table
+    # Every image attack fooled the network, and so did at least two of the torch renderer, all verified.
+    image = [row for row in rows if "image fgsm" in row]
+    torch = [row for row in rows if "torch combined" in row]
+    assert len(image) >= 3
+    assert all("fooled" in row and "yes" in row for row in image)
+    assert sum("fooled" in row and "yes" in row for row in torch) >= 2
+    with pytest.raises(httpx.ConnectError):
+        httpx.get(url)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGKILL])
+def test_however_it_is_ended_its_service_ends_too(tmp_path: Path, number: signal.Signals) -> None:
+    process = demo(tmp_path)
+    try:
+        address(process)
+        tree = psutil.Process(process.pid).children(recursive=True)
+        assert len(tree) >= 4  # supervisor, Redis, API, worker
+        process.send_signal(number)
+        process.communicate(timeout=60)
+        _, alive = psutil.wait_procs(tree, timeout=60)
+        assert not alive
+    finally:
+        process.kill()
+        process.communicate()

@@ -1,0 +1,64 @@
+"""The documents against the code: nothing left out, nothing that is not there."""
+
+import re
+from pathlib import Path
+
+import pytest
+from pydantic import BaseModel
+
+from api.main import create_app
+from services.attacks.spec import Fgsm, Goal, Zoo
+from services.rendering.presets import presets
+from services.scenes.description import Camera, Environment, Lights, PointLight, SceneObject
+from services.settings import Settings
+from tests.unit.client.test_cli import COMMANDS
+
+ROOT = Path(__file__).parents[3]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+def text(name: str) -> str:
+    return (ROOT / "docs" / name).read_text()
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page: Path) -> None:
+    for link in re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text()):
+        if not link.startswith("http"):
+            assert (page.parent / link).exists(), link
+
+
+def test_operations_has_every_setting_and_its_default() -> None:
+    for name, field in Settings.model_fields.items():
+        default = "–" if field.default is None else f"`{field.default}`"
+        assert f"| `SCENE_ATTACK_{name.upper()}` | {default} | {field.description} |" in text("operations.md")
+
+
+@pytest.mark.parametrize("model", [Camera, SceneObject, Lights, PointLight, Environment, Goal, Fgsm, Zoo])
+def test_scene_page_has_every_field_as_it_is_described(model: type[BaseModel]) -> None:
+    page = text("scene.md")
+    for name, field in model.model_fields.items():
+        row = next((line for line in page.splitlines() if line.startswith(f"| `{name}` |")), None)
+        assert row is not None, name
+        assert field.description is None or f"| {field.description} |" in page
+
+
+def test_scene_page_has_every_material() -> None:
+    assert all(f"`{name}`" in text("scene.md") for name in presets())
+
+
+def test_quickstart_has_every_command_and_every_example() -> None:
+    page = text("quickstart.md")
+    for command in COMMANDS:
+        if command not in ([], ["jobs"], ["assets"]):
+            assert f"scene-attack {' '.join(command)}" in page
+    for example in (ROOT / "examples").glob("*.json"):
+        assert f"`{example.name}`" in page
+    for named in re.findall(r"examples/[\w-]+\.json", page + (ROOT / "README.md").read_text()):
+        assert (ROOT / named).exists()
+
+
+def test_api_page_has_every_path() -> None:
+    page = text("api.md").replace("{id}", "{job_id}")
+    for path in create_app(Settings()).openapi()["paths"]:
+        assert path.removesuffix("/{name}") in page, path
