@@ -11,8 +11,15 @@ from services.rendering.protocol import Parameters
 class Method(Protocol):
     """One way of moving a perturbation."""
 
-    needs_gradient: bool
-    perturbation: Parameters
+    @property
+    def needs_gradient(self) -> bool:
+        """Whether `advance` wants a view with a graph."""
+        ...
+
+    @property
+    def perturbation(self) -> Parameters:
+        """The current perturbation, by group."""
+        ...
 
     def start(self, problem: Problem) -> dict[str, object]:
         """Called once before the first step, not on resuming; returns settings that were found by measuring."""

@@ -1,4 +1,4 @@
-"""The renderer whose only parameters are the pixels of a fixed picture: image-space attacks are then nothing special."""
+"""The renderer whose parameters are the pixels of a fixed picture: image-space attacks are then nothing special."""
 
 from collections.abc import Mapping
 
