@@ -17,11 +17,11 @@ PAPER, INK, SOFT = "#ffffff", "#1c1930", "#5d5875"
 
 def figure(directory: Path) -> Image.Image:
     result = Result.model_validate_json((directory / "result.json").read_bytes())
-    milli = f"p = {result.perceptibility * 1000:.1f} × 10⁻³"
+    perceptibility = f"p = {result.perceptibility:.4f}"
     panels = [
         ("original.png", f"{result.original.label}, {result.original.confidence:.0%}", "original"),
         ("attacked.png", f"{result.attacked.label}, {result.attacked.confidence:.0%}", "attacked, rendered afresh"),
-        ("perturbation.png", "the difference × 5", milli),
+        ("perturbation.png", "the difference, 5 times", perceptibility),
     ]
     sheet = Image.new("RGB", (3 * SIDE + 2 * GAP, SIDE + CAPTION), PAPER)
     draw = ImageDraw.Draw(sheet)
