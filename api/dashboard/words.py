@@ -47,7 +47,11 @@ def milli(value: float) -> str:
 
 def percent(value: float) -> str:
     """A probability: "76.6 %", with a space that does not break; small ones keep a digit: "0.0021 %"."""
-    return f"{value:.1%}".replace("%", "\N{NO-BREAK SPACE}%") if value >= 0.001 or value == 0 else f"{value * 100:.2g}\N{NO-BREAK SPACE}%"
+    return (
+        f"{value:.1%}".replace("%", "\N{NO-BREAK SPACE}%")
+        if value >= 0.001 or value == 0
+        else f"{value * 100:.2g}\N{NO-BREAK SPACE}%"
+    )
 
 
 def seconds(value: float) -> str:
