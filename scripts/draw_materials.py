@@ -1,0 +1,52 @@
+"""Draw a white sphere of every material preset under several environment maps, for docs/materials.md.
+
+python scripts/draw_materials.py               writes docs/images/materials.png
+python scripts/draw_materials.py --help        what can be set
+"""
+
+import argparse
+from pathlib import Path
+
+import torch
+from PIL import Image
+
+from services.rendering.display import to_bytes
+from services.rendering.gbuffer import rasterise
+from services.rendering.presets import presets
+from services.rendering.torch_renderer import TorchRenderer
+from services.scenes.description import Scene
+from services.scenes.library import Library
+from services.scenes.resolve import resolve
+from services.settings import settings
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images" / "materials.png", help="file to write")
+    parser.add_argument("--maps", nargs="+", default=["studio", "interior", "city", "courtyard", "night", "sunrise"])
+    parser.add_argument("--mesh", default="primitive/sphere", help="one row of pictures per preset shows this mesh")
+    parser.add_argument("--size", type=int, default=160, help="pixels a side of one picture")
+    arguments = parser.parse_args()
+    library = Library(settings().cache_dir, settings().data_dir)
+    rows = []
+    for material in presets():
+        row = []
+        for name in arguments.maps:
+            description = Scene.model_validate(
+                {
+                    "camera": {"size": (arguments.size, arguments.size)},
+                    "objects": [{"mesh": arguments.mesh, "material": material}],
+                    "lights": {"environment": {"map": name}},
+                }
+            )
+            scene = resolve(description, library)
+            row.append(to_bytes(TorchRenderer(scene, rasterise(scene)).render({})[0]))
+        rows.append(torch.cat(row, dim=1))
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(torch.cat(rows).numpy()).save(arguments.out, optimize=True)
+
+
+if __name__ == "__main__":
+    main()
