@@ -1,8 +1,8 @@
 """The shading sum over all directions, and its derivatives, in a few buffers whatever the number of pixels.
 
-Written as one autograd function. Left to autograd, a picture of 60,000 pixels and 512 directions keeps dozens of tensors
-of 120 MB; recomputed chunk by chunk they still fragment the heap to 2.4 GB (measured). Here the backward pass recomputes
-them in place.
+Written as one autograd function. Left to autograd, a picture of 60,000 pixels and 512 directions keeps dozens of
+tensors of 120 MB; recomputed chunk by chunk they still fragment the heap to 2.4 GB (measured). Here the backward pass
+recomputes them in place.
 """
 
 from typing import Any
