@@ -50,7 +50,7 @@ def execute(
 ) -> Result:
     """Runs a job and writes its files into `out`.
 
-    Files: result.json, trace.json, perturbation.safetensors (float32, by group), original.png, attacked.png,
+    Files: result.json, trace.json, perturbation.safetensors (one tensor a group), original.png, attacked.png,
     perturbation.png (×5 + 128). `checkpoint` is written every few seconds and resumed from.
     Raises InvalidRequest, JobFailure, or Cancelled once `cancelled()` is true (asked before every rendering).
     """
