@@ -29,8 +29,8 @@ from services.settings import settings
 HERE = Path(__file__).parent
 UNITS = {
     "normals": {1.0: 1.0},
-    "illumination": {mean: ILLUMINATION_MEAN / mean for mean in (100.0, 30.0, 10.0)},
-    "material": {unit: MATERIAL_UNIT / unit for unit in (100.0, 30.0, 10.0)},
+    "illumination": {mean: ILLUMINATION_MEAN / mean for mean in (30.0, 20.0, 10.0, 5.0)},
+    "material": {unit: MATERIAL_UNIT / unit for unit in (30.0, 10.0, 3.0)},
 }
 """Group to {unit: factor on the learning rate}."""
 
