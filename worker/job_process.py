@@ -6,7 +6,6 @@ lease and ends it if need be.
 
 import json
 import os
-import resource
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -24,12 +23,11 @@ from services.jobs.outcome import outcome
 from services.jobs.repository import Attempt, Repository, Standing
 from services.jobs.result import Result
 from services.jobs.spec import JobSpec
+from services.jobs.warm import warm
 from services.jobs.workplace import Workplace
 from services.logs import configure, logger
-from services.rendering.gl import gl_backend
 from services.scenes.library import Library
 from services.settings import Settings, settings
-from services.targets import registry
 
 REPORT_SECONDS = 0.25
 """Progress is written at most so often; the trace rows in between go along with the next report."""
@@ -150,20 +148,12 @@ def main() -> None:
     values = settings()
     connection = connect()
     inbox = requests(connection)
-    resource.setrlimit(resource.RLIMIT_AS, (values.job_memory_bytes, values.job_memory_bytes))
-    torch.set_num_threads(values.threads)
+    log.info("warm", gl=warm(values))
     jobs = Jobs(values)
-    warm()
     reply(connection, {"ready": os.getpid()})
     for request, _ in inbox:
         jobs.run(Attempt(request["job"], request["attempt"]))
         reply(connection, {"done": request["job"]})
-
-
-def warm() -> None:
-    """Load the default network and open the OpenGL context."""
-    registry.load(registry.available()[0].name)
-    log.info("warm", gl=gl_backend())
 
 
 if __name__ == "__main__":

@@ -141,7 +141,7 @@ def _write(prepared: Prepared, problem: Problem, found: Run, out: Path) -> Resul
 def _provenance(prepared: Prepared) -> Provenance:
     return Provenance(
         seed=prepared.spec.seed,
-        backend=f"{prepared.renderer.exact().backend}; {prepared.target.backend}",
+        backend=prepared.backend,
         versions={"python": platform.python_version()} | {name: version(name) for name in _VERSIONED},
         scene_sha256=prepared.scene.sha256,
         weights_sha256=prepared.target.weights_sha256,

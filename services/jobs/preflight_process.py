@@ -8,17 +8,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-import torch
-
 from services.errors import InvalidRequest, JobFailure
 from services.jobs.child import connect, reply, requests
 from services.jobs.prepare import preflight
 from services.jobs.spec import JobSpec
+from services.jobs.warm import warm
 from services.logs import configure, logger
-from services.rendering.gl import gl_backend
 from services.scenes.library import Library
 from services.settings import settings
-from services.targets import registry
 
 MESH_BYTES = 3 * 2**30
 """Address space the parse of an uploaded mesh may add."""
@@ -62,11 +59,8 @@ def main() -> None:
     values = settings()
     connection = connect()
     inbox = requests(connection)
-    resource.setrlimit(resource.RLIMIT_AS, (values.job_memory_bytes, values.job_memory_bytes))
-    torch.set_num_threads(values.threads)
+    warm(values)
     library = Library(values.cache_dir, values.data_dir)
-    registry.load(registry.available()[0].name)
-    gl_backend()
     reply(connection, {"ready": True})
     for message, data in inbox:
         reply(connection, answer(message, data, library))

@@ -35,6 +35,11 @@ class Prepared:
     logits: Tensor
     """The network's scores of it, [K]."""
 
+    @property
+    def backend(self) -> str:
+        """Everything that decides the bits of the verdict: the exact renderer's backend and the network's."""
+        return f"{self.renderer.exact().backend}; {self.target.backend}"
+
 
 def preflight(spec: JobSpec, library: Library) -> JobSpec:
     """The spec as it would run. Raises InvalidRequest for whatever would keep it from running."""
@@ -53,10 +58,7 @@ def prepare(spec: JobSpec, library: Library) -> Prepared:
     if leave is not None and leave == reach:
         raise InvalidRequest("goal.reach", f"is the label to leave ({labels[leave]!r}); name another one")
     for index, thing in enumerate(spec.scene.objects):
-        try:
-            preset(thing.material)
-        except InvalidRequest as error:
-            raise InvalidRequest(f"scene.objects.{index}.material", error.detail) from error
+        preset(thing.material, f"scene.objects.{index}.material")
     scene = resolve(spec.scene, library)
     target = registry.load(spec.target.name)
     if spec.target.question is not None and not target.takes_question:

@@ -45,5 +45,5 @@ def replay(directory: Path, library: Library) -> Replay:
         replayed=answer(logits, prepared.target.labels, prepared.goal),
         pixels_differing=int((picture != stored).any(dim=-1).sum()),
         fooled=bool(prepared.goal.fooled(logits)),
-        same_backend=result.provenance.backend == f"{prepared.renderer.exact().backend}; {prepared.target.backend}",
+        same_backend=result.provenance.backend == prepared.backend,
     )
