@@ -1,0 +1,61 @@
+"""What a renderer will do for one scene and one set of attacked groups, and what it leaves out, as a value to print.
+
+A plan is made before anything is attacked, stored with the result and shown on the job's page. The renderers hold the
+executable side of it; nothing runs that the plan does not say.
+"""
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Tolerance = float | Literal["exact"]
+"""Largest error of a displayed value, in [0,1], that the loop's pictures may have; "exact" for no shortcut at all."""
+
+DEFAULT_TOLERANCE = 1e-3
+"""A quarter of a step of an 8-bit picture."""
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Item(_Record):
+    """One kind of thing a picture is made of: how many are kept, and why the others are not."""
+
+    what: str = Field(
+        description='"pixels", "directions", "lobes", "coordinates", …; of which object, where there are more'
+    )
+    kept: int
+    of: int
+    why: str = Field(description="why the others are left out; what holds for all where none is")
+    error: float = Field(
+        0.0, description="most that leaving them out moves any displayed value; 0 where nothing changes"
+    )
+
+
+class Stage(_Record):
+    """One step of making a picture."""
+
+    name: str
+    method: str = Field(description="how it is done")
+    when: Literal["once", "every picture"]
+    evaluations: int = Field(description="units of work each time it is done")
+    unit: str = Field(description='what is counted: "lobe values", "lookups", "frames", …')
+    why: str = Field(description="why this method")
+    error: float = Field(0.0, description="estimated error of a displayed value that the method costs")
+
+
+class Plan(_Record):
+    """What is kept, what is left out, why, by which method, at which estimated cost and error."""
+
+    renderer: str
+    groups: tuple[str, ...] = Field(description="the attacked groups: all others keep their values and no gradient")
+    size: tuple[int, int] = Field(description="height and width")
+    tolerance: Tolerance
+    items: tuple[Item, ...]
+    stages: tuple[Stage, ...]
+
+    @property
+    def error(self) -> float:
+        """Estimated largest error of any displayed value: the parts' errors add up at worst."""
+        return sum(item.error for item in self.items) + sum(stage.error for stage in self.stages)
