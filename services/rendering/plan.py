@@ -22,15 +22,11 @@ class _Record(BaseModel):
 class Item(_Record):
     """One kind of thing a picture is made of: how many are kept, and why the others are not."""
 
-    what: str = Field(
-        description='"pixels", "directions", "lobes", "coordinates", …; of which object, where there are more'
-    )
+    what: str = Field(description='"pixels", "directions", "lobes", "coordinates", …; and whose')
     kept: int
     of: int
     why: str = Field(description="why the others are left out; what holds for all where none is")
-    error: float = Field(
-        0.0, description="most that leaving them out moves any displayed value; 0 where nothing changes"
-    )
+    error: float = Field(0.0, description="most that leaving them out moves a displayed value; 0: nothing")
 
 
 class Stage(_Record):
