@@ -13,11 +13,13 @@ import hashlib
 from dataclasses import dataclass
 from math import pi
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenEXR
+from numpy.typing import NDArray
 
-from services.errors import JobFailure
+from services.errors import InvalidRequest, JobFailure
 from services.scenes.mesh import Doubles, Floats
 
 
@@ -34,9 +36,9 @@ class EnvironmentMap:
 
 
 def read_exr(path: Path, credit: str | None) -> EnvironmentMap:
-    """A map from an equirectangular OpenEXR picture; negative and non-finite values become 0.
+    """A map from an equirectangular OpenEXR picture.
 
-    Raises JobFailure("asset-missing") if the file cannot be read or has no colours.
+    Raises JobFailure("asset-missing") if the file cannot be read or has no colours, and as `radiance_of` does.
     """
     try:
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
@@ -48,14 +50,28 @@ def read_exr(path: Path, credit: str | None) -> EnvironmentMap:
                 pixels = np.stack([np.asarray(channels[name].pixels) for name in "RGB"], axis=-1)
     except (OSError, KeyError, RuntimeError, ValueError) as error:
         raise JobFailure("asset-missing", f"cannot read the environment map {path.name}: {error}") from error
-    clean = np.nan_to_num(pixels.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0).clip(min=0.0)
-    return EnvironmentMap(name=path.stem, radiance=from_picture(clean), sha256=digest, credit=credit)
+    return EnvironmentMap(name=path.stem, radiance=radiance_of(pixels), sha256=digest, credit=credit)
 
 
 def uniform() -> EnvironmentMap:
     """The same radiance, 1, from every direction."""
     radiance = np.ones((1, 4, 3), np.float32)
     return EnvironmentMap("uniform", radiance, hashlib.sha256(radiance.tobytes()).hexdigest(), credit=None)
+
+
+def radiance_of(pixels: NDArray[Any]) -> Floats:
+    """The radiance that the pixels [h,w,3] of a file stand for, in this project's directions.
+
+    Negative values, which filters leave beside bright spots, become 0. Raises InvalidRequest("environment", …) for
+    values that are not finite: what was bright enough to overflow is not dark, and how bright it was is not known.
+    """
+    values = np.asarray(pixels, np.float32)
+    bad = int((~np.isfinite(values)).any(axis=-1).sum())
+    if bad:
+        raise InvalidRequest(
+            "environment", f"{bad:,} of its texels are not finite numbers; write them as finite radiance"
+        )
+    return from_picture(values.clip(min=0.0))
 
 
 def from_picture(picture: Floats) -> Floats:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.errors import JobFailure
+from services.errors import InvalidRequest, JobFailure
 from services.scenes.environment import average, from_picture, read_exr, uniform
 
 
@@ -113,15 +113,25 @@ def write(path, pixels, name="RGB"):
     OpenEXR.File(header, {name: pixels}).write(str(path))
 
 
-def test_what_is_no_light_becomes_none(tmp_path):
+def test_negative_light_becomes_none(tmp_path):
     pixels = np.ones((4, 8, 3), np.float32)
-    pixels[0, 0], pixels[0, 1], pixels[0, 2] = -1, np.nan, np.inf
+    pixels[0, 0] = -1
     write(tmp_path / "a.exr", pixels)
     found = read_exr(tmp_path / "a.exr", None)
     assert found.radiance.dtype == np.float32
-    assert np.isfinite(found.radiance).all()
-    assert (found.radiance[0] == 0).all(axis=1).sum() == 3
+    assert (found.radiance[0] == 0).all(axis=1).sum() == 1
     assert (found.radiance[1:] == 1).all()
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_light_that_is_no_number_is_refused(tmp_path, value):
+    # A texel that overflowed is the brightest of all: made dark, the map would be another one.
+    pixels = np.ones((4, 8, 3), np.float32)
+    pixels[0, 1, 2], pixels[3, 3] = value, value
+    write(tmp_path / "a.exr", pixels)
+    with pytest.raises(InvalidRequest, match="2 of its texels are not finite") as refused:
+        read_exr(tmp_path / "a.exr", None)
+    assert refused.value.field == "environment"
 
 
 def test_alpha_and_half_floats_are_read(tmp_path):
