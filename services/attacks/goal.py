@@ -4,12 +4,16 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
+from services.errors import InvalidRequest
 from services.targets.scores import advantage, log_odds, probability
 
 
 @dataclass(frozen=True)
 class ResolvedGoal:
-    """A goal over label indices. `reach` None: stop saying `leave`; otherwise: say `reach`."""
+    """A goal over label indices. `reach` None: stop saying `leave`; otherwise: say `reach`.
+
+    A network with one label only has no other answer: `objective` and `advantage` raise InvalidRequest("target.name").
+    """
 
     leave: int | None
     reach: int | None
@@ -30,11 +34,13 @@ class ResolvedGoal:
 
         Its gradient has the direction of the paper's loss (the probability) and does not vanish on a confident network.
         """
+        _several(logits)
         odds = log_odds(logits, self.label)
         return odds if self.reach is None else -odds
 
     def advantage(self, logits: Tensor) -> Tensor:
         """Log-probability advantage still to be overcome, [B]; negative once fooled (paper, attack curves)."""
+        _several(logits)
         value = advantage(logits, self.label)
         return value if self.reach is None else -value
 
@@ -47,3 +53,8 @@ class ResolvedGoal:
         """Whether the first answer is what the goal asks for, [B] bool. On a tie the lower index is the answer."""
         answer = logits.argmax(dim=-1)
         return answer != self.label if self.reach is None else answer == self.label
+
+
+def _several(logits: Tensor) -> None:
+    if logits.shape[-1] < 2:
+        raise InvalidRequest("target.name", "it has one label only; there is no other answer to bring it to")

@@ -2,6 +2,7 @@ import pytest
 import torch
 
 from services.attacks.goal import ResolvedGoal
+from services.errors import InvalidRequest
 
 LEAVE, REACH = ResolvedGoal(0, None), ResolvedGoal(None, 1)
 
@@ -53,3 +54,10 @@ def test_one_class_can_neither_be_left_nor_divide_by_zero() -> None:
 def test_a_goal_wants_something() -> None:
     with pytest.raises(ValueError, match="leave or to reach"):
         ResolvedGoal(None, None)
+
+
+@pytest.mark.parametrize("ask", [ResolvedGoal.objective, ResolvedGoal.advantage])
+def test_a_network_with_one_label_cannot_be_brought_to_another(ask) -> None:
+    with pytest.raises(InvalidRequest, match="one label only") as refused:
+        ask(ResolvedGoal(0, None), torch.tensor([[3.0]]))
+    assert refused.value.field == "target.name"
