@@ -2,7 +2,7 @@
 FROM debian:12-slim
 
 RUN apt-get update \
-    && apt-get install -y --no-install-recommends python3 python3-venv ca-certificates libosmesa6 libegl1 libgl1 libgl1-mesa-dri \
+    && apt-get install -y --no-install-recommends python3 python3-venv ca-certificates g++ libosmesa6 libegl1 libgl1 libgl1-mesa-dri \
     && rm -rf /var/lib/apt/lists/*
 
 RUN useradd --system --create-home --uid 10001 scene-attack \

@@ -22,6 +22,9 @@ class Settings(BaseSettings):
     workers: int = Field(1, ge=1, le=64, description="job processes")
     threads: int = Field(2, ge=1, le=256, description="torch threads of a job process; part of the backend string")
     gl: Literal["auto", "egl", "osmesa"] = Field("auto", description="OpenGL platform; auto tries EGL, then OSMesa")
+    kernel: Literal["auto", "native", "torch"] = Field(
+        "auto", description="inner loops of shading; auto compiles them where there is a C++ compiler, else torch"
+    )
     max_upload_bytes: int = Field(32 * 2**20, ge=1, description="largest mesh upload")
     max_faces: int = Field(300_000, ge=1, description="largest mesh, in triangles")
     max_queued: int = Field(1000, ge=1, description="queued jobs beyond which new ones get 503")

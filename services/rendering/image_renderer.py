@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
+from services.rendering.plan import Item, Plan
 from services.rendering.protocol import Parameters
 
 
@@ -19,6 +20,11 @@ class ImageRenderer:
         self._picture = picture.to(torch.float32)
         self.size = (int(picture.shape[0]), int(picture.shape[1]))
         self.backend = f"image of {drawn_by}"
+        height, width = self.size
+        pixels = Item(what="pixels", kept=height * width, of=height * width, why="each is a parameter")
+        self.plan = Plan(
+            renderer=self.name, groups=self.groups, size=self.size, tolerance="exact", items=(pixels,), stages=()
+        )
 
     def initial(self) -> Parameters:
         """The picture, {"image": [H, W, 3]}."""

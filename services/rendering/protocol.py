@@ -5,6 +5,8 @@ from typing import Protocol
 
 from torch import Tensor
 
+from services.rendering.plan import Plan
+
 Parameters = dict[str, Tensor]
 """Group name to values. Without a batch dimension for a state or a perturbation, with one ([B, …]) to render."""
 
@@ -40,6 +42,11 @@ class Renderer(Protocol):
     @property
     def size(self) -> tuple[int, int]:
         """Height and width of the images."""
+        ...
+
+    @property
+    def plan(self) -> Plan:
+        """What it does for a picture, and what it leaves out."""
         ...
 
     def initial(self) -> Parameters:

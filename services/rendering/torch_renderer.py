@@ -5,24 +5,27 @@ Radiance of a pixel with normal n, for a viewer and light far away,
     I = base_color · exposure · Σ_ω ρ(θ_h, θ_d) · chroma(ω) · ℓ(ω) · max(0, n·ω) · ΔΩ(ω),
 
 then the sRGB curve on [0,1], and over the ground by coverage. The viewer is one direction, from the scene's origin to
-the camera: a modelling choice of the paper, under which θ_d belongs to the light direction alone. The sum runs over
-every texel of the map and nothing is approximated; only pixels with coverage are shaded.
+the camera: a modelling choice of the paper, under which θ_d belongs to the light direction alone. How the sum is done
+for the attacked groups is compiled into a plan (shading_plan) when the renderer is made.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor
 
-from services.rendering import dsbrdf
+from services.rendering import dsbrdf, native, table
 from services.rendering.directions import directions, solid_angles
 from services.rendering.display import to_display
 from services.rendering.gbuffer import GBuffer
 from services.rendering.illumination import illumination
-from services.rendering.normals import to_angles, to_vectors
+from services.rendering.normals import to_angles
+from services.rendering.plan import DEFAULT_TOLERANCE, Tolerance
 from services.rendering.presets import preset
 from services.rendering.protocol import Parameters
-from services.rendering.shading import radiance
+from services.rendering.shader import Shader, Sky, Surface
+from services.rendering.shading import Directions
+from services.rendering.shading_plan import compile_plan
 from services.rendering.units import MATERIAL_UNIT
 from services.scenes.resolve import ResolvedScene
 
@@ -42,50 +45,76 @@ class TorchRenderer:
     groups = ("normals", "illumination", "material")
     differentiable = True
 
-    def __init__(self, scene: ResolvedScene, gbuffer: GBuffer, dtype: torch.dtype = torch.float32) -> None:
-        """Prepare `scene`, as rasterised in `gbuffer`, for shading in `dtype`. Raises InvalidRequest for an unknown
-        material preset."""
-        self._scene, self._gbuffer, self._dtype = scene, gbuffer, dtype
+    def __init__(
+        self,
+        scene: ResolvedScene,
+        gbuffer: GBuffer,
+        groups: Sequence[str] = groups,
+        tolerance: Tolerance = DEFAULT_TOLERANCE,
+    ) -> None:
+        """Compile `scene`, as rasterised in `gbuffer`, for attacks on `groups` (only these may then be rendered with
+        other values than the scene's own). "exact" computes in float64 throughout, anything else in float32.
+
+        Raises InvalidRequest for an unknown material preset.
+        """
+        dtype = torch.float64 if tolerance == "exact" else torch.float32
+        self._attacked, self._dtype = tuple(groups), dtype
         height, width = gbuffer.coverage.shape
         self.size = (height, width)
         self.backend = (
-            f"torch {torch.__version__} cpu {str(dtype).removeprefix('torch.')} threads {torch.get_num_threads()}; "
-            f"{gbuffer.backend}"
+            f"torch {torch.__version__} cpu {str(dtype).removeprefix('torch.')} threads {torch.get_num_threads()}, "
+            f"shading {native.backend()}; {gbuffer.backend}"
         )
-        self._twin = self if dtype == torch.float64 else TorchRenderer(scene, gbuffer, torch.float64)
-
         to_camera = torch.as_tensor(scene.view, dtype=torch.float64)[:3, :3]
-        environment = torch.as_tensor(scene.environment)
-        light = illumination(environment)
-        rows, cols = light.intensity.shape
-        towards = directions(rows, cols) @ to_camera
-        half, theta_d = dsbrdf.half_vectors(towards, torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
-        self._towards, self._half = towards.T.to(dtype), half.T.to(dtype)
-        self._curves = (dsbrdf.basis(theta_d) / MATERIAL_UNIT).to(dtype)
-        power = light.exposure * light.chroma.reshape(-1, 3).T * solid_angles(rows, cols)
-        self._power = power.to(dtype)
-
-        # Pixels in the order of their objects, so that a chunk has one material.
-        coverage = gbuffer.coverage.flatten()
-        owner = torch.where(coverage > 0, gbuffer.object_index.flatten(), -1)
-        order = torch.argsort(owner, stable=True)
-        self._pixels = order[owner[order] >= 0]
-        self._counts = torch.bincount(owner[self._pixels], minlength=len(scene.description.objects)).tolist()
-        self._base_color = gbuffer.base_color.reshape(-1, 3)[self._pixels].to(dtype)
-        self._coverage = coverage[self._pixels, None].to(dtype)
-        self._ground = torch.tensor(scene.description.ground, dtype=dtype)
-
-        normals = gbuffer.normals.to(torch.float64) @ to_camera
+        light = illumination(torch.as_tensor(scene.environment))
+        sky = _sky(light.exposure * light.chroma, to_camera)
         materials = [
             preset(thing.material, f"scene.objects.{i}.material") for i, thing in enumerate(scene.description.objects)
         ]
+        coverage = gbuffer.coverage.flatten()
+        normals = gbuffer.normals.to(torch.float64) @ to_camera
         initial = {
             "normals": to_angles(normals) * (gbuffer.coverage > 0)[..., None],
             "illumination": light.intensity,
             "material": torch.stack(materials) * MATERIAL_UNIT,
         }
-        # Rounded to float32 in the twin too: both mean the same scene.
-        self._initial = {group: value.to(torch.float32).to(dtype) for group, value in initial.items()}
+        # Rounded to float32 whatever the dtype: the exact twin means the same scene.
+        rounded = {group: value.to(torch.float32).to(torch.float64) for group, value in initial.items()}
+        self._initial = {group: value.to(dtype) for group, value in rounded.items()}
+
+        # Pixels in the order of their objects, and within them of their normals, so that neighbours see the same light.
+        angles = rounded["normals"].reshape(-1, 2)
+        owner = torch.where(coverage > 0, gbuffer.object_index.flatten(), -1)
+        order = torch.argsort(owner * table.PLACES + table.place(angles), stable=True)
+        self._pixels = order[owner[order] >= 0]
+        self._counts = torch.bincount(owner[self._pixels], minlength=len(materials)).tolist()
+        base_color = gbuffer.base_color.reshape(-1, 3)[self._pixels]
+        self._base_color = base_color.to(dtype)
+        self._coverage = coverage[self._pixels, None].to(dtype)
+        self._ground = torch.tensor(scene.description.ground, dtype=dtype)
+
+        surfaces = [
+            Surface(f"object {i}", own, color.double(), material)
+            for i, (own, color, material) in enumerate(
+                zip(
+                    torch.split(angles[self._pixels], self._counts),
+                    torch.split(base_color, self._counts),
+                    rounded["material"],
+                    strict=True,
+                )
+            )
+        ]
+        intensity = rounded["illumination"].flatten()
+        recipes, self.plan = compile_plan(surfaces, sky, intensity, groups, tolerance, self.size)
+        self._shaders = [
+            Shader(recipe, sky, surface, intensity) for recipe, surface in zip(recipes, surfaces, strict=True)
+        ]
+        self._twin = self if tolerance == "exact" else TorchRenderer(scene, gbuffer, tolerance="exact")
+
+    @property
+    def summed_after_all(self) -> int:
+        """How often so far an object's table did not hold in a picture, so that its pixels were summed."""
+        return sum(shader.summed_after_all for shader in self._shaders)
 
     def initial(self) -> Parameters:
         """The scene's own values, in the renderer's dtype; all are float32 numbers."""
@@ -123,6 +152,8 @@ class TorchRenderer:
             if group not in self._initial or value.shape[1:] != self._initial[group].shape:
                 wanted = {name: ("B", *initial.shape) for name, initial in self._initial.items()}
                 raise ValueError(f"group {group!r} of shape {tuple(value.shape)}; wanted {wanted}")
+            if group not in self._attacked:
+                raise ValueError(f"group {group!r} is not among {self._attacked}, which this renderer is compiled for")
         # One image at a time: the same operations on the same shapes whatever else is in the batch, so the same bits.
         return torch.stack(
             [
@@ -137,14 +168,22 @@ class TorchRenderer:
 
     def _image(self, normals: Tensor, illumination: Tensor, material: Tensor) -> Tensor:
         """One picture [H, W, 3]."""
-        vectors = to_vectors(normals.reshape(-1, 2)[self._pixels])
-        light = self._power * illumination.flatten()
-        shaded = []
-        for thing, of_thing in enumerate(torch.split(vectors, self._counts)):
-            log_kappa, gamma = dsbrdf.lobes(material[thing], self._curves)
-            shaded.append(radiance(of_thing, light, log_kappa, gamma, self._towards, self._half))
+        angles, intensity = normals.reshape(-1, 2)[self._pixels], illumination.flatten()
+        shaded = [
+            shader(own, intensity, of_object).to(self._dtype)
+            for shader, own, of_object in zip(self._shaders, torch.split(angles, self._counts), material, strict=True)
+        ]
         shown = to_display(torch.cat(shaded) * self._base_color)
         height, width = self.size
         over = self._coverage * shown + (1 - self._coverage) * self._ground
         picture = self._ground.expand(height * width, 3).index_put((self._pixels,), over)
         return picture.reshape(height, width, 3)
+
+
+def _sky(radiance: Tensor, to_camera: Tensor) -> Sky:
+    """Of a map's radiance per unit of intensity [rows, cols, 3], seen from the camera."""
+    rows, cols, _ = radiance.shape
+    towards = directions(rows, cols) @ to_camera
+    half, theta_d = dsbrdf.half_vectors(towards, torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
+    power = radiance.reshape(-1, 3).T * solid_angles(rows, cols)
+    return Sky(Directions.of(towards, half), dsbrdf.basis(theta_d) / MATERIAL_UNIT, power)

@@ -7,9 +7,9 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from services.rendering import shading
+from services.rendering import native, shading
 from services.rendering.dsbrdf import half_vectors
-from services.rendering.shading import radiance
+from services.rendering.shading import Directions
 
 VIEWER = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
 
@@ -24,7 +24,25 @@ def inputs(pixels=7, directions=6, log_kappa=0.0) -> tuple[Tensor, ...]:
     towards = normalize(noise(directions, 3), dim=-1)
     half, _ = half_vectors(towards, VIEWER)
     kappa, gamma = noise(3, 3, directions) + log_kappa, noise(3, 3, directions).exp()
-    return normals, noise(3, directions).exp(), kappa, gamma, towards.T, half.T
+    base, tilt = noise(3, directions).exp(), noise(3, directions)
+    there = Directions.of(towards, half)
+    return normals, noise(3, directions).exp(), kappa, gamma, base, tilt, there.towards, there.half
+
+
+def radiance(*values: Tensor) -> Tensor:
+    normals, light, log_kappa, gamma, base, tilt, towards, half = values
+    lobes = shading.Lobes(base, tilt, log_kappa, gamma)
+    return shading.radiance(normals, light, lobes, Directions(towards, half))
+
+
+@pytest.fixture(autouse=True, params=["native", "torch"])
+def kernel(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Everything holds for the compiled loops and for those in torch."""
+    if request.param == "torch":
+        monkeypatch.setattr(native, "library", lambda: None)
+    else:
+        assert native.library() is not None
+    return str(request.param)
 
 
 def leaves(values: tuple[Tensor, ...]) -> list[Tensor]:
@@ -36,14 +54,14 @@ def test_gradcheck(log_kappa: float) -> None:
     """At 2.5 about a third of the lobes are cut off at ρ = exp(20)."""
     values = inputs(log_kappa=log_kappa)
     size = radiance(*values).abs().max()
-    assert torch.autograd.gradcheck(lambda *v: radiance(*v) / size, leaves(values))
+    assert torch.autograd.gradcheck(lambda n, *v: radiance(normalize(n, dim=-1), *v) / size, leaves(values))
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 def test_a_lobe_that_is_cut_off_has_no_slope(dtype: torch.dtype) -> None:
-    normals, light, kappa, gamma, towards, half = (v.to(dtype) for v in inputs())
+    normals, light, kappa, gamma, *others = (v.to(dtype) for v in inputs())
     kappa[:, 1], gamma[:, 1] = log(1e4), 1e-3
-    lobes = leaves((normals, light, kappa, gamma, towards, half))
+    lobes = leaves((normals, light, kappa, gamma, *others))
     d_kappa, d_gamma = torch.autograd.grad(radiance(*lobes).sum(), lobes[2:4])
     assert (d_kappa[:, 1] == 0).all()
     assert (d_gamma[:, 1] == 0).all()
@@ -75,6 +93,7 @@ def test_one_gradient_alone_is_the_same(wanted: int) -> None:
 def test_dim_lobes_keep_their_digits() -> None:
     """exp(x) − 1 in float32 is 0 for x = 1e-8, expm1 is not."""
     values = inputs(log_kappa=log(1e-8))
+    values = (*values[:4], *(torch.zeros_like(v) for v in values[4:6]), *values[6:])
     exact = radiance(*values)
     assert exact.max() < 1e-4
     torch.testing.assert_close(radiance(*(v.float() for v in values)).double(), exact, rtol=1e-5, atol=0)

@@ -1,0 +1,142 @@
+"""What shading by shortcuts costs in accuracy: bounds where there are any, measurements at the scene's own pixels else.
+
+All errors are of displayed values in [0,1], the largest over pixels and channels.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from math import log, pi
+
+import torch
+from torch import Tensor
+
+from services.rendering import dsbrdf
+from services.rendering.shader import Recipe, Shader, Sky, Surface, displayed_error
+from services.rendering.units import ILLUMINATION_MEAN
+
+SAMPLED = 8_192
+"""Pixels a table is measured at, at most: evenly among the object's, ordered by their normals."""
+SAMPLED_WIDE = 1_024
+"""Pixels float32 is measured against float64 at."""
+STEEPEST = 12.92
+"""Slope of the display's curve at black: what a linear error can grow by."""
+REACH = {"normals": 0.3, "illumination": 0.36 * ILLUMINATION_MEAN, "material": 3.6}
+"""How far draws move each coordinate, either way: normals in a typical success, light and material in 120 steps."""
+DRAWS = 2
+TENFOLD = 10.0
+"""Where light is attacked, what is left out must not matter in ten times the light either."""
+
+
+@dataclass(frozen=True)
+class LobeBounds:
+    """Bounds [3, LOBES]: of leaving a lobe out, and of taking it for a straight line in log n·h."""
+
+    dark: Tensor
+    straight: Tensor
+
+
+def lobe_bounds(surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str], kept: Tensor) -> LobeBounds:
+    """Bounds over all normals that a pixel may have."""
+    log_kappa, gamma = dsbrdf.lobes(surface.material, sky.curves[kept])
+    exponent = log_kappa.clamp(*dsbrdf.LOG_EXPONENT_RANGE).exp()
+    light = _brightest(surface, sky, illumination, kept) * (TENFOLD if "illumination" in groups else 1.0)
+    # The remainder of the line is half its second derivative times (γ log n·h)², under the cosine n·ω. A seen normal
+    # has n·h ≥ n·ω / 2, and t (log t/2)² is at most 1.09; a normal that moves may be anywhere.
+    furthest = log(dsbrdf.COSINE_FLOOR) ** 2 if "normals" in groups else 1.09
+    curved = 0.5 * exponent * exponent.exp() * (1 + exponent) * gamma.square() * furthest
+    return LobeBounds(
+        STEEPEST * (torch.expm1(exponent) * light).sum(-1),
+        STEEPEST * (curved * light).sum(-1),
+    )
+
+
+def roughness(surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str], rows: int) -> Tensor:
+    """How badly a table of `rows` fits each direction's light [D of the whole map]: orders them, and no more than that.
+
+    Two terms. Where a light sets behind the horizon radiance has a kink of slope light · ρ, which Catmull-Rom rounds
+    off by about 0.07 of a mesh; there n·h is at most sin θ_d. And a lobe as narrow as the mesh (ρ falls from its peak
+    by the part max(1, κ) γ θ² / 2) is lost, wider ones less and less.
+    """
+    log_kappa, gamma = dsbrdf.lobes(surface.material, sky.curves)
+    exponent = log_kappa.clamp(*dsbrdf.LOG_EXPONENT_RANGE).exp()
+    light = sky.power * (illumination + (REACH["illumination"] if "illumination" in groups else 0.0))
+    cosine = (sky.directions.half[:3] * sky.directions.towards).sum(0).clamp(0.0, 1.0)
+    sine = (1 - cosine.square()).clamp_min(1e-8).sqrt()
+    mesh = pi / rows
+    at_horizon = dsbrdf.reflectance(sine.log(), log_kappa, gamma).sum(1)
+    narrow = (mesh**2 * exponent.clamp_min(1.0) * gamma).clamp_max(1.0) ** 1.5
+    peak = (torch.expm1(exponent) * narrow).sum(1) * cosine
+    return ((0.07 * mesh * at_horizon + 0.05 * peak) * light).amax(0)
+
+
+def too_narrow(surface: Surface, sky: Sky, illumination: Tensor, recipe: Recipe, left: float) -> bool:
+    """Whether the recipe's table holds a highlight that can be seen (more than a tenth of `left`) and is narrower than
+    its mesh: pixels beside it may all miss it when an error is measured."""
+    assert recipe.rows is not None
+    held = recipe.kept[~torch.isin(recipe.kept, recipe.sharp)]
+    log_kappa, gamma = dsbrdf.lobes(surface.material, sky.curves[held])
+    exponent = log_kappa.clamp(*dsbrdf.LOG_EXPONENT_RANGE).exp()
+    light = _brightest(surface, sky, illumination, held)
+    seen = (STEEPEST * torch.expm1(exponent) * light > left / 10) & recipe.varying[..., None]
+    return bool((exponent.clamp_min(1.0) * gamma * seen * (pi / recipe.rows) ** 2 > 1).any())
+
+
+def of_float32(surface: Surface, sky: Sky, illumination: Tensor, recipe: Recipe) -> float:
+    """Error of the sum in float32, four times that measured against float64."""
+    some = _some(surface, SAMPLED_WIDE)
+    values = [
+        Shader(replace(recipe, nodes="summed", rows=None, moving=True, dtype=dtype), sky, some, illumination)(
+            some.angles, illumination, some.material
+        )
+        for dtype in (torch.float32, torch.float64)
+    ]
+    return 4 * displayed_error(values[0], values[1], some.base_color)
+
+
+class Measured:
+    """Errors of tables at the surface's pixels, in the scene as it is and in draws of the attacked groups."""
+
+    def __init__(self, surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str], recipe: Recipe) -> None:
+        self._surface, self._sky, self._illumination = _some(surface, SAMPLED), sky, illumination
+        self._draws = list(_draws(self._surface, illumination, groups))
+        self._truth = self._values(recipe)
+
+    def error(self, recipe: Recipe) -> float:
+        """The largest error of `recipe`'s table, of what it keeps."""
+        return max(
+            displayed_error(value, truth, self._surface.base_color)
+            for value, truth in zip(self._values(recipe), self._truth, strict=True)
+        )
+
+    @torch.no_grad()
+    def _values(self, recipe: Recipe) -> list[Tensor]:
+        plain = replace(recipe, nodes="summed", moving=True, guard=None)
+        shader = Shader(plain, self._sky, self._surface, self._illumination)
+        return [shader(*draw) for draw in self._draws]
+
+
+def _draws(surface: Surface, illumination: Tensor, groups: Sequence[str]) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+    """Angles, illumination and material: the scene's own, then DRAWS within an attack's reach of it."""
+    own = {"normals": surface.angles, "illumination": illumination, "material": surface.material}
+    yield surface.angles, illumination, surface.material
+    random = torch.Generator().manual_seed(0)
+    for _ in range(DRAWS if groups else 0):
+        moved = {
+            group: value
+            + (2 * torch.rand(value.shape, generator=random, dtype=torch.float64) - 1).sign() * REACH[group]
+            if group in groups
+            else value
+            for group, value in own.items()
+        }
+        yield moved["normals"], moved["illumination"].clamp_min(0.0), moved["material"]
+
+
+def _some(surface: Surface, most: int) -> Surface:
+    """The surface at so many of its pixels at most, evenly spaced."""
+    stride = -(-len(surface.angles) // most)
+    return replace(surface, angles=surface.angles[::stride], base_color=surface.base_color[::stride])
+
+
+def _brightest(surface: Surface, sky: Sky, illumination: Tensor, kept: Tensor) -> Tensor:
+    """Light [3, 1, D] of the kept directions, as reflected by the surface's lightest colour."""
+    return ((sky.power * illumination)[:, kept] * surface.base_color.amax(0)[:, None])[:, None]
