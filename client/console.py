@@ -48,6 +48,11 @@ def answer_text(answer: Mapping[str, Any] | None) -> str:
     return "" if answer is None else f"{answer['label']} {answer['confidence']:.2f}"
 
 
+def small(value: float | str) -> str:
+    """An error or a tolerance: "8.0e-04", "0"; words as they are."""
+    return value if isinstance(value, str) else f"{value:.1e}" if value else "0"
+
+
 def yes(value: bool | None) -> Text:
     """The word "yes" in green, "no" in yellow, nothing for None."""
     return Text("") if value is None else Text("yes", style="green") if value else Text("no", style="yellow")

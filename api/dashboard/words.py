@@ -45,6 +45,11 @@ def milli(value: float) -> str:
     return f"{value * 1000:.2f}"
 
 
+def small(value: float | str) -> str:
+    """An error or a tolerance: "8.0e-04", "0"; words as they are."""
+    return value if isinstance(value, str) else f"{value:.1e}" if value else "0"
+
+
 def percent(value: float) -> str:
     """A probability: "76.6 %", with a space that does not break; small ones keep a digit: "0.0021 %"."""
     return (

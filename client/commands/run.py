@@ -78,7 +78,7 @@ def replay(
     with err().status("rendering"):
         from services.jobs.replay import replay as render_again
 
-        again = render_again(directory, _library())
+        again = render_again(directory, library())
     same = again.stored.label == again.replayed.label and (again.pixels_differing == 0 or not again.same_backend)
     if as_json:
         print_json(again.model_dump(mode="json") | {"reproduced": same})
@@ -117,7 +117,8 @@ def _prepare_folder(out: Path) -> None:
         raise InvalidRequest("--out", f"cannot make the directory {out}: {error.strerror}") from error
 
 
-def _library() -> "Library":
+def library() -> "Library":
+    """Meshes and maps of this machine, and torch with as many threads as the settings say."""
     import torch
 
     from services.scenes.library import Library
@@ -142,7 +143,7 @@ def _execute(spec: "JobSpec", out: Path, line: "JobLine") -> "Result":
         checkpoint.unlink(missing_ok=True)
         begun.write_text(words, "utf-8")
     try:
-        result = execute(spec, out, _library(), progress=report, checkpoint=checkpoint)
+        result = execute(spec, out, library(), progress=report, checkpoint=checkpoint)
     except InvalidRequest:
         begun.unlink()
         raise

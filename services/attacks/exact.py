@@ -23,14 +23,18 @@ class Judge:
     renders: int = 0
 
     @torch.no_grad()
-    def picture(self, perturbation: Mapping[str, Tensor]) -> Tensor:
-        """The exact picture as saved, uint8 [H, W, 3]. Groups left out are unperturbed; {} is the original."""
+    def render(self, perturbation: Mapping[str, Tensor]) -> Tensor:
+        """The exact picture [H, W, 3], not yet rounded. Groups left out are unperturbed; {} is the original."""
         exact = self.renderer.exact()
         start = exact.initial()
         changed = {g: (start[g] + perturbation[g].to(start[g].dtype))[None] for g in perturbation}
         self.renders += 1
         # always the whole parameter set: the same computation, bit for bit, for every subset of the groups
-        return to_bytes(exact.render({g: changed.get(g, start[g][None]) for g in exact.groups}))[0]
+        return exact.render({g: changed.get(g, start[g][None]) for g in exact.groups})[0]
+
+    def picture(self, perturbation: Mapping[str, Tensor]) -> Tensor:
+        """The exact picture as saved, uint8 [H, W, 3]."""
+        return to_bytes(self.render(perturbation))
 
     @torch.no_grad()
     def logits(self, picture: Tensor) -> Tensor:

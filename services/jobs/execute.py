@@ -6,8 +6,10 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
 
+import torch
 from pydantic import BaseModel
 from safetensors.torch import save_file
+from torch import Tensor
 
 from services.analysis import pictures
 from services.analysis.answers import answer
@@ -24,6 +26,7 @@ from services.errors import Cancelled
 from services.jobs.prepare import Prepared, prepare
 from services.jobs.result import Provenance, Result
 from services.jobs.spec import JobSpec
+from services.rendering.display import to_bytes
 from services.scenes.library import Library
 
 PERTURBATION = "perturbation.safetensors"
@@ -101,7 +104,8 @@ def _write(prepared: Prepared, problem: Problem, found: Run, out: Path) -> Resul
     out.mkdir(parents=True, exist_ok=True)
     judge, goal, labels, original = prepared.judge, prepared.goal, prepared.target.labels, prepared.original
     queries, renders = problem.queries + judge.queries, problem.renders + judge.renders
-    attacked = judge.picture(found.stored)
+    exact = judge.render(found.stored)
+    attacked = to_bytes(exact)
     logits = judge.logits(attacked)
     limit = prepared.spec.attack.truncation
     result = Result(
@@ -117,6 +121,8 @@ def _write(prepared: Prepared, problem: Problem, found: Run, out: Path) -> Resul
         perceptibility=of_pictures(original, attacked),
         group_perceptibility=of_groups(prepared.renderer.name, found.stored),
         beyond_truncation=None if limit is None else beyond(original, attacked, limit),
+        plan=prepared.renderer.plan,
+        image_error=_image_error(problem, found, exact),
         subsets=subsets(judge, goal, found.stored, original, attacked),
         settings=found.settings,
         steps=found.step,
@@ -136,6 +142,13 @@ def _write(prepared: Prepared, problem: Problem, found: Run, out: Path) -> Resul
     (out / "trace.json").write_text(f"[{trace}]\n", "utf-8")
     (out / "result.json").write_text(result.model_dump_json(indent=1) + "\n", "utf-8")
     return result
+
+
+@torch.no_grad()
+def _image_error(problem: Problem, found: Run, exact: Tensor) -> float:
+    """Of the stored perturbation's picture as the loop renders it, before any truncation."""
+    moved = {group: (problem.initial[group] + value)[None] for group, value in found.stored.items()}
+    return float((problem.renderer.render(moved)[0].double() - exact.double()).abs().max())
 
 
 def _provenance(prepared: Prepared) -> Provenance:

@@ -10,6 +10,7 @@ from services.attacks.goal import ResolvedGoal
 from services.errors import InvalidRequest
 from services.jobs.spec import JobSpec
 from services.rendering.build import build
+from services.rendering.plan import Plan
 from services.rendering.presets import preset
 from services.rendering.protocol import Renderer
 from services.scenes.library import Library
@@ -46,6 +47,15 @@ def preflight(spec: JobSpec, library: Library) -> JobSpec:
     return prepare(spec, library).spec
 
 
+def plan(spec: JobSpec, library: Library) -> Plan:
+    """How the pictures of a job would be made, without asking the network anything. Raises as `prepare` does."""
+    for index, thing in enumerate(spec.scene.objects):
+        preset(thing.material, f"scene.objects.{index}.material")
+    scene = resolve(spec.scene, library)
+    attack = spec.attack
+    return build(scene, attack.renderer, attack.picture, attack.groups, spec.tolerance).plan
+
+
 def prepare(spec: JobSpec, library: Library) -> Prepared:
     """Looks up meshes, map, materials, target and labels, renders the scene exactly and asks the network.
 
@@ -63,7 +73,7 @@ def prepare(spec: JobSpec, library: Library) -> Prepared:
     target = registry.load(spec.target.name)
     if spec.target.question is not None and not target.takes_question:
         raise InvalidRequest("target.question", f"{target.name} answers no questions; leave it out")
-    renderer = build(scene, spec.attack.renderer, spec.attack.picture)
+    renderer = build(scene, spec.attack.renderer, spec.attack.picture, spec.attack.groups, spec.tolerance)
     judge = Judge(renderer, target, spec.target.question)
     original = judge.picture({})
     logits = judge.logits(original)

@@ -4,6 +4,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from services.analysis.records import Answer, Subset
 from services.attacks.trace import TraceRow
+from services.rendering.plan import Plan
 
 
 class _Record(BaseModel):
@@ -41,6 +42,11 @@ class Result(_Record):
     perceptibility: float = Field(description="p(ΔY) of the exact re-rendering")
     group_perceptibility: dict[str, float]
     beyond_truncation: int | None = Field(description="pixels of the exact re-rendering that moved more than U")
+    plan: Plan = Field(description="how the pictures inside the attack were made, and the error that should cost")
+    image_error: float = Field(
+        description="the error it did cost: largest difference of a displayed value, in [0,1], between the stored "
+        "perturbation rendered by the plan and exactly"
+    )
     subsets: list[Subset]
     settings: dict[str, object] = Field(description="settings found while running, e.g. measured difference steps")
     steps: int

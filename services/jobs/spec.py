@@ -1,12 +1,13 @@
 """A whole request: the same JSON for `POST /v1/jobs` and `scene-attack run`."""
 
 from collections.abc import Iterable, Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError, model_validator
 
 from services.attacks.spec import Attack, Fgsm, Goal
 from services.errors import InvalidRequest
+from services.rendering.plan import DEFAULT_TOLERANCE
 from services.scenes.description import Model, Scene
 
 
@@ -24,6 +25,11 @@ class JobSpec(Model):
     target: TargetChoice = TargetChoice()
     goal: Goal = Goal()
     attack: Attack = Field(default_factory=Fgsm)
+    tolerance: Annotated[float, Field(ge=1e-6, le=0.1, allow_inf_nan=False)] | Literal["exact"] = Field(
+        DEFAULT_TOLERANCE,
+        description="largest error of a displayed value, in [0,1], of the pictures inside the attack; `exact` for none. "
+        "The verdict is always on the exact picture",
+    )
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = Field(0, description="of everything random in the job")
 
     @model_validator(mode="before")

@@ -4,9 +4,9 @@ A plan is made before anything is attacked, stored with the result and shown on 
 executable side of it; nothing runs that the plan does not say.
 """
 
-from typing import Literal
+from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 Tolerance = float | Literal["exact"]
 """Largest error of a displayed value, in [0,1], that the loop's pictures may have; "exact" for no shortcut at all."""
@@ -51,7 +51,14 @@ class Plan(_Record):
     items: tuple[Item, ...]
     stages: tuple[Stage, ...]
 
-    @property
-    def error(self) -> float:
-        """Estimated largest error of any displayed value: the parts' errors add up at worst."""
-        return sum(item.error for item in self.items) + sum(stage.error for stage in self.stages)
+    error: float = Field(
+        description="estimated largest error of any displayed value: those of items and stages, which add up at worst"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _add_up(cls, data: Any) -> Any:
+        if isinstance(data, dict) and "error" not in data:
+            parts = (*data.get("items", ()), *data.get("stages", ()))
+            return data | {"error": sum(part.error for part in parts)}
+        return data

@@ -111,11 +111,6 @@ class TorchRenderer:
         ]
         self._twin = self if tolerance == "exact" else TorchRenderer(scene, gbuffer, tolerance="exact")
 
-    @property
-    def summed_after_all(self) -> int:
-        """How often so far an object's table did not hold in a picture, so that its pixels were summed."""
-        return sum(shader.summed_after_all for shader in self._shaders)
-
     def initial(self) -> Parameters:
         """The scene's own values, in the renderer's dtype; all are float32 numbers."""
         return {group: value.clone() for group, value in self._initial.items()}

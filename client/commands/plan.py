@@ -1,0 +1,54 @@
+"""`plan`: what a job would do to make its pictures, before it runs."""
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from client.commands.options import JsonOption
+
+if TYPE_CHECKING:
+    from services.rendering.plan import Plan
+
+
+def register(app: typer.Typer) -> None:
+    """Adds the command."""
+    app.command(epilog="Example: [bold]scene-attack plan examples/torch-combined.json[/bold]")(plan)
+
+
+def plan(
+    spec: Annotated[str, typer.Argument(metavar="SPEC", help="A job as JSON; - reads it from stdin.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Print how a job's pictures would be made: what is kept, what is left out and why, and the error that costs.
+
+    Nothing is attacked and the network is not asked. The scene is rasterised, and errors of tables are measured on it.
+    """
+    from client import spec_input
+    from client.console import print_json
+    from services.jobs.spec import parse
+
+    job = parse(spec_input.read(spec))
+    from client.commands.run import library
+    from services.jobs.prepare import plan as compile_plan
+
+    found = compile_plan(job, library())
+    if as_json:
+        print_json(found.model_dump(mode="json"))
+    else:
+        _print(found)
+
+
+def _print(found: "Plan") -> None:
+    from client.console import out, small, table
+
+    height, width = found.size
+    out().print(
+        f"{found.renderer}: {', '.join(found.groups)}, {width}×{height} pixels; tolerance {small(found.tolerance)}, "
+        f"estimated error {small(found.error)} of a displayed value in [0,1]",
+        highlight=False,
+    )
+    kept = [[i.what, f"{i.kept:,}", f"{i.of:,}", i.why, small(i.error)] for i in found.items]
+    out().print(table(("item", "kept>", "of>", "why the others are left out", "error>"), kept))
+    done = [[s.name, s.method, s.when, f"{s.evaluations:,} {s.unit}", s.why, small(s.error)] for s in found.stages]
+    if done:
+        out().print(table(("stage", "method", "when", "work>", "why", "error>"), done))
