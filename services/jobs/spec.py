@@ -27,8 +27,8 @@ class JobSpec(Model):
     attack: Attack = Field(default_factory=Fgsm)
     tolerance: Annotated[float, Field(ge=1e-6, le=0.1, allow_inf_nan=False)] | Literal["exact"] = Field(
         DEFAULT_TOLERANCE,
-        description="largest error of a displayed value, in [0,1], of the pictures inside the attack; `exact` for none. "
-        "The verdict is always on the exact picture",
+        description="largest error of a displayed value, in [0,1], of pictures inside the attack; `exact` for none; "
+        "the verdict is always on the exact picture",
     )
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = Field(0, description="of everything random in the job")
 
