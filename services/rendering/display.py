@@ -23,7 +23,9 @@ def to_linear(display: Tensor) -> Tensor:
 
 def to_bytes(images: Tensor) -> Tensor:
     """Images in [0,1] as they are saved: uint8, rounded to nearest (ties to even)."""
-    return (images.detach().clamp(0.0, 1.0) * 255).round().to(torch.uint8)
+    # A product with 255 in a type of eight bits would be rounded twice.
+    wide = images.detach().to(torch.promote_types(images.dtype, torch.float32))
+    return (wide.clamp(0.0, 1.0) * 255).round().to(torch.uint8)
 
 
 def from_bytes(images: Tensor) -> Tensor:

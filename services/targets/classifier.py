@@ -45,4 +45,4 @@ class Classifier:
         if tuple(x.shape[-2:]) != self.input_size:
             x = F.interpolate(x, self.input_size, mode="bilinear", antialias=True)
         scores: Tensor = self.network(x.contiguous(memory_format=torch.channels_last))
-        return scores
+        return scores.to(torch.promote_types(self.dtype, torch.float32))

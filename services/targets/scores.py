@@ -13,16 +13,23 @@ def _others(logits: Tensor, label: int) -> Tensor:
     return torch.cat([logits[..., :label], logits[..., label + 1 :]], dim=-1)
 
 
+def _wide(logits: Tensor) -> Tensor:
+    """In float32 at least: a sum of a thousand exponentials in bfloat16 has two digits."""
+    return logits.to(torch.promote_types(logits.dtype, torch.float32))
+
+
 def log_odds(logits: Tensor, label: int) -> Tensor:
     """z_label − logsumexp of the others, [B]. Same gradient direction as the probability's, and never saturated.
 
     For a one-class network there are no others and the log-odds are +inf.
     """
+    logits = _wide(logits)
     return logits[..., label] - torch.logsumexp(_others(logits, label), dim=-1)
 
 
 def advantage(logits: Tensor, label: int) -> Tensor:
     """log p_label − max over others of log p, [B]; negative once another label wins (paper, attack curves)."""
+    logits = _wide(logits)
     others = _others(logits, label)
     if others.shape[-1] == 0:
         return torch.full_like(logits[..., label], float("inf"))
