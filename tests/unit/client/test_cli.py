@@ -23,6 +23,7 @@ COMMANDS = [
     ["targets"],
     *(["jobs", *rest] for rest in ([], ["list"], ["show"], ["watch"], ["cancel"], ["download"])),
     *(["assets", *rest] for rest in ([], ["list"], ["show"], ["add"], ["environments"])),
+    *(["accuracy", *rest] for rest in ([], ["stability"])),
 ]
 
 
@@ -42,7 +43,7 @@ def cli(*arguments: str, stdin: str = "", **environ: str) -> subprocess.Complete
 def test_every_command_has_help_with_an_example(command: list[str]) -> None:
     done = CliRunner().invoke(app, [*command, "--help"])
     assert done.exit_code == 0
-    assert ("Example" in done.stdout) == (command not in ([], ["jobs"], ["assets"]))
+    assert ("Example" in done.stdout) == (command not in ([], ["jobs"], ["assets"], ["accuracy"]))
 
 
 def test_help_loads_nothing_heavy() -> None:

@@ -1,0 +1,112 @@
+"""One stiff or extreme case: what is stiff, what must hold, and how it is seen to hold."""
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from services.errors import InvalidRequest, JobFailure
+
+Outcome = Literal["ok", "flat", "clipped", "refused", "failed"]
+
+
+class Broken(AssertionError):
+    """A property that must hold does not."""
+
+
+def need(holds: bool, otherwise: str) -> None:
+    """Raises Broken(otherwise) unless it holds."""
+    if not holds:
+        raise Broken(otherwise)
+
+
+@dataclass(frozen=True)
+class Measured:
+    """`value` must be at most `limit`; `what` says of what, and against which reference."""
+
+    value: float
+    limit: float
+    what: str
+
+
+@dataclass(frozen=True)
+class Case:
+    """One row of the report.
+
+    `measure` raises Broken where the property does not hold and returns the number that shows that it does. `outcome`
+    is the one it must come to: "ok"; "flat", where the method must say that it learnt nothing; "clipped", where values
+    must be held at a bound; "refused" if `refusal` is given, the field of the InvalidRequest or the kind of the
+    JobFailure that must be raised. `slow` cases are left out of the quick report.
+    """
+
+    name: str
+    family: str
+    stiff: str
+    must: str
+    measure: Callable[[], Measured]
+    outcome: Literal["ok", "flat", "clipped", "refused"] = "ok"
+    refusal: str | None = None
+    slow: bool = False
+
+    def __post_init__(self) -> None:
+        if (self.outcome == "refused") != (self.refusal is not None):
+            raise ValueError(f"{self.name}: a refusal names its field or kind, nothing else does")
+
+
+class Observation(BaseModel):
+    """What a case came to."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str
+    family: str
+    stiff: str = Field(description="what is stiff or extreme")
+    must: str = Field(description="the property that must hold")
+    outcome: Outcome
+    what: str = Field(description="what was measured, against which reference; or the words of the refusal")
+    measured: float | None = Field(description="None for a refusal")
+    tolerance: float | None
+    seconds: float
+
+
+def observe(case: Case) -> Observation:
+    """Runs a case. Whatever it raises, other than the refusal it must come to, is a failure; so is a numpy warning of
+    an overflow or of an invalid operation."""
+    began = perf_counter()
+    measured = None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", RuntimeWarning)
+            measured = case.measure()
+        outcome, what = _judged(case, measured)
+    except (InvalidRequest, JobFailure) as error:
+        named = error.field if isinstance(error, InvalidRequest) else error.kind
+        as_wanted = case.refusal is not None and named == case.refusal and bool(error.detail)
+        outcome = "refused" if as_wanted else "failed"
+        what = f"{named}: {error.detail}" if as_wanted else f"refused unexpectedly, {named}: {error.detail}"
+    except Broken as broken:
+        outcome, what = "failed", str(broken)
+    except Exception as error:  # the report says what went wrong, and the others go on
+        outcome, what = "failed", f"{type(error).__name__}: {error}"
+    return Observation(
+        name=case.name,
+        family=case.family,
+        stiff=case.stiff,
+        must=case.must,
+        outcome=outcome,
+        what=what,
+        measured=None if measured is None else measured.value + 0.0,  # never −0
+        tolerance=None if measured is None else measured.limit,
+        seconds=perf_counter() - began,
+    )
+
+
+def _judged(case: Case, measured: Measured) -> tuple[Outcome, str]:
+    if case.refusal is not None:
+        return "failed", f"not refused; {measured.what}: {measured.value:g}"
+    if not measured.value <= measured.limit:  # NaN is a failure too
+        return "failed", f"{measured.what}: {measured.value:g}, more than {measured.limit:g}"
+    return case.outcome, measured.what

@@ -1,0 +1,187 @@
+"""Scores of a network that is certain, undecided, or has nothing to decide."""
+
+from collections.abc import Callable
+from decimal import Decimal, localcontext
+from math import exp
+
+import torch
+from torch import Tensor
+
+from services.accuracy.case import Case, Measured, need
+from services.accuracy.networks import SIDE, linear_network
+from services.attacks.exact import Judge
+from services.attacks.fgsm import FgsmMethod
+from services.attacks.goal import ResolvedGoal
+from services.attacks.loop import Budget, run
+from services.attacks.problem import Problem
+from services.attacks.spec import Fgsm
+from services.rendering.image_renderer import ImageRenderer
+from services.targets.classifier import Classifier
+from services.targets.scores import probability
+
+ROUNDING = 1e-5
+"""Relative error of float32 scores after a few sums."""
+
+
+def _slope(goal: ResolvedGoal, logits: Tensor) -> Tensor:
+    leaf = logits.clone().requires_grad_(True)
+    (slope,) = torch.autograd.grad(goal.objective(leaf[None]).sum(), leaf)
+    need(bool(torch.isfinite(slope).all()), "the slope is not finite")
+    return slope
+
+
+def _by_hand(logits: Tensor, label: int) -> tuple[list[float], float]:
+    """∂ log-odds / ∂z and log(1 − p) of one label, in 60 digits."""
+    with localcontext(prec=60):
+        z = [Decimal(float(v)) for v in logits]
+        top = max(z[k] for k in range(len(z)) if k != label)
+        weights = [Decimal(0) if k == label else (v - top).exp() for k, v in enumerate(z)]
+        total = sum(weights, Decimal(0))
+        slope = [Decimal(1) if k == label else -w / total for k, w in enumerate(weights)]
+        odds = z[label] - (top + total.ln())
+        return [float(s) for s in slope], float(-(1 + odds.exp()).ln())
+
+
+def _margin(margin: float, reach: bool = False) -> Measured:
+    """A label ahead of (or, to be reached, behind) all others by a margin: the slope neither vanishes nor turns."""
+    sign = -1.0 if reach else 1.0
+    logits = torch.tensor([0.3, sign * margin, -0.7, -0.1, 0.0])
+    goal = ResolvedGoal(None, 1) if reach else ResolvedGoal(1, None)
+    found, (wanted, remainder) = sign * _slope(goal, logits).double(), _by_hand(logits, 1)
+    need(float(found[1]) == 1.0, f"the slope of the label itself is {float(found[1]):.1e}")
+    p = float(probability(logits[None], 1))
+    if not reach and margin < 30:  # beyond, 1 − p is below float64's rounding of p
+        need(abs((1 - p) / exp(remainder) - 1) < 1e-5, f"1 − p is {1 - p:.3e}")
+    advantage = float(goal.advantage(logits[None]))
+    need(
+        abs(advantage - (margin - 0.3 if not reach else margin + 0.3)) < ROUNDING * margin,
+        f"the advantage is {advantage}",
+    )
+    need(not bool(goal.fooled(logits[None])), "it is fooled")
+    error = max(abs(a - b) for a, b in zip(found.tolist(), wanted, strict=True))
+    return Measured(error, ROUNDING, "error of the slope by each score, against 60 digits")
+
+
+def _steps_alike(scale: float) -> Measured:
+    """FGSM on a network whose scores are scaled up goes the way of the network as it was, step for step."""
+    first, second = (_perturbed(linear_network(s, classes=2)) for s in (1.0, scale))
+    need(float(first.abs().max()) > 1e-3, "it does not move")
+    return Measured(float((first - second).abs().max()), 0.0, "largest difference of the perturbations after 5 steps")
+
+
+def _perturbed(network: Classifier) -> Tensor:
+    picture = torch.rand(SIDE, SIDE, 3, generator=torch.Generator().manual_seed(5))
+    renderer = ImageRenderer(picture, "random numbers")
+    label = int(network.logits(picture[None]).argmax())
+    problem = Problem(renderer, network, ResolvedGoal(label, None), ("image",))
+    settings = Fgsm(renderer="image", learning_rate={"image": 1e-4}, truncation=None)
+    found = run(problem, FgsmMethod(settings, problem), Judge(renderer, network), Budget(steps=5))
+    need(found.step == 5, f"it stopped after {found.step} steps")
+    return found.stored["image"]
+
+
+def _tied() -> Measured:
+    """Of two equal scores the first is the answer, and the slope parts between them."""
+    logits = torch.tensor([-1.0, 2.5, 2.5, 0.0])
+    need(not bool(ResolvedGoal(1, None).fooled(logits[None])), "the first of two equals is not the answer")
+    need(bool(ResolvedGoal(2, None).fooled(logits[None])), "the second of two equals is the answer")
+    need(not bool(ResolvedGoal(None, 2).fooled(logits[None])), "a tie reaches the second of two equals")
+    need(float(ResolvedGoal(1, None).advantage(logits[None])) == 0.0, "the advantage is not zero")
+    batch = logits.repeat(33, 1)
+    need(bool((ResolvedGoal(2, None).fooled(batch)).all()), "the answer depends on the batch")
+    found = _slope(ResolvedGoal(3, None), logits).double()
+    need(float(found[1] - found[2]) == 0.0, "equal scores have different slopes")
+    wanted, _ = _by_hand(logits, 3)
+    error = max(abs(a - b) for a, b in zip(found.tolist(), wanted, strict=True))
+    return Measured(error, ROUNDING, "error of the slope by each score, against 60 digits")
+
+
+def _all_tied() -> Measured:
+    """A thousand equal scores."""
+    logits = torch.full((1000,), 7.0)
+    found = _slope(ResolvedGoal(0, None), logits).double()
+    need(not bool(ResolvedGoal(0, None).fooled(logits[None])), "the first of equals is not the answer")
+    need(abs(float(probability(logits[None], 0)) - 1e-3) < 1e-12, "the probability is not 1/1000")
+    return Measured(float((found[1:] + 1 / 999).abs().max()), 1e-8, "error of the slope, closed form −1/999")
+
+
+def _two() -> Measured:
+    """With two classes the log-odds are the difference of the scores."""
+    random = torch.randn(50, 2, generator=torch.Generator().manual_seed(2)) * 100
+    goal = ResolvedGoal(0, None)
+    need(bool((goal.fooled(random) == (random[:, 1] > random[:, 0])).all()), "fooled is not z₁ > z₀")
+    error = (goal.objective(random) - (random[:, 0] - random[:, 1])).abs().max()
+    return Measured(float(error), 0.0, "difference of the objective from z₀ − z₁, closed form")
+
+
+def _one(ask: Callable[[ResolvedGoal, Tensor], Tensor]) -> Measured:
+    """With one class there is no other answer."""
+    return Measured(float(ask(ResolvedGoal(0, None), torch.tensor([[3.0]])).sum()), -1.0, "an answer")
+
+
+def _attacked(network: Classifier) -> Measured:
+    return Measured(float(_perturbed(network).abs().max()), -1.0, "largest perturbation")
+
+
+def _not_numbers(value: float) -> Measured:
+    network = linear_network()
+    network.network.get_parameter("1.bias")[2] = value
+    return _attacked(network)
+
+
+def _large() -> Measured:
+    """Scores near the end of float32: sums of their exponentials stay in range."""
+    logits = torch.tensor([1e38, -1e38, 0.0])
+    found = _slope(ResolvedGoal(0, None), logits).double()
+    need(bool(torch.isfinite(ResolvedGoal(0, None).objective(logits[None])).all()), "the objective is not finite")
+    return Measured(float((found - torch.tensor([1.0, 0.0, -1.0])).abs().max()), 0.0, "error of the slope, closed form")
+
+
+def cases() -> list[Case]:
+    """The cases of this family."""
+    family, way, none = "logits", "the slope is that of the log-odds", "a clear error names the target"
+    stopped = "the job ends, and says that its numbers are not finite"
+    nan, inf = float("nan"), float("inf")
+    return [
+        Case("margin of 20", family, "p = 1 − 2e-9: float32 has lost it", way, lambda: _margin(20.0)),
+        Case("margin of 90", family, "exp(90) overflows float32", way, lambda: _margin(90.0)),
+        Case("margin of 1000", family, "exp(1000) overflows float64", way, lambda: _margin(1000.0)),
+        Case("1000 behind", family, "a label to reach with p = exp(−1000)", way, lambda: _margin(1000.0, reach=True)),
+        Case(
+            "scores × 1000", family, "every score saturated", "the same steps as unscaled", lambda: _steps_alike(1000.0)
+        ),
+        Case("scores × 1e-6", family, "hardly any slope", "the same steps as unscaled", lambda: _steps_alike(1e-6)),
+        Case("scores of ±1e38", family, "the end of float32", way, _large),
+        Case("two tied", family, "no first answer", "the first of equals is the answer, in any batch", _tied),
+        Case("1000 tied", family, "no first answer", "the first of equals is the answer", _all_tied),
+        Case("two classes", family, "one other answer", "log-odds are z₀ − z₁", _two),
+        Case(
+            "one class, its slope",
+            family,
+            "no other answer",
+            none,
+            lambda: _one(ResolvedGoal.objective),
+            "refused",
+            "target.name",
+        ),
+        Case(
+            "one class, its advantage",
+            family,
+            "no other answer",
+            none,
+            lambda: _one(ResolvedGoal.advantage),
+            "refused",
+            "target.name",
+        ),
+        Case(
+            "one class, attacked",
+            family,
+            "no other answer",
+            none,
+            lambda: _attacked(linear_network(classes=1)),
+            "refused",
+            "target.name",
+        ),
+        Case("NaN score", family, "not a number", stopped, lambda: _not_numbers(nan), "refused", "non-finite"),
+        Case("infinite score", family, "not a number", stopped, lambda: _not_numbers(inf), "refused", "non-finite"),
+    ]

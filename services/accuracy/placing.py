@@ -1,0 +1,54 @@
+"""Small scenes to be extreme in: a mesh in front of the camera, under a given map."""
+
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from services.scenes.description import Scene
+from services.scenes.library import Library
+from services.scenes.mesh import Floats, Mesh, Part
+from services.scenes.resolve import ResolvedScene, resolve
+from services.settings import settings
+
+TABLES = (128, 128)
+"""Height and width of a picture with so many pixels that a plan prefers tables to sums."""
+
+
+@lru_cache(maxsize=1)
+def library() -> Library:
+    """The installation's meshes and maps."""
+    return Library(settings().cache_dir, settings().data_dir)
+
+
+def placed(
+    mesh: str | tuple[Part, ...] = "primitive/sphere",
+    *,
+    size: tuple[int, int] = (24, 24),
+    radiance: Floats | None = None,
+    camera: dict[str, Any] | None = None,
+    thing: dict[str, Any] | None = None,
+    lights: dict[str, Any] | None = None,
+) -> ResolvedScene:
+    """A scene of one object: a mesh by name or by its parts, described by `camera`, `thing` and `lights`.
+
+    `radiance` [rows, cols, 3] takes the place of the environment map as it is. Raises as `resolve` does.
+    """
+    description = Scene.model_validate(
+        {
+            "camera": {"size": size} | (camera or {}),
+            "objects": [{"mesh": mesh if isinstance(mesh, str) else "primitive/sphere"} | (thing or {})],
+            "lights": {"environment": {"map": "uniform", "size": (8, 16)}} | (lights or {}),
+        }
+    )
+    scene = resolve(description, library())
+    if not isinstance(mesh, str):
+        scene = replace(scene, meshes=(Mesh(parts=mesh, sha256="0" * 64, credit=None),))
+    return scene if radiance is None else replace(scene, environment=radiance)
+
+
+def sky(rows: int = 8, cols: int = 16) -> Floats:
+    """A coloured map of high contrast, [rows, cols, 3]; the same every time."""
+    random = np.random.default_rng(20)
+    return np.exp(random.normal(size=(rows, cols, 3))).astype(np.float32)

@@ -1,0 +1,116 @@
+"""What the stability cases came to, as a page and as data."""
+
+import platform
+from collections.abc import Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Literal
+
+import torch
+from pydantic import BaseModel, ConfigDict, Field
+
+from services.accuracy.case import Observation
+from services.rendering.gl import gl_backend
+
+PACKAGES = ("scene-attack", "torch", "numpy", "scipy", "pyrender-maintained", "PyOpenGL", "trimesh", "OpenEXR")
+BANDS = ((0.1, "< 0.1"), (1.0, "< 1"), (10.0, "< 10"), (100.0, "< 100"))
+"""Seconds are told this roughly, so that another run on another day gives the same page."""
+
+WORDS = {
+    "ok": "the property held",
+    "flat": "nothing could be learnt, and the method said so",
+    "clipped": "values were held at a bound or at display white, as they must be",
+    "refused": "a clear error, naming the field or the kind of failure",
+    "failed": "the property did not hold",
+}
+
+
+class Row(BaseModel):
+    """One case in the data: an `Observation` with its seconds in bands."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    family: str
+    name: str
+    stiff: str
+    must: str
+    outcome: Literal["ok", "flat", "clipped", "refused", "failed"]
+    what: str
+    measured: float | None
+    tolerance: float | None
+    seconds: str = Field(description="a band")
+
+
+class Report(BaseModel):
+    """Everything that `stability.json` says."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    command: str
+    seed: str
+    versions: dict[str, str]
+    backend: str
+    counts: dict[str, int]
+    cases: list[Row]
+
+    @property
+    def failed(self) -> list[Row]:
+        """The cases that must not be."""
+        return [row for row in self.cases if row.outcome == "failed"]
+
+
+def report(observations: Sequence[Observation], command: str) -> Report:
+    """The observations with what is needed to make them again."""
+    rows = [Row.model_validate(seen.model_dump() | {"seconds": band(seen.seconds)}) for seen in observations]
+    return Report(
+        command=command,
+        seed="each case has its own, in its code",
+        versions={"python": platform.python_version()} | {name: version(name) for name in PACKAGES},
+        backend=f"torch cpu, {torch.get_num_threads()} threads; {gl_backend()}",
+        counts={word: sum(row.outcome == word for row in rows) for word in WORDS},
+        cases=rows,
+    )
+
+
+def band(seconds: float) -> str:
+    """Seconds to the next power of ten."""
+    return next((word for limit, word in BANDS if seconds < limit), "≥ 100")
+
+
+def markdown(found: Report) -> str:
+    """The page."""
+    counted = ", ".join(f"{count} {word}" for word, count in found.counts.items() if count or word == "failed")
+    lines = [
+        "# Stability",
+        "",
+        f"Stiff and extreme cases, each with a property that must hold: {len(found.cases)} cases, {counted}.",
+        "",
+        *(f"- *{word}*: {meaning}" for word, meaning in WORDS.items()),
+        "",
+        "*Measured* must be at most its *tolerance*; what it is, and what it was compared with, stands beside it.",
+        "Every assertion has been seen to fail with the method broken on purpose (`tests/unit/accuracy`).",
+    ]
+    for family in dict.fromkeys(row.family for row in found.cases):
+        lines += ["", f"## {family.capitalize()}", ""]
+        lines += ["| case | what is stiff | must hold | outcome | measured | tolerance | how it was seen | seconds |"]
+        lines += ["|---|---|---|---|---:|---:|---|---:|"]
+        lines += [_line(row) for row in found.cases if row.family == family]
+    lines += ["", "## How to make this page again", "", "```sh", found.command, "```", ""]
+    lines += [f"{found.backend}; " + ", ".join(f"{name} {number}" for name, number in found.versions.items()) + "."]
+    lines += [f"Seeds: {found.seed}. Seconds are told in powers of ten, and nothing else differs between two runs on"]
+    lines += ["one machine."]
+    return "\n".join(lines) + "\n"
+
+
+def _line(row: Row) -> str:
+    outcome = f"**{row.outcome}**" if row.outcome == "failed" else row.outcome
+    numbers = ["" if value is None else f"{value:.1e}" if value else "0" for value in (row.measured, row.tolerance)]
+    cells = [row.name, row.stiff, row.must, outcome, *numbers, row.what, row.seconds]
+    return "| " + " | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in cells) + " |"
+
+
+def write(found: Report, folder: Path) -> None:
+    """`stability.md` and `stability.json` in the folder, which is made if need be."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "stability.json").write_text(found.model_dump_json(indent=1) + "\n", "utf-8")
+    (folder / "stability.md").write_text(markdown(found), "utf-8")

@@ -1,0 +1,127 @@
+"""The differentiable renderer of a scene against its definition: pictures and slopes."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from services.accuracy import definition
+from services.accuracy.case import need
+from services.rendering.build import build
+from services.rendering.gbuffer import GBuffer, rasterise
+from services.rendering.protocol import Parameters, Renderer
+from services.scenes.mesh import Doubles
+from services.scenes.resolve import ResolvedScene
+
+LOOP = 1e-3
+"""Error of a displayed value that the loop's pictures may have: the default tolerance of a plan."""
+
+EXACT = 1e-6
+"""Error of a displayed value that the judge's pictures may have: float64, but normals and base colours are float32."""
+
+SLOPE = 1e-2
+"""Relative error of a slope: a table has 1e-3 of the gradient's length, and a random direction sees more of it."""
+
+
+LOOKED_AT = 400
+"""Pixels whose values are worked out by definition, and the brightest of a picture besides."""
+BRIGHTEST = 40
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Largest error of a displayed value, in the loop's pictures and the judge's, against the definition.
+
+    `clipped` is the share of the pixels looked at with a value beyond display white, by the definition.
+    """
+
+    loop: float
+    exact: float
+    clipped: float
+
+
+@dataclass(frozen=True)
+class Shading:
+    """A scene of one object, rendered and by definition. `pixels` [P]: the covered ones that are looked at."""
+
+    scene: ResolvedScene
+    renderer: Renderer
+    gbuffer: GBuffer
+    pixels: Tensor
+
+    @classmethod
+    def of(cls, scene: ResolvedScene) -> "Shading":
+        """Rasterises and compiles the scene; about LOOKED_AT pixels, evenly spread over the covered ones."""
+        gbuffer = rasterise(scene)
+        covered = gbuffer.coverage.flatten().nonzero()[:, 0]
+        return cls(scene, build(scene, "torch"), gbuffer, covered[:: max(1, len(covered) // LOOKED_AT)])
+
+    def defined(self, parameters: Parameters) -> tuple[Doubles, Doubles]:
+        """Displayed values [P, 3] by definition at the pixels, and the linear values before clipping."""
+        values = {group: value.detach().double().numpy() for group, value in self._all(parameters).items()}
+        angles = values["normals"].reshape(-1, 2)[self.pixels.numpy()]
+        shaded = definition.linear(
+            definition.vectors(angles, self.scene.view),
+            values["material"][0],
+            values["illumination"],
+            np.asarray(self.scene.environment, np.float64),
+            self.scene.view[:3, 2],
+            self.gbuffer.base_color.reshape(-1, 3)[self.pixels].double().numpy(),
+        )
+        coverage = self.gbuffer.coverage.flatten()[self.pixels].double().numpy()[:, None]
+        ground = np.array(self.scene.description.ground)
+        return coverage * definition.displayed(shaded) + (1 - coverage) * ground, shaded
+
+    def errors(self, parameters: Parameters) -> Errors:
+        """Pictures with these values in place of the scene's own ({group: value}), compared. Raises Broken for NaN.
+
+        The brightest pixels are looked at too, so that no highlight is missed.
+        """
+        pictures = []
+        for renderer in (self.renderer, self.renderer.exact()):
+            with torch.no_grad():
+                picture = renderer.render({g: v[None] for g, v in parameters.items()})[0].reshape(-1, 3).double()
+            need(bool(torch.isfinite(picture).all()), "the picture has values that are not finite")
+            need(bool((picture >= 0).all() and (picture <= 1).all()), "the picture has values outside [0,1]")
+            pictures.append(picture)
+        shown = pictures[1].sum(dim=1).where(self.gbuffer.coverage.flatten() > 0, -torch.inf)
+        brightest = shown.topk(min(BRIGHTEST, len(self.pixels))).indices
+        pixels = torch.unique(torch.cat([self.pixels, brightest]))
+        wanted, shaded = replace(self, pixels=pixels).defined(parameters)
+        loop, exact = (float(np.abs(picture[pixels].numpy() - wanted).max()) for picture in pictures)
+        return Errors(loop, exact, float((shaded > 1).any(axis=1).mean()))
+
+    def gradient(self, parameters: Parameters, group: str) -> tuple[Tensor, Tensor]:
+        """The gradient of ⟨weights, picture⟩ with respect to a group, and the weights [P, 3], fixed random numbers."""
+        weights = torch.randn(len(self.pixels), 3, generator=torch.Generator().manual_seed(7), dtype=torch.float64)
+        values = {g: v.detach().clone() for g, v in self._all(parameters).items()}
+        leaf = values[group].requires_grad_(True)
+        picture = self.renderer.render({g: v[None] for g, v in values.items()})[0]
+        (slope,) = torch.autograd.grad((picture.reshape(-1, 3)[self.pixels].double() * weights).sum(), leaf)
+        need(bool(torch.isfinite(slope).all()), f"the gradient of {group} has values that are not finite")
+        return slope.double(), weights
+
+    def slope_error(self, parameters: Parameters, group: str, step: float, mask: Tensor | None = None) -> float:
+        """Largest relative error of the gradient along random directions, against differences of the definition.
+
+        Relative to the gradient's own length spread over as many coordinates as it has. `mask`: coordinates to move.
+        """
+        slope, weights = self.gradient(parameters, group)
+        start = {g: v.detach().double() for g, v in self._all(parameters).items()}
+        random = torch.Generator().manual_seed(8)
+        worst = 0.0
+        for _ in range(3):
+            direction = torch.randn(slope.shape, generator=random, dtype=torch.float64)
+            direction = direction if mask is None else direction * mask
+            sides = [
+                self.defined(start | {group: start[group] + sign * step * direction})[0].ravel() for sign in (1, -1)
+            ]
+            wanted = float(weights.flatten().numpy() @ (sides[0] - sides[1])) / (2 * step)
+            found = float((slope * direction).sum())
+            scale = max(abs(wanted), float((slope * (direction != 0)).norm()), 1e-12)
+            worst = max(worst, abs(found - wanted) / scale)
+        return worst
+
+    def _all(self, parameters: Parameters) -> Parameters:
+        return self.renderer.initial() | parameters

@@ -1,0 +1,314 @@
+"""Steps of an attack that are far too small, far too large, or lead nowhere."""
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from services.accuracy.case import Case, Measured, need
+from services.accuracy.networks import SIDE, linear_network
+from services.accuracy.placing import placed, sky
+from services.accuracy.shading import LOOP
+from services.attacks.differences import estimate, layout, measure_noise
+from services.attacks.exact import Judge
+from services.attacks.fgsm import FgsmMethod
+from services.attacks.goal import ResolvedGoal
+from services.attacks.loop import Budget, Run, run
+from services.attacks.problem import Problem, truncate
+from services.attacks.spec import Fgsm, Zoo
+from services.attacks.zoo import ZooMethod
+from services.rendering.build import build
+from services.rendering.image_renderer import ImageRenderer
+from services.rendering.protocol import Renderer
+
+NEVER = 1e4
+"""A lead of the first label that no picture makes up for: such attacks run through all their steps."""
+
+
+def _pixels(low: float = 0.2, high: float = 0.8) -> ImageRenderer:
+    random = torch.Generator().manual_seed(5)
+    return ImageRenderer(low + (high - low) * torch.rand(SIDE, SIDE, 3, generator=random), "random numbers")
+
+
+def _problem(
+    renderer: Renderer, groups: tuple[str, ...] | None = None, lead: float = NEVER, **settings: Any
+) -> Problem:
+    return Problem(
+        renderer, linear_network(classes=2, lead=lead), ResolvedGoal(0, None), groups or renderer.groups, **settings
+    )
+
+
+def _fgsm(renderer: Renderer, group: str, steps: int, **settings: Any) -> Run:
+    problem = _problem(renderer, (group,))
+    spec = Fgsm.model_validate({"renderer": renderer.name, "groups": (group,), "truncation": None} | settings)
+    found = run(problem, FgsmMethod(spec, problem), Judge(renderer, problem.target), Budget(steps))
+    need(found.step == steps, f"it stopped after {found.step} steps")
+    need(all(np.isfinite(row.perceptibility) for row in found.trace), "a perceptibility is not finite")
+    return found
+
+
+def _weights() -> Tensor:
+    """∂(z₀ − z₁)/∂pixel of the two-class network, [8, 8, 3]: a closed form for every difference."""
+    weight = linear_network(classes=2).network.get_parameter("1.weight").detach().double()
+    return (weight[0] - weight[1]).reshape(3, SIDE, SIDE).permute(1, 2, 0)
+
+
+def _too_small(renderer: Renderer, group: str) -> Measured:
+    """Differences that round to nothing are called flat, and their slope is 0."""
+    problem = _problem(renderer, (group,), lead=0.0)
+    where = layout(problem)
+    count = min(where.total, 24)
+    deltas = torch.full((count,), 1e-12, dtype=torch.float64)
+    nothing = torch.zeros(where.total)
+    found = estimate(problem, nothing, torch.arange(count), deltas, measure_noise(problem, nothing))
+    need(bool(found.flat.all()), f"{int((~found.flat).sum())} of {count} differences are not called flat")
+    return Measured(
+        float(found.slopes.abs().max()), 0.0, f"largest slope; {count} of {count} differences reported flat"
+    )
+
+
+def _zoo_flat() -> Measured:
+    """An attack all of whose differences are flat goes nowhere, and every row of its trace says so."""
+    renderer = _pixels()
+    problem = _problem(renderer)
+    method = ZooMethod(Zoo(method="zoo", renderer="image", delta=1e-12, coordinates=50, steps=3), problem)
+    found = run(problem, method, Judge(renderer, problem.target), Budget(3))
+    need([row.flat for row in found.trace] == [0, 50, 50, 50], f"reported flat: {[row.flat for row in found.trace]}")
+    need(not any(bool(v.any()) for n, v in method.state().items() if n in ("first", "second", "moves")), "Adam moved")
+    return Measured(
+        float(found.stored["image"].abs().max()), 0.0, "largest perturbation; all differences reported flat"
+    )
+
+
+def _slopes(delta: float, at: float = 0.0) -> tuple[Tensor, Tensor, Tensor, float]:
+    """Slopes, their closed form, which are flat, and the noise, of differences of pixels."""
+    problem = _problem(_pixels(), lead=0.0)
+    start = torch.full((3 * SIDE * SIDE,), at)
+    noise = measure_noise(problem, start)
+    deltas = torch.full((len(start),), delta, dtype=torch.float64)
+    found = estimate(problem, start, torch.arange(len(start)), deltas, noise)
+    return found.slopes, _weights().flatten(), found.flat, noise
+
+
+def _too_large() -> Measured:
+    """A step of 1 leaves [0,1] on both sides: it is held at the bounds, and the way between them divides."""
+    slopes, wanted, flat, _ = _slopes(1.0)
+    need(not bool(flat.any()), "a difference is called flat")
+    return Measured(
+        float((slopes - wanted).abs().max() / wanted.abs().max()), 1e-5, "relative error of a slope, closed form"
+    )
+
+
+def _sweep() -> Measured:
+    """At every step from 1e-1 to 1e-8 a slope is right to the noise over the step, or called flat."""
+    worst = 0.0
+    for exponent in range(1, 9):
+        delta = 10.0**-exponent
+        slopes, wanted, flat, noise = _slopes(delta, at=0.1)
+        need(exponent > 3 or not bool(flat.all()), f"all differences of {delta:g} are flat")
+        error = (slopes - wanted).abs()[~flat]
+        if len(error):
+            worst = max(worst, float(error.max()) * 2 * delta / (noise + 1e-5 * 2 * delta * float(wanted.abs().max())))
+    return Measured(worst, 1.0, "error of a slope that is not flat, in units of the noise over the step")
+
+
+def _no_step(renderer: Renderer, group: str) -> Measured:
+    """η = 0 moves nothing, however often."""
+    found = _fgsm(renderer, group, 120, learning_rate={group: 0.0})
+    need(not bool(found.stored[group].any()), "the perturbation is not zero")
+    # Pictures with a gradient may be computed in another order than the original, to float32's rounding.
+    moved = max(row.perceptibility for row in found.trace)
+    need(len({row.perceptibility for row in found.trace}) == 1, "the picture changes from step to step")
+    return Measured(moved, 2e-7, "largest perceptibility in 120 steps, all alike; the perturbation is exactly 0")
+
+
+def _giant_step(group: str) -> Measured:
+    """η = 1e3: whatever the parameters become, they are within bounds, and the loop's picture is that of the judge."""
+    scene = placed(radiance=sky(), size=(16, 16))
+    renderer = build(scene, "torch")
+    found = _fgsm(renderer, group, 120, learning_rate={group: 1e3})
+    low, high = renderer.bounds()[group]
+    value = renderer.initial()[group] + found.stored[group]
+    need(bool(torch.isfinite(value).all()), "a parameter is not finite")
+    need(float(found.stored[group].abs().max()) > 1.0, "it does not move")
+    rounding = 1e-6 * (1 + value.abs())
+    need(bool((value >= low - rounding).all() and (value <= high + rounding).all()), "a parameter is out of bounds")
+    pictures = []
+    for one in (renderer, renderer.exact()):
+        start = one.initial()[group]
+        with torch.no_grad():
+            pictures.append(one.render({group: (start + found.stored[group].to(start.dtype))[None]})[0].double())
+        need(bool(torch.isfinite(pictures[-1]).all()), "a picture has values that are not finite")
+    return Measured(
+        float((pictures[0] - pictures[1]).abs().max()),
+        LOOP,
+        "largest difference of the loop's picture from the judge's",
+    )
+
+
+def _far_angles() -> Measured:
+    """The furthest that 120 steps of η = 1e3 can go: normals moved by a million radians, in any direction."""
+    renderer = build(placed(radiance=sky(), size=(16, 16)), "torch")
+    problem = _problem(renderer, ("normals",))
+    shape = renderer.initial()["normals"].shape
+    moved = 2e6 * torch.rand(shape, generator=torch.Generator().manual_seed(9)) - 1e6
+    perturbation = problem.clamp({"normals": moved})
+    seen = renderer.render({"normals": (renderer.initial()["normals"] + perturbation["normals"])[None]})[0]
+    exact = renderer.exact()
+    start = exact.initial()["normals"]
+    wanted = exact.render({"normals": (start + perturbation["normals"].to(start.dtype))[None]})[0]
+    need(bool(torch.isfinite(seen).all()), "the picture has values that are not finite")
+    need(float((seen - problem.original[0]).abs().max()) > 0.01, "it does not move")
+    return Measured(
+        float((seen.double() - wanted).abs().max()), LOOP, "largest difference of the loop's picture from the judge's"
+    )
+
+
+def _giant_zoo() -> Measured:
+    """η = 1e3 through pyrender: out of the picture and beyond every light, within bounds and finite."""
+    renderer = build(placed(size=(16, 16)), "pyrender")
+    problem = _problem(renderer)
+    method = ZooMethod(Zoo(method="zoo", renderer="pyrender", delta=1e-2, learning_rate=1e3, steps=20), problem)
+    found = run(problem, method, Judge(renderer, problem.target), Budget(20))
+    outside = 0.0
+    for group, (low, high) in renderer.bounds().items():
+        value = renderer.initial()[group] + found.stored[group]
+        need(bool(torch.isfinite(value).all()), f"{group} is not finite")
+        outside = max(outside, float((low - value).clamp_min(0).max()), float((value - high).clamp_min(0).max()))
+    need(max(float(v.abs().max()) for v in found.stored.values()) > 100, "it does not move")
+    need(all(np.isfinite(row.perceptibility) for row in found.trace), "a perceptibility is not finite")
+    return Measured(outside, 1e-6, "how far any parameter is out of its bounds after 20 steps")
+
+
+def _giant_decay() -> Measured:
+    """η = 1e3 and decay 1 would multiply the perturbation by 1,000 a step; pixels are held in [0,1]."""
+    renderer = _pixels()
+    found = _fgsm(renderer, "image", 120, learning_rate={"image": 1e3}, weight_decay=1.0)
+    pixels = renderer.initial()["image"] + found.stored["image"]
+    need(bool(torch.isfinite(pixels).all()), "a pixel is not finite")
+    return Measured(float(torch.maximum(-pixels, pixels - 1).max()), 1e-7, "how far any pixel is out of [0,1]")
+
+
+def _no_slope() -> Measured:
+    """A black object shows no light, material or normals: 120 steps with zero gradients, all reported flat."""
+    renderer = build(placed(thing={"color": (0, 0, 0)}, size=(16, 16)), "torch")
+    problem = _problem(renderer)
+    method = FgsmMethod(Fgsm(groups=renderer.groups), problem)
+    found = run(problem, method, Judge(renderer, problem.target), Budget(120))
+    need([row.flat for row in found.trace] == [0] + [3] * 120, "not all three groups are reported flat at every step")
+    need(found.stopped == "steps", f"it stopped for {found.stopped}")
+    moved = max(float(v.abs().max()) for v in found.stored.values())
+    return Measured(moved, 0.0, "largest perturbation; three of three groups reported flat, 120 times")
+
+
+def _coasting() -> Measured:
+    """Momentum over 120 steps with zero gradients, after one push: a closed form, the power of a 2×2 matrix."""
+    renderer = build(placed(thing={"color": (0, 0, 0)}, size=(16, 16)), "torch")
+    problem = _problem(renderer, ("illumination",))
+    rate, momentum, decay = 3e-3, 0.9, 1e-2
+    settings = {"groups": ("illumination",), "learning_rate": {"illumination": rate}, "weight_decay": decay}
+    method = FgsmMethod(Fgsm.model_validate(settings), problem)
+    state = method.state()
+    state["velocity.illumination"] = torch.full_like(state["velocity.illumination"], -1.0)
+    method.load(state)
+    found = run(problem, method, Judge(renderer, problem.target), Budget(120))
+    # (Δ, v) → v' = momentum·v + decay·Δ, Δ' = Δ − rate·v'
+    step = np.array([[1 - rate * decay, -rate * momentum], [decay, momentum]])
+    wanted = float((np.linalg.matrix_power(step, 120) @ np.array([0.0, -1.0]))[0])
+    need(found.step == 120, f"it stopped after {found.step} steps")
+    error = (found.stored["illumination"].double() - wanted).abs().max()
+    return Measured(float(error) / wanted, 1e-5, "relative error of the perturbation, closed form")
+
+
+def _at_the_limit() -> Measured:
+    """U: a value moved by exactly 18/255 is not beyond it, one moved by a hundredth of a step more is held there."""
+    original = (torch.arange(0, 237).repeat_interleave(3).reshape(1, 1, 237, 3) / 255).float()
+    limit = 18 / 255
+    at, held_at = truncate(original + torch.tensor(18.0) / 255, original, limit)
+    beyond, held_beyond = truncate(original + 18.01 / 255, original, limit)
+    need(int(held_at.sum()) == 0, f"{int(held_at.sum())} of 237 pixels at the limit are held")
+    need(int(held_beyond.sum()) == 237, f"{237 - int(held_beyond.sum())} of 237 pixels beyond the limit are not held")
+    need(bool((at >= original).all()), "a pixel went the wrong way")
+    return Measured(float((beyond - original - limit).abs().max()), 1e-7, "distance of a held value from the limit")
+
+
+def cases() -> list[Case]:
+    """The cases of this family."""
+    family, flat = "steps", "called flat, slope 0"
+    return [
+        Case(
+            "δ = 1e-12, pixels",
+            family,
+            "below float32's rounding",
+            flat,
+            lambda: _too_small(_pixels(), "image"),
+            "flat",
+        ),
+        Case(
+            "δ = 1e-12, pyrender",
+            family,
+            "float64 parameters, float32 pictures",
+            flat,
+            lambda: _too_small(build(placed(size=(16, 16)), "pyrender"), "illumination"),
+            "flat",
+        ),
+        Case(
+            "δ = 1e-12, torch",
+            family,
+            "below float32's rounding",
+            flat,
+            lambda: _too_small(build(placed(size=(16, 16)), "torch"), "material"),
+            "flat",
+        ),
+        Case("ZOO with δ = 1e-12", family, "nothing to go by", "goes nowhere, and says so", _zoo_flat, "flat"),
+        Case("δ = 1", family, "beyond both bounds", "the slope is right", _too_large, "clipped"),
+        Case("δ from 1e-1 to 1e-8", family, "differences drown in rounding", "right to the noise, or flat", _sweep),
+        Case("η = 0, pixels", family, "no step", "nothing moves", lambda: _no_step(_pixels(), "image")),
+        Case(
+            "η = 0, torch",
+            family,
+            "no step",
+            "nothing moves",
+            lambda: _no_step(build(placed(size=(16, 16)), "torch"), "material"),
+        ),
+        *(
+            Case(
+                f"η = 1e3, {group}",
+                family,
+                "120 steps of 1,000 and more",
+                "in bounds; loop and judge agree",
+                partial(_giant_step, group),
+                "clipped",
+            )
+            for group in ("normals", "illumination", "material")
+        ),
+        Case(
+            "normals + 1e6",
+            family,
+            "float32 has 0.06 radians left there",
+            "held where it has 1e-5; loop and judge agree",
+            _far_angles,
+            "clipped",
+        ),
+        Case("η = 1e3, pyrender", family, "20 steps of 1,000", "in bounds and finite", _giant_zoo, "clipped"),
+        Case("η = 1e3, decay 1", family, "×1,000 a step", "in bounds", _giant_decay, "clipped"),
+        Case(
+            "no gradient, 120 steps",
+            family,
+            "a black object",
+            "stays, and every step is reported flat",
+            _no_slope,
+            "flat",
+        ),
+        Case("momentum, no gradient", family, "120 steps after one push", "the closed form", _coasting),
+        Case(
+            "moved by exactly U",
+            family,
+            "a comparison of equals",
+            "18/255 is not beyond 18/255",
+            _at_the_limit,
+            "clipped",
+        ),
+    ]
