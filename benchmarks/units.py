@@ -10,16 +10,14 @@ import json
 import platform
 import statistics
 import tempfile
-from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 
 from rich.progress import track
 
+from benchmarks.views import right
 from services.attacks.spec import FGSM_RATES
-from services.errors import InvalidRequest
 from services.jobs.execute import execute
-from services.jobs.prepare import preflight
 from services.jobs.result import Result
 from services.jobs.spec import JobSpec, parse
 from services.rendering.units import ILLUMINATION_MEAN, MATERIAL_UNIT
@@ -43,7 +41,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=HERE / "results" / "units.json")
     options = parser.parse_args()
     library = Library(settings().cache_dir, settings().data_dir)
-    scenes = list(_right(library, options.views))
+    scenes = list(right(library, options.views))
     cases = [(group, unit, factor) for group in options.groups for unit, factor in UNITS[group].items()]
     rows = []
     for group, unit, factor in track(cases, "calibrating"):
@@ -63,18 +61,6 @@ def main() -> None:
     options.out.write_text(json.dumps(report, indent=1) + "\n", "utf-8")
     for row in rows:
         print(row)
-
-
-def _right(library: Library, count: int) -> Iterator[tuple[str, str]]:
-    for mesh, label in json.loads((HERE / "views.json").read_text())["views"]:
-        try:
-            preflight(parse({"scene": {"objects": [{"mesh": mesh}]}, "goal": {"leave": label}}), library)
-        except InvalidRequest:
-            continue
-        yield mesh, label
-        count -= 1
-        if count == 0:
-            return
 
 
 def _spec(mesh: str, label: str, group: str, factor: float) -> JobSpec:

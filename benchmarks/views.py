@@ -1,0 +1,25 @@
+"""The views that benchmarks attack: furniture whose name is an ImageNet class, chosen before any attack was run."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+from services.errors import InvalidRequest
+from services.jobs.prepare import preflight
+from services.jobs.spec import parse
+from services.scenes.library import Library
+
+VIEWS = Path(__file__).with_name("views.json")
+
+
+def right(library: Library, count: int) -> Iterator[tuple[str, str]]:
+    """The first `count` views (mesh, label) that the network gets right at the default camera."""
+    for mesh, label in json.loads(VIEWS.read_text("utf-8"))["views"]:
+        if count == 0:
+            return
+        try:
+            preflight(parse({"scene": {"objects": [{"mesh": mesh}]}, "goal": {"leave": label}}), library)
+        except InvalidRequest:
+            continue
+        yield mesh, label
+        count -= 1
