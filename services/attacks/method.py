@@ -26,7 +26,11 @@ class Method(Protocol):
         ...
 
     def advance(self, problem: Problem, view: View, step: int) -> int:
-        """Moves the perturbation one step. Returns how many differences were flat (below the noise; 0 if none used)."""
+        """Moves the perturbation one step.
+
+        Returns how much of what it went by said nothing: differences below the noise, or groups all of whose slopes
+        are zero.
+        """
         ...
 
     def state(self) -> dict[str, Tensor]:

@@ -16,7 +16,9 @@ class TraceRow(BaseModel):
     distance: float = Field(description="‖ΔY‖₂ of the float picture over all pixels and channels, RGB in [0,1]")
     perceptibility: float = Field(description="p(ΔY) of the float picture")
     truncated: int = Field(description="pixels held back by U in this step")
-    flat: int = Field(0, description="differences below the noise in the update before this row (zoo)")
+    flat: int = Field(
+        0, description="in the update before this row: differences below the noise (zoo), groups without a slope (fgsm)"
+    )
     queries: int = Field(description="network queries so far, verification included")
     renders: int = Field(description="images rendered so far")
     seconds: float = Field(description="since the attack began, over all attempts of the job")
