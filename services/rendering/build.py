@@ -31,7 +31,7 @@ def build(
     if renderer == "torch":
         return TorchRenderer(scene, rasterise(scene), groups or TorchRenderer.groups, tolerance)
     if renderer == "pyrender":
-        return PyrenderRenderer(scene)
+        return PyrenderRenderer(scene, groups, tolerance)
     raise ValueError(f"no renderer {renderer!r}")
 
 

@@ -10,8 +10,10 @@ def to_display(linear: Tensor) -> Tensor:
     Clipped values have a zero gradient.
     """
     clipped = linear.clamp(0.0, 1.0)
-    # The power is only ever taken above the knee, so that its infinite slope at 0 never meets a gradient.
-    curved = 1.055 * clipped.clamp_min(0.0031308) ** (1 / 2.4) - 0.055
+    # The power is only ever taken above the knee, so that its infinite slope at 0 never meets a gradient. It is taken
+    # through the logarithm: torch's own power in float32 has other last bits at the end of a tensor than in its middle,
+    # so that a picture's would depend on its batch.
+    curved = 1.055 * (clipped.clamp_min(0.0031308).log() / 2.4).exp() - 0.055
     return torch.where(clipped <= 0.0031308, 12.92 * clipped, curved)
 
 

@@ -50,7 +50,8 @@ def rasterise(scene: ResolvedScene) -> GBuffer:
     Raises InvalidRequest("scene.objects") when no sample meets an object.
     """
     context = gl.context()
-    from services.rendering.drawing import Drawing, View  # imports OpenGL, so after the context
+    from services.rendering.drawing import View  # imports OpenGL, so after the context
+    from services.rendering.geometry import Drawing
 
     height, width = scene.description.camera.size
     count = len(scene.meshes)
@@ -70,7 +71,7 @@ def rasterise(scene: ResolvedScene) -> GBuffer:
             "gbuffer.frag",
             View(_crop(rows, columns, height, width) @ view.clip_from_world, view.eye, view.forward),
             np.asarray(scene.models),
-            colors,
+            colors[None],
             {"forward": view.forward, "factor": FACTOR, "thresholds[0]": THRESHOLDS},
             {"object_number": [float(i + 1) for i in range(count)]},
             size=((rows.stop - rows.start) * FACTOR, (columns.stop - columns.start) * FACTOR),

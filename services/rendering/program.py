@@ -1,5 +1,6 @@
 """Compiled shaders. Imports OpenGL, so import it only through `gl.context()`."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,27 +12,37 @@ SHADERS = Path(__file__).parent / "shaders"
 
 
 class Program(ShaderProgram):  # type: ignore[misc]
-    """A compiled shader program that refuses a uniform it does not have."""
+    """A compiled shader program that refuses a uniform it does not have.
 
-    def __init__(self, fragment: str) -> None:
+    `constants` are the numbers it is compiled for (`surface.vert` lists them): a loop over as many lights as there are,
+    and no look at a texture where there is none, halve the time of a frame.
+    """
+
+    def __init__(self, fragment: str, constants: Mapping[str, int]) -> None:
+        self._head = "".join(f"#define {name} {value}\n" for name, value in constants.items())
         super().__init__(str(SHADERS / "surface.vert"), str(SHADERS / fragment))
         self._locations: dict[str, int] = {}
         self._add_to_context()
 
     def _load(self, path: str) -> str:
         text = Path(path).read_text()
-        return text if path.endswith(".vert") else (SHADERS / "surface.frag").read_text() + text
+        whole = text if path.endswith(".vert") else (SHADERS / "surface.frag").read_text() + text
+        version, rest = whole.split("\n", 1)
+        return f"{version}\n{self._head}{rest}"
+
+    def has(self, name: str) -> bool:
+        """Whether the linked program uses a uniform."""
+        if name not in self._locations:
+            self._locations[name] = GL.glGetUniformLocation(self._program_id, name)
+        return self._locations[name] >= 0
 
     def set(self, name: str, value: Any) -> None:
-        """Set a float or int, a vector, a 3x3 or 4x4 matrix, or an array of floats or of vectors ("name[n]").
+        """Set a float or int, a vector, a 3x3 or 4x4 matrix, or an array of floats or of vectors ("name[0]").
 
         Raises KeyError for a uniform the linked program does not use.
         """
-        if name not in self._locations:
-            location = GL.glGetUniformLocation(self._program_id, name)
-            if location < 0:
-                raise KeyError(f"{Path(self.fragment_shader).name} has no uniform {name!r}")
-            self._locations[name] = location
+        if not self.has(name):
+            raise KeyError(f"{Path(self.fragment_shader).name} has no uniform {name!r}")
         location = self._locations[name]
         if isinstance(value, int):
             GL.glUniform1i(location, value)
@@ -41,8 +52,7 @@ class Program(ShaderProgram):  # type: ignore[misc]
             with np.errstate(over="ignore"):  # becomes infinite, and the picture is refused for it
                 value = np.ascontiguousarray(value, dtype=np.float32)
             if name.endswith("[0]"):
-                count, width = len(value), value.size // len(value)
-                (GL.glUniform1fv if width == 1 else GL.glUniform3fv)(location, count, value)
+                (GL.glUniform1fv if value.ndim == 1 else GL.glUniform3fv)(location, len(value), value)
             elif value.ndim == 1:
                 (GL.glUniform3fv if len(value) == 3 else GL.glUniform4fv)(location, 1, value)
             else:

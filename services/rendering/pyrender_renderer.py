@@ -1,6 +1,7 @@
 """Point lights, colours and poses, rendered by pyrender: the non-differentiable renderer (paper, section 4.1)."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from math import inf
 
 import numpy as np
@@ -12,7 +13,11 @@ from torch import Tensor
 from services.errors import JobFailure
 from services.rendering import gl
 from services.rendering.display import to_display
+from services.rendering.extent import rectangle
+from services.rendering.plan import DEFAULT_TOLERANCE, Plan, Tolerance
 from services.rendering.protocol import Parameters
+from services.rendering.pyrender_plan import compile_plan
+from services.rendering.sharing import Pass, alone, shared
 from services.scenes.resolve import ResolvedScene
 
 ENERGY = 30.0
@@ -24,6 +29,16 @@ with the ambient light) is just the display's white. EfficientNet-Lite0 does as 
 
 SAMPLES = 4
 
+MOST = 8
+"""Pictures drawn in one pass over the geometry: as many outputs as every driver has."""
+
+MEMORY = 2**26
+"""Bytes of samples that the pictures of a pass may take; a single one may take more."""
+
+ODD = 0.01
+"""Share of covered pixels that the insides of closed surfaces may change. They do change some at silhouettes, where the
+depths of both sides round to the same; a surface that passes through itself shows more, and is not taken for closed."""
+
 
 class PyrenderRenderer:
     """Images of a scene as a function of its lights, colours and poses.
@@ -33,22 +48,31 @@ class PyrenderRenderer:
     `rotation` [objects, 3] (rotation vectors, radians). With one object and one light these are the paper's 14 numbers.
 
     A Lambertian body under a thin glossy coat, lit without shadows or bounces: `shaders/radiance.frag` has the
-    formula. Silhouettes are multisampled; the ground is composited as displayed, by coverage. Frames are drawn one
-    after another in the process's one OpenGL context, so only the thread that used it first may render.
+    formula. Silhouettes are multisampled; the ground is composited as displayed, by coverage. Of closed surfaces only
+    the outside is seen. Everything is drawn in the process's one OpenGL context, so only the thread that used it first
+    may render.
+
+    The pictures of a batch share what they can (`sharing`), and nothing is drawn where no object is. `plan` says how
+    much that is. It costs no accuracy: a picture has the bits that `exact`, which draws each by itself and whole, gives
+    it.
     """
 
     name = "pyrender"
     groups = ("illumination", "color", "translation", "rotation")
     differentiable = False
 
-    def __init__(self, scene: ResolvedScene) -> None:
+    def __init__(
+        self, scene: ResolvedScene, groups: Sequence[str] | None = None, tolerance: Tolerance = DEFAULT_TOLERANCE
+    ) -> None:
+        """For attacks on `groups` (None: all). Any tolerance but "exact" is kept with an error of nothing."""
         context = gl.context()
-        from services.rendering.drawing import Drawing, View  # imports OpenGL, so after the context
+        from services.rendering.drawing import View  # imports OpenGL, so after the context
+        from services.rendering.geometry import Drawing
 
         description = scene.description
         self.backend = context.backend
         self.size = description.camera.size
-        self._drawing = Drawing(scene.meshes)
+        self._drawing = Drawing(scene.meshes, closed=True)
         self._view = View.of(scene.view, scene.projection)
         self._ground = torch.tensor(description.ground, dtype=torch.float32)
         self._scales = [o.scale for o in description.objects]
@@ -62,6 +86,23 @@ class PyrenderRenderer:
             "translation": torch.tensor([o.translation for o in description.objects], dtype=torch.float64),
             "rotation": torch.tensor([o.rotation for o in description.objects], dtype=torch.float64),
         }
+
+        self._most = max(1, min(MOST, MEMORY // (16 * SAMPLES * self.size[0] * self.size[1])))
+        self._plain = tolerance == "exact"
+        self._closed = self._insides_are_hidden()
+        self._plan: Plan | None = None
+        self._attacked = tuple(groups or self.groups)
+        self._tolerance = tolerance
+
+    @property
+    def plan(self) -> Plan:
+        """What is drawn, shared and left out for the attacked groups. Made when first asked for."""
+        if self._plan is None:
+            extent = self.extent(self._initial)
+            self._plan = compile_plan(
+                self, self._drawing, self._attacked, self._tolerance, extent, self._closed, self._most
+            )
+        return self._plan
 
     def initial(self) -> Parameters:
         """The scene's own values, float64."""
@@ -87,8 +128,17 @@ class PyrenderRenderer:
         return [f"object {i} {group} {word}" for i in range(len(self._scales)) for word in words]
 
     def exact(self) -> "PyrenderRenderer":
-        """Itself: it takes no shortcuts."""
-        return self
+        """The twin that draws every picture by itself, whole, with the insides of closed surfaces."""
+        if self._plain:
+            return self
+        twin = copy(self)
+        twin._plain, twin._tolerance, twin._plan = True, "exact", None
+        return twin
+
+    @property
+    def closed(self) -> bool:
+        """Whether closed surfaces are taken for closed: only if at the start their insides show nowhere."""
+        return self._closed
 
     def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
         """Images float32 [B, H, W, 3] in [0,1]; `parameters` {group: [B, ...]}. An object out of frame leaves ground.
@@ -96,22 +146,46 @@ class PyrenderRenderer:
         Raises JobFailure("non-finite") for parameters or radiances that are not finite, ValueError for unknown groups
         and wrong shapes.
         """
-        radiance = self.radiance(parameters)
-        coverage = radiance[..., 3:]
-        surface = radiance[..., :3] / coverage.clamp_min(1e-6)
-        return to_display(EXPOSURE * surface) * coverage + self._ground * (1 - coverage)
+
+        def displayed(radiance: Tensor) -> Tensor:
+            coverage = radiance[..., 3:]
+            surface = radiance[..., :3] / coverage.clamp_min(1e-6)
+            return to_display(surface.mul_(EXPOSURE)).mul_(coverage).add_(self._ground * (1 - coverage))
+
+        return self._draw(parameters, self._ground, displayed)
 
     def radiance(self, parameters: Mapping[str, Tensor]) -> Tensor:
         """Linear, unclamped radiance times coverage, and coverage: float32 [B, H, W, 4]. Before exposure and display.
 
         Strictly linear in the ambient light and in each light's energy. Raises as `render` does.
         """
+        return self._draw(parameters, torch.zeros(4), lambda radiance: radiance)
+
+    def extent(self, parameters: Mapping[str, Tensor]) -> tuple[int, int, int, int]:
+        """Rows from and to, columns from and to, within which the objects are at `parameters` {group: [...]}."""
+        batch = self._checked({group: value[None] for group, value in parameters.items()})
+        return self._extent(self._poses(batch["translation"][0], batch["rotation"][0]))
+
+    def _draw(self, parameters: Mapping[str, Tensor], empty: Tensor, finish: Callable[[Tensor], Tensor]) -> Tensor:
+        """Pictures [B, H, W, C]: `empty` [C] where no object is, and `finish` of radiance [..., 4] elsewhere."""
         batch = self._checked(parameters)
-        frames = zip(*(batch[group] for group in self.groups), strict=True)
-        radiance = torch.from_numpy(np.stack([self._frame(*frame) for frame in frames]))
-        if not torch.isfinite(radiance).all():
-            raise JobFailure("non-finite", "the picture has values that are not finite: light or colour is too strong")
-        return radiance
+        pictures = empty.expand(len(batch["color"]), *self.size, len(empty)).clone()
+        for drawn in alone(batch) if self._plain else shared(batch, self._most):
+            poses = self._poses(drawn.translation, drawn.rotation)
+            top, bottom, left, right = (0, self.size[0], 0, self.size[1]) if self._plain else self._extent(poses)
+            if top == bottom:
+                continue
+            radiance = torch.from_numpy(self._frames(drawn, poses, (top, bottom, left, right)))
+            if not finite(radiance):
+                why = "the picture has values that are not finite: light or colour is too strong"
+                raise JobFailure("non-finite", why)
+            finished = finish(radiance)
+            for row, channel, slot in drawn.users:
+                if channel == 0:  # coverage is the same in all
+                    pictures[row, top:bottom, left:right] = finished[slot]
+                else:
+                    pictures[row, top:bottom, left:right, channel] = finished[slot, ..., channel]
+        return pictures
 
     def _checked(self, parameters: Mapping[str, Tensor]) -> dict[str, NDArray[np.float64]]:
         sizes = {len(value) for value in parameters.values()}
@@ -133,31 +207,54 @@ class PyrenderRenderer:
             for group, initial in self._initial.items()
         }
 
-    def _frame(
-        self,
-        lights: NDArray[np.float64],
-        colors: NDArray[np.float64],
-        translations: NDArray[np.float64],
-        rotations: NDArray[np.float64],
-    ) -> NDArray[np.float32]:
-        positions, intensities = np.zeros((4, 3)), np.zeros(4)
-        points = lights[1:].reshape(-1, 4)
-        intensities[: len(points)] = points[:, 0] * ENERGY
-        positions[: len(points)] = points[:, 1:]
+    def _poses(self, translations: NDArray[np.float64], rotations: NDArray[np.float64]) -> NDArray[np.float64]:
         poses = np.tile(np.eye(4), (len(self._scales), 1, 1))
         poses[:, :3, :3] = Rotation.from_rotvec(rotations).as_matrix() * np.array(self._scales)[:, None, None]
         poses[:, :3, 3] = translations
-        [image] = gl.context().renderer.draw(
+        return poses
+
+    def _extent(self, poses: NDArray[np.float64]) -> tuple[int, int, int, int]:
+        return rectangle(self._drawing.points, list(self._view.clip_from_world @ poses), self.size)
+
+    def _frames(
+        self, drawn: Pass, poses: NDArray[np.float64], part: tuple[int, int, int, int], natural: bool = False
+    ) -> NDArray[np.float32]:
+        """Radiance [pictures, rows, columns, 4] of a part of the picture; `natural`: no surface taken for closed."""
+        points = drawn.illuminations[:, 1:].reshape(-1, 4)
+        uniforms: dict[str, object] = {"ambients[0]": drawn.illuminations[:, 0]}
+        if len(points):
+            uniforms |= {"positions[0]": points[:, 1:], "intensities[0]": points[:, 0] * ENERGY}
+        images: NDArray[np.float32] = gl.context().renderer.draw(
             self._drawing,
             "radiance.frag",
             self._view,
             poses,
-            colors,
-            {"ambient": float(lights[0]), "positions[0]": positions, "intensities[0]": intensities},
+            drawn.colors,
+            uniforms,
             {},
             size=self.size,
             samples=SAMPLES,
-            outputs=1,
+            outputs=len(drawn.colors),
             blend=True,
+            lights=self._points,
+            rectangle=part,
+            insides="like outsides" if natural or not self._closed else "behind" if self._plain else "left out",
         )
-        return image
+        return images
+
+    def _insides_are_hidden(self) -> bool:
+        self._closed = True
+        if not any(piece.closed for piece in self._drawing.pieces):
+            return False
+        [start] = alone(self._checked({}))
+        poses = self._poses(start.translation, start.rotation)
+        whole = (0, self.size[0], 0, self.size[1])
+        without, natural = self._frames(start, poses, whole), self._frames(start, poses, whole, natural=True)
+        changed = np.abs(EXPOSURE * (without - natural)).max(axis=-1) > 1 / 255
+        return bool(changed.sum() <= ODD * (natural[..., 3] > 0).sum())
+
+
+def finite(radiance: Tensor) -> bool:
+    """Whether no value is infinite or not a number."""
+    low, high = torch.aminmax(radiance)
+    return bool(low.isfinite() and high.isfinite())

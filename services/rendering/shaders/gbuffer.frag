@@ -9,10 +9,10 @@ layout(location = 0) out vec4 normal_and_depth;
 layout(location = 1) out vec4 color_and_object;
 
 void main() {
-    vec4 color = surface_color();
+    vec3 color = base_colors[0] * surface_texel();
     ivec2 cell = ivec2(gl_FragCoord.xy) % factor;
-    if (color.a < 1.0 && color.a <= thresholds[cell.y * factor + cell.x]) discard;
+    if (opacity < 1.0 && opacity <= thresholds[cell.y * factor + cell.x]) discard;
     vec3 from_eye = world_position - eye;
     normal_and_depth = vec4(surface_normal(-normalize(from_eye)), dot(from_eye, forward));
-    color_and_object = vec4(color.rgb, object_number);
+    color_and_object = vec4(color, object_number);
 }

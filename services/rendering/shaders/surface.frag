@@ -1,23 +1,33 @@
 #version 330 core
 
-// What every fragment shader needs to know of the surface it is on; joined in front of each by `drawing.Program`.
+// What every fragment shader needs to know of the surface it is on; joined in front of each by `Program`, with the
+// constants of `surface.vert`.
 
 in vec3 world_position;
 // Without centroid, a pixel whose middle lies beyond the silhouette would take a normal from outside the triangle.
 centroid in vec3 world_normal;
-centroid in vec2 texture_uv;
 
 uniform vec3 eye;
-uniform vec4 base_color;               // linear, alpha is the opacity
+uniform vec3 base_colors[PICTURES];    // linear, one for each picture
+uniform float opacity;
+#if TEXTURED
+centroid in vec2 texture_uv;
 uniform sampler2D base_color_texture;  // sRGB, decoded before filtering
+#endif
 
 const float PI = 3.14159265358979;
 
-// Linear base colour and opacity. Texels with less than half alpha are cut out.
-vec4 surface_color() {
+// The texture's linear colour, white without one. Texels with less than half alpha are cut out.
+vec3 surface_texel() {
+#if TEXTURED
     vec4 texel = texture(base_color_texture, texture_uv);
-    if (texel.a < 0.5) discard;
-    return vec4(base_color.rgb * texel.rgb, base_color.a);
+#if HOLES
+    if (texel.a < 0.5) discard;  // only where it may happen: a surface that can be discarded is shaded even when hidden
+#endif
+    return texel.rgb;
+#else
+    return vec3(1.0);
+#endif
 }
 
 // Unit normal on the side of the viewer. The side is that of the flat triangle, whose screen derivatives always span a

@@ -1,0 +1,66 @@
+"""Closed surfaces: of those only the outside can be seen, and the inside need not be drawn."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from services.scenes.mesh import Integers, Mesh, Part
+
+HALF = 128
+"""Texels of less alpha are holes (see `surface.frag`); means of others are not."""
+
+
+def has_holes(part: Part) -> bool:
+    """Whether texels are cut out of a part."""
+    return part.texture is not None and part.uv is not None and bool((part.texture[..., 3] < HALF).any())
+
+
+def outsides(mesh: Mesh) -> list[tuple[Integers, int]]:
+    """For each part its faces [F,3], those of closed surfaces first, and how many these are.
+
+    A surface here is what hangs together by edges, over all parts, where corners at the same place are one. It is
+    closed if every edge has two faces that run along it in opposite directions, and all of them are opaque. Its faces
+    come back counter-clockwise seen from outside. A ray from outside then meets it from the front first: per sample
+    of a picture as many of its faces look at the viewer as look away.
+    """
+    if not mesh.triangles:
+        return [(part.faces, 0) for part in mesh.parts]
+    starts = np.cumsum([0] + [len(part.vertices) for part in mesh.parts])
+    points, same = np.unique(np.concatenate([p.vertices for p in mesh.parts]) + 0.0, axis=0, return_inverse=True)
+    faces = same.ravel()[np.concatenate([p.faces + start for p, start in zip(mesh.parts, starts, strict=False)])]
+    proper = (faces != np.roll(faces, -1, axis=1)).all(axis=1)  # the others are lines, and cover nothing
+    opaque = np.concatenate([np.full(len(p.faces), p.color[3] >= 1 and not has_holes(p)) for p in mesh.parts])
+    surface = np.full(len(faces), -1)
+    surface[proper], whole = _surfaces(faces[proper], len(points))
+    whole = np.append(whole, False)  # the last is that of the lines
+    surface[~proper] = len(whole) - 1
+    whole &= np.bincount(surface, ~opaque, len(whole)) == 0
+    corners = points[faces].astype(np.float64)
+    solid = np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
+    inward = np.bincount(surface, solid, len(whole)) < 0  # six times the volume
+    result, first = [], 0
+    for part in mesh.parts:
+        own = surface[first : first + len(part.faces)]
+        first += len(part.faces)
+        wound = np.where(inward[own][:, None], part.faces[:, [0, 2, 1]], part.faces)
+        order = np.argsort(~whole[own], kind="stable")
+        kept = np.where(whole[own][:, None], wound, part.faces)[order]
+        result.append((np.ascontiguousarray(kept, np.int32), int(whole[own].sum())))
+    return result
+
+
+def _surfaces(faces: NDArray[np.int64], points: int) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+    """The surface [F] that each face belongs to, and which surfaces [S] are closed."""
+    edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
+    owner = np.repeat(np.arange(len(faces)), 3)
+    key = edges.min(axis=1) * np.int64(points) + edges.max(axis=1)
+    _, edge, uses = np.unique(key, return_inverse=True, return_counts=True)
+    edge = edge.ravel()
+    balance = np.bincount(edge, np.sign(edges[:, 1] - edges[:, 0]), len(uses))
+    order = np.argsort(edge, kind="stable")
+    first = (np.cumsum(uses) - uses)[uses == 2]
+    one, other = owner[order[first]], owner[order[first + 1]]
+    count, surface = connected_components(coo_matrix((np.ones(len(one)), (one, other)), (len(faces),) * 2), False)
+    broken = ((uses != 2) | (balance != 0))[edge]
+    return surface, np.bincount(surface[owner], broken, count) == 0

@@ -1,0 +1,58 @@
+import numpy as np
+import pytest
+
+from services.rendering.pyrender_plan import both_sides
+from services.rendering.pyrender_renderer import PyrenderRenderer
+from services.rendering.sharing import Array, alone, shared
+from tests.unit.rendering.shapes import mesh, placed, scene, sphere
+
+
+def sides(objects: int = 1) -> dict[str, Array]:
+    """Both sides of the differences of all coordinates."""
+    renderer = PyrenderRenderer(placed(scene((8, 8), objects), *[mesh(sphere(0.3, 8))] * objects))
+    return {g: v.numpy() for g, v in both_sides(renderer.initial(), renderer.groups).items()}
+
+
+def drawn(batch: dict[str, Array], most: int) -> list[dict[tuple[int, int], bytes]]:
+    """What decides each channel of each row, in the batch and as the passes draw it."""
+    asked = {}
+    for row in range(len(batch["color"])):
+        for channel in range(3):
+            pose = batch["translation"][row].tobytes() + batch["rotation"][row].tobytes()
+            asked[row, channel] = (
+                pose + batch["illumination"][row].tobytes() + batch["color"][row, :, channel].tobytes()
+            )
+    given = {}
+    for one in shared(batch, most):
+        pose = one.translation.tobytes() + one.rotation.tobytes()
+        for row, channel, slot in one.users:
+            assert (row, channel) not in given
+            light = one.illuminations[slot].tobytes()
+            given[row, channel] = pose + light + one.colors[slot][:, channel].tobytes()
+    return [asked, given]
+
+
+@pytest.mark.parametrize("most", [1, 3, 8])
+@pytest.mark.parametrize("objects", [1, 2])
+def test_every_channel_of_every_picture_is_drawn_with_its_own_parameters(objects: int, most: int) -> None:
+    asked, given = drawn(sides(objects), most)
+    assert asked == given
+
+
+def test_the_fourteen_differences_take_fourteen_passes_and_twenty_five_pictures() -> None:
+    """12 poses by themselves; 10 sides of light and 3 for the 6 sides of colour and the picture they are around."""
+    passes = list(shared(sides(), 8))
+    assert len(passes) == 14
+    assert sorted(len(one.colors) for one in passes) == [1] * 12 + [5, 8]
+    assert len(list(alone(sides()))) == 28
+
+
+def test_channels_are_not_shared_between_lights() -> None:
+    batch = {g: v[:2].copy() for g, v in sides().items()}
+    batch["color"][1, 0, 0] = 0.5
+    [one] = shared(batch, 8)
+    assert len(one.colors) == 2  # two lights: nothing to share, though green and blue are the same
+    batch["illumination"][1] = batch["illumination"][0]
+    [one] = shared(batch, 8)
+    assert [slot for row, channel, slot in one.users if channel] == [0] * 4
+    np.testing.assert_array_equal(one.colors[1, 0, 0], 0.5)
