@@ -10,6 +10,10 @@ its gradient with respect to φ goes to zero at the pole.
 import torch
 from torch import Tensor
 
+FURTHEST_ANGLE = 100.0
+"""Attacked angles are held within this on both sides, radians: 16 turns, more than 120 steps of the paper's size make,
+and near enough that float32 has 8e-6 radians left. At 1e6 it would have 0.06, and loop and judge see other normals."""
+
 
 def to_angles(vectors: Tensor) -> Tensor:
     """Azimuth and polar angle [..., 2], radians, of vectors [..., 3] in the camera's frame (of any length > 0).

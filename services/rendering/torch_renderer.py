@@ -19,7 +19,7 @@ from services.rendering.directions import directions, solid_angles
 from services.rendering.display import to_display
 from services.rendering.gbuffer import GBuffer
 from services.rendering.illumination import illumination
-from services.rendering.normals import to_angles
+from services.rendering.normals import FURTHEST_ANGLE, to_angles
 from services.rendering.plan import DEFAULT_TOLERANCE, Tolerance
 from services.rendering.presets import preset
 from services.rendering.protocol import Parameters
@@ -116,11 +116,13 @@ class TorchRenderer:
         return {group: value.clone() for group, value in self._initial.items()}
 
     def bounds(self) -> Mapping[str, tuple[Tensor, Tensor]]:
-        """Light is not negative; κ and γ stay in the ranges of services.rendering.dsbrdf; any angle is a normal."""
+        """Light is not negative; κ and γ stay in the ranges of services.rendering.dsbrdf; any angle is a normal, and is
+        held where float32 still tells angles apart (services.rendering.normals)."""
+        furthest = torch.tensor(FURTHEST_ANGLE, dtype=self._dtype)
         infinity = torch.tensor(torch.inf, dtype=self._dtype)
         ranges = torch.tensor([dsbrdf.LOG_KAPPA_RANGE, dsbrdf.LOG_GAMMA_RANGE], dtype=self._dtype) * MATERIAL_UNIT
         return {
-            "normals": (-infinity, infinity),
+            "normals": (-furthest, furthest),
             "illumination": (torch.zeros((), dtype=self._dtype), infinity),
             "material": (ranges[:, :1], ranges[:, 1:]),
         }
