@@ -47,8 +47,11 @@ def _print(found: "Plan") -> None:
         f"estimated error {small(found.error)} of a displayed value in [0,1]",
         highlight=False,
     )
-    kept = [[i.what, f"{i.kept:,}", f"{i.of:,}", i.why, small(i.error)] for i in found.items]
+    kept = [[f"{i.part} {i.what}".strip(), f"{i.kept:,}", f"{i.of:,}", i.why, small(i.error)] for i in found.items]
     out().print(table(("item", "kept>", "of>", "why the others are left out", "error>"), kept))
-    done = [[s.name, s.method, s.when, f"{s.evaluations:,} {s.unit}", s.why, small(s.error)] for s in found.stages]
+    done = [
+        [f"{s.part} {s.name}".strip(), s.method, s.when, f"{s.evaluations:,} {s.unit}", s.why, small(s.error)]
+        for s in found.stages
+    ]
     if done:
         out().print(table(("stage", "method", "when", "work>", "why", "error>"), done))

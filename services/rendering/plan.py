@@ -22,7 +22,8 @@ class _Record(BaseModel):
 class Item(_Record):
     """One kind of thing a picture is made of: how many are kept, and why the others are not."""
 
-    what: str = Field(description='"pixels", "directions", "lobes", "coordinates", …; and whose')
+    part: str = Field("", description='part of the picture it is about: "object 0"; empty for all of it')
+    what: str = Field(description='"pixels", "directions", "lobes", "coordinates", …')
     kept: int
     of: int
     why: str = Field(description="why the others are left out; what holds for all where none is")
@@ -32,6 +33,7 @@ class Item(_Record):
 class Stage(_Record):
     """One step of making a picture."""
 
+    part: str = Field("", description='part of the picture it is about: "object 0"; empty for all of it')
     name: str
     method: str = Field(description="how it is done")
     when: Literal["once", "every picture"]
@@ -52,13 +54,15 @@ class Plan(_Record):
     stages: tuple[Stage, ...]
 
     error: float = Field(
-        description="estimated largest error of any displayed value: those of items and stages, which add up at worst"
+        description="estimated largest error of any displayed value: the errors that meet in a part add up at worst"
     )
 
     @model_validator(mode="before")
     @classmethod
     def _add_up(cls, data: Any) -> Any:
         if isinstance(data, dict) and "error" not in data:
-            parts = (*data.get("items", ()), *data.get("stages", ()))
-            return data | {"error": sum(part.error for part in parts)}
+            errors: dict[str, float] = {}
+            for entry in (*data.get("items", ()), *data.get("stages", ())):
+                errors[entry.part] = errors.get(entry.part, 0.0) + entry.error
+            return data | {"error": errors.pop("", 0.0) + max(errors.values(), default=0.0)}
         return data

@@ -230,8 +230,8 @@ def straightened(log_kappa: Tensor, gamma: Tensor, varying: Tensor, straight: Te
 
 
 def displayed_error(values: Tensor, truth: Tensor, base_color: Tensor) -> float:
-    """The largest difference of displayed colours between two radiances [P, 3]."""
+    """The largest difference of displayed colours between two radiances [P, 3], in the dtype of `truth`."""
     if not len(values):
         return 0.0
-    difference = to_display(values.double() * base_color) - to_display(truth.double() * base_color)
-    return float(difference.abs().max())
+    color = base_color.to(truth.dtype)
+    return float((to_display(values.to(truth.dtype) * color) - to_display(truth * color)).abs().max())

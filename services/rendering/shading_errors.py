@@ -14,8 +14,12 @@ from services.rendering import dsbrdf
 from services.rendering.shader import Recipe, Shader, Sky, Surface, displayed_error
 from services.rendering.units import ILLUMINATION_MEAN
 
-SAMPLED = 8_192
+SAMPLED = 4_096
 """Pixels a table is measured at, at most: evenly among the object's, ordered by their normals."""
+POINTS = 16_384
+"""Normals it is measured at where normals are attacked: the same pixels moved again and again, but ..."""
+MOVES = 8
+"""... so many times at most."""
 SAMPLED_WIDE = 1_024
 """Pixels float32 is measured against float64 at."""
 STEEPEST = 12.92
@@ -23,6 +27,7 @@ STEEPEST = 12.92
 REACH = {"normals": 0.3, "illumination": 0.36 * ILLUMINATION_MEAN, "material": 3.6}
 """How far draws move each coordinate, either way: normals in a typical success, light and material in 120 steps."""
 DRAWS = 2
+"""Of light and material, beside the scene's own."""
 TENFOLD = 10.0
 """Where light is attacked, what is left out must not matter in ten times the light either."""
 
@@ -97,38 +102,48 @@ class Measured:
     """Errors of tables at the surface's pixels, in the scene as it is and in draws of the attacked groups."""
 
     def __init__(self, surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str], recipe: Recipe) -> None:
-        self._surface, self._sky, self._illumination = _some(surface, SAMPLED), sky, illumination
-        self._draws = list(_draws(self._surface, illumination, groups))
-        self._truth = self._values(recipe)
+        random = torch.Generator().manual_seed(0)
+        self._surface = _spread(_some(surface, SAMPLED), "normals" in groups, random)
+        self._sky, self._illumination = sky, illumination
+        self._draws = [(illumination, surface.material)]
+        for _ in range(DRAWS if "illumination" in groups or "material" in groups else 0):
+            light, material = illumination, surface.material
+            if "illumination" in groups:
+                light = (light + REACH["illumination"] * _signs(light, random)).clamp_min(0.0)
+            if "material" in groups:
+                material = material + REACH["material"] * _signs(material, random)
+            self._draws.append((light, material))
+        self._truth = list(self._values(recipe))
 
-    def error(self, recipe: Recipe) -> float:
-        """The largest error of `recipe`'s table, of what it keeps."""
-        return max(
-            displayed_error(value, truth, self._surface.base_color)
-            for value, truth in zip(self._values(recipe), self._truth, strict=True)
-        )
+    def error(self, recipe: Recipe, limit: float) -> float:
+        """The largest error of `recipe`'s table; once past `limit`, so far seen."""
+        largest = 0.0
+        for value, truth in zip(self._values(recipe), self._truth, strict=True):
+            largest = max(largest, displayed_error(value, truth, self._surface.base_color))
+            if largest > limit:
+                break
+        return largest
 
     @torch.no_grad()
-    def _values(self, recipe: Recipe) -> list[Tensor]:
+    def _values(self, recipe: Recipe) -> Iterator[Tensor]:
         plain = replace(recipe, nodes="summed", moving=True, guard=None)
         shader = Shader(plain, self._sky, self._surface, self._illumination)
-        return [shader(*draw) for draw in self._draws]
+        for light, material in self._draws:
+            yield shader(self._surface.angles, light, material)
 
 
-def _draws(surface: Surface, illumination: Tensor, groups: Sequence[str]) -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-    """Angles, illumination and material: the scene's own, then DRAWS within an attack's reach of it."""
-    own = {"normals": surface.angles, "illumination": illumination, "material": surface.material}
-    yield surface.angles, illumination, surface.material
-    random = torch.Generator().manual_seed(0)
-    for _ in range(DRAWS if groups else 0):
-        moved = {
-            group: value
-            + (2 * torch.rand(value.shape, generator=random, dtype=torch.float64) - 1).sign() * REACH[group]
-            if group in groups
-            else value
-            for group, value in own.items()
-        }
-        yield moved["normals"], moved["illumination"].clamp_min(0.0), moved["material"]
+def _spread(surface: Surface, moving: bool, random: torch.Generator) -> Surface:
+    """The surface at its own normals and, where they are attacked, moved within reach besides."""
+    angles, again = surface.angles, 1
+    if moving:
+        again += max(2, min(MOVES, POINTS // len(angles)))
+        steps = [torch.rand(angles.shape, generator=random, dtype=torch.float64) for _ in range(again - 1)]
+        angles = torch.cat([angles, *(angles + REACH["normals"] * (2 * step - 1) for step in steps)])
+    return replace(surface, angles=angles, base_color=surface.base_color.repeat(again, 1))
+
+
+def _signs(like: Tensor, random: torch.Generator) -> Tensor:
+    return (torch.rand(like.shape, generator=random, dtype=torch.float64) - 0.5).sign()
 
 
 def _some(surface: Surface, most: int) -> Surface:

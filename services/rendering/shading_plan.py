@@ -25,9 +25,12 @@ SHARP = (0, 8, 16, 32, 64, 128)
 ROUGH_AT = 48
 """Rows of the table for which the directions are put in the order of their roughness."""
 HEADROOM = 2.0
-"""How much worse than measured an error is said to be."""
+"""How much worse than at the sampled pixels an error may be elsewhere; the same when a plan is made and when a picture
+is checked."""
 ROUNDING = 2e-5
 """Displayed error of a sum in float32, at most; measured too, as sharp lobes magnify it."""
+LOBES_SHARE = 0.2
+"""Part of the tolerance that lobes may cost that are left out or straightened."""
 LOOKUP = 100
 """A lookup costs as much as so many lobe values."""
 CARRY = 1.0
@@ -103,13 +106,13 @@ def _needs(surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[st
     varying, straight, gray = every, ~every, False
     if "material" not in groups:
         bounds = errors.lobe_bounds(surface, sky, illumination, groups, kept)
-        small = tolerance / 50
+        small = LOBES_SHARE * tolerance / dsbrdf.LOBES
         dark, straight = bounds.dark <= small, (bounds.straight <= small) & (bounds.dark > small)
         varying = ~dark & ~straight
         gray = bool((surface.material == surface.material[:1]).all()) and bool(
             (varying == varying[:1]).all() and (straight == straight[:1]).all()
         )
-        error = float(bounds.dark[dark].sum() + bounds.straight[straight].sum())
+        error = float((bounds.dark * dark + bounds.straight * straight).sum(1).amax())
         why = f"{int(dark.sum())} reflect nothing, {int(straight.sum())} are straight lines in log cos θ_h"
         items.append(_item(surface, "lobes", int(varying.sum()), varying.numel(), why, error))
         if gray:
@@ -152,10 +155,10 @@ def _cheapest(
         if errors.too_narrow(surface, sky, illumination, recipe, left):
             why = "highlights are narrower than the mesh of any table that costs less"
             continue
-        error = HEADROOM * measured.error(recipe) + rounding
+        error = HEADROOM * measured.error(recipe, (left - rounding) / HEADROOM) + rounding
         if error <= left:
             return recipe, _table_stages(surface, recipe, count, pixels, error, direct)
-        why = f"a table of {rows} rows and {sharp} directions beside it may be off by {error:.1e}"
+        why = f"a table of {rows} rows and {sharp} directions beside it may be off by {error:.1e} or more"
     return direct, [_nodes_stage(surface, direct, pixels, why, rounding)]
 
 
@@ -172,7 +175,9 @@ def _tables(
         kind = _kind(direct, groups, count, looked_up=True)
         for sharp in SHARP:
             if sharp <= len(order) // 2:
-                recipe = replace(direct, nodes=kind, rows=rows, sharp=order[:sharp].sort().values, guard=left)
+                recipe = replace(
+                    direct, nodes=kind, rows=rows, sharp=order[:sharp].sort().values, guard=left / HEADROOM
+                )
                 found.append((_cost(recipe, count, pixels), recipe, count))
     for cost, recipe, count in sorted(found, key=lambda one: one[0]):
         if cost < WORTH * _cost(direct, 0, pixels):
@@ -213,7 +218,8 @@ def _nodes_stage(surface: Surface, recipe: Recipe, count: int, why: str, error: 
     pairs = count * (len(recipe.kept) - len(recipe.sharp)) * recipe.channels
     kind = str(recipe.dtype).removeprefix("torch.")
     return Stage(
-        name=f"{surface.name} radiance",
+        part=surface.name,
+        name="radiance",
         method=f"{_METHODS[recipe.nodes]}, {kind}, at {count} normals",
         when="once" if recipe.nodes == "tabulated" else "every picture",
         evaluations=pairs if recipe.nodes == "transported" else pairs * max(recipe.lobes, 1),
@@ -233,7 +239,8 @@ def _table_stages(
         carried = recipe.nodes == "transported"
         stages.append(
             Stage(
-                name=f"{surface.name} sharp light",
+                part=surface.name,
+                name="sharp light",
                 method=f"{len(recipe.sharp)} directions summed pixel by pixel",
                 when="every picture",
                 evaluations=pixels * len(recipe.sharp) * (recipe.channels if carried else per_direction),
@@ -242,7 +249,8 @@ def _table_stages(
             )
         )
     looked_up = Stage(
-        name=f"{surface.name} pixels",
+        part=surface.name,
+        name="pixels",
         method=f"looked up in a table of {recipe.rows} × {2 * (recipe.rows or 0)} normals (Catmull-Rom)",
         when="every picture",
         evaluations=pixels,
@@ -251,7 +259,8 @@ def _table_stages(
         error=error,
     )
     checked = Stage(
-        name=f"{surface.name} check",
+        part=surface.name,
+        name="check",
         method=f"{min(CHECKED, pixels)} pixels are summed too; past the tolerance the whole picture is",
         when="every picture",
         evaluations=min(CHECKED, pixels) * len(recipe.kept) * per_direction,
@@ -262,4 +271,4 @@ def _table_stages(
 
 
 def _item(surface: Surface, what: str, kept: int, of: int, why: str, error: float = 0.0) -> Item:
-    return Item(what=f"{surface.name} {what}", kept=kept, of=of, why=why, error=error)
+    return Item(part=surface.name, what=what, kept=kept, of=of, why=why, error=error)
