@@ -69,7 +69,8 @@ class Framebuffer:
                 GL.glBindFramebuffer(GL.GL_READ_FRAMEBUFFER, self._read)
                 GL.glReadBuffer(GL.GL_COLOR_ATTACHMENT0)
             GL.glReadPixels(left, low, right - left, high - low, GL.GL_RGBA, GL.GL_FLOAT, array=image)
-        return np.ascontiguousarray(images[:, ::-1])
+        # Turned over by a copy: of a single row numpy takes the turned view for contiguous, with its negative stride.
+        return images[:, ::-1].copy()
 
     def delete(self) -> None:
         """Give the memory back."""
