@@ -28,7 +28,7 @@ class FgsmMethod:
         return {}
 
     def advance(self, problem: Problem, view: View, step: int) -> int:  # noqa: ARG002
-        """One step from a view whose graph leads to the perturbation."""
+        """One step from a view whose graph leads to the perturbation. Returns how many groups have no slope at all."""
         objective = problem.goal.objective(problem.logits(view.images)).sum()
         leaves = [view.perturbation[group] for group in problem.groups]
         # zeros where every pixel is held back, or out of the parameter's reach
@@ -41,7 +41,7 @@ class FgsmMethod:
                 self.velocity[group] = self.settings.momentum * self.velocity[group] + change
                 self.perturbation[group] = leaf.detach() - self.settings.learning_rate[group] * self.velocity[group]
             self.perturbation = problem.clamp(self.perturbation)
-        return 0
+        return sum(not bool(gradient.any()) for gradient in gradients)
 
     def state(self) -> dict[str, Tensor]:
         """Perturbation and velocity."""
