@@ -8,6 +8,7 @@ from services.attacks.problem import Problem, View
 from services.attacks.seeds import generator
 from services.attacks.spec import Zoo
 from services.errors import JobFailure
+from services.rendering.idle import FindsIdle, Idle
 from services.rendering.protocol import Parameters
 
 BETAS = (0.9, 0.999)
@@ -20,6 +21,8 @@ class ZooMethod:
     """Each step differences a random subset of coordinates and moves only those, each with an Adam state of its own.
 
     A flat difference says nothing about its coordinate: it is counted, and the coordinate's Adam state is left alone.
+    Coordinates that provably change no pixel at the start are not drawn from, as long as that is still so where the
+    attack has come to; the others get their share.
     """
 
     needs_gradient = False
@@ -32,6 +35,7 @@ class ZooMethod:
         self.second = torch.zeros(self.where.total, dtype=torch.float64)
         self.moves = torch.zeros(self.where.total, dtype=torch.int64)
         self.deltas = torch.zeros(self.where.total, dtype=torch.float64)
+        self.idle = torch.zeros(self.where.total, dtype=torch.bool)
         self.noise = 0.0
 
     @property
@@ -40,7 +44,7 @@ class ZooMethod:
         return self.where.unflatten(self.flat)
 
     def start(self, problem: Problem) -> dict[str, object]:
-        """Measures the noise of the objective and, where asked, each group's difference step."""
+        """Measures the noise of the objective and, where asked, each group's difference step; finds what to skip."""
         self.noise = measure_noise(problem, self.flat)
         delta = self.settings.delta
         if isinstance(delta, str):
@@ -48,13 +52,16 @@ class ZooMethod:
         else:
             chosen = delta if isinstance(delta, dict) else dict.fromkeys(self.where.groups, delta)
         self.deltas = self._per_coordinate(chosen)
-        return {"delta": chosen, "noise": self.noise}
+        found = self._find_idle(problem)
+        self.idle = self._mask(found)
+        skipped = [{"coordinate": one.name, "why": one.why} for one in found]
+        return {"delta": chosen, "noise": self.noise, "skipped": skipped}
 
     def advance(self, problem: Problem, view: View, step: int) -> int:  # noqa: ARG002
         """Differences, then Adam on the coordinates that were not flat. Returns how many were."""
         random = generator(problem.seed, "zoo", step)
-        count = min(self.settings.coordinates, self.where.total)
-        chosen = torch.randperm(self.where.total, generator=random)[:count].sort().values
+        pool = self._pool(problem)
+        chosen = pool[torch.randperm(len(pool), generator=random)[: self.settings.coordinates]].sort().values
         found = estimate(problem, self.flat, chosen, self.deltas[chosen], self.noise)
         if not bool(torch.isfinite(found.slopes).all()):
             raise JobFailure("non-finite", "a difference of the objective is not finite")
@@ -70,13 +77,14 @@ class ZooMethod:
         return int(found.flat.sum())
 
     def state(self) -> dict[str, Tensor]:
-        """Perturbation, Adam's moments and counts, difference steps and noise."""
+        """Perturbation, Adam's moments and counts, difference steps, what was idle, and noise."""
         return {
             "flat": self.flat,
             "first": self.first,
             "second": self.second,
             "moves": self.moves,
             "deltas": self.deltas,
+            "idle": self.idle,
             "noise": torch.tensor(self.noise, dtype=torch.float64),
         }
 
@@ -84,6 +92,25 @@ class ZooMethod:
         """Continues from `state()`."""
         self.flat, self.first, self.second = state["flat"], state["first"], state["second"]
         self.moves, self.deltas, self.noise = state["moves"], state["deltas"], float(state["noise"])
+        self.idle = state["idle"]
+
+    def _find_idle(self, problem: Problem) -> list[Idle]:
+        """The attacked coordinates that change no pixel where the attack is, moved by their difference step."""
+        if not isinstance(problem.renderer, FindsIdle):
+            return []
+        reach = {g: float(self.deltas[self.where.starts[g]]) for g in self.where.groups}
+        at = {g: problem.initial[g] + value for g, value in self.perturbation.items()}
+        return [one for one in problem.renderer.idle(at, reach) if one.group in self.where.groups]
+
+    def _mask(self, found: list[Idle]) -> Tensor:
+        mask = torch.zeros(self.where.total, dtype=torch.bool)
+        mask[[self.where.starts[one.group] + one.index for one in found]] = True
+        return mask
+
+    def _pool(self, problem: Problem) -> Tensor:
+        """The coordinates to draw from. Those once idle are examined again; none ever was in most scenes."""
+        still = self.idle & self._mask(self._find_idle(problem)) if bool(self.idle.any()) else self.idle
+        return (~still).nonzero()[:, 0]
 
     def _rates(self) -> Tensor:
         rate = self.settings.learning_rate

@@ -16,6 +16,16 @@ def is_in_front(points: Array, clip_from_object: Array) -> bool:
     return bool(height.min(initial=np.inf) > 0)
 
 
+def beyond(points: Array, clip_from_object: Array, margin: float) -> bool:
+    """Whether points [V,4] are all beyond one plane of the camera's frustum, by a `margin` in the units they are in."""
+    for axis in range(3):
+        for sign in (1, -1):
+            plane = clip_from_object[3] + sign * clip_from_object[axis]
+            if bool((points @ plane).max(initial=-np.inf) < -margin * np.linalg.norm(plane[:3])):
+                return True
+    return False
+
+
 def rectangle(points: Sequence[Array], clip_from_object: Sequence[Array], size: tuple[int, int]) -> Rectangle:
     """The part of a picture of `size` (height, width) that objects of corners [V,4] can cover; empty if they cannot.
 

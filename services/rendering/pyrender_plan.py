@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from services.rendering.idle import REACH, Idle
 from services.rendering.plan import Item, Plan, Stage, Tolerance
 from services.rendering.sharing import alone, shared
 
@@ -29,9 +30,10 @@ def compile_plan(
     extent: tuple[int, int, int, int],
     closed: bool,
     most: int,
+    idle: Sequence[Idle],
 ) -> Plan:
     """The plan for attacks on `groups`, with objects within `extent` at the start; `closed`: closed surfaces are
-    without inside; `most`: pictures to a pass.
+    without inside; `most`: pictures to a pass; `idle`: coordinates that change nothing at the start, moved by REACH.
 
     Its errors are 0: everything it leaves out or shares gives a picture the very bits it has without.
     """
@@ -41,7 +43,16 @@ def compile_plan(
     faces = sum(piece.faces for piece in drawing.pieces)
     sheets = faces - (sum(piece.closed for piece in drawing.pieces) if closed else 0)
     textured = [piece for piece in drawing.pieces if piece.texture is not None]
+    start = renderer.initial()
+    coordinates = sum(start[group].numel() for group in groups)
+    still = [one for one in idle if one.group in groups]
     items = [
+        Item(
+            what="coordinates",
+            kept=coordinates - len(still),
+            of=coordinates,
+            why="; ".join(f"{one.name}: {one.why}" for one in still) or f"each may change the picture within {REACH:g}",
+        ),
         Item(
             what="pixels",
             kept=height * width if plain else (bottom - top) * (right - left),
@@ -79,11 +90,11 @@ def compile_plan(
     for name, touched in STAGES.items():
         attacked = [group for group in groups if group in touched]
         if attacked:
-            sides = both_sides(renderer.initial(), attacked)
+            sides = both_sides(start, attacked)
             batch = {group: value.double().numpy() for group, value in sides.items()}
             passes = list(alone(batch) if plain else shared(batch, most))
             pictures = sum(len(one.colors) for one in passes)
-            count = sum(renderer.initial()[group].numel() for group in attacked)
+            count = sum(start[group].numel() for group in attacked)
             stages.append(
                 Stage(
                     name=name,

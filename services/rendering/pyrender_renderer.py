@@ -2,26 +2,23 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
-from math import inf
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from services.errors import JobFailure
 from services.rendering import gl
 from services.rendering.display import to_display
-from services.rendering.extent import rectangle
+from services.rendering.extent import beyond, rectangle
+from services.rendering.idle import Idle, idle
 from services.rendering.plan import DEFAULT_TOLERANCE, Plan, Tolerance
 from services.rendering.protocol import Parameters
+from services.rendering.pyrender_numbers import ENERGY, GROUPS, Numbers
 from services.rendering.pyrender_plan import compile_plan
 from services.rendering.sharing import Pass, alone, shared
 from services.scenes.resolve import ResolvedScene
-
-ENERGY = 30.0
-"""Unit of a point light's energy in the group `illumination`, so that all its coordinates are near 1."""
 
 EXPOSURE = 0.5
 """Radiance times this is the linear picture: a white surface that faces the default light from 2.5 away (radiance 2.0
@@ -38,6 +35,10 @@ MEMORY = 2**26
 ODD = 0.01
 """Share of covered pixels that the insides of closed surfaces may change. They do change some at silhouettes, where the
 depths of both sides round to the same; a surface that passes through itself shows more, and is not taken for closed."""
+
+
+ROUNDING = 1e-3
+"""Scene units, and share, that an object must be further out of the frame than it could move, for it to be sure."""
 
 
 class PyrenderRenderer:
@@ -58,7 +59,7 @@ class PyrenderRenderer:
     """
 
     name = "pyrender"
-    groups = ("illumination", "color", "translation", "rotation")
+    groups = GROUPS
     differentiable = False
 
     def __init__(
@@ -75,18 +76,7 @@ class PyrenderRenderer:
         self._drawing = Drawing(scene.meshes, closed=True)
         self._view = View.of(scene.view, scene.projection)
         self._ground = torch.tensor(description.ground, dtype=torch.float32)
-        self._scales = [o.scale for o in description.objects]
-        lights = [description.lights.ambient]
-        for point in description.lights.points:
-            lights += [point.energy / ENERGY, *point.position]
-        self._points = len(description.lights.points)
-        self._initial = {
-            "illumination": torch.tensor(lights, dtype=torch.float64),
-            "color": torch.tensor([o.color for o in description.objects], dtype=torch.float64),
-            "translation": torch.tensor([o.translation for o in description.objects], dtype=torch.float64),
-            "rotation": torch.tensor([o.rotation for o in description.objects], dtype=torch.float64),
-        }
-
+        self._numbers = Numbers(description)
         self._most = max(1, min(MOST, MEMORY // (16 * SAMPLES * self.size[0] * self.size[1])))
         self._plain = tolerance == "exact"
         self._closed = self._insides_are_hidden()
@@ -96,36 +86,31 @@ class PyrenderRenderer:
 
     @property
     def plan(self) -> Plan:
-        """What is drawn, shared and left out for the attacked groups. Made when first asked for."""
+        """What is drawn, shared and left out for the attacked groups. Made when first asked for: it draws proofs."""
         if self._plan is None:
-            extent = self.extent(self._initial)
             self._plan = compile_plan(
-                self, self._drawing, self._attacked, self._tolerance, extent, self._closed, self._most
+                self,
+                self._drawing,
+                self._attacked,
+                self._tolerance,
+                extent=self.extent(self.initial()),
+                closed=self._closed,
+                most=self._most,
+                idle=[] if self._plain else self.idle(self.initial(), {}),
             )
         return self._plan
 
     def initial(self) -> Parameters:
         """The scene's own values, float64."""
-        return {group: value.clone() for group, value in self._initial.items()}
+        return self._numbers.initial()
 
     def bounds(self) -> Mapping[str, tuple[Tensor, Tensor]]:
         """Light is not negative, colours lie in [0,1]; positions and rotations are free."""
-        dark = torch.tensor([0.0] + [0.0, -inf, -inf, -inf] * self._points, dtype=torch.float64)
-        free = torch.tensor(inf, dtype=torch.float64)
-        return {
-            "illumination": (dark, free),
-            "color": (torch.tensor(0.0, dtype=torch.float64), torch.tensor(1.0, dtype=torch.float64)),
-            "translation": (-free, free),
-            "rotation": (-free, free),
-        }
+        return self._numbers.bounds()
 
     def names(self, group: str) -> list[str] | None:
         """A word for each number of a group, in order."""
-        if group == "illumination":
-            points = range(self._points)
-            return ["ambient"] + [f"point {i} {word}" for i in points for word in ("energy", "x", "y", "z")]
-        words = ("red", "green", "blue") if group == "color" else ("x", "y", "z")
-        return [f"object {i} {group} {word}" for i in range(len(self._scales)) for word in words]
+        return self._numbers.names(group)
 
     def exact(self) -> "PyrenderRenderer":
         """The twin that draws every picture by itself, whole, with the insides of closed surfaces."""
@@ -163,15 +148,32 @@ class PyrenderRenderer:
 
     def extent(self, parameters: Mapping[str, Tensor]) -> tuple[int, int, int, int]:
         """Rows from and to, columns from and to, within which the objects are at `parameters` {group: [...]}."""
-        batch = self._checked({group: value[None] for group, value in parameters.items()})
-        return self._extent(self._poses(batch["translation"][0], batch["rotation"][0]))
+        batch = self._numbers.checked({group: value[None] for group, value in parameters.items()})
+        return self._extent(self._numbers.poses(batch["translation"][0], batch["rotation"][0]))
+
+    def out_of_frame(self, parameters: Mapping[str, Tensor], index: int, margin: float, turned: bool) -> bool:
+        """Whether an object at `parameters` {group: [...]} covers nothing wherever it is moved by at most `margin`
+        (scene units), and, if `turned`, however it is turned. False where that is not sure.
+        """
+        batch = self._numbers.checked({group: value[None] for group, value in parameters.items()})
+        pose = self._numbers.poses(batch["translation"][0], batch["rotation"][0])[index]
+        corners = self._drawing.points[index] @ pose.T
+        if turned:  # the ball around the object's own origin that holds it
+            centre = np.append(pose[:3, 3], 1.0)
+            margin += float(np.linalg.norm(corners[:, :3] - centre[:3], axis=1).max())
+            corners = centre[None]
+        return beyond(corners, self._view.clip_from_world, margin * (1 + ROUNDING) + ROUNDING)
+
+    def idle(self, parameters: Mapping[str, Tensor], reach: Mapping[str, float]) -> list[Idle]:
+        """The coordinates that change no pixel at `parameters` {group: [...]}, moved by at most `reach`; see `idle`."""
+        return idle(self, parameters, reach)
 
     def _draw(self, parameters: Mapping[str, Tensor], empty: Tensor, finish: Callable[[Tensor], Tensor]) -> Tensor:
         """Pictures [B, H, W, C]: `empty` [C] where no object is, and `finish` of radiance [..., 4] elsewhere."""
-        batch = self._checked(parameters)
+        batch = self._numbers.checked(parameters)
         pictures = empty.expand(len(batch["color"]), *self.size, len(empty)).clone()
         for drawn in alone(batch) if self._plain else shared(batch, self._most):
-            poses = self._poses(drawn.translation, drawn.rotation)
+            poses = self._numbers.poses(drawn.translation, drawn.rotation)
             top, bottom, left, right = (0, self.size[0], 0, self.size[1]) if self._plain else self._extent(poses)
             if top == bottom:
                 continue
@@ -186,32 +188,6 @@ class PyrenderRenderer:
                 else:
                     pictures[row, top:bottom, left:right, channel] = finished[slot, ..., channel]
         return pictures
-
-    def _checked(self, parameters: Mapping[str, Tensor]) -> dict[str, NDArray[np.float64]]:
-        sizes = {len(value) for value in parameters.values()}
-        if len(sizes) > 1:
-            raise ValueError(f"parameters: batches of different sizes {sorted(sizes)}")
-        count = sizes.pop() if sizes else 1
-        for group, value in parameters.items():
-            if group not in self._initial:
-                raise ValueError(f"parameters: no group {group!r}; there are {', '.join(self.groups)}")
-            if value.shape[1:] != self._initial[group].shape:
-                shape = list(self._initial[group].shape)
-                raise ValueError(f"parameters: {group} is {list(value.shape)}, not [B, *{shape}]")
-            if not torch.isfinite(value).all():
-                raise JobFailure("non-finite", f"{group} has values that are not finite numbers")
-        return {
-            group: parameters[group].detach().cpu().double().numpy()
-            if group in parameters
-            else initial.expand(count, *initial.shape).numpy()
-            for group, initial in self._initial.items()
-        }
-
-    def _poses(self, translations: NDArray[np.float64], rotations: NDArray[np.float64]) -> NDArray[np.float64]:
-        poses = np.tile(np.eye(4), (len(self._scales), 1, 1))
-        poses[:, :3, :3] = Rotation.from_rotvec(rotations).as_matrix() * np.array(self._scales)[:, None, None]
-        poses[:, :3, 3] = translations
-        return poses
 
     def _extent(self, poses: NDArray[np.float64]) -> tuple[int, int, int, int]:
         return rectangle(self._drawing.points, list(self._view.clip_from_world @ poses), self.size)
@@ -236,7 +212,7 @@ class PyrenderRenderer:
             samples=SAMPLES,
             outputs=len(drawn.colors),
             blend=True,
-            lights=self._points,
+            lights=len(points) // len(drawn.colors),
             rectangle=part,
             insides="like outsides" if natural or not self._closed else "behind" if self._plain else "left out",
         )
@@ -246,8 +222,8 @@ class PyrenderRenderer:
         self._closed = True
         if not any(piece.closed for piece in self._drawing.pieces):
             return False
-        [start] = alone(self._checked({}))
-        poses = self._poses(start.translation, start.rotation)
+        [start] = alone(self._numbers.checked({}))
+        poses = self._numbers.poses(start.translation, start.rotation)
         whole = (0, self.size[0], 0, self.size[1])
         without, natural = self._frames(start, poses, whole), self._frames(start, poses, whole, natural=True)
         changed = np.abs(EXPOSURE * (without - natural)).max(axis=-1) > 1 / 255

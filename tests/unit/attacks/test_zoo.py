@@ -66,7 +66,7 @@ def test_a_heavy_weight_keeps_the_picture_closer() -> None:
 def test_measured_steps_are_reported() -> None:
     case = problem()
     found = ZooMethod(settings(delta="measured"), case).start(case)
-    assert set(found) == {"delta", "noise"}
+    assert set(found) == {"delta", "noise", "skipped"}
     assert set(found["delta"]) == {"a", "b"}  # type: ignore[call-overload]
 
 
