@@ -5,7 +5,6 @@ from torch import Tensor
 
 from services.attacks.problem import Problem, View
 from services.attacks.spec import Fgsm
-from services.errors import JobFailure
 from services.rendering.protocol import Parameters
 
 
@@ -27,25 +26,20 @@ class FgsmMethod:
         """Nothing to measure."""
         return {}
 
+    @torch.no_grad()
     def advance(self, problem: Problem, view: View, step: int) -> int:  # noqa: ARG002
-        """One step from a view whose graph leads to the perturbation. Returns how many groups have no slope at all."""
-        objective = problem.goal.objective(problem.logits(view.images)).sum()
-        leaves = [view.perturbation[group] for group in problem.groups]
-        # zeros where every pixel is held back, or out of the parameter's reach
-        gradients = torch.autograd.grad(objective, leaves, materialize_grads=True)
-        with torch.no_grad():
-            for group, leaf, gradient in zip(problem.groups, leaves, gradients, strict=True):
-                if not bool(torch.isfinite(gradient).all()):
-                    raise JobFailure("non-finite", f"the gradient of group {group!r} has values that are not finite")
-                change = gradient.sign() + self.settings.weight_decay * leaf
-                self.velocity[group] = self.settings.momentum * self.velocity[group] + change
-                self.perturbation[group] = leaf.detach() - self.settings.learning_rate[group] * self.velocity[group]
-            self.perturbation = problem.clamp(self.perturbation)
-        return sum(not bool(gradient.any()) for gradient in gradients)
+        """One step along the view's slopes. Returns how many groups have none: all of the group's slopes are zero."""
+        moved = {}
+        for group, seen in view.perturbation.items():
+            change = view.slopes[group].sign().add_(seen, alpha=self.settings.weight_decay)
+            self.velocity[group] = change.add_(self.velocity[group], alpha=self.settings.momentum)
+            moved[group] = seen.sub(self.velocity[group], alpha=self.settings.learning_rate[group])
+        self.perturbation = problem.clamp(moved)
+        return sum(not bool(slope.any()) for slope in view.slopes.values())
 
     def state(self) -> dict[str, Tensor]:
         """Perturbation and velocity."""
-        named = {f"perturbation.{g}": v.detach() for g, v in self.perturbation.items()}
+        named = {f"perturbation.{g}": v for g, v in self.perturbation.items()}
         return named | {f"velocity.{g}": v for g, v in self.velocity.items()}
 
     def load(self, state: dict[str, Tensor]) -> None:

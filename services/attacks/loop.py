@@ -1,7 +1,8 @@
 """The one loop all attacks run in: look, judge, stop or advance."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from math import sqrt
 from pathlib import Path
 from time import monotonic
 
@@ -11,9 +12,8 @@ from torch import Tensor
 from services.attacks import checkpoint
 from services.attacks.exact import Judge
 from services.attacks.method import Method
-from services.attacks.problem import Problem, View
+from services.attacks.problem import Problem, View, ask, saved, slopes
 from services.attacks.trace import TraceRow
-from services.rendering.display import as_saved, to_bytes
 from services.rendering.protocol import Parameters
 from services.targets.scores import probability
 
@@ -48,6 +48,18 @@ class Run:
     """The loop's own picture of it, uint8 [H, W, 3]."""
 
 
+@dataclass
+class Attack:
+    """One attack as the loop runs it. `saved` is a checkpoint: resumed from if it fits, written every few seconds."""
+
+    problem: Problem
+    method: Method
+    judge: Judge
+    budget: Budget
+    saved: Path | None = None
+    on_row: Callable[[TraceRow], None] = lambda _: None
+
+
 def run(
     problem: Problem,
     method: Method,
@@ -61,62 +73,115 @@ def run(
 
     At every step the picture, as it would be saved, is put to the network. If that fools it, the perturbation is
     rendered afresh by the exact path; the loop ends when that fools the network too, and goes on otherwise (truncation
-    makes picture and parameters disagree). `saved` is a checkpoint: resumed from if it fits, written every few seconds.
+    makes picture and parameters disagree).
     """
-    state = checkpoint.load(saved, problem, method, judge) or Run(
-        ever=torch.zeros(problem.renderer.size, dtype=torch.bool)
-    )
-    began, last_saved = monotonic() - state.seconds, monotonic()
-    if not state.settings and not state.trace:
-        state.settings = method.start(problem)
-    while not state.stopped:
-        view = problem.view(method.perturbation, gradient=method.needs_gradient)
-        fooled, row = _look(problem, judge, view, state, monotonic() - began)
-        _keep(problem, judge, view, state, fooled)
-        state.trace.append(row)
-        on_row(row)
-        state.stopped = _stop(problem, judge, state, budget, monotonic() - began)
-        if not state.stopped:
-            state.flat = method.advance(problem, view, state.step)
-            state.step += 1
-        state.seconds = monotonic() - began
-        if saved is not None and monotonic() - last_saved > checkpoint.EVERY:
-            checkpoint.save(saved, state, problem, method, judge)
-            last_saved = monotonic()
-    return state
+    [found] = run_together([Attack(problem, method, judge, budget, saved, on_row)])
+    return found
 
 
-def _look(problem: Problem, judge: Judge, view: View, state: Run, seconds: float) -> tuple[bool, TraceRow]:
-    with torch.no_grad():
-        logits = problem.logits(as_saved(view.images))
-        change = (view.images - problem.original).double()
-        label = int(logits[0].argmax())
-        row = TraceRow(
-            step=state.step,
-            loss=float(problem.goal.loss(logits)),
-            label=problem.target.labels[label],
-            confidence=float(probability(logits, label)),
-            advantage=float(problem.goal.advantage(logits)),
-            distance=float(change.square().sum().sqrt()),
-            perceptibility=float(change.square().sum(dim=-1).mean().sqrt()),
-            truncated=int(view.truncated.sum()),
-            flat=state.flat,
-            queries=problem.queries + judge.queries,
-            renders=problem.renders + judge.renders,
-            seconds=seconds,
+def run_together(attacks: Sequence[Attack]) -> list[Run]:
+    """Several attacks in lockstep, one pass of the network a step for all; each ends when it ends. Results in order.
+
+    They share the network, the question, the size of the pictures and whether the method needs gradients (ValueError
+    otherwise). Each ends as it would alone, but for the rounding of the network's sums, which depends on the size of a
+    batch. An error in one ends all.
+    """
+    shared = {
+        (id(a.problem.target), a.problem.question, a.problem.renderer.size, a.method.needs_gradient) for a in attacks
+    }
+    if len(shared) > 1:
+        raise ValueError("attacks that run together share network, question, size of picture and need of gradients")
+    running = [_Running(attack) for attack in attacks]
+    while active := [one for one in running if not one.run.stopped]:
+        _step(active)
+    return [one.run for one in running]
+
+
+class _Running:
+    """An attack and how far it is."""
+
+    def __init__(self, attack: Attack) -> None:
+        self.attack = attack
+        self.run = checkpoint.load(attack.saved, attack.problem, attack.method, attack.judge) or Run(
+            ever=torch.zeros(attack.problem.renderer.size, dtype=torch.bool)
         )
-        return bool(problem.goal.fooled(logits)), row
+        self.began, self.last_saved = monotonic() - self.run.seconds, monotonic()
+        if not self.run.settings and not self.run.trace:
+            self.run.settings = attack.method.start(attack.problem)
+
+    @property
+    def seconds(self) -> float:
+        return monotonic() - self.began
+
+    def view(self) -> View:
+        method = self.attack.method
+        return self.attack.problem.view(method.perturbation, gradient=method.needs_gradient)
+
+    def look(self, view: View, picture: Tensor, logits: Tensor) -> None:
+        """Takes note of a view, its picture as saved (uint8 [H, W, 3]) and the scores [K]; judges; may stop."""
+        attack, state = self.attack, self.run
+        problem, judge = attack.problem, attack.judge
+        row = _row(problem, judge, view, logits, state, self.seconds)
+        fooled = bool(problem.goal.fooled(logits))
+        state.ever |= view.truncated
+        if fooled or not state.fooled:
+            state.stored = {g: v.detach().clone() for g, v in view.perturbation.items()}
+            state.stored_step = state.step
+            state.picture = picture.clone()
+        if fooled:
+            state.fooled = True
+            state.verified = judge.fooled(state.stored, problem.goal)
+        state.trace.append(row)
+        attack.on_row(row)
+        state.stopped = _stop(problem, judge, state, attack.budget, self.seconds)
+
+    def advance(self, view: View) -> None:
+        self.run.flat = self.attack.method.advance(self.attack.problem, view, self.run.step)
+        self.run.step += 1
+
+    def save(self) -> None:
+        attack, self.run.seconds = self.attack, self.seconds
+        if attack.saved is not None and monotonic() - self.last_saved > checkpoint.EVERY:
+            checkpoint.save(attack.saved, self.run, attack.problem, attack.method, attack.judge)
+            self.last_saved = monotonic()
 
 
-def _keep(problem: Problem, judge: Judge, view: View, state: Run, fooled: bool) -> None:
-    state.ever |= view.truncated
-    if fooled or not state.fooled:
-        state.stored = {g: v.detach().clone() for g, v in view.perturbation.items()}
-        state.stored_step = state.step
-        state.picture = to_bytes(view.images)[0]
-    if fooled:
-        state.fooled = True
-        state.verified = judge.fooled(state.stored, problem.goal)
+def _step(active: list[_Running]) -> None:
+    gradient = active[0].attack.method.needs_gradient
+    problems, views = [one.attack.problem for one in active], [one.view() for one in active]
+    with torch.set_grad_enabled(gradient):
+        pictures, shown = saved(torch.cat([view.images for view in views]))
+        logits = ask(problems, shown)
+    for one, view, picture, scores in zip(active, views, pictures, logits.detach(), strict=True):
+        one.look(view, picture, scores)
+    going = [i for i, one in enumerate(active) if not one.run.stopped]
+    found: list[Parameters] = [{}] * len(going)
+    if gradient and going:
+        found = slopes([problems[i] for i in going], [views[i] for i in going], logits[going])
+    for i, of in zip(going, found, strict=True):
+        active[i].advance(replace(views[i], slopes=of))
+    for one in active:
+        one.save()
+
+
+def _row(problem: Problem, judge: Judge, view: View, logits: Tensor, state: Run, seconds: float) -> TraceRow:
+    height, width = problem.renderer.size
+    distance = float((view.images.detach() - problem.original).double().square_().sum().sqrt())
+    label = int(logits.argmax())
+    return TraceRow(
+        step=state.step,
+        loss=float(problem.goal.loss(logits)),
+        label=problem.target.labels[label],
+        confidence=float(probability(logits, label)),
+        advantage=float(problem.goal.advantage(logits)),
+        distance=distance,
+        perceptibility=distance / sqrt(height * width),
+        truncated=int(view.truncated.sum()),
+        flat=state.flat,
+        queries=problem.queries + judge.queries,
+        renders=problem.renders + judge.renders,
+        seconds=seconds,
+    )
 
 
 def _stop(problem: Problem, judge: Judge, state: Run, budget: Budget, seconds: float) -> str:

@@ -1,13 +1,16 @@
 """An attack's problem: a renderer, a network, a goal; and the count of everything asked of them."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import isfinite
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from services.attacks.goal import ResolvedGoal
 from services.errors import JobFailure
+from services.rendering.display import from_bytes, to_bytes
 from services.rendering.protocol import Parameters, Renderer
 from services.targets.protocol import Target
 
@@ -17,14 +20,16 @@ ROUNDING = 1e-6
 
 @dataclass(frozen=True)
 class View:
-    """What the loop sees at one perturbation. Images [1, H, W, 3]."""
+    """What the loop sees at one perturbation."""
 
     perturbation: Parameters
     """The perturbation seen; leaves of the graph of `images` if a gradient was asked for."""
     images: Tensor
-    """The float picture, truncated where U asks."""
+    """The float picture [1, H, W, 3], truncated where U asks."""
     truncated: Tensor
     """Pixels held back, bool [H, W]."""
+    slopes: Parameters = field(default_factory=dict)
+    """∂objective/∂perturbation by group, for a method that needs it; see `slopes`."""
 
 
 @dataclass
@@ -48,10 +53,17 @@ class Problem:
     renders: int = 0
     initial: Parameters = field(init=False)
     original: Tensor = field(init=False)
+    bounds: dict[str, tuple[Tensor, Tensor]] = field(init=False)
+    """Lowest and highest perturbation of the groups that have physical bounds."""
 
     def __post_init__(self) -> None:
-        start = self.renderer.initial()
+        start, bounds = self.renderer.initial(), self.renderer.bounds()
         self.initial = {group: start[group] for group in self.groups}
+        self.bounds = {
+            group: (bounds[group][0] - value, bounds[group][1] - value)
+            for group, value in self.initial.items()
+            if not all(bool(bound.isinf().all()) for bound in bounds[group])
+        }
         with torch.no_grad():
             self.original = self.render({g: v[None] for g, v in self.initial.items()})
 
@@ -61,20 +73,17 @@ class Problem:
 
     def clamp(self, perturbation: Mapping[str, Tensor]) -> Parameters:
         """The perturbation, pulled back so that the perturbed parameters stay physically meaningful."""
-        bounds = self.renderer.bounds()
-        clamped = {}
-        for group, value in perturbation.items():
-            low, high = bounds[group]
-            start = self.initial[group]
-            clamped[group] = torch.minimum(torch.maximum(value, low - start), high - start)
-        return clamped
+        return {
+            group: value.clamp(*self.bounds[group]) if group in self.bounds else value
+            for group, value in perturbation.items()
+        }
 
     def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
         """Pictures [B, H, W, 3]. Raises JobFailure("non-finite") rather than hand on a picture that is not numbers."""
         self.interrupt()
         images = self.renderer.render(parameters)
         self.renders += images.shape[0]
-        if not bool(torch.isfinite(images.detach()).all()):
+        if not finite(images):
             raise JobFailure("non-finite", "the renderer returned a picture with values that are not finite")
         return images
 
@@ -87,11 +96,65 @@ class Problem:
 
     def logits(self, images: Tensor) -> Tensor:
         """Scores [B, K] of pictures. Raises JobFailure("non-finite")."""
-        self.queries += images.shape[0]
-        logits = self.target.logits(images, self.question)
-        if not bool(torch.isfinite(logits.detach()).all()):
-            raise JobFailure("non-finite", "the network returned scores that are not finite")
-        return logits
+        return ask([self] * len(images), images)
+
+
+def ask(problems: Sequence[Problem], images: Tensor) -> Tensor:
+    """Scores [B, K] of pictures [B, H, W, 3] by one pass of the network the problems share; picture b is counted for
+    problem b. Raises JobFailure("non-finite").
+    """
+    for problem in problems:
+        problem.queries += 1
+    logits = problems[0].target.logits(images, problems[0].question)
+    if not finite(logits):
+        raise JobFailure("non-finite", "the network returned scores that are not finite")
+    return logits
+
+
+def saved(images: Tensor) -> tuple[Tensor, Tensor]:
+    """Pictures in [0,1], of any shape, as they are saved (uint8) and as a reader of the file sees them (float32).
+
+    The latter is differentiable as if nothing were rounded (a straight-through derivative): one pass of the network
+    gives the verdict on the saved picture and the gradient. benchmarks/rounded_gradient.py compares it with the
+    float picture's gradient.
+    """
+    result: tuple[Tensor, Tensor] = _Saved.apply(images)  # type: ignore[no-untyped-call]
+    return result
+
+
+class _Saved(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, images: Tensor) -> tuple[Tensor, Tensor]:
+        pictures = to_bytes(images)
+        ctx.mark_non_differentiable(pictures)
+        return pictures, from_bytes(pictures)
+
+    @staticmethod
+    def backward(ctx: Any, none: None, slope: Tensor) -> Tensor:  # noqa: ARG004 - autograd's signature
+        return slope
+
+
+def slopes(problems: Sequence[Problem], views: Sequence[View], logits: Tensor) -> list[Parameters]:
+    """∂objective/∂perturbation of each problem at its view, by group, in one backward pass.
+
+    `logits` [B, K], one row a problem, with a graph that leads to the views. Raises JobFailure("non-finite") naming the
+    group.
+    """
+    objective = torch.stack([p.goal.objective(of) for p, of in zip(problems, logits, strict=True)]).sum()
+    leaves = [view.perturbation[group] for p, view in zip(problems, views, strict=True) for group in p.groups]
+    # zeros where every pixel is held back, or out of the parameter's reach
+    gradients = iter(torch.autograd.grad(objective, leaves, materialize_grads=True))
+    found = [{group: next(gradients) for group in p.groups} for p in problems]
+    for group, gradient in (item for of in found for item in of.items()):
+        if not finite(gradient):
+            raise JobFailure("non-finite", f"the gradient of group {group!r} has values that are not finite")
+    return found
+
+
+def finite(values: Tensor) -> bool:
+    """Whether no value is infinite or not a number. Both show in the extremes, and those take one pass."""
+    low, high = torch.aminmax(values.detach())
+    return isfinite(float(low)) and isfinite(float(high))
 
 
 def truncate(images: Tensor, original: Tensor, limit: float | None) -> tuple[Tensor, Tensor]:
@@ -101,7 +164,7 @@ def truncate(images: Tensor, original: Tensor, limit: float | None) -> tuple[Ten
     """
     if limit is None:
         return images, torch.zeros(images.shape[1:3], dtype=torch.bool)
-    held = ((images.detach() - original).abs() > limit + ROUNDING).any(dim=-1).any(dim=0)
+    held = ((images.detach() - original).abs_().amax(dim=-1) > limit + ROUNDING)[0]
     if not bool(held.any()):
         return images, held
-    return torch.minimum(torch.maximum(images, original - limit), original + limit), held
+    return images.clamp(original - limit, original + limit), held

@@ -1,13 +1,14 @@
 """A renderer and a network small enough to know everything about: both linear, in float64 if asked."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from services.attacks.goal import ResolvedGoal
-from services.attacks.problem import Problem
+from services.attacks.problem import Problem, View, ask, saved, slopes
+from services.rendering.protocol import Parameters
 
 
 @dataclass
@@ -84,3 +85,10 @@ def problem(renderer: LinearRenderer | None = None, target: LinearTarget | None 
     start = {g: v[None] for g, v in renderer.initial().items()}
     first = int(target.logits(renderer.render(start)).argmax())
     return Problem(renderer, target, ResolvedGoal(first, None), renderer.groups, **settings)  # type: ignore[arg-type]
+
+
+def guided(case: Problem, perturbation: Parameters) -> View:
+    """The view of a perturbation with the objective's slopes, as the loop hands it to FGSM."""
+    view = case.view(perturbation, gradient=True)
+    [found] = slopes([case], [view], ask([case], saved(view.images)[1]))
+    return replace(view, slopes=found)

@@ -1,10 +1,12 @@
+from dataclasses import replace
+
 import pytest
 import torch
 
 from services.attacks.fgsm import FgsmMethod
 from services.attacks.spec import Fgsm
 from services.errors import JobFailure
-from tests.unit.attacks.small import LinearRenderer, LinearTarget, problem
+from tests.unit.attacks.small import LinearRenderer, LinearTarget, guided, problem
 
 SETTINGS = Fgsm.model_construct(learning_rate={"a": 0.01, "b": 0.02}, momentum=0.9, weight_decay=0.1)
 
@@ -18,7 +20,7 @@ def test_steps_match_torch_sgd_on_the_signed_gradient() -> None:
     sgd = torch.optim.SGD([leaf], lr=0.01, momentum=0.9, weight_decay=0.1)
     other = torch.zeros(3, dtype=torch.float64)
     for step in range(4):
-        view = case.view(method.perturbation, gradient=True)
+        view = guided(case, method.perturbation)
         images = case.renderer.render({"a": leaf[None], "b": (start["b"] + other)[None]})
         p = torch.softmax(case.target.logits(images), -1)[0, case.goal.label]
         (leaf.grad,) = torch.autograd.grad(torch.log(p / (1 - p)), leaf)
@@ -32,7 +34,7 @@ def test_steps_match_torch_sgd_on_the_signed_gradient() -> None:
 def test_groups_step_at_their_own_rate_and_stay_in_bounds() -> None:
     case = problem()
     method = FgsmMethod(SETTINGS, case)
-    method.advance(case, case.view(method.perturbation, gradient=True), 0)
+    method.advance(case, guided(case, method.perturbation), 0)
     assert set(method.perturbation["a"].abs().flatten().tolist()) == {0.01}
     # group b may not go below 0: a downward step is held there
     assert set(method.perturbation["b"].tolist()) <= {0.0, 0.02}
@@ -45,9 +47,8 @@ def test_a_gradient_that_is_not_a_number_ends_the_job() -> None:
             return super().logits(images) + (images - images.detach()).abs().sum().sqrt()
 
     case = problem(target=Broken())
-    method = FgsmMethod(SETTINGS, case)
     with pytest.raises(JobFailure, match="non-finite: the gradient of group 'a'"):
-        method.advance(case, case.view(method.perturbation, gradient=True), 0)
+        guided(case, case.nothing())
 
 
 def test_a_held_back_pixel_passes_no_gradient() -> None:
@@ -60,3 +61,11 @@ def test_a_held_back_pixel_passes_no_gradient() -> None:
     free = (~held).double().flatten()
     torch.testing.assert_close(gradient.flatten(), case.renderer.weights["a"].T @ free)  # type: ignore[attr-defined]
     assert float((view.images.detach() - case.original).abs().max()) <= 0.01 + 1e-12
+
+
+def test_a_group_without_a_slope_is_counted() -> None:
+    case = problem()
+    view = guided(case, case.nothing())
+    assert FgsmMethod(SETTINGS, case).advance(case, view, 0) == 0
+    flat = replace(view, slopes=view.slopes | {"b": torch.zeros(3, dtype=torch.float64)})
+    assert FgsmMethod(SETTINGS, case).advance(case, flat, 0) == 1

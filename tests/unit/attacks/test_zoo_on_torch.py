@@ -26,7 +26,7 @@ SCENE = {
 
 def build(group: str, weight: float = 0.1) -> Problem:
     scene = resolve(Scene.model_validate(SCENE), LIBRARY)
-    renderer = TorchRenderer(scene, rasterise(scene), torch.float64)
+    renderer = TorchRenderer(scene, rasterise(scene), tolerance="exact")
     target = registry.load("efficientnet-lite0", torch.float64)
     assert isinstance(target, Classifier)
     target = replace(target, input_size=(48, 48))  # the network takes any size, and float64 is slow

@@ -1,0 +1,47 @@
+"""What every benchmark does alike: the shortest of several runs, and a result file that says how it came about."""
+
+import json
+import platform
+import sys
+import time
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+
+RESULTS = Path(__file__).parent / "results"
+VERSIONED = ("scene-attack", "torch", "numpy", "pyrender-maintained")
+
+
+def shortest(work: Callable[[], object], repeats: int, warm_up: int = 2) -> float:
+    """Seconds of the shortest of `repeats` runs, after `warm_up` that do not count."""
+    for _ in range(warm_up):
+        work()
+    return min(_seconds(work) for _ in range(repeats))
+
+
+def _seconds(work: Callable[[], object]) -> float:
+    began = time.perf_counter()
+    work()
+    return time.perf_counter() - began
+
+
+def command() -> str:
+    """The command line that writes this result again, without where it was written to."""
+    words = list(sys.argv[1:])
+    if "--out" in words:
+        del words[words.index("--out") : words.index("--out") + 2]
+    return " ".join(["python", "-m", f"benchmarks.{Path(sys.argv[0]).stem}", *words])
+
+
+def save(path: Path, about: str, backend: str, seed: int | None, **content: object) -> None:
+    """Writes a result as JSON, with the command, the seed, the machine, the versions and the backend."""
+    head = {
+        "about": about,
+        "command": command(),
+        "seed": seed,
+        "machine": platform.platform(),
+        "versions": {"python": platform.python_version()} | {name: version(name) for name in VERSIONED},
+        "backend": backend,
+    }
+    path.write_text(json.dumps(head | content, indent=1) + "\n", "utf-8")
+    print(f"written to {path}")
