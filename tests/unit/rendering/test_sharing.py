@@ -4,7 +4,7 @@ import pytest
 from services.rendering.pyrender_plan import both_sides
 from services.rendering.pyrender_renderer import PyrenderRenderer
 from services.rendering.sharing import Array, alone, shared
-from tests.unit.rendering.shapes import mesh, placed, scene, sphere
+from tests.unit.rendering.shapes import PLATFORMS, mesh, on_platform, placed, scene, sphere
 
 
 def sides(objects: int = 1) -> dict[str, Array]:
@@ -56,3 +56,27 @@ def test_channels_are_not_shared_between_lights() -> None:
     [one] = shared(batch, 8)
     assert [slot for row, channel, slot in one.users if channel] == [0] * 4
     np.testing.assert_array_equal(one.colors[1, 0, 0], 0.5)
+
+
+_BITS = """
+import torch
+from services.rendering.pyrender_plan import both_sides
+from services.rendering.pyrender_renderer import PyrenderRenderer
+from services.scenes.description import Lights, PointLight
+from tests.unit.rendering import shapes
+
+lights = Lights(ambient=0.3, points=(PointLight(), PointLight(energy=9.0, position=(-1.0, 0.5, 1.0))))
+glass = shapes.mesh(shapes.sphere(0.3, 24, color=(0.8, 0.5, 0.2, 0.6)))
+scene = shapes.placed(shapes.scene((61, 83), 2, lights, azimuth=0.5, elevation=0.4), shapes.six_parts(), glass)
+renderer = PyrenderRenderer(scene)
+batch = both_sides(renderer.initial(), renderer.groups)
+together, whole = renderer.render(batch), renderer.exact().render(batch)
+alone = torch.cat([renderer.render({g: v[i : i + 1] for g, v in batch.items()}) for i in range(len(together))])
+print(torch.equal(together, alone), torch.equal(together, whole), float(together.std()) > 0.01, len(together))
+"""
+
+
+@pytest.mark.parametrize("platform", PLATFORMS)
+def test_pictures_that_share_have_the_bits_they_have_alone_and_whole(platform: str) -> None:
+    """No tolerance: the same instructions on the same numbers. Two lights, two objects, one of them of glass."""
+    assert on_platform(platform, _BITS).split() == ["True", "True", "True", "54"]
