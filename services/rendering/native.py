@@ -1,4 +1,4 @@
-"""The compiled inner loops of shading (native.cpp): built once per machine into the cache, then loaded.
+"""The compiled inner loops of shading (loops/): built once per machine into the cache, then loaded.
 
 Where there is no compiler the same sums run in torch, some ten times slower; `SCENE_ATTACK_KERNEL` decides. The loops
 call no Python and use `torch.get_num_threads()` threads, which never changes their bits.
@@ -21,7 +21,7 @@ from torch import Tensor
 from services.errors import JobFailure
 from services.settings import settings
 
-SOURCE = Path(__file__).with_name("native.cpp")
+LOOPS = Path(__file__).with_name("loops")
 FLAGS = ("-O3", "-march=native", "-mprefer-vector-width=512", "-fno-math-errno", "-fno-trapping-math", "-std=c++17")
 BUILD = ("-fopenmp", "-shared", "-fPIC", "-Wno-maybe-uninitialized", "-Wno-ignored-attributes")
 NAMES = {torch.float32: "float", torch.float64: "double"}
@@ -35,19 +35,40 @@ _LAYOUT: list[tuple[str, Any]] = [
         for name in ("normals", "towards", "half", "light", "base", "tilt", "log_kappa", "gamma")
     ),
 ]
-"""`Scene` of native.cpp up to its three numbers."""
+"""`Scene` of loops/shading.cpp up to its numbers."""
+_NUMBERS = ("cosine_floor", "lowest", "highest")
 
 
 class SceneFloat(ctypes.Structure):
     """Scene<float>."""
 
-    _fields_ = (*_LAYOUT, *((name, ctypes.c_float) for name in ("cosine_floor", "lowest", "highest")))
+    _fields_ = (*_LAYOUT, *((name, ctypes.c_float) for name in _NUMBERS))
 
 
 class SceneDouble(ctypes.Structure):
     """Scene<double>."""
 
-    _fields_ = (*_LAYOUT, *((name, ctypes.c_double) for name in ("cosine_floor", "lowest", "highest")))
+    _fields_ = (*_LAYOUT, *((name, ctypes.c_double) for name in _NUMBERS))
+
+
+_PERSPECTIVE: list[tuple[str, Any]] = [
+    *_LAYOUT[:4],
+    *((name, ctypes.c_void_p) for name in ("normals", "viewers", "towards", "light", "material")),
+]
+"""`Scene` of loops/perspective.cpp up to its numbers."""
+_MORE_NUMBERS = (*_NUMBERS, "most_kappa", "most_gamma")
+
+
+class PerspectiveFloat(ctypes.Structure):
+    """Scene<float> of the perspective sum."""
+
+    _fields_ = (*_PERSPECTIVE, *((name, ctypes.c_float) for name in _MORE_NUMBERS))
+
+
+class PerspectiveDouble(ctypes.Structure):
+    """Scene<double> of the perspective sum."""
+
+    _fields_ = (*_PERSPECTIVE, *((name, ctypes.c_double) for name in _MORE_NUMBERS))
 
 
 @lru_cache(maxsize=1)
@@ -111,7 +132,8 @@ def _key() -> str:
     about = Path(_compiler()).resolve()
     processor = [line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith(("model", "flags"))]
     stat = about.stat()
-    words = [SOURCE.read_text(), *FLAGS, *BUILD, str(about), str(stat.st_size), str(stat.st_mtime_ns), *processor[:3]]
+    sources = [path.read_text() for path in sorted(LOOPS.iterdir())]
+    words = [*sources, *FLAGS, *BUILD, str(about), str(stat.st_size), str(stat.st_mtime_ns), *processor[:3]]
     return hashlib.sha256("\n".join(words).encode()).hexdigest()
 
 
@@ -121,7 +143,7 @@ def _built() -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=path.parent) as folder:
             part = Path(folder) / "native.so"
-            command = [_compiler(), *FLAGS, *BUILD, "-o", str(part), str(SOURCE)]
+            command = [_compiler(), *FLAGS, *BUILD, "-o", str(part), *map(str, sorted(LOOPS.glob("*.cpp")))]
             subprocess.run(command, check=True, capture_output=True, text=True)
             part.replace(path)  # two builds at once: both whole, the last one stays
     return path

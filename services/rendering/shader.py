@@ -18,11 +18,12 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from services.rendering import dsbrdf, native
+from services.rendering import dsbrdf, native, perspective
 from services.rendering.display import to_display
 from services.rendering.normals import to_vectors
 from services.rendering.shading import Directions, Lobes, radiance, transport
 from services.rendering.table import look_up, node_vectors, tiles, touched
+from services.rendering.units import MATERIAL_UNIT
 
 CHECKED = 256
 """Pixels of a looked-up picture that are summed as well, each time, to see whether the table still holds."""
@@ -75,12 +76,16 @@ class Recipe:
 
 @dataclass(frozen=True)
 class Surface:
-    """What one object shows: angles [P, 2] and base_color [P, 3] of its pixels, material [3, 3, 2, 6]; float64."""
+    """What one object shows: angles [P, 2] and base_color [P, 3] of its pixels, material [3, 3, 2, 6]; float64.
+
+    `viewers` [P, 3] are unit vectors to the camera where each pixel has its own, None for a viewer far away.
+    """
 
     name: str
     angles: Tensor
     base_color: Tensor
     material: Tensor
+    viewers: Tensor | None = None
 
 
 class Shader:
@@ -95,7 +100,8 @@ class Shader:
         angles = surface.angles.to(recipe.dtype)
         pixels = None if recipe.moving else to_vectors(angles)
         frozen = (surface.material, illumination)
-        self._whole = _Sum(recipe, recipe.kept, sky, frozen, pixels if recipe.rows is None else None)
+        still = pixels if recipe.rows is None else None
+        self._whole = _Sum(recipe, recipe.kept, sky, frozen, still, surface.viewers)
         if recipe.rows is not None:
             among = torch.isin(recipe.kept, recipe.sharp)
             self._still_nodes = None if recipe.moving else _of_tiles(touched(angles, recipe.rows), recipe)
@@ -150,10 +156,18 @@ class _Sum:
     """The sum over some directions at any normals, or at fixed ones where its factors are kept ("transported")."""
 
     def __init__(
-        self, recipe: Recipe, kept: Tensor, sky: Sky, frozen: tuple[Tensor, Tensor], normals: Tensor | None
+        self,
+        recipe: Recipe,
+        kept: Tensor,
+        sky: Sky,
+        frozen: tuple[Tensor, Tensor],
+        normals: Tensor | None,
+        viewers: Tensor | None = None,
     ) -> None:
-        """`frozen` are the scene's own material and illumination; `normals` [N, 3] where they do not change."""
+        """`frozen` are the scene's own material and illumination; `normals` [N, 3] where they do not change; `viewers`
+        [N, 3] where each normal has its own."""
         self._recipe, self._kept = recipe, kept
+        self._viewers = None if viewers is None else viewers.to(recipe.dtype)
         self._directions = sky.directions.only(kept).to(recipe.dtype)
         self._curves, self._power = sky.curves[kept].to(recipe.dtype), sky.power[:, kept].to(recipe.dtype)
         self._plain = bool(recipe.varying.all()) and not bool(recipe.straight.any())
@@ -178,17 +192,23 @@ class _Sum:
     def summed(self, normals: Tensor, illumination: Tensor, material: Tensor) -> Tensor:
         """Radiance [N, 3] at any normals."""
         light = self._light_of(illumination) if self._light is None else self._light
+        if self._viewers is not None:
+            own = material[: 1 if self._alike(material) else dsbrdf.CHANNELS].to(self._recipe.dtype) / MATERIAL_UNIT
+            return perspective.radiance(normals, self._viewers, light, own, self._directions.towards)
         lobes = self._lobes_of(material.to(self._recipe.dtype)) if self._lobes is None else self._lobes
         return radiance(normals, light, lobes, self._directions)
 
     def _light_of(self, illumination: Tensor) -> Tensor:
         return self._power * illumination[self._kept].to(self._recipe.dtype)
 
+    def _alike(self, material: Tensor) -> bool:
+        """Whether one channel does for all: those that are the same need no gradient to be told apart, and give the
+        same bits."""
+        return self._recipe.gray or (not material.requires_grad and bool((material == material[:1]).all()))
+
     def _lobes_of(self, material: Tensor) -> Lobes:
         """The recipe's lobes at the directions, of coefficients [3, 3, 2, 6] in the group's units."""
-        # channels that are the same need no gradient to be told apart: once for all three gives the same bits
-        alike = self._recipe.gray or (not material.requires_grad and bool((material == material[:1]).all()))
-        log_kappa, gamma = dsbrdf.lobes(material[: 1 if alike else dsbrdf.CHANNELS], self._curves)
+        log_kappa, gamma = dsbrdf.lobes(material[: 1 if self._alike(material) else dsbrdf.CHANNELS], self._curves)
         if not self._plain:
             return straightened(log_kappa, gamma, self._recipe.varying, self._recipe.straight)
         flat = log_kappa.new_zeros(len(log_kappa), log_kappa.shape[-1])

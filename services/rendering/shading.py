@@ -12,6 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
+from torch.nn.functional import normalize
 
 from services.rendering import native
 from services.rendering.dsbrdf import COSINE_FLOOR, LOG_EXPONENT_RANGE
@@ -198,8 +199,9 @@ def _slopes(
 
 
 def _log_half(normals: Tensor, half: Tensor) -> Tensor:
-    """log n·h [N, D], of n·h ≥ COSINE_FLOOR; in float64, as a lobe of γ = 1e5 looks at 1 − n·h of 1e-5."""
-    wide = torch.mm(normals.double(), half[:3].double())
+    """log n·h [N, D], of n·h ≥ COSINE_FLOOR, in float64 and of vectors made unit there: a lobe of γ = 1e5 looks at
+    1 − n·h of 1e-5."""
+    wide = torch.mm(normalize(normals.double(), dim=-1), normalize(half[:3].double(), dim=0))
     return wide.clamp_(COSINE_FLOOR, 1.0).log_().to(normals.dtype)
 
 

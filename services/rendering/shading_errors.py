@@ -149,7 +149,8 @@ def _signs(like: Tensor, random: torch.Generator) -> Tensor:
 def _some(surface: Surface, most: int) -> Surface:
     """The surface at so many of its pixels at most, evenly spaced."""
     stride = -(-len(surface.angles) // most)
-    return replace(surface, angles=surface.angles[::stride], base_color=surface.base_color[::stride])
+    viewers = None if surface.viewers is None else surface.viewers[::stride]
+    return replace(surface, angles=surface.angles[::stride], base_color=surface.base_color[::stride], viewers=viewers)
 
 
 def _brightest(surface: Surface, sky: Sky, illumination: Tensor, kept: Tensor) -> Tensor:

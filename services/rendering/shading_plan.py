@@ -104,7 +104,7 @@ def _needs(surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[st
     items = [_item(surface, "directions", len(kept), sky.power.shape[1], why)]
     every = torch.ones(dsbrdf.CHANNELS, dsbrdf.LOBES, dtype=torch.bool)
     varying, straight, gray = every, ~every, False
-    if "material" not in groups:
+    if "material" not in groups and surface.viewers is None:
         bounds = errors.lobe_bounds(surface, sky, illumination, groups, kept)
         small = LOBES_SHARE * tolerance / dsbrdf.LOBES
         dark, straight = bounds.dark <= small, (bounds.straight <= small) & (bounds.dark > small)
@@ -139,11 +139,16 @@ def _cheapest(
 ) -> tuple[Recipe, list[Stage]]:
     """The cheapest recipe whose estimated error fits into what the items left of the tolerance."""
     left, pixels = tolerance - needs.error, len(surface.angles)
-    direct = replace(needs.recipe, nodes=_kind(needs.recipe, groups, pixels, looked_up=False))
+    direct = replace(
+        needs.recipe, nodes=_kind(needs.recipe, groups, pixels, looked_up=False, near=surface.viewers is not None)
+    )
     rounding = ROUNDING + errors.of_float32(surface, sky, illumination, direct)
     if rounding > left:
         wide = replace(direct, dtype=torch.float64)
         return wide, [_nodes_stage(surface, wide, pixels, f"float32 would be off by {rounding:.0e}", 0.0)]
+    if surface.viewers is not None:
+        why = "the viewer is near: radiance depends on the pixel, not on its normal alone"
+        return direct, [_nodes_stage(surface, direct, pixels, why, rounding)]
     measured = errors.Measured(surface, sky, illumination, groups, needs.recipe)
     why = "a table would cost more"
     failed: list[tuple[int, int]] = []
@@ -184,8 +189,8 @@ def _tables(
             yield recipe, count
 
 
-def _kind(recipe: Recipe, groups: Sequence[str], nodes: int, looked_up: bool) -> Nodes:
-    if "material" in groups:
+def _kind(recipe: Recipe, groups: Sequence[str], nodes: int, looked_up: bool, near: bool = False) -> Nodes:
+    if "material" in groups or near:
         return "summed"
     if "illumination" in groups:
         size = 4 * nodes * len(recipe.kept) * recipe.channels

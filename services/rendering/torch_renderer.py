@@ -5,7 +5,8 @@ Radiance of a pixel with normal n, for a viewer and light far away,
     I = base_color · exposure · Σ_ω ρ(θ_h, θ_d) · chroma(ω) · ℓ(ω) · max(0, n·ω) · ΔΩ(ω),
 
 then the sRGB curve on [0,1], and over the ground by coverage. The viewer is one direction, from the scene's origin to
-the camera: a modelling choice of the paper, under which θ_d belongs to the light direction alone. How the sum is done
+the camera: a modelling choice of the paper, under which θ_d belongs to the light direction alone; the camera's `viewer`
+"perspective" gives each pixel its own. How the sum is done
 for the attacked groups is compiled into a plan (shading_plan) when the renderer is made.
 """
 
@@ -93,13 +94,15 @@ class TorchRenderer:
         self._coverage = coverage[self._pixels, None].to(dtype)
         self._ground = torch.tensor(scene.description.ground, dtype=dtype)
 
+        near = scene.description.camera.viewer == "perspective"
         surfaces = [
-            Surface(f"object {i}", own, color.double(), material)
-            for i, (own, color, material) in enumerate(
+            Surface(f"object {i}", own, color.double(), material, own_viewers if near else None)
+            for i, (own, color, material, own_viewers) in enumerate(
                 zip(
                     torch.split(angles[self._pixels], self._counts),
                     torch.split(base_color, self._counts),
                     rounded["material"],
+                    torch.split(viewers_of(scene, self.size)[self._pixels], self._counts),
                     strict=True,
                 )
             )
@@ -184,3 +187,15 @@ def _sky(radiance: Tensor, to_camera: Tensor) -> Sky:
     half, theta_d = dsbrdf.half_vectors(towards, torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
     power = radiance.reshape(-1, 3).T * solid_angles(rows, cols)
     return Sky(Directions.of(towards, half), dsbrdf.basis(theta_d) / MATERIAL_UNIT, power)
+
+
+def viewers_of(scene: ResolvedScene, size: tuple[int, int]) -> Tensor:
+    """Unit vectors [H·W, 3] from what each pixel shows towards the camera, in the camera's frame, float64."""
+    height, width = size
+    across = torch.as_tensor(scene.projection, dtype=torch.float64)
+    x = ((torch.arange(width, dtype=torch.float64) + 0.5) * 2 / width - 1) / across[0, 0]
+    y = (1 - (torch.arange(height, dtype=torch.float64) + 0.5) * 2 / height) / across[1, 1]
+    down, right = torch.meshgrid(y, x, indexing="ij")
+    return torch.nn.functional.normalize(
+        torch.stack((-right, -down, torch.ones_like(right)), -1).reshape(-1, 3), dim=-1
+    )

@@ -5,7 +5,7 @@ colours in [0,1]. Every field has a default that works and bounds that are check
 """
 
 from math import pi
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
@@ -47,6 +47,11 @@ class Camera(Model):
         FIELD_OF_VIEW, description="vertical field of view, radians"
     )
     size: tuple[Pixels, Pixels] = Field((224, 224), description="height and width in pixels; the paper's is 448×448")
+    viewer: Literal["distant", "perspective"] = Field(
+        "distant",
+        description="what highlights see of the viewer (torch): one direction for all pixels, as in the paper, or each "
+        "pixel's own; at distance 3 the two differ by up to a third of a highlight",
+    )
 
 
 class SceneObject(Model):
