@@ -22,9 +22,7 @@ class ImageRenderer:
         self.backend = f"image of {drawn_by}"
         height, width = self.size
         pixels = Item(what="pixels", kept=height * width, of=height * width, why="each is a parameter")
-        self.plan = Plan(
-            renderer=self.name, groups=self.groups, size=self.size, tolerance="exact", items=(pixels,), stages=()
-        )
+        self.plan = Plan.of(self.name, self.groups, self.size, "exact", [pixels])
 
     def initial(self) -> Parameters:
         """The picture, {"image": [H, W, 3]}."""

@@ -82,7 +82,7 @@ def _chunk(normals: Tensor, viewers: Tensor, light: Tensor, material: Tensor, to
     theta_d = torch.atan2((2 - 2 * between).clamp_min(0.0).sqrt(), length)
     dtype = normals.dtype
     curves = dsbrdf.basis(theta_d).to(dtype).flatten(0, 1)
-    log_kappa, gamma = (curve.unflatten(-1, cosine.shape) for curve in dsbrdf.lobes(material, curves))
+    log_kappa, gamma = (curve.reshape(*curve.shape[:-1], *cosine.shape) for curve in dsbrdf.lobes(material, curves))
     log_half = half.clamp(dsbrdf.COSINE_FLOOR, 1.0).log().to(dtype)
     rho = dsbrdf.reflectance(log_half, log_kappa, gamma).sum(1) * cosine.clamp_min(0.0).to(dtype)
     return torch.einsum("cpd,cd->pc", rho.expand(3, -1, -1), light)

@@ -4,9 +4,10 @@ A plan is made before anything is attacked, stored with the result and shown on 
 executable side of it; nothing runs that the plan does not say.
 """
 
-from typing import Any, Literal
+from collections.abc import Sequence
+from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field
 
 Tolerance = float | Literal["exact"]
 """Largest error of a displayed value, in [0,1], that the loop's pictures may have; "exact" for no shortcut at all."""
@@ -57,12 +58,27 @@ class Plan(_Record):
         description="estimated largest error of any displayed value: the errors that meet in a part add up at worst"
     )
 
-    @model_validator(mode="before")
     @classmethod
-    def _add_up(cls, data: Any) -> Any:
-        if isinstance(data, dict) and "error" not in data:
-            errors: dict[str, float] = {}
-            for entry in (*data.get("items", ()), *data.get("stages", ())):
-                errors[entry.part] = errors.get(entry.part, 0.0) + entry.error
-            return data | {"error": errors.pop("", 0.0) + max(errors.values(), default=0.0)}
-        return data
+    def of(
+        cls,
+        renderer: str,
+        groups: Sequence[str],
+        size: tuple[int, int],
+        tolerance: Tolerance,
+        items: Sequence[Item],
+        stages: Sequence[Stage] = (),
+    ) -> "Plan":
+        """The plan of these items and stages, with the error they add up to."""
+        errors: dict[str, float] = {}
+        entries: list[Item | Stage] = [*items, *stages]
+        for entry in entries:
+            errors[entry.part] = errors.get(entry.part, 0.0) + entry.error
+        return cls(
+            renderer=renderer,
+            groups=tuple(groups),
+            size=size,
+            tolerance=tolerance,
+            items=tuple(items),
+            stages=tuple(stages),
+            error=errors.pop("", 0.0) + max(errors.values(), default=0.0),
+        )

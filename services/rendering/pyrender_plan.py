@@ -106,7 +106,7 @@ def compile_plan(
                     why="exact: every picture by itself" if plain else WHY[name],
                 )
             )
-    return Plan(
+    return Plan.of(
         renderer=renderer.name,
         groups=tuple(groups),
         size=renderer.size,

@@ -76,15 +76,7 @@ def compile_plan(
             recipe, chosen = _cheapest(surface, sky, illumination, groups, tolerance, needs)
             stages += chosen
         recipes.append(recipe)
-    plan = Plan(
-        renderer="torch",
-        groups=tuple(groups),
-        size=size,
-        tolerance=tolerance,
-        items=tuple(items),
-        stages=tuple(stages),
-    )
-    return recipes, plan
+    return recipes, Plan.of("torch", groups, size, tolerance, items, stages)
 
 
 @dataclass(frozen=True)
