@@ -7,13 +7,12 @@ thread, and a forked child of a process that has one hangs.
 """
 
 import os
-import subprocess
-import sys
 import threading
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from services.errors import JobFailure
+from services.rendering import probe
 from services.settings import settings
 
 if TYPE_CHECKING:
@@ -21,12 +20,6 @@ if TYPE_CHECKING:
 
 PLATFORMS = ("egl", "osmesa")
 PACKAGES = "install the Debian packages `libegl1 libgl1 libgl1-mesa-dri` (EGL) or `libosmesa6 libgl1` (OSMesa)"
-PROBE_SECONDS = 60.0
-
-_PROBE = """
-import services.rendering.gl as gl
-print(gl.try_egl_devices())
-"""
 
 
 @dataclass(frozen=True)
@@ -53,6 +46,7 @@ def context() -> Context:
     with _lock:
         if _context is None:
             _context = _create(choose_platform())
+            probe.confirm()
     if _context.pid != os.getpid():
         raise JobFailure("internal", "OpenGL was used before this process was forked; start it afresh (spawn) instead")
     if _context.thread != threading.get_ident():
@@ -80,7 +74,7 @@ def choose_platform() -> str:
             raise JobFailure("internal", f"SCENE_ATTACK_GL={wanted} contradicts PYOPENGL_PLATFORM={chosen}; unset one")
         return chosen
     if wanted != "osmesa":
-        device, trouble = _probe_egl()
+        device, trouble = probe.working_device()
         if device is not None:
             os.environ["EGL_DEVICE_ID"] = device
             wanted = "egl"
@@ -107,26 +101,6 @@ def try_egl_devices() -> str:
         else:
             return device
     raise RuntimeError("; ".join(errors) or "no EGL device")
-
-
-def _probe_egl() -> tuple[str | None, str]:
-    """The EGL device that works, or None and why."""
-    environment = os.environ | {"PYOPENGL_PLATFORM": "egl", "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-    try:
-        done = subprocess.run(
-            [sys.executable, "-c", _PROBE],
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=PROBE_SECONDS,
-            check=False,
-        )
-    except (OSError, subprocess.TimeoutExpired) as error:
-        return None, str(error)
-    if done.returncode == 0:
-        return done.stdout.split()[-1], ""
-    lines = done.stderr.strip().splitlines()
-    return None, lines[-1] if lines else f"the probe ended with status {done.returncode}"
 
 
 def _create(platform: str) -> Context:

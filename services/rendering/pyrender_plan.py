@@ -98,7 +98,7 @@ def compile_plan(
             stages.append(
                 Stage(
                     name=name,
-                    method=f"{pictures} pictures in {len(passes)} passes over the geometry for both sides of "
+                    method=f"{pictures} pictures, {len(passes)} times over the geometry, for both sides of "
                     f"{count} coordinates ({', '.join(attacked)})",
                     when="every picture",
                     evaluations=len(passes),

@@ -8,15 +8,17 @@ import pytest
 import torch
 
 from services.errors import JobFailure
-from services.rendering import gl
+from services.rendering import gl, probe
 from services.rendering.pyrender_renderer import PyrenderRenderer
 from services.settings import settings
 from tests.unit.rendering.shapes import PLATFORMS, mesh, on_platform, placed, quad, scene
 
 
 @pytest.fixture
-def fresh(monkeypatch: pytest.MonkeyPatch):
-    """The environment of a process that has not chosen a platform yet; settings are read again."""
+def fresh(monkeypatch: pytest.MonkeyPatch, tmp_path):
+    """The environment of a process that has not chosen a platform yet, nor any before it; settings are read again."""
+    monkeypatch.setenv("SCENE_ATTACK_CACHE", str(tmp_path))
+    monkeypatch.setattr(probe, "_taken", {})
     for name in ("PYOPENGL_PLATFORM", "EGL_DEVICE_ID", "SCENE_ATTACK_GL"):
         monkeypatch.setenv(name, "")  # so that what the code under test sets is taken back afterwards
         monkeypatch.delenv(name)
