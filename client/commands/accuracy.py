@@ -45,8 +45,7 @@ def stability(
             line.update(f"{next(numbers)}/{len(chosen)}  {case.family}: {case.name}")
 
         observations = run(chosen, show)
-    command = "scene-attack accuracy stability" + (" --quick" if quick else "")
-    found = report(observations, command + (f" --out {out}" if out != OUT else ""))
+    found = report(observations, "scene-attack accuracy stability" + (" --quick" if quick else ""))
     write(found, out)
     if as_json:
         print_json(found.model_dump(mode="json"))

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from services.accuracy.case import Case, Measured, need
-from services.accuracy.networks import SIDE, linear_network
+from services.accuracy.linear import SIDE, linear_network
 from services.attacks.exact import Judge
 from services.attacks.fgsm import FgsmMethod
 from services.attacks.goal import ResolvedGoal

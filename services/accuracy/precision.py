@@ -7,7 +7,7 @@ import torch
 from pydantic import TypeAdapter, ValidationError
 
 from services.accuracy.case import Case, Measured, need
-from services.accuracy.networks import SIDE, linear_network
+from services.accuracy.linear import SIDE, linear_network
 from services.accuracy.placing import placed, sky
 from services.attacks.goal import ResolvedGoal
 from services.attacks.seeds import LARGEST, Seed, generator

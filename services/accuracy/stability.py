@@ -2,10 +2,22 @@
 
 from collections.abc import Callable, Sequence
 
-from services.accuracy import environments, lights, lobes, logits, meshes, normals, precision, sizes, steps, views
+from services.accuracy import (
+    differences,
+    environments,
+    lights,
+    lobes,
+    logits,
+    meshes,
+    normals,
+    precision,
+    sizes,
+    steps,
+    views,
+)
 from services.accuracy.case import Case, Observation, observe
 
-FAMILIES = (lobes, normals, environments, views, meshes, lights, logits, steps, sizes, precision)
+FAMILIES = (lobes, normals, environments, views, meshes, lights, logits, differences, steps, sizes, precision)
 
 
 def cases(quick: bool = False) -> list[Case]:

@@ -1,0 +1,108 @@
+"""Differences over steps that are far too small, or far too large."""
+
+import torch
+from torch import Tensor
+
+from services.accuracy.case import Case, Measured, need
+from services.accuracy.linear import SIDE, linear_problem, linear_slopes, pixels
+from services.accuracy.placing import placed
+from services.attacks.differences import estimate, layout, measure_noise
+from services.attacks.exact import Judge
+from services.attacks.loop import Budget, run
+from services.attacks.spec import Zoo
+from services.attacks.zoo import ZooMethod
+from services.rendering.build import build
+from services.rendering.protocol import Renderer
+
+
+def _too_small(renderer: Renderer, group: str) -> Measured:
+    """Differences that round to nothing are called flat, and their slope is 0."""
+    problem = linear_problem(renderer, (group,), lead=0.0)
+    where = layout(problem)
+    count = min(where.total, 24)
+    deltas = torch.full((count,), 1e-12, dtype=torch.float64)
+    nothing = torch.zeros(where.total)
+    found = estimate(problem, nothing, torch.arange(count), deltas, measure_noise(problem, nothing))
+    need(bool(found.flat.all()), f"{int((~found.flat).sum())} of {count} differences are not called flat")
+    return Measured(
+        float(found.slopes.abs().max()), 0.0, f"largest slope; {count} of {count} differences reported flat"
+    )
+
+
+def _zoo_flat() -> Measured:
+    """An attack all of whose differences are flat goes nowhere, and every row of its trace says so."""
+    renderer = pixels()
+    problem = linear_problem(renderer)
+    method = ZooMethod(Zoo(method="zoo", renderer="image", delta=1e-12, coordinates=50, steps=3), problem)
+    found = run(problem, method, Judge(renderer, problem.target), Budget(3))
+    need([row.flat for row in found.trace] == [0, 50, 50, 50], f"reported flat: {[row.flat for row in found.trace]}")
+    need(not any(bool(v.any()) for n, v in method.state().items() if n in ("first", "second", "moves")), "Adam moved")
+    return Measured(
+        float(found.stored["image"].abs().max()), 0.0, "largest perturbation; all differences reported flat"
+    )
+
+
+def _slopes(delta: float, at: float = 0.0) -> tuple[Tensor, Tensor, Tensor, float]:
+    """Slopes, their closed form, which are flat, and the noise, of differences of pixels."""
+    problem = linear_problem(pixels(), lead=0.0)
+    start = torch.full((3 * SIDE * SIDE,), at)
+    noise = measure_noise(problem, start)
+    deltas = torch.full((len(start),), delta, dtype=torch.float64)
+    found = estimate(problem, start, torch.arange(len(start)), deltas, noise)
+    return found.slopes, linear_slopes().flatten(), found.flat, noise
+
+
+def _too_large() -> Measured:
+    """A step of 1 leaves [0,1] on both sides: it is held at the bounds, and the way between them divides."""
+    slopes, wanted, flat, _ = _slopes(1.0)
+    need(not bool(flat.any()), "a difference is called flat")
+    return Measured(
+        float((slopes - wanted).abs().max() / wanted.abs().max()), 1e-5, "relative error of a slope, closed form"
+    )
+
+
+def _sweep() -> Measured:
+    """At every step from 1e-1 to 1e-12 a slope is right to the noise over the step, or called flat."""
+    worst = 0.0
+    for exponent in range(1, 13):
+        delta = 10.0**-exponent
+        slopes, wanted, flat, noise = _slopes(delta, at=0.1)
+        need(exponent > 3 or not bool(flat.all()), f"all differences of {delta:g} are flat")
+        error = (slopes - wanted).abs()[~flat]
+        if len(error):
+            worst = max(worst, float(error.max()) * 2 * delta / (noise + 1e-5 * 2 * delta * float(wanted.abs().max())))
+    return Measured(worst, 1.0, "error of a slope that is not flat, in units of the noise over the step")
+
+
+def cases() -> list[Case]:
+    """The cases of this family."""
+    family, flat = "differences", "called flat, slope 0"
+    return [
+        Case(
+            "δ = 1e-12, pixels",
+            family,
+            "below float32's rounding",
+            flat,
+            lambda: _too_small(pixels(), "image"),
+            "flat",
+        ),
+        Case(
+            "δ = 1e-12, pyrender",
+            family,
+            "float64 parameters, float32 pictures",
+            flat,
+            lambda: _too_small(build(placed(size=(16, 16)), "pyrender"), "illumination"),
+            "flat",
+        ),
+        Case(
+            "δ = 1e-12, torch",
+            family,
+            "below float32's rounding",
+            flat,
+            lambda: _too_small(build(placed(size=(16, 16)), "torch"), "material"),
+            "flat",
+        ),
+        Case("ZOO with δ = 1e-12", family, "nothing to go by", "goes nowhere, and says so", _zoo_flat, "flat"),
+        Case("δ = 1", family, "beyond both bounds", "the slope is right", _too_large, "clipped"),
+        Case("δ from 1e-1 to 1e-12", family, "differences drown in rounding", "right to the noise, or flat", _sweep),
+    ]

@@ -1,0 +1,134 @@
+"""Ways to break scores, goals, attacks and seeds, each as a function of pytest's monkeypatch."""
+
+import torch
+
+from services.accuracy import differences, precision
+from services.attacks import goal, problem, zoo
+from services.attacks.differences import Estimate
+from services.attacks.fgsm import FgsmMethod
+from services.rendering import display
+from services.targets.classifier import Classifier
+
+
+def odds_of_probabilities(patch) -> None:
+    """Log-odds from the softmax: the dead zone of a certain network."""
+
+    def log_odds(scores, label):
+        p = torch.softmax(scores, dim=-1)[..., label]
+        return torch.log(p / (1 - p))
+
+    patch.setattr(goal, "log_odds", log_odds)
+
+
+def no_odds(patch) -> None:
+    patch.setattr(goal, "log_odds", lambda scores, label: 0 * scores[..., label])
+
+
+def odds_by_largest(patch) -> None:
+    """The margin in place of the log-odds."""
+    patch.setattr(goal, "log_odds", lambda scores, label: scores[..., label] - scores.amax(-1))
+
+
+def narrow_odds(patch) -> None:
+    true = goal.log_odds
+    patch.setattr(goal, "log_odds", lambda scores, label: true(scores, label).to(scores.dtype))
+
+
+def ties_by_value(patch) -> None:
+    """Fooled where another score is as large."""
+
+    def fooled(self, scores):
+        return scores[..., self.label] <= scores.scatter(
+            -1, torch.full((*scores.shape[:-1], 1), self.label), -torch.inf
+        ).amax(-1)
+
+    patch.setattr(goal.ResolvedGoal, "fooled", fooled)
+
+
+def any_number_of_labels(patch) -> None:
+    patch.setattr(goal, "_several", lambda _: None)
+
+
+def never_flat(patch) -> None:
+    """Differences of rounding are taken for slopes; the way between the sides is always said to be 2δ and more."""
+    true = differences.estimate
+
+    def estimate(*given):
+        found = true(*given[:-1], -1.0)
+        return Estimate(1.3 * found.slopes + 1e-3, torch.zeros_like(found.flat))
+
+    patch.setattr(differences, "estimate", estimate)
+    patch.setattr(zoo, "estimate", estimate)
+
+
+def no_bounds(patch) -> None:
+    patch.setattr(problem.Problem, "clamp", lambda _, perturbation: dict(perturbation))
+
+
+def drifting(patch) -> None:
+    """Every step goes a little further than it should, and none is reported flat."""
+    true = FgsmMethod.advance
+
+    def advance(self, *given):
+        true(self, *given)
+        self.perturbation = {group: value * 1.01 + 1e-3 for group, value in self.perturbation.items()}
+        return 0
+
+    patch.setattr(FgsmMethod, "advance", advance)
+
+
+def runaway(patch) -> None:
+    """Steps that grow without end."""
+    true = FgsmMethod.advance
+
+    def advance(self, *given):
+        flat = true(self, *given)
+        self.perturbation = {group: value * torch.inf for group, value in self.perturbation.items()}
+        return flat
+
+    patch.setattr(FgsmMethod, "advance", advance)
+
+
+def silent(patch) -> None:
+    """A gradient of zero is not reported."""
+    true = FgsmMethod.advance
+    patch.setattr(FgsmMethod, "advance", lambda self, *given: 0 * true(self, *given))
+
+
+def exact_limit(patch) -> None:
+    """U without an allowance for rounding."""
+    patch.setattr(problem, "ROUNDING", 0.0)
+
+
+def no_limit(patch) -> None:
+    """Nothing is held back at U."""
+    true = problem.truncate
+
+    def truncate(images, original, limit):
+        return images, true(images, original, limit)[1]
+
+    patch.setattr(problem, "truncate", truncate)
+
+
+def narrow_rounding(patch) -> None:
+    """Pictures are rounded to 8 bits in their own type."""
+
+    def as_saved(images):
+        return display.from_bytes((images.clamp(0, 1) * 255).round().to(torch.uint8))
+
+    patch.setattr(precision, "as_saved", as_saved)
+
+
+def narrow_scores(patch) -> None:
+    true = Classifier.logits
+    patch.setattr(Classifier, "logits", lambda self, *given: true(self, *given).to(self.dtype))
+
+
+def short_seeds(patch) -> None:
+    """Seeds of 32 bits."""
+    true = precision.generator
+    patch.setattr(precision, "generator", lambda seed, *words: true(seed % 2**32, *words))
+
+
+def any_seed(patch) -> None:
+    patch.setattr(precision, "Seed", int)

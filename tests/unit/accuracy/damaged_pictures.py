@@ -1,0 +1,49 @@
+"""Renderers whose pictures are not what they should be."""
+
+import torch
+
+from services.accuracy import differences, meshes, precision, shading, sizes, steps, views
+
+BUILDERS = (shading, views, differences, steps, sizes, precision, meshes)
+"""Modules that make renderers."""
+
+
+class Damaged:
+    """A renderer whose pictures go through `change`(picture, parameters)."""
+
+    def __init__(self, renderer, change) -> None:
+        self._renderer, self._change = renderer, change
+
+    def __getattr__(self, name):
+        return getattr(self._renderer, name)
+
+    def render(self, parameters):
+        return self._change(self._renderer.render(parameters), parameters)
+
+    def exact(self):
+        return Damaged(self._renderer.exact(), self._change)
+
+
+def pictures(change):
+    """Breaks every renderer that a case makes."""
+
+    def apply(patch) -> None:
+        for module in BUILDERS:
+            true = module.build
+            patch.setattr(module, "build", lambda *given, true=true, **named: Damaged(true(*given, **named), change))
+
+    return apply
+
+
+lighter_pictures = pictures(lambda picture, _: (picture + 0.01).clamp_max(1))
+moved_by_parameters = pictures(
+    lambda picture, given: picture + 1e-3 * sum(bool(v.abs().max() > 50) for v in given.values())
+)
+eight_bit_pictures = pictures(
+    lambda picture, given: (
+        picture.bfloat16().float() if any(v.dtype == torch.bfloat16 for v in given.values()) else picture
+    )
+)
+
+
+grainy_pictures = pictures(lambda picture, _: picture if picture.shape[1] == 64 else picture + 0.01)

@@ -1,0 +1,88 @@
+"""The report: what it says, how it ends, and that the committed one is whole."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from client.cli import app
+from services.accuracy import stability
+from services.accuracy.case import Case, Measured, need, observe
+from services.accuracy.report import WORDS, Report, band, markdown
+from services.errors import InvalidRequest, JobFailure
+
+COMMITTED = Path(__file__).parents[3] / "docs" / "accuracy"
+
+
+def case(measure, **more) -> Case:
+    return Case("a name", "a family", "what is stiff", "what must hold", measure, **more)
+
+
+def raising(error):
+    def measure() -> Measured:
+        raise error
+
+    return measure
+
+
+@pytest.mark.parametrize(
+    ("made", "outcome"),
+    [
+        (case(lambda: Measured(1.0, 1.0, "a number")), "ok"),
+        (case(lambda: Measured(1.1, 1.0, "a number")), "failed"),
+        (case(lambda: Measured(float("nan"), 1.0, "a number")), "failed"),
+        (case(lambda: Measured(0.0, 1.0, "a number"), outcome="flat"), "flat"),
+        (case(lambda: Measured(2.0, 1.0, "a number"), outcome="clipped"), "failed"),
+        (case(lambda: Measured(0.0, 1.0, "a number"), outcome="refused", refusal="file"), "failed"),
+        (case(raising(InvalidRequest("file", "why")), outcome="refused", refusal="file"), "refused"),
+        (case(raising(InvalidRequest("kind", "why")), outcome="refused", refusal="file"), "failed"),
+        (case(raising(InvalidRequest("file", "")), outcome="refused", refusal="file"), "failed"),
+        (case(raising(JobFailure("non-finite", "why")), outcome="refused", refusal="non-finite"), "refused"),
+        (case(raising(InvalidRequest("file", "why"))), "failed"),
+        (case(raising(ZeroDivisionError())), "failed"),
+        (case(lambda: Measured(float(np.float32(3e38) * np.float32(10) > 0), 1.0, "an overflow")), "failed"),
+    ],
+)
+def test_outcomes(made: Case, outcome: str) -> None:
+    assert observe(made).outcome == outcome
+
+
+def test_the_reason_of_a_failure_is_kept() -> None:
+    seen = observe(case(lambda: need(False, "the picture is blue")))
+    assert (seen.outcome, seen.what) == ("failed", "the picture is blue")
+
+
+def test_a_refusal_must_be_named() -> None:
+    with pytest.raises(ValueError, match="names its field"):
+        case(lambda: Measured(0, 0, ""), outcome="refused")
+
+
+def test_seconds_are_told_roughly() -> None:
+    assert [band(s) for s in (0.01, 9.0, 99.0, 500.0)] == ["< 10", "< 10", "< 100", "≥ 100"]
+
+
+def test_the_command_ends_with_1_and_the_reason_when_a_case_fails(tmp_path, monkeypatch) -> None:
+    good = [made for made in stability.cases() if made.family == "logits"][:3]
+    bad = replace(good[0], name="a bad one", measure=lambda: need(False, "the reason"))
+    for chosen, code in ((good, 0), ([*good, bad], 1)):
+        monkeypatch.setattr(stability, "cases", lambda _, chosen=chosen: chosen)
+        done = CliRunner().invoke(app, ["accuracy", "stability", "--quick", "--out", str(tmp_path), "--json"])
+        assert done.exit_code == code
+        found = json.loads((tmp_path / "stability.json").read_text())
+        assert json.loads(done.stdout) == found
+        assert found["counts"]["failed"] == code
+        assert ("a bad one: the reason" in done.stderr) == bool(code)
+        assert ("**failed**" in (tmp_path / "stability.md").read_text()) == bool(code)
+
+
+def test_the_committed_report_has_every_case_and_none_failed() -> None:
+    text = (COMMITTED / "stability.json").read_text("utf-8")
+    found = Report.model_validate_json(text)
+    wanted = [(made.family, made.name, made.stiff, made.must, made.outcome) for made in stability.cases()]
+    assert [(row.family, row.name, row.stiff, row.must, row.outcome) for row in found.cases] == wanted
+    assert len(wanted) >= 40
+    assert found.counts == {word: sum(row[4] == word for row in wanted) for word in WORDS}
+    assert (COMMITTED / "stability.md").read_text("utf-8") == markdown(found)
