@@ -1,0 +1,180 @@
+"""Our attack on pixels beside Foolbox's and torchattacks', on the same network and pictures. Writes
+results/image_attacks.json.
+
+Time: every attack makes the same number of steps, so small that nothing is fooled and nothing ends early; per step,
+shortest of the repeats, which take turns. Success: the same step and bound for all; every adversary is judged as
+it would be saved, rounded to 8 bits, by the same network; p over those that fool it. The peers attack the network
+as plain torch gives it (contiguous) and in channels_last; ours is the one jobs use.
+"""
+
+import argparse
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from benchmarks.peers import Lite0, reach
+from benchmarks.report import RESULTS, save
+from benchmarks.views import right
+from services.analysis.perceptibility import of_pictures
+from services.attacks.exact import Judge
+from services.attacks.fgsm import FgsmMethod
+from services.attacks.goal import ResolvedGoal
+from services.attacks.loop import Attack, Budget, run_together
+from services.attacks.problem import Problem
+from services.attacks.spec import Fgsm
+from services.jobs.prepare import prepare
+from services.jobs.spec import parse
+from services.rendering.display import from_bytes, to_bytes
+from services.rendering.image_renderer import ImageRenderer
+from services.scenes.library import Library
+from services.settings import settings
+from services.targets import registry
+from services.targets.protocol import Target
+
+BOUND = 18 / 255
+STEP = 0.002
+"""Of the paper's attack on pixels, section 4.1."""
+STILL = 1e-9
+FORMATS = {"contiguous": torch.contiguous_format, "channels_last": torch.channels_last}
+
+
+@dataclass
+class Pictures:
+    """Saved pictures that the network gets right: uint8 [B, H, W, 3] and labels [B]."""
+
+    saved: Tensor
+    labels: Tensor
+
+
+Attacks = Callable[[Pictures, float, int], Tensor]
+"""From pictures, step size and number of steps to the adversaries, uint8 [B, H, W, 3]."""
+
+
+def ours(momentum: float) -> Attacks:
+    """FGSM on the renderer whose only group is the pixels; a batch in lockstep."""
+    target = registry.load("efficientnet-lite0")
+
+    def attack(pictures: Pictures, step: float, steps: int) -> Tensor:
+        attacks = [
+            _attack(target, *one, step, steps, momentum) for one in zip(pictures.saved, pictures.labels, strict=True)
+        ]
+        return torch.stack([found.picture for found in run_together(attacks)])
+
+    return attack
+
+
+def _attack(target: Target, saved: Tensor, label: Tensor, step: float, steps: int, momentum: float) -> Attack:
+    chosen = Fgsm(method="fgsm", renderer="image", learning_rate={"image": step}, momentum=momentum)
+    renderer = ImageRenderer(from_bytes(saved), "a file")
+    problem = Problem(renderer, target, ResolvedGoal(int(label), None), ("image",), truncation=BOUND)
+    return Attack(problem, FgsmMethod(chosen, problem), Judge(renderer, target), Budget(steps))
+
+
+def torchattacks(network: Lite0, name: str) -> Attacks:
+    """Its BIM or MIFGSM."""
+    import torchattacks as library
+
+    def attack(pictures: Pictures, step: float, steps: int) -> Tensor:
+        method = getattr(library, name)(network, eps=BOUND, alpha=step, steps=steps)
+        return _bytes(method(_channels_first(pictures), pictures.labels))
+
+    return attack
+
+
+def foolbox(network: Lite0, name: str) -> Attacks:
+    """Its LinfBasicIterativeAttack or LinfMomentumIterativeFastGradientMethod."""
+    import foolbox as library
+
+    model = library.PyTorchModel(network, bounds=(0, 1), device="cpu")
+
+    def attack(pictures: Pictures, step: float, steps: int) -> Tensor:
+        method = getattr(library.attacks, name)(abs_stepsize=step, steps=steps, random_start=False)
+        _, found, _ = method(model, _channels_first(pictures), pictures.labels, epsilons=BOUND)
+        return _bytes(found)
+
+    return attack
+
+
+def _channels_first(pictures: Pictures) -> Tensor:
+    return from_bytes(pictures.saved).permute(0, 3, 1, 2).contiguous()
+
+
+def _bytes(images: Tensor) -> Tensor:
+    return to_bytes(images.permute(0, 2, 3, 1))
+
+
+def main() -> None:
+    """Runs the comparison; see --help."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--views", type=int, default=8, help="pictures, and the larger batch (default 8)")
+    parser.add_argument("--steps", type=int, default=10, help="steps that are timed (default 10)")
+    parser.add_argument("--repeats", type=int, default=5, help="repeats of the timing (default 5)")
+    parser.add_argument("--success-steps", type=int, default=20, help="most steps of an attack (default 20)")
+    parser.add_argument("--out", type=Path, default=RESULTS / "image_attacks.json")
+    options = parser.parse_args()
+    reach()
+    torch.set_num_threads(settings().threads)
+    target = registry.load("efficientnet-lite0")
+    pictures, views = _pictures(Library(settings().cache_dir, settings().data_dir), options.views)
+    attacks = {"ours, momentum 0": ours(0.0), "ours, momentum 0.9": ours(0.9)}
+    for format_name, memory_format in FORMATS.items():
+        network = Lite0(memory_format)
+        for name in ("BIM", "MIFGSM"):
+            attacks[f"torchattacks {name}, {format_name}"] = torchattacks(network, name)
+        for name in ("LinfBasicIterativeAttack", "LinfMomentumIterativeFastGradientMethod"):
+            attacks[f"Foolbox {name}, {format_name}"] = foolbox(network, name)
+    timing = [
+        row
+        for batch in sorted({1, options.views})
+        for row in _time(attacks, Pictures(pictures.saved[:batch], pictures.labels[:batch]), options)
+    ]
+    success = [
+        {"attack": name} | _success(target, attack, pictures, options.success_steps) for name, attack in attacks.items()
+    ]
+    save(
+        options.out, __doc__ or "", target.backend, None,
+        settings={"bound": BOUND, "step": STEP, "views": views}, timing=timing, success=success,
+    )  # fmt: skip
+    for row in timing + success:
+        print(", ".join(f"{key} {value:.4g}" if isinstance(value, float) else f"{value}" for key, value in row.items()))
+
+
+def _pictures(library: Library, count: int) -> tuple[Pictures, list[str]]:
+    saved, labels, views = [], [], list(right(library, count))
+    for mesh, label in views:
+        prepared = prepare(parse({"scene": {"objects": [{"mesh": mesh}]}, "goal": {"leave": label}}), library)
+        saved.append(prepared.original)
+        labels.append(prepared.goal.label)
+    return Pictures(torch.stack(saved), torch.tensor(labels)), [mesh for mesh, _ in views]
+
+
+def _time(attacks: dict[str, Attacks], pictures: Pictures, options: argparse.Namespace) -> list[dict[str, object]]:
+    best = dict.fromkeys(attacks, float("inf"))
+    for repeat in range(1 + options.repeats):
+        for name, attack in attacks.items():
+            began = time.perf_counter()
+            attack(pictures, STILL, options.steps)
+            if repeat > 0:  # the first warms up
+                best[name] = min(best[name], (time.perf_counter() - began) / options.steps)
+    own = best["ours, momentum 0.9"]
+    return [
+        {"attack": name, "batch": len(pictures.labels), "ms a step": 1e3 * seconds, "times ours": seconds / own}
+        for name, seconds in best.items()
+    ]
+
+
+def _success(target: Target, attack: Attacks, pictures: Pictures, steps: int) -> dict[str, object]:
+    found = attack(pictures, STEP, steps)
+    answers = torch.stack([target.logits(from_bytes(picture)[None])[0] for picture in found]).argmax(dim=-1)
+    fooled = (answers != pictures.labels).tolist()
+    p = [of_pictures(before, after) for before, after, yes in zip(pictures.saved, found, fooled, strict=True) if yes]
+    return {"fooled": sum(fooled), "of": len(fooled), "p": statistics.fmean(p) if p else None}
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,117 @@
+"""Whole FGSM jobs beside the network's own passes, and the memory they take. Writes results/jobs.json.
+
+A job of 120 steps runs through services.jobs.execute in a process set up as a worker's. Its learning rate is so small
+that the picture does not move: the network holds, and all steps are run. Beside it, in the same process and taking
+turns, 120 forward and backward passes of the network alone on a picture of 224². Ratios are of the shortest of the
+repeats. Memory: the peak resident set of a fresh process that runs a job of 448².
+"""
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from benchmarks.report import RESULTS, save, shortest
+from benchmarks.rounded_gradient import ATTACKS
+from services.jobs.child import ALLOCATOR
+from services.jobs.execute import execute
+from services.jobs.prepare import prepare
+from services.jobs.spec import parse
+from services.jobs.warm import warm
+from services.scenes.library import Library
+from services.settings import settings
+from services.targets import registry
+from services.targets.protocol import Target
+
+STILL = 1e-9
+STEPS = 120
+MESH = "furniture/grand-piano"
+
+
+def main() -> None:
+    """Runs the comparison; see --help."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--attacks", nargs="+", default=list(ATTACKS), choices=list(ATTACKS))
+    parser.add_argument("--repeats", type=int, default=2, help="jobs of each kind (default 2)")
+    parser.add_argument("--memory-steps", type=int, default=12, help="steps of the jobs of 448² (default 12)")
+    parser.add_argument("--out", type=Path, default=RESULTS / "jobs.json")
+    parser.add_argument("--one", nargs=3, metavar=("ATTACK", "SIZE", "STEPS"), help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.one:
+        attack, size, steps = options.one
+        print(json.dumps(_measure(attack, int(size), int(steps), options.repeats)))
+        return
+    rows = []
+    for attack in options.attacks:
+        row = {"attack": attack} | _in_a_process(attack, 224, STEPS, options.repeats)
+        row["peak MiB at 448²"] = _in_a_process(attack, 448, options.memory_steps, 0)["peak MiB"]
+        rows.append(row)
+        print(", ".join(f"{key} {value:.3g}" if isinstance(value, float) else f"{value}" for key, value in row.items()))
+    backend = rows[0]["backend"]
+    for row in rows:
+        del row["backend"]
+    save(options.out, __doc__ or "", backend, 0, mesh=MESH, learning_rate=STILL, steps=STEPS, rows=rows)
+
+
+def _in_a_process(attack: str, size: int, steps: int, repeats: int) -> dict[str, Any]:
+    command = [sys.executable, "-m", "benchmarks.jobs", "--one", attack, str(size), str(steps)]
+    command += ["--repeats", str(repeats)]
+    done = subprocess.run(command, env=os.environ | ALLOCATOR, check=True, capture_output=True, text=True)
+    found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
+    return found
+
+
+def _measure(attack: str, size: int, steps: int, repeats: int) -> dict[str, Any]:
+    """Of `repeats` jobs beside as many passes of the network; with 0, of one job and its memory only."""
+    warm(settings())
+    library = Library(settings().cache_dir, settings().data_dir)
+    chosen = ATTACKS[attack]
+    groups = chosen.get("groups", ["image"])
+    assert isinstance(groups, list)
+    held = {"steps": steps, "learning_rate": dict.fromkeys(groups, STILL)}
+    scene = {"objects": [{"mesh": MESH}], "camera": {"size": [size, size]}}
+    spec = parse({"scene": scene, "attack": chosen | held})
+    with tempfile.TemporaryDirectory() as out:
+        if repeats == 0:
+            execute(spec, Path(out), library)
+            return {"peak MiB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024}
+        target = registry.load(spec.target.name)
+        execute(parse({"scene": scene, "attack": chosen | held | {"steps": 2}}), Path(out), library)  # warms up
+        jobs, loops, networks = [], [], []
+        for _ in range(repeats):
+            networks.append(shortest(lambda: _passes(target, steps), 1, 0))
+            jobs.append(shortest(lambda: loops.append(_held(execute(spec, Path(out), library), steps)), 1, 0))
+        networks.append(shortest(lambda: _passes(target, steps), 1, 0))
+    return {
+        "job s": min(jobs),
+        "loop s": min(loops),
+        "network s": min(networks),
+        "job / network": min(jobs) / min(networks),
+        "loop / network": min(loops) / min(networks),
+        "peak MiB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+        "backend": prepare(spec, library).backend,
+    }
+
+
+def _passes(target: Target, count: int) -> None:
+    picture = torch.full((1, *target.input_size, 3), 0.5)
+    for _ in range(count):
+        leaf = picture.clone().requires_grad_()
+        torch.autograd.grad(target.logits(leaf)[0, 0], leaf)
+
+
+def _held(result: Any, steps: int) -> float:
+    assert result.stopped == "steps"
+    assert result.steps == steps
+    return float(result.seconds)
+
+
+if __name__ == "__main__":
+    main()
