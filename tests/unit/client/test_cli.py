@@ -10,10 +10,12 @@ import pytest
 from typer.testing import CliRunner
 
 from client.cli import app
+from services.rendering.plan import Plan
 
 COMMANDS = [
     [],
     ["run"],
+    ["plan"],
     ["replay"],
     ["submit"],
     ["serve"],
@@ -78,6 +80,26 @@ def test_run_names_the_bad_field_and_exits_2(spec: str, field: str, tmp_path: Pa
     assert field in done.stderr
     assert "Traceback" not in done.stderr
     assert done.stdout == ""
+
+
+PLANNED = '{"scene": {"objects": [{"mesh": "primitive/sphere"}], "camera": {"size": [64, 64]}}, "tolerance": %s}'
+
+
+def test_a_plan_is_printed_and_is_json_for_machines() -> None:
+    done = cli("plan", "-", stdin=PLANNED % "1e-3")
+    assert done.returncode == 0, done.stderr
+    assert "object 0 directions" in done.stdout
+    plan = Plan.model_validate_json(cli("plan", "-", "--json", stdin=PLANNED % "1e-3").stdout)
+    assert 0 < plan.error <= plan.tolerance == 1e-3
+    exact = Plan.model_validate_json(cli("plan", "-", "--json", stdin=PLANNED % '"exact"').stdout)
+    assert exact.error == 0
+
+
+@pytest.mark.parametrize("tolerance", ["0", "0.5", '"none"', "NaN"])
+def test_a_bad_tolerance_is_named(tolerance: str) -> None:
+    done = cli("plan", "-", stdin=PLANNED % tolerance)
+    assert done.returncode == 2
+    assert "bad input: tolerance:" in done.stderr
 
 
 def test_submit_without_a_service_says_how_to_get_one() -> None:
