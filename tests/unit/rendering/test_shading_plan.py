@@ -147,6 +147,13 @@ def test_methods_by_what_is_attacked() -> None:
     assert not kinds[GROUPS].gray
 
 
+def test_an_exact_renderer_judges_every_group_whatever_is_attacked() -> None:
+    """The judge always renders the whole set of parameters."""
+    renderer = made(("normals",), "exact", size=12)
+    start = {group: value[None] for group, value in renderer.initial().items()}
+    assert torch.equal(renderer.exact().render(start), made(tolerance="exact", size=12).render(start))
+
+
 def test_a_group_that_is_not_attacked_cannot_be_rendered() -> None:
     renderer = made(("normals",))
     with pytest.raises(ValueError, match="illumination"):
