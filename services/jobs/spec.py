@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError, model_validator
 
+from services.attacks.seeds import Seed
 from services.attacks.spec import Attack, Fgsm, Goal
 from services.errors import InvalidRequest
 from services.rendering.plan import DEFAULT_TOLERANCE
@@ -30,7 +31,7 @@ class JobSpec(Model):
         description="largest error of a displayed value, in [0,1], of pictures inside the attack; `exact` for none; "
         "the verdict is always on the exact picture",
     )
-    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = Field(0, description="of everything random in the job")
+    seed: Seed = Field(0, description="of everything random in the job")
 
     @model_validator(mode="before")
     @classmethod
