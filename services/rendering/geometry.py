@@ -70,7 +70,7 @@ class Drawing:
         uploads: dict[int, list[tuple[Any, SrgbTexture | None, int]]] = {}
         self.pieces: list[Piece] = []
         self.points: list[Array] = []
-        """Per object its corners, homogeneous [V,4], each once."""
+        """Per object its corners, homogeneous [4,V], each once."""
         for index, mesh in enumerate(meshes):
             if id(mesh) not in uploads:
                 wound = outsides(mesh) if closed else [(part.faces, 0) for part in mesh.parts]
@@ -82,7 +82,7 @@ class Drawing:
                 centre = (part.vertices.min(axis=0) + part.vertices.max(axis=0)).astype(np.float64) / 2
                 self.pieces.append(Piece(index, part, primitive, texture, has_holes(part), count, centre))
             corners = np.unique(np.concatenate([part.vertices for part in mesh.parts]), axis=0).astype(np.float64)
-            self.points.append(np.concatenate([corners, np.ones((len(corners), 1))], axis=1))
+            self.points.append(np.ascontiguousarray(np.append(corners, np.ones((len(corners), 1)), axis=1).T))
         # What pyrender's Renderer._update_context asks of a scene.
         self.meshes = {pyrender.Mesh([primitive for primitive, *_ in upload]) for upload in uploads.values()}
         self.lights: tuple[()] = ()

@@ -157,11 +157,11 @@ class PyrenderRenderer:
         """
         batch = self._numbers.checked({group: value[None] for group, value in parameters.items()})
         pose = self._numbers.poses(batch["translation"][0], batch["rotation"][0])[index]
-        corners = self._drawing.points[index] @ pose.T
+        corners = pose @ self._drawing.points[index]
         if turned:  # the ball around the object's own origin that holds it
             centre = np.append(pose[:3, 3], 1.0)
-            margin += float(np.linalg.norm(corners[:, :3] - centre[:3], axis=1).max())
-            corners = centre[None]
+            margin += float(np.linalg.norm(corners[:3] - centre[:3, None], axis=0).max())
+            corners = centre[:, None]
         return beyond(corners, self._view.clip_from_world, margin * (1 + ROUNDING) + ROUNDING)
 
     def idle(self, parameters: Mapping[str, Tensor], reach: Mapping[str, float]) -> list[Idle]:
