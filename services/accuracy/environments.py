@@ -15,7 +15,7 @@ from services.scenes.environment import average, from_picture, radiance_of
 from services.scenes.mesh import Doubles, Floats
 
 
-def _sun(radiance: float, around: float, rows: int = 16, cols: int = 32) -> Floats:
+def sun(radiance: float, around: float, rows: int = 16, cols: int = 32) -> Floats:
     """One texel of `radiance`, above and to the right of the default camera, in a sky of `around`."""
     sun = np.full((rows, cols, 3), around, np.float32)
     sun[rows // 4, cols // 4] = radiance
@@ -144,14 +144,14 @@ def cases() -> list[Case]:
     family, same = "environments", "the loop's picture has the tolerance, the judge's is exact"
     inf, nan, refused = float("inf"), float("nan"), "a clear error names the map"
     return [
-        Case("sun of 1e6 in a sky of 1", family, "one texel of 512", same, lambda: _picture(_sun(1e6, 1))),
-        Case("sun of 1e6 in darkness", family, "one lit texel", same, lambda: _picture(_sun(1e6, 0))),
+        Case("sun of 1e6 in a sky of 1", family, "one texel of 512", same, lambda: _picture(sun(1e6, 1))),
+        Case("sun of 1e6 in darkness", family, "one lit texel", same, lambda: _picture(sun(1e6, 0))),
         Case(
             "sun of 1e6 on a mirror",
             family,
             "κ 100, γ 1e4 under one texel",
             same,
-            lambda: _picture(_sun(1e6, 0), 100, 1e4, True),
+            lambda: _picture(sun(1e6, 0), 100, 1e4, True),
             "clipped",
         ),
         Case(
@@ -159,7 +159,7 @@ def cases() -> list[Case]:
             family,
             "a 32×64 map, one texel of 1e6",
             same,
-            lambda: _picture(_sun(1e6, 1, 32, 64), 1, 50),
+            lambda: _picture(sun(1e6, 1, 32, 64), 1, 50),
         ),
         Case("all-zero map", family, "no light, no scale", "black, finite, still attackable", _dark),
         Case("constant map", family, "no contrast", "an even picture of 0.9", _constant),

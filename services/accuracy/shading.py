@@ -1,5 +1,6 @@
 """The differentiable renderer of a scene against its definition: pictures and slopes."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,12 +11,13 @@ from services.accuracy import definition
 from services.accuracy.case import need
 from services.rendering.build import build
 from services.rendering.gbuffer import GBuffer, rasterise
+from services.rendering.plan import DEFAULT_TOLERANCE, Tolerance
 from services.rendering.protocol import Parameters, Renderer
 from services.scenes.mesh import Doubles
 from services.scenes.resolve import ResolvedScene
 
-LOOP = 1e-3
-"""Error of a displayed value that the loop's pictures may have: the default tolerance of a plan."""
+LOOP = DEFAULT_TOLERANCE
+"""Error of a displayed value that the loop's pictures may have."""
 
 EXACT = 1e-6
 """Error of a displayed value that the judge's pictures may have: float64, but normals and base colours are float32."""
@@ -51,11 +53,17 @@ class Shading:
     pixels: Tensor
 
     @classmethod
-    def of(cls, scene: ResolvedScene) -> "Shading":
-        """Rasterises and compiles the scene; about LOOKED_AT pixels, evenly spread over the covered ones."""
+    def of(
+        cls, scene: ResolvedScene, groups: Sequence[str] | None = None, tolerance: Tolerance = DEFAULT_TOLERANCE
+    ) -> "Shading":
+        """Rasterises the scene and compiles it for attacks on `groups` (None: all).
+
+        About LOOKED_AT pixels are looked at, evenly spread over the covered ones.
+        """
         gbuffer = rasterise(scene)
         covered = gbuffer.coverage.flatten().nonzero()[:, 0]
-        return cls(scene, build(scene, "torch"), gbuffer, covered[:: max(1, len(covered) // LOOKED_AT)])
+        renderer = build(scene, "torch", groups=groups, tolerance=tolerance)
+        return cls(scene, renderer, gbuffer, covered[:: max(1, len(covered) // LOOKED_AT)])
 
     def defined(self, parameters: Parameters) -> tuple[Doubles, Doubles]:
         """Displayed values [P, 3] by definition at the pixels, and the linear values before clipping."""
@@ -95,8 +103,8 @@ class Shading:
     def gradient(self, parameters: Parameters, group: str) -> tuple[Tensor, Tensor]:
         """The gradient of ⟨weights, picture⟩ with respect to a group, and the weights [P, 3], fixed random numbers."""
         weights = torch.randn(len(self.pixels), 3, generator=torch.Generator().manual_seed(7), dtype=torch.float64)
-        values = {g: v.detach().clone() for g, v in self._all(parameters).items()}
-        leaf = values[group].requires_grad_(True)
+        values = {g: v.detach().clone() for g, v in parameters.items()}
+        leaf = values.setdefault(group, self.renderer.initial()[group]).requires_grad_(True)
         picture = self.renderer.render({g: v[None] for g, v in values.items()})[0]
         (slope,) = torch.autograd.grad((picture.reshape(-1, 3)[self.pixels].double() * weights).sum(), leaf)
         need(bool(torch.isfinite(slope).all()), f"the gradient of {group} has values that are not finite")

@@ -10,6 +10,7 @@ from services.accuracy import (
     logits,
     meshes,
     normals,
+    plans,
     precision,
     sizes,
     steps,
@@ -17,7 +18,7 @@ from services.accuracy import (
 )
 from services.accuracy.case import Case, Observation, observe
 
-FAMILIES = (lobes, normals, environments, views, meshes, lights, logits, differences, steps, sizes, precision)
+FAMILIES = (lobes, normals, environments, plans, views, meshes, lights, logits, differences, steps, sizes, precision)
 
 
 def cases(quick: bool = False) -> list[Case]:

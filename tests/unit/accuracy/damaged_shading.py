@@ -83,15 +83,35 @@ def angles_by_arc_cosine(patch) -> None:
     patch.setattr(normals_cases, "to_angles", to_angles)
 
 
-def brighter_light(patch) -> None:
-    """An exposure that is 2 % too much."""
+def brighter_light(patch, factor: float = 1.05) -> None:
+    """An exposure that is 5 % too much."""
     true = torch_renderer.illumination
 
     def illumination(map_):
         found = true(map_)
-        return replace(found, exposure=1.05 * found.exposure)
+        return replace(found, exposure=factor * found.exposure)
 
     patch.setattr(torch_renderer, "illumination", illumination)
+
+
+def far_too_bright_light(patch) -> None:
+    brighter_light(patch, 10.0)
+
+
+def turned_slopes(patch) -> None:
+    """Gradients of normals in a table that mix up rows and columns."""
+    true = shader.look_up
+
+    class Turned(torch.autograd.Function):
+        @staticmethod
+        def forward(_, angles):
+            return angles.clone()
+
+        @staticmethod
+        def backward(_, slope):
+            return slope.flip(-1)
+
+    patch.setattr(shader, "look_up", lambda values, angles: true(values, Turned.apply(angles)))
 
 
 def unguarded_light(patch) -> None:

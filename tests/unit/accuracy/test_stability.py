@@ -48,6 +48,21 @@ BROKEN = {
             ["1×1 source", "512×256 source", "4096×2048 source", "map turned by 2π", "map turned by 1e-9"],
         ),
     ],
+    "plans": [
+        (
+            damaged_shading.brighter_light,
+            [
+                *(f"{group} only, sun of 1e6" for group in ("normals", "illumination", "material")),
+                *(f"{group} only, moved far" for group in ("normals", "illumination")),
+                *(f"tolerance {tolerance}" for tolerance in ("exact", 1e-6, 1e-5, 1e-2)),
+            ],
+        ),
+        (damaged_shading.naive_lobes, ["material only, moved far"]),
+        (damaged_shading.far_too_bright_light, ["tolerance 0.1"]),
+        (damaged_shading.wrong_slopes, ["illumination only, slope", "material only, slope"]),
+        (damaged_shading.turned_slopes, ["normals only, slope"]),
+        (damaged_pictures.lighter_pictures, ["illumination only, off"]),
+    ],
     "views": [
         (
             damaged_geometry.shifted_frames,
