@@ -37,7 +37,7 @@ class Convolution(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """[B, inputs, h, w] to [B, outputs, ⌈h/stride⌉, ⌈w/stride⌉]."""
-        pads = [self._pad(x.shape[-1]), self._pad(x.shape[-2])]
+        pads = [self.pad(x.shape[-1]), self.pad(x.shape[-2])]
         if pads[0] == pads[1] and pads[0] % 2 == 0:
             padding = pads[0] // 2
         else:  # SAME puts the odd row and column at the bottom and the right
@@ -46,7 +46,8 @@ class Convolution(nn.Module):
         x = F.conv2d(x, self.weight, self.bias, self.stride, padding, groups=self.groups)
         return F.relu6(x) if self.relu else x
 
-    def _pad(self, size: int) -> int:
+    def pad(self, size: int) -> int:
+        """Rows (or columns) of zeros that SAME adds to an input of `size` of them."""
         return max((-(-size // self.stride) - 1) * self.stride + self.kernel - size, 0)
 
 

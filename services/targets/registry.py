@@ -12,6 +12,7 @@ from services.targets.classifier import Classifier
 from services.targets.efficientnet_lite import EfficientNetLite
 from services.targets.imagenet import imagenet_labels
 from services.targets.info import TargetInfo, available
+from services.targets.packed import pack, packable
 from services.targets.protocol import Target
 
 __all__ = ["TargetInfo", "available", "labels", "load"]
@@ -42,7 +43,7 @@ def _efficientnet_lite0(dtype: torch.dtype) -> Target:
     path = Path(EfficientnetLite0ModelFile.get_model_file_path())
     network = EfficientNetLite().double()
     network.load_published(torch.load(path, weights_only=True, map_location="cpu"))
-    return Classifier(
+    classifier = Classifier(
         name="efficientnet-lite0",
         network=network,
         labels=imagenet_labels(),
@@ -52,6 +53,9 @@ def _efficientnet_lite0(dtype: torch.dtype) -> Target:
         weights_sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
         dtype=dtype,
     )
+    if packable(dtype):
+        pack(classifier.network, classifier.input_size)
+    return classifier
 
 
 _LOADERS: dict[str, Callable[[torch.dtype], Target]] = {"efficientnet-lite0": _efficientnet_lite0}
