@@ -10,6 +10,7 @@ import torch
 from pydantic import BaseModel, ConfigDict, Field
 
 from services.accuracy.case import Observation
+from services.rendering import native
 from services.rendering.gl import gl_backend
 
 PACKAGES = ("scene-attack", "torch", "numpy", "scipy", "pyrender-maintained", "PyOpenGL", "trimesh", "OpenEXR")
@@ -66,7 +67,7 @@ def report(observations: Sequence[Observation], command: str) -> Report:
         command=command,
         seed="each case has its own, in its code",
         versions={"python": platform.python_version()} | {name: version(name) for name in PACKAGES},
-        backend=f"torch cpu, {torch.get_num_threads()} threads; {gl_backend()}",
+        backend=f"torch cpu, {torch.get_num_threads()} threads, shading {native.backend()}; {gl_backend()}",
         counts={word: sum(row.outcome == word for row in rows) for word in WORDS},
         cases=rows,
     )
