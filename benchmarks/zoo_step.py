@@ -1,0 +1,171 @@
+"""One step of ZOO over the 14 parameters beside the network it asks, and pyrender's frames beside what they are made
+of. Writes results/zoo_step.json.
+
+For each view, in turn and the shortest of the repeats: the network's pass over 28 pictures; our step (both sides of 14
+differences, drawn and asked, and the move); the step as a loop that draws one whole picture and asks the network once,
+28 times over (as 3DB does); the 28 pictures alone, shared and one by one; a frame of ours, the bare pass over the
+geometry (one pixel read), and a frame of pyrender's own renderer (8 bits, its own shading). Runs with the allocator
+settings of a job's process. Seconds of the processor are given beside those of the clock: on a machine with other work
+they are the steadier.
+"""
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.report import RESULTS, save
+from benchmarks.views import right
+from services.attacks.problem import Problem
+from services.attacks.zoo import ZooMethod
+from services.jobs.child import ALLOCATOR
+from services.jobs.prepare import prepare
+from services.jobs.spec import parse
+from services.rendering import gl
+from services.rendering.pyrender_plan import both_sides
+from services.rendering.pyrender_renderer import SAMPLES, PyrenderRenderer
+from services.rendering.sharing import alone
+from services.scenes.library import Library
+from services.scenes.resolve import ResolvedScene
+from services.settings import settings
+
+SEED = 0
+LIMIT = 1.5
+"""Of the network's own time, that a step may take."""
+
+
+def main() -> None:
+    """Measures and writes; see --help."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--views", type=int, default=6, help="views to measure (default 6)")
+    parser.add_argument("--repeats", type=int, default=8, help="runs of each, the shortest counts (default 8)")
+    parser.add_argument("--out", type=Path, default=RESULTS / "zoo_step.json")
+    options = parser.parse_args()
+    if any(os.environ.get(name) != value for name, value in ALLOCATOR.items()):
+        os.execve(sys.executable, [sys.executable, "-m", "benchmarks.zoo_step", *sys.argv[1:]], os.environ | ALLOCATOR)
+    torch.set_num_threads(settings().threads)
+    library = Library(settings().cache_dir, settings().data_dir)
+    rows = [_measure(library, mesh, label, options.repeats) for mesh, label in right(library, options.views)]
+    _show(rows)
+    backend = f"{gl.gl_backend()}; torch {torch.__version__} {torch.get_num_threads()} threads"
+    save(options.out, str(__doc__).split("\n\n")[0], backend, SEED, limit=LIMIT, allocator=ALLOCATOR, views=rows)
+
+
+def _measure(library: Library, mesh: str, label: str, repeats: int) -> dict[str, object]:
+    attack = {"renderer": "pyrender", "method": "zoo", "coordinates": 14, "delta": 0.01}
+    spec = parse({"scene": {"objects": [{"mesh": mesh}]}, "goal": {"leave": label}, "attack": attack, "seed": SEED})
+    ready = prepare(spec, library)
+    renderer = ready.renderer
+    assert isinstance(renderer, PyrenderRenderer)
+    problem = Problem(renderer, ready.target, ready.goal, renderer.groups, seed=SEED, weight=0.001)
+    method = ZooMethod(spec.attack, problem)  # type: ignore[arg-type]
+    method.start(problem)
+    view = problem.view(method.perturbation)
+    sides = both_sides(renderer.initial(), renderer.groups)
+    start = {group: value[None] for group, value in renderer.initial().items()}
+    pictures = renderer.render(sides)
+    exact = renderer.exact()
+
+    def one_by_one() -> None:
+        for row in range(len(pictures)):
+            ready.target.logits(exact.render({group: value[row : row + 1] for group, value in sides.items()}))
+
+    with torch.no_grad():
+        times = _in_turn(
+            {
+                "network_28": lambda: ready.target.logits(pictures),
+                "zoo_step": lambda: method.advance(problem, view, 0),
+                "loop_of_28": one_by_one,
+                "pictures_28_shared": lambda: renderer.render(sides),
+                "pictures_28_alone": lambda: exact.render(sides),
+                "frame": lambda: renderer.render(start),
+                "bare_pass": _bare(renderer),
+                "stock_pyrender_frame": _stock(ready.scene),
+            },
+            repeats,
+        )
+    ratios = {
+        "zoo_step / network_28": ("zoo_step", "network_28"),
+        "loop_of_28 / zoo_step": ("loop_of_28", "zoo_step"),
+        "pictures_28_alone / pictures_28_shared": ("pictures_28_alone", "pictures_28_shared"),
+        "frame / bare_pass": ("frame", "bare_pass"),
+        "frame / stock_pyrender_frame": ("frame", "stock_pyrender_frame"),
+    }
+    return {
+        "mesh": mesh,
+        "faces": sum(m.triangles for m in ready.scene.meshes),
+        "seconds": {name: clock for name, (clock, _) in times.items()},
+        "processor_seconds": {name: processor for name, (_, processor) in times.items()},
+        "ratios": {name: times[a][0] / times[b][0] for name, (a, b) in ratios.items()},
+        "processor_ratios": {name: times[a][1] / times[b][1] for name, (a, b) in ratios.items()},
+    }
+
+
+def _in_turn(works: dict[str, Callable[[], object]], repeats: int) -> dict[str, tuple[float, float]]:
+    """The shortest of each work's runs by clock and by processor; they take turns, after a round that warms up."""
+    best = dict.fromkeys(works, (np.inf, np.inf))
+    for round_ in range(repeats + 1):
+        for name, work in works.items():
+            clock, processor = time.perf_counter(), time.process_time()
+            work()
+            took = time.perf_counter() - clock, time.process_time() - processor
+            if round_ > 0:
+                best[name] = min(best[name][0], took[0]), min(best[name][1], took[1])
+    return best
+
+
+def _bare(renderer: PyrenderRenderer) -> Callable[[], object]:
+    """The pass over the geometry of the start, all faces, of which one pixel is read so that it has happened."""
+    [start] = alone(renderer._numbers.checked({}))
+    poses = renderer._numbers.poses(start.translation, start.rotation)
+    return lambda: renderer._frames(start, poses, (0, 1, 0, 1), natural=True)
+
+
+def _stock(scene: ResolvedScene) -> Callable[[], object]:
+    """A frame of pyrender's own renderer, in the same context: the same faces, light and samples."""
+    import pyrender
+
+    stock = pyrender.Scene(ambient_light=[0.4] * 3)
+    for mesh, model in zip(scene.meshes, scene.models, strict=True):
+        parts = [
+            pyrender.Primitive(
+                positions=part.vertices,
+                normals=part.normals,
+                indices=part.faces,
+                material=pyrender.MetallicRoughnessMaterial(baseColorFactor=part.color),
+            )
+            for part in mesh.parts
+        ]
+        stock.add(pyrender.Mesh(parts), pose=model)
+    for point in scene.description.lights.points:
+        pose = np.eye(4)
+        pose[:3, 3] = point.position
+        stock.add(pyrender.PointLight(intensity=point.energy), pose=pose)
+    stock.add(pyrender.PerspectiveCamera(scene.description.camera.field_of_view), pose=scene.view)
+    height, width = scene.description.camera.size
+    gl.context()
+    renderer = pyrender.Renderer(width, height)
+    return lambda: renderer.render(stock, pyrender.RenderFlags.OFFSCREEN)
+
+
+def _show(rows: list[dict[str, object]]) -> None:
+    console = Console()
+    for kind in ("ratios", "processor_ratios"):
+        table = Table(title=f"{kind.replace('_', ' ')} ({SAMPLES} samples)")
+        names = list(rows[0][kind])  # type: ignore[call-overload]
+        for name in ("view", "faces", *names):
+            table.add_column(name)
+        for row in rows:
+            table.add_row(str(row["mesh"]), str(row["faces"]), *(f"{row[kind][name]:.2f}" for name in names))  # type: ignore[index]
+        console.print(table)
+
+
+if __name__ == "__main__":
+    main()
