@@ -1,0 +1,115 @@
+"""One object of a real scene as shading takes it: its pixels, the light, and a function of the picture to derive."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn.functional import interpolate
+
+from services.accuracy.placing import placed
+from services.attacks.seeds import generator
+from services.rendering import dsbrdf, table
+from services.rendering.directions import directions, solid_angles
+from services.rendering.display import to_display
+from services.rendering.gbuffer import rasterise
+from services.rendering.illumination import illumination
+from services.rendering.normals import to_angles
+from services.rendering.presets import preset
+from services.rendering.shader import Shader, Sky, Surface
+from services.rendering.shading import Directions
+from services.rendering.shading_errors import REACH
+from services.rendering.units import MATERIAL_UNIT
+from services.scenes.resolve import ResolvedScene
+
+GROUPS = ("normals", "illumination", "material")
+FAR = 0.1
+"""Part of an attack's reach that the scene is moved by, coordinate by coordinate with random signs."""
+COARSE = 28
+"""Squares a side of the random numbers that a picture's weights are smoothed from."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A scene of one object, taken apart.
+
+    surface: of its P covered pixels; sky and intensity [D]: its light; moved: values of the three groups some way into
+    an attack, float64; coverage [P, 1]; weights [P, 3]: those of the picture in the function that is derived.
+    """
+
+    size: tuple[int, int]
+    surface: Surface
+    sky: Sky
+    intensity: Tensor
+    moved: dict[str, Tensor]
+    coverage: Tensor
+    weights: Tensor
+
+    def picture(self, shader: Shader, values: dict[str, Tensor]) -> Tensor:
+        """Displayed values [P, 3] of the covered pixels, without the ground's share, in the recipe's dtype."""
+        radiance = shader(values["normals"], values["illumination"], values["material"])
+        shown = to_display(radiance * self.surface.base_color.to(radiance.dtype))
+        return self.coverage.to(radiance.dtype) * shown
+
+    def value(self, picture: Tensor) -> Tensor:
+        """⟨weights, picture⟩, summed in float64."""
+        return (picture.double() * self.weights).sum()
+
+
+def subject(mesh: str, material: str, size: tuple[int, int], rows: int, cols: int) -> Subject:
+    """A furniture model of one material under the studio map of so many texels. Raises as `resolve` does."""
+    scene = placed(
+        mesh,
+        size=size,
+        thing={"material": material},
+        lights={"environment": {"map": "studio", "size": (rows, cols)}},
+    )
+    gbuffer = rasterise(scene)
+    to_camera = torch.as_tensor(scene.view, dtype=torch.float64)[:3, :3]
+    angles = to_angles(gbuffer.normals.double() @ to_camera).float().double().reshape(-1, 2)
+    covered = gbuffer.coverage.flatten().nonzero()[:, 0]
+    pixels = covered[torch.argsort(table.place(angles[covered]), stable=True)]
+    sky, intensity = light_of(scene)
+    values = {
+        "normals": angles[pixels],
+        "illumination": intensity,
+        "material": (preset(material) * MATERIAL_UNIT).float().double(),
+    }
+    surface = Surface(
+        "object 0", values["normals"], gbuffer.base_color.reshape(-1, 3)[pixels].double(), values["material"]
+    )
+    coverage = gbuffer.coverage.flatten()[pixels, None].double()
+    weights = smooth_weights(size).reshape(-1, 3)[pixels]
+    return Subject(size, surface, sky, intensity, moved(values), coverage, weights)
+
+
+def light_of(scene: ResolvedScene) -> tuple[Sky, Tensor]:
+    """The sky of a scene's map as its camera sees it, and the map's intensities [D], rounded to float32."""
+    to_camera = torch.as_tensor(scene.view, dtype=torch.float64)[:3, :3]
+    light = illumination(torch.as_tensor(scene.environment))
+    rows, cols = light.intensity.shape
+    towards = directions(rows, cols) @ to_camera
+    half, theta_d = dsbrdf.half_vectors(towards, torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
+    power = (light.exposure * light.chroma).reshape(-1, 3).T * solid_angles(rows, cols)
+    sky = Sky(Directions.of(towards, half), dsbrdf.basis(theta_d) / MATERIAL_UNIT, power)
+    return sky, light.intensity.flatten().float().double()
+
+
+def moved(values: dict[str, Tensor]) -> dict[str, Tensor]:
+    """The values with every coordinate moved by FAR of its reach, up or down at random."""
+    found = {}
+    for group, value in values.items():
+        random = generator(0, "work-precision", group)
+        signs = (torch.rand(value.shape, generator=random, dtype=torch.float64) - 0.5).sign()
+        found[group] = value + FAR * REACH[group] * signs
+    found["illumination"].clamp_(min=0.0)
+    return {group: value.float().double() for group, value in found.items()}
+
+
+def smooth_weights(size: tuple[int, int]) -> Tensor:
+    """Weights [H, W, 3] float64 of a picture's values: random, smooth over a picture's COARSEth, mean square 1.
+
+    A network's gradient is of that kind; white noise would make every derivative a matter of single pixels.
+    """
+    random = torch.randn(1, 3, COARSE, COARSE, generator=generator(0, "work-precision", "weights"), dtype=torch.float64)
+    smooth = interpolate(random, size, mode="bicubic")[0].permute(1, 2, 0)
+    return smooth / smooth.square().mean().sqrt()

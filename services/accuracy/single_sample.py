@@ -1,0 +1,61 @@
+"""Pictures of the rasterising renderer with any number of samples a pixel: what multisampling is worth."""
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from services.rendering import gl
+from services.rendering.display import to_display
+from services.rendering.pyrender_numbers import ENERGY, Numbers
+from services.rendering.pyrender_renderer import EXPOSURE
+from services.scenes.resolve import ResolvedScene
+
+
+class Sampled:
+    """Draws a scene as `PyrenderRenderer.exact()` does, every picture by itself, but with `samples` per pixel."""
+
+    def __init__(self, scene: ResolvedScene, samples: int) -> None:
+        gl.context()
+        from services.rendering.drawing import View  # imports OpenGL, so after the context
+        from services.rendering.geometry import Drawing
+
+        self._drawing = Drawing(scene.meshes, closed=True)
+        self._view = View.of(scene.view, scene.projection)
+        self._numbers = Numbers(scene.description)
+        self._size, self._samples = scene.description.camera.size, samples
+
+    def radiance(self, parameters: Mapping[str, Tensor]) -> Tensor:
+        """As `PyrenderRenderer.radiance`: float32 [B, H, W, 4] for {group: [B, ...]}."""
+        batch = self._numbers.checked(parameters)
+        pictures = []
+        for row in range(len(batch["color"])):
+            light, color = batch["illumination"][row], batch["color"][row]
+            points = light[1:].reshape(-1, 4)
+            uniforms: dict[str, object] = {"ambients[0]": light[:1]}
+            if len(points):
+                uniforms |= {"positions[0]": points[:, 1:], "intensities[0]": points[:, 0] * ENERGY}
+            [picture] = gl.context().renderer.draw(
+                self._drawing,
+                "radiance.frag",
+                self._view,
+                self._numbers.poses(batch["translation"][row], batch["rotation"][row]),
+                color[None],
+                uniforms,
+                {},
+                size=self._size,
+                samples=self._samples,
+                outputs=1,
+                blend=True,
+                lights=len(points),
+                insides="behind",
+            )
+            pictures.append(torch.from_numpy(picture))
+        return torch.stack(pictures)
+
+
+def displayed(radiance: Tensor, ground: Tensor) -> Tensor:
+    """Pictures [..., 3] of radiance times coverage and coverage [..., 4], over a ground [3], in radiance's dtype."""
+    coverage = radiance[..., 3:]
+    surface = radiance[..., :3] / coverage.clamp_min(1e-6)
+    return to_display(EXPOSURE * surface) * coverage + ground.to(radiance.dtype) * (1 - coverage)
