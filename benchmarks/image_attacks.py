@@ -112,8 +112,8 @@ def main() -> None:
     """Runs the comparison; see --help."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--views", type=int, default=8, help="pictures, and the larger batch (default 8)")
-    parser.add_argument("--steps", type=int, default=10, help="steps that are timed (default 10)")
-    parser.add_argument("--repeats", type=int, default=5, help="repeats of the timing (default 5)")
+    parser.add_argument("--steps", type=int, default=20, help="steps that are timed (default 20)")
+    parser.add_argument("--repeats", type=int, default=3, help="repeats of the timing (default 3)")
     parser.add_argument("--success-steps", type=int, default=20, help="most steps of an attack (default 20)")
     parser.add_argument("--out", type=Path, default=RESULTS / "image_attacks.json")
     options = parser.parse_args()
