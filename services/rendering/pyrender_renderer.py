@@ -169,24 +169,32 @@ class PyrenderRenderer:
         return idle(self, parameters, reach)
 
     def _draw(self, parameters: Mapping[str, Tensor], empty: Tensor, finish: Callable[[Tensor], Tensor]) -> Tensor:
-        """Pictures [B, H, W, C]: `empty` [C] where no object is, and `finish` of radiance [..., 4] elsewhere."""
+        """Pictures [B, H, W, C]: `empty` [C] where no object is, and `finish` of radiance [N, 4] elsewhere.
+
+        First all is drawn, then all is finished: threads of torch that wait for work in between would be in the way of
+        those that draw.
+        """
         batch = self._numbers.checked(parameters)
-        pictures = empty.expand(len(batch["color"]), *self.size, len(empty)).clone()
+        done: list[tuple[Pass, tuple[int, int, int, int], NDArray[np.float32]]] = []
         for drawn in alone(batch) if self._plain else shared(batch, self._most):
             poses = self._numbers.poses(drawn.translation, drawn.rotation)
-            top, bottom, left, right = (0, self.size[0], 0, self.size[1]) if self._plain else self._extent(poses)
-            if top == bottom:
-                continue
-            radiance = torch.from_numpy(self._frames(drawn, poses, (top, bottom, left, right)))
-            if not finite(radiance):
-                why = "the picture has values that are not finite: light or colour is too strong"
-                raise JobFailure("non-finite", why)
-            finished = finish(radiance)
+            part = (0, self.size[0], 0, self.size[1]) if self._plain else self._extent(poses)
+            if part[0] < part[1]:
+                done.append((drawn, part, self._frames(drawn, poses, part)))
+        pictures = empty.expand(len(batch["color"]), *self.size, len(empty)).clone()
+        if not done:
+            return pictures
+        radiance = torch.from_numpy(np.concatenate([frames.reshape(-1, 4) for _, _, frames in done]))
+        if not finite(radiance):
+            raise JobFailure("non-finite", "the picture has values that are not finite: light or colour is too strong")
+        finished = torch.split(finish(radiance), [frames[..., 0].size for _, _, frames in done])
+        for (drawn, (top, bottom, left, right), frames), flat in zip(done, finished, strict=True):
+            shown = flat.reshape(*frames.shape[:3], len(empty))
             for row, channel, slot in drawn.users:
                 if channel == 0:  # coverage is the same in all
-                    pictures[row, top:bottom, left:right] = finished[slot]
+                    pictures[row, top:bottom, left:right] = shown[slot]
                 else:
-                    pictures[row, top:bottom, left:right, channel] = finished[slot, ..., channel]
+                    pictures[row, top:bottom, left:right, channel] = shown[slot, ..., channel]
         return pictures
 
     def _extent(self, poses: NDArray[np.float64]) -> tuple[int, int, int, int]:
