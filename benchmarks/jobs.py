@@ -2,8 +2,9 @@
 
 A job of 120 steps runs through services.jobs.execute in a process set up as a worker's. Its learning rate is so small
 that the picture does not move: the network holds, and all steps are run. Beside it, in the same process and taking
-turns, 120 forward and backward passes of the network alone on a picture of 224². Ratios are of the shortest of the
-repeats. Memory: the peak resident set of a fresh process that runs a job of 448².
+turns, 120 forward and backward passes of the network alone on a picture of 224²: the packed one that jobs use, and the
+same in plain torch (channels_last). Ratios are of the shortest of the repeats. Memory: the peak resident set of a fresh
+process that runs a job of 448².
 """
 
 import argparse
@@ -13,11 +14,14 @@ import resource
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 
+from benchmarks.peers import Lite0
 from benchmarks.report import RESULTS, save, shortest
 from benchmarks.rounded_gradient import ATTACKS
 from services.jobs.child import ALLOCATOR
@@ -84,15 +88,19 @@ def _measure(attack: str, size: int, steps: int, repeats: int) -> dict[str, Any]
             return {"peak MiB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024}
         target = registry.load(spec.target.name)
         execute(parse({"scene": scene, "attack": chosen | held | {"steps": 2}}), Path(out), library)  # warms up
-        jobs, loops, networks = [], [], []
+        plain = Lite0(torch.channels_last)
+        jobs, loops, networks, plains = [], [], [], []
         for _ in range(repeats):
-            networks.append(shortest(lambda: _passes(target, steps), 1, 0))
+            networks.append(shortest(lambda: _passes(target.logits, target, steps), 1, 0))
+            plains.append(shortest(lambda: _passes(lambda x: plain(x.permute(0, 3, 1, 2)), target, steps), 1, 0))
             jobs.append(shortest(lambda: loops.append(_held(execute(spec, Path(out), library), steps)), 1, 0))
-        networks.append(shortest(lambda: _passes(target, steps), 1, 0))
+        networks.append(shortest(lambda: _passes(target.logits, target, steps), 1, 0))
     return {
         "job s": min(jobs),
         "loop s": min(loops),
         "network s": min(networks),
+        "plain network s": min(plains),
+        "loop / plain network": min(loops) / min(plains),
         "job / network": min(jobs) / min(networks),
         "loop / network": min(loops) / min(networks),
         "peak MiB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
@@ -100,11 +108,11 @@ def _measure(attack: str, size: int, steps: int, repeats: int) -> dict[str, Any]
     }
 
 
-def _passes(target: Target, count: int) -> None:
+def _passes(logits: Callable[[Tensor], Tensor], target: Target, count: int) -> None:
     picture = torch.full((1, *target.input_size, 3), 0.5)
     for _ in range(count):
         leaf = picture.clone().requires_grad_()
-        torch.autograd.grad(target.logits(leaf)[0, 0], leaf)
+        torch.autograd.grad(logits(leaf)[0, 0], leaf)
 
 
 def _held(result: Any, steps: int) -> float:
