@@ -65,3 +65,39 @@ def stability(
     err().print(f"Report in {out}", markup=False, highlight=False)
     if found.failed:
         raise typer.Exit(1)
+
+
+@app.command(
+    epilog="Examples: [bold]scene-attack accuracy work-precision[/bold]\n\n"
+    "[bold]scene-attack accuracy work-precision --quick --out out/accuracy[/bold]"
+)
+def work_precision(
+    quick: Annotated[bool, typer.Option("--quick", help="Smaller pictures, fewer maps, steps and scenes.")] = False,
+    out: Annotated[Path, typer.Option(help="Directory for work-precision.md, .png and .json.")] = OUT,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure error against run time: ways of shading, estimates of gradients, whole attacks; and write the report.
+
+    Its seconds mean something only on a machine that does nothing else.
+    """
+    import torch
+
+    from client.console import err, print_json
+    from client.console import out as stdout
+    from services.accuracy.work_precision import FULL, QUICK, collect
+    from services.accuracy.work_precision_report import report, write
+    from services.accuracy.work_precision_words import findings
+    from services.settings import settings
+
+    torch.set_num_threads(settings().threads)
+    with err().status("") as line:
+        found = collect(QUICK if quick else FULL, line.update)
+    command = "scene-attack accuracy work-precision" + (" --quick" if quick else "")
+    made = report(found, command + (f" --out {out}" if out != OUT else ""))
+    write(made, out)
+    if as_json:
+        print_json(made.model_dump(mode="json"))
+    else:
+        for words in findings(made.shading, made.slopes, made.attacks):
+            stdout().print(words, markup=False, highlight=False)
+    err().print(f"Report in {out}", markup=False, highlight=False)

@@ -35,7 +35,7 @@ SETS = (
     ("torch", ("normals", "illumination", "material")),
 )
 """What FGSM attacks."""
-ZOO = {"learning_rate": 5e-3, "weight": 1e-3}
+ZOO: dict[str, object] = {"learning_rate": 5e-3, "weight": 1e-3}
 """With λ = 0.1 and a rate of 0.002 every scene holds for as long as a report can wait."""
 
 Outcome = Literal["verified", "fooled in the loop only", "held", "wrong to begin with"]
@@ -75,8 +75,8 @@ class Case:
     seed: int = 0
 
 
-def cases(scenes: int, steps: int, seeds: int, zoo_steps: int) -> list[Case]:
-    """FGSM on every set, within the default tolerance and exact, and ZOO, of the first `scenes`.
+def cases(scenes: int, steps: int, seeds: int, zoo: dict[str, object]) -> list[Case]:
+    """FGSM on every set, within the default tolerance and exact, and ZOO, of the first `scenes`; `zoo` are settings.
 
     FGSM takes nothing from its seed, so that it has one only.
     """
@@ -86,8 +86,8 @@ def cases(scenes: int, steps: int, seeds: int, zoo_steps: int) -> list[Case]:
             attack = Fgsm.model_validate({"renderer": renderer, "groups": groups, "steps": steps})
             for tolerance in ("exact",) if renderer == "image" else (1e-3, "exact"):
                 found.append(Case(scene, label, attack, tolerance))
-        zoo = Zoo.model_validate({"method": "zoo", "renderer": "pyrender", "steps": zoo_steps} | ZOO)
-        found += [Case(scene, label, zoo, 1e-3, seed) for seed in range(seeds)]
+        blind = Zoo.model_validate({"method": "zoo", "renderer": "pyrender"} | ZOO | zoo)
+        found += [Case(scene, label, blind, 1e-3, seed) for seed in range(seeds)]
     return found
 
 

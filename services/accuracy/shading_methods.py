@@ -32,10 +32,13 @@ class ShadingRow(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
+    mesh: str
+    material: str
+    size: tuple[int, int] = Field(description="of the picture, height and width")
+    pixels: int = Field(description="that the object covers")
+    map: tuple[int, int] = Field(description="rows and columns of the environment map")
     method: str
     groups: tuple[str, ...] = Field(description="attacked; the others keep their values and have no gradient")
-    map: tuple[int, int] = Field(description="rows and columns of the environment map")
-    material: str
     dtype: str
     kernel: str
     rows: int | None = Field(description="of the table over normals; null: none")
@@ -172,13 +175,16 @@ def derived(
     return picture.detach().double(), {g: s.double() for g, s in zip(groups, slopes, strict=True)}
 
 
-def row(way: Way, of: Subject, reference: Truth, material: str, size: tuple[int, int], enough: float) -> ShadingRow:
+def row(way: Way, of: Subject, reference: Truth, enough: float) -> ShadingRow:
     """A way measured on a subject, for about `enough` seconds for each time taken; what it raises becomes its note."""
     known = ShadingRow(
+        mesh=of.mesh,
+        material=of.material,
+        size=of.size,
+        pixels=len(of.surface.angles),
+        map=of.map,
         method=way.method,
         groups=way.groups,
-        map=size,
-        material=material,
         dtype=way.dtype,
         kernel=way.kernel,
         rows=way.rows,
@@ -197,7 +203,7 @@ def row(way: Way, of: Subject, reference: Truth, material: str, size: tuple[int,
                 }
                 | _measured(way, of, reference, recipe, enough)
             )
-    except (RuntimeError, ValueError, KeyError, NotImplementedError) as error:  # the report says so, the others go on
+    except Exception as error:  # the report says so, and the others go on
         return known.model_copy(update={"note": f"{type(error).__name__}: {str(error).splitlines()[0]}"})
 
 

@@ -24,7 +24,7 @@ from services.scenes.resolve import ResolvedScene
 GROUPS = ("normals", "illumination", "material")
 FAR = 0.1
 """Part of an attack's reach that the scene is moved by, coordinate by coordinate with random signs."""
-COARSE = 28
+COARSE = 14
 """Squares a side of the random numbers that a picture's weights are smoothed from."""
 
 
@@ -36,7 +36,10 @@ class Subject:
     an attack, float64; coverage [P, 1]; weights [P, 3]: those of the picture in the function that is derived.
     """
 
+    mesh: str
+    material: str
     size: tuple[int, int]
+    map: tuple[int, int]
     surface: Surface
     sky: Sky
     intensity: Tensor
@@ -55,13 +58,13 @@ class Subject:
         return (picture.double() * self.weights).sum()
 
 
-def subject(mesh: str, material: str, size: tuple[int, int], rows: int, cols: int) -> Subject:
+def subject(mesh: str, material: str, size: tuple[int, int], texels: tuple[int, int]) -> Subject:
     """A furniture model of one material under the studio map of so many texels. Raises as `resolve` does."""
     scene = placed(
         mesh,
         size=size,
         thing={"material": material},
-        lights={"environment": {"map": "studio", "size": (rows, cols)}},
+        lights={"environment": {"map": "studio", "size": texels}},
     )
     gbuffer = rasterise(scene)
     to_camera = torch.as_tensor(scene.view, dtype=torch.float64)[:3, :3]
@@ -79,7 +82,7 @@ def subject(mesh: str, material: str, size: tuple[int, int], rows: int, cols: in
     )
     coverage = gbuffer.coverage.flatten()[pixels, None].double()
     weights = smooth_weights(size).reshape(-1, 3)[pixels]
-    return Subject(size, surface, sky, intensity, moved(values), coverage, weights)
+    return Subject(mesh, material, size, texels, surface, sky, intensity, moved(values), coverage, weights)
 
 
 def light_of(scene: ResolvedScene) -> tuple[Sky, Tensor]:

@@ -9,6 +9,8 @@ from torch import Tensor
 
 from services.attacks.seeds import generator
 
+PICTURE = "⟨w, picture⟩"
+"""The function that is derived where it is no network's: a weighted sum of the picture's values."""
 DELTAS = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
 ALONG = 1e-2
 """Half-step of the differences along random directions, in the group's units per unit of the direction."""

@@ -21,7 +21,7 @@ from torch.nn.functional import avg_pool2d
 from services.accuracy.placing import placed
 from services.accuracy.shading_subject import smooth_weights
 from services.accuracy.single_sample import Sampled, displayed
-from services.accuracy.slopes import Objective
+from services.accuracy.slopes import PICTURE, Objective
 from services.rendering.build import build
 from services.rendering.display import as_saved
 from services.rendering.protocol import Parameters
@@ -30,7 +30,7 @@ from services.scenes.resolve import ResolvedScene
 
 POSITIONS = (0.02, 0.01, 0.005)
 """Half-steps whose differences are extrapolated for a light's position, scene units."""
-POSES = (0.04, 0.02, 0.01)
+POSES = (0.06, 0.03, 0.015)
 """The same for poses, in scene units and radians: larger, as even an averaged picture's silhouette jumps."""
 EXTRAPOLATED = "central differences at {}, extrapolated twice; uncertain by how far"
 COLOR = (0.8, 0.7, 0.6)
@@ -86,7 +86,7 @@ def objectives(mesh: str, size: tuple[int, int], factor: int) -> Iterator[Object
             yield Objective(
                 renderer="pyrender",
                 group=part.name,
-                of="⟨w, picture⟩",
+                of=PICTURE,
                 pictures=("float32", "8 bit"),
                 at=_at(part, start),
                 coordinates=torch.arange(len(part.indices)),

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from services.accuracy.placing import placed
 from services.accuracy.shading_subject import GROUPS, smooth_weights
-from services.accuracy.slopes import Objective
+from services.accuracy.slopes import PICTURE, Objective
 from services.attacks.seeds import generator
 from services.rendering.build import build
 from services.rendering.display import as_saved
@@ -18,16 +18,17 @@ from services.targets.registry import load
 from services.targets.scores import log_odds
 
 NETWORK = "efficientnet-lite0"
+ODDS = "log-odds"
 COORDINATES = 8
 """Coordinates that are differenced one by one, drawn from those whose slope is more than SEEN of the largest."""
 SEEN = 0.05
 
 
-def objectives(mesh: str, label: str, size: tuple[int, int]) -> Iterator[Objective]:
+def objectives(mesh: str, label: str, size: tuple[int, int], texels: tuple[int, int]) -> Iterator[Objective]:
     """⟨weights, picture⟩ of each group through the exact picture, the loop's and its 8 bits; and the log-odds of
     `label` of the material through the loop's picture and its 8 bits."""
     scene = placed(
-        mesh, size=size, thing={"material": "glossy-paint"}, lights={"environment": {"map": "studio", "size": (16, 32)}}
+        mesh, size=size, thing={"material": "glossy-paint"}, lights={"environment": {"map": "studio", "size": texels}}
     )
     exact = build(scene, "torch", tolerance="exact")
     weights = smooth_weights(size)
@@ -36,14 +37,14 @@ def objectives(mesh: str, label: str, size: tuple[int, int]) -> Iterator[Objecti
         return (pictures.double() * weights).sum(dim=(1, 2, 3))
 
     for group in GROUPS:
-        yield _objective(scene, exact, group, "⟨w, picture⟩", weighted, weighted, ("float64", "float32", "8 bit"))
+        yield _objective(scene, exact, group, PICTURE, weighted, weighted, ("float64", "float32", "8 bit"))
     number = load(NETWORK).labels.index(label)
 
     def odds(target: Target) -> Callable[[Tensor], Tensor]:
         return lambda pictures: log_odds(target.logits(pictures), number).double()
 
     narrow, wide = odds(load(NETWORK)), odds(load(NETWORK, torch.float64))
-    yield _objective(scene, exact, "material", "log-odds", narrow, wide, ("float32", "8 bit"))
+    yield _objective(scene, exact, "material", ODDS, narrow, wide, ("float32", "8 bit"))
 
 
 def _objective(

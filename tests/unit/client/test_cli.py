@@ -25,7 +25,7 @@ COMMANDS = [
     ["targets"],
     *(["jobs", *rest] for rest in ([], ["list"], ["show"], ["watch"], ["cancel"], ["download"])),
     *(["assets", *rest] for rest in ([], ["list"], ["show"], ["add"], ["environments"])),
-    *(["accuracy", *rest] for rest in ([], ["stability"])),
+    *(["accuracy", *rest] for rest in ([], ["stability"], ["work-precision"])),
 ]
 
 
