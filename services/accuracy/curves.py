@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
@@ -25,6 +25,7 @@ STYLE: Any = {
     "xtick.color": SOFT,
     "ytick.color": SOFT,
     "axes.grid": True,
+    "axes.ymargin": 0.18,
     "grid.color": LINE,
     "axes.titlesize": 11,
     "axes.titleweight": "bold",
@@ -35,10 +36,10 @@ STYLE: Any = {
 
 
 def draw(shading: Sequence[ShadingRow], slopes: Sequence[SlopeRow], attacks: Sequence[Attacked], path: Path) -> None:
-    """Ten panels into a PNG."""
+    """Twelve panels into a PNG."""
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(13, 23), layout="constrained")
-        panels = figure.subplots(5, 2).flatten()
+        figure = Figure(figsize=(13, 27), layout="constrained")
+        panels = figure.subplots(6, 2).flatten()
         measured = [row for row in shading if row.both is not None]
         first = [row for row in measured if row.mesh == measured[0].mesh]
         finest = max(first, key=lambda row: row.map[0] if row.map[0] <= 16 else 0).map
@@ -52,8 +53,10 @@ def draw(shading: Sequence[ShadingRow], slopes: Sequence[SlopeRow], attacks: Seq
         _steps(panels[5], drawn, "pyrender, 4 samples a pixel: slopes, against δ")
         _samples(panels[6], [row for row in slopes if row.renderer == "pyrender"])
         _evaluations(panels[7], slopes)
-        _success(panels[8], attacks)
-        _perceptibility(panels[9], attacks)
+        _success(panels[8], attacks, "queries")
+        _perceptibility(panels[9], attacks, "queries")
+        _success(panels[10], attacks, "seconds")
+        _perceptibility(panels[11], attacks, "seconds")
         figure.savefig(path, dpi=110, facecolor="white", metadata={"Software": None})
 
 
@@ -196,24 +199,24 @@ def _kinds(attacks: Sequence[Attacked]) -> list[tuple[str, list[Attacked]]]:
     return named
 
 
-def _success(panel: Any, attacks: Sequence[Attacked]) -> None:
-    last = max((a.queries for a in attacks), default=1)
+def _success(panel: Any, attacks: Sequence[Attacked], along: Literal["queries", "seconds"]) -> None:
+    reached = [float(getattr(a, along)) for a in attacks if a.steps]
     for color, (name, own) in zip(COLORS, _kinds(attacks), strict=False):
         some = [a for a in own if a.tolerance != "exact" or a.renderer == "image"]
-        points = [(1.0, 0.0), *success(some, "queries")]
-        points.append((float(last), points[-1][1]))
+        points = [(min(reached), 0.0), *success(some, along)]
+        points.append((max(reached), points[-1][1]))
         panel.step([x for x, _ in points], [y for _, y in points], where="post", color=color, label=name)
     panel.set_ylim(-0.03, 1.03)
-    _finish(panel, "Share of attacks that were verified", "queries", "share", "x")
+    _finish(panel, f"Share of attacks that were verified, against {along}", along, "share", "x")
 
 
-def _perceptibility(panel: Any, attacks: Sequence[Attacked]) -> None:
+def _perceptibility(panel: Any, attacks: Sequence[Attacked], along: Literal["queries", "seconds"]) -> None:
     for color, (_, own) in zip(COLORS, _kinds(attacks), strict=False):
         for exact, mark in ((False, "o"), (True, "s")):
             some = [a for a in own if (a.tolerance == "exact") == exact and a.perceptibility]
             for won in (True, False):
                 marked = [a for a in some if (a.outcome == "verified") == won]
-                x, y = [a.seconds for a in marked], [a.perceptibility for a in marked]
+                x, y = [getattr(a, along) for a in marked], [a.perceptibility for a in marked]
                 panel.plot(x, y, mark, color=color, markerfacecolor=color if won else "none")
-    title = "p at the end, against seconds, colours as beside;\nhollow: held; squares: exact, circles: within 1e-3"
-    _finish(panel, title, "seconds", "p")
+    title = f"p at the end, against {along}, colours as beside;\nhollow: held; squares: exact, circles: within 1e-3"
+    _finish(panel, title, along, "p")

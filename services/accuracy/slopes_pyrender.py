@@ -80,8 +80,8 @@ def objectives(mesh: str, size: tuple[int, int], factor: int) -> Iterator[Object
             else:
                 slopes, uncertainty = moving[part.name]
                 how = (
-                    f"{EXTRAPOLATED.format(POSES)} that moved the finest, or {factor}² × 4 samples a pixel those of "
-                    f"{factor // 2}² × 4, whichever is more"
+                    f"{EXTRAPOLATED.format(POSES)} that moved the finest; of pictures of {factor}² × 4 samples a "
+                    f"pixel, and uncertain too by how far off those of {factor // 2}² × 4 are"
                 )
             yield Objective(
                 renderer="pyrender",

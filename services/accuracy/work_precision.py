@@ -39,14 +39,14 @@ FULL = Extent(
         ("furniture/soccer-ball", "brushed-metal", (224, 224), MAPS),
         ("furniture/grand-piano", "glossy-paint", (448, 448), ((16, 32),)),
     ),
-    enough=1.0,
+    enough=0.5,
     slopes=("furniture/drill", "power drill", (224, 224), (16, 32)),
     factor=8,
     directions=(1, 2, 4, 8, 16, 32, 64),
     scenes=3,
-    steps=120,
+    steps=60,
     seeds=2,
-    zoo={"steps": 60},
+    zoo={"steps": 40},
 )
 QUICK = Extent(
     subjects=(("furniture/soccer-ball", "brushed-metal", (64, 64), ((4, 8), (16, 32))),),
