@@ -29,9 +29,11 @@ def plan(
 
     job = parse(spec_input.read(spec))
     from client.commands.run import library
+
+    assets = library()
     from services.jobs.prepare import plan as compile_plan
 
-    found = compile_plan(job, library())
+    found = compile_plan(job, assets)
     if as_json:
         print_json(found.model_dump(mode="json"))
     else:

@@ -11,8 +11,7 @@ from services.accuracy.case import Case, Measured, need
 from services.accuracy.placing import placed, sky
 from services.accuracy.views import against_rays, sound
 from services.rendering.build import build
-from services.scenes.mesh import Doubles, Part
-from services.scenes.normals import Longs
+from services.scenes.mesh import Doubles, Longs, Part
 from services.scenes.reading import read_mesh
 from services.settings import settings
 

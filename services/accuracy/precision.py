@@ -10,7 +10,8 @@ from services.accuracy.case import Case, Measured, need
 from services.accuracy.linear import SIDE, linear_network
 from services.accuracy.placing import placed, sky
 from services.attacks.goal import ResolvedGoal
-from services.attacks.seeds import LARGEST, Seed, generator
+from services.attacks.seeds import generator
+from services.attacks.spec import LARGEST_SEED, Seed
 from services.errors import InvalidRequest
 from services.rendering.build import build
 from services.rendering.display import as_saved
@@ -65,12 +66,12 @@ def _network() -> Measured:
 
 def _seeds() -> Measured:
     """Streams at the ends of the range are reproducible, different, and depend on the seed's every bit."""
-    ends = (0, 1, LARGEST - 1, LARGEST)
+    ends = (0, 1, LARGEST_SEED - 1, LARGEST_SEED)
     first, second = ([torch.rand(8, generator=generator(seed, "zoo", 3)) for seed in ends] for _ in range(2))
     need(all(torch.equal(a, b) for a, b in zip(first, second, strict=True)), "the same seed gives other numbers")
     different = min(float((a - b).abs().max()) for i, a in enumerate(first) for b in first[:i])
     need(different > 1e-3, "two seeds give the same numbers")
-    text = hashlib.sha256(f"{LARGEST}/zoo/3".encode()).digest()
+    text = hashlib.sha256(f"{LARGEST_SEED}/zoo/3".encode()).digest()
     again = torch.rand(8, generator=torch.Generator().manual_seed(int.from_bytes(text[:8], "big") % 2**63))
     return Measured(float((again - first[3]).abs().max()), 0.0, "difference from the stream derived by hand")
 

@@ -1,14 +1,8 @@
 """Randomness that can be resumed: each step has a generator of its own, derived from the job's seed."""
 
 import hashlib
-from typing import Annotated
 
 import torch
-from pydantic import Field
-
-LARGEST = 2**63 - 1
-Seed = Annotated[int, Field(ge=0, le=LARGEST)]
-"""What a request may say."""
 
 
 def generator(seed: int, *words: str | int) -> torch.Generator:

@@ -13,6 +13,9 @@ Rate = Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)]
 Step = Annotated[float, Field(ge=1e-12, le=1, allow_inf_nan=False)]
 Label = Annotated[str, Field(min_length=1, max_length=200)] | Annotated[int, Field(ge=0)]
 
+LARGEST_SEED = 2**63 - 1
+Seed = Annotated[int, Field(ge=0, le=LARGEST_SEED)]
+
 RENDERER_GROUPS = {
     "image": ("image",),
     "torch": ("normals", "illumination", "material"),

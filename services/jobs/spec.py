@@ -5,8 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError, model_validator
 
-from services.attacks.seeds import Seed
-from services.attacks.spec import Attack, Fgsm, Goal
+from services.attacks.spec import Attack, Fgsm, Goal, Seed
 from services.errors import InvalidRequest
 from services.rendering.plan import DEFAULT_TOLERANCE
 from services.scenes.description import Model, Scene

@@ -2,8 +2,6 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from services.scenes.mesh import Integers, Mesh, Part
 
@@ -52,6 +50,9 @@ def outsides(mesh: Mesh) -> list[tuple[Integers, int]]:
 
 def _surfaces(faces: NDArray[np.int64], points: int) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
     """The surface [F] that each face belongs to, and which surfaces [S] are closed."""
+    from scipy.sparse import coo_matrix  # a third of a second to import, and the torch renderer closes nothing
+    from scipy.sparse.csgraph import connected_components
+
     edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
     owner = np.repeat(np.arange(len(faces)), 3)
     key = edges.min(axis=1) * np.int64(points) + edges.max(axis=1)

@@ -13,9 +13,9 @@ from importlib.metadata import version
 from typing import Any, Literal
 
 import numpy as np
-import pyrender
 from numpy.typing import NDArray
 from OpenGL import GL
+from pyrender.renderer import Renderer
 
 from services.rendering.extent import Rectangle, is_in_front
 from services.rendering.framebuffer import Framebuffer
@@ -43,7 +43,7 @@ class View:
         return cls(np.asarray(projection, np.float64) @ np.linalg.inv(camera), camera[:3, 3], -camera[:3, 2])
 
 
-class FloatRenderer(pyrender.Renderer):  # type: ignore[misc]
+class FloatRenderer(Renderer):  # type: ignore[misc]
     """pyrender's renderer with float framebuffers and our shaders. One per process: see `gl`."""
 
     def __init__(self, surface: Any) -> None:

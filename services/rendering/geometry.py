@@ -5,9 +5,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import pyrender
 from numpy.typing import NDArray
 from OpenGL import GL
+from pyrender.material import MetallicRoughnessMaterial
+from pyrender.primitive import Primitive
 from pyrender.texture import Texture
 
 from services.rendering.closed import has_holes, outsides
@@ -59,6 +60,13 @@ class Piece:
         return len(self.part.faces)
 
 
+@dataclass(frozen=True, eq=False)
+class Upload:
+    """What goes to the context as one: all that pyrender's renderer asks of a mesh."""
+
+    primitives: tuple[Any, ...]
+
+
 class Drawing:
     """The geometry of a scene's objects as pyrender primitives; uploaded when first drawn, dropped when another is.
 
@@ -84,7 +92,7 @@ class Drawing:
             corners = np.unique(np.concatenate([part.vertices for part in mesh.parts]), axis=0).astype(np.float64)
             self.points.append(np.ascontiguousarray(np.append(corners, np.ones((len(corners), 1)), axis=1).T))
         # What pyrender's Renderer._update_context asks of a scene.
-        self.meshes = {pyrender.Mesh([primitive for primitive, *_ in upload]) for upload in uploads.values()}
+        self.meshes = {Upload(tuple(primitive for primitive, *_ in upload)) for upload in uploads.values()}
         self.lights: tuple[()] = ()
 
 
@@ -92,12 +100,12 @@ def _primitive(part: Part, faces: Integers, textures: dict[int, SrgbTexture]) ->
     texture = None
     if part.texture is not None and part.uv is not None:
         texture = textures.setdefault(id(part.texture), SrgbTexture(source=part.texture, source_channels="RGBA"))
-    primitive = pyrender.Primitive(
+    primitive = Primitive(
         positions=part.vertices,
         normals=part.normals,
         # One vertex layout for all.
         texcoord_0=np.zeros((len(part.vertices), 2), np.float32) if part.uv is None else part.uv,
         indices=faces,
-        material=pyrender.MetallicRoughnessMaterial(baseColorTexture=texture),
+        material=MetallicRoughnessMaterial(baseColorTexture=texture),
     )
     return primitive, texture

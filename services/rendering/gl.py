@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from services.errors import JobFailure
-from services.rendering import probe
+from services.rendering import bare_pyrender, probe
 from services.settings import settings
 
 if TYPE_CHECKING:
@@ -88,6 +88,7 @@ def choose_platform() -> str:
 
 def try_egl_devices() -> str:
     """The number of the first EGL device that can draw in floating point. Runs in the probe's own process."""
+    bare_pyrender.install()
     from pyrender.platforms import egl
 
     given = os.environ.get("EGL_DEVICE_ID")
@@ -104,6 +105,7 @@ def try_egl_devices() -> str:
 
 
 def _create(platform: str) -> Context:
+    bare_pyrender.install()
     try:
         # A 1x1 window surface: everything is drawn into framebuffers of our own.
         if platform == "egl":

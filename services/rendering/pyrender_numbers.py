@@ -6,12 +6,12 @@ from math import inf
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from services.errors import JobFailure
 from services.rendering.protocol import Parameters
 from services.scenes.description import Scene
+from services.scenes.view import rotation_matrix
 
 GROUPS = ("illumination", "color", "translation", "rotation")
 
@@ -85,6 +85,6 @@ class Numbers:
     def poses(self, translations: NDArray[np.float64], rotations: NDArray[np.float64]) -> NDArray[np.float64]:
         """World from object [objects, 4, 4]: scaled, turned, moved; of translations and rotations [objects, 3]."""
         poses = np.tile(np.eye(4), (len(self._scales), 1, 1))
-        poses[:, :3, :3] = Rotation.from_rotvec(rotations).as_matrix() * self._scales[:, None, None]
+        poses[:, :3, :3] = rotation_matrix(rotations) * self._scales[:, None, None]
         poses[:, :3, 3] = translations
         return poses

@@ -2,22 +2,20 @@
 
 import hashlib
 import posixpath
-import re
 import zipfile
-from collections.abc import Iterable
 from dataclasses import replace
-from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
 
 from services.errors import JobFailure
 from services.scenes.catalogue import Model
 from services.scenes.mesh import Mesh
 from services.scenes.store import load_parts, mesh_path, save_parts
-from services.scenes.surfaces import Surface, read_surfaces, to_parts
+
+if TYPE_CHECKING:
+    from services.scenes.surfaces import Surface
 
 
 def load_model(model: Model, furniture: Path, cache: Path) -> Mesh:
@@ -35,12 +33,16 @@ def load_model(model: Model, furniture: Path, cache: Path) -> Mesh:
     kept = mesh_path(cache, digest)
     parts = load_parts(kept)
     if parts is None:
-        parts = to_parts(upright(model, _surfaces(files, model.path)))
+        # trimesh takes half a second to import, and a mesh that is kept already needs nothing of it
+        from services.scenes.surfaces import to_parts
+        from services.scenes.wavefront import read_obj
+
+        parts = to_parts(upright(model, read_obj(files, posixpath.basename(model.path))))
         save_parts(kept, parts)
     return Mesh(parts=parts, sha256=digest, credit=model.credit)
 
 
-def upright(model: Model, surfaces: list[Surface]) -> list[Surface]:
+def upright(model: Model, surfaces: "list[Surface]") -> "list[Surface]":
     """Surfaces turned by the model's rotation and stretched to its width, height and depth, in centimetres.
 
     A side without extent (a flat picture) keeps what it has.
@@ -53,49 +55,6 @@ def upright(model: Model, surfaces: list[Surface]) -> list[Surface]:
     flat = extent < 1e-9 * extent.max()
     scale = np.where(flat, 1.0, np.array([width, height, depth]) / np.where(flat, 1.0, extent))
     return [replace(surface, vertices=v * scale) for surface, v in zip(surfaces, turned, strict=True)]
-
-
-def read_opacity(mtl: str) -> dict[str, float]:
-    """Opacity of each material of an MTL file that gives one: `d`, or else one minus `Tr`; within [0,1]."""
-    opacity: dict[str, float] = {}
-    dissolved: set[str] = set()
-    name = ""
-    for words in (line.split() for line in mtl.splitlines()):
-        if len(words) < 2:
-            continue
-        key = words[0].lower()
-        if key == "newmtl":
-            name = " ".join(words[1:])
-        elif key == "d" or (key == "tr" and name not in dissolved):
-            try:
-                value = float(words[-1])
-            except ValueError:
-                continue
-            opacity[name] = min(max(value if key == "d" else 1 - value, 0.0), 1.0)
-            if key == "d":
-                dissolved.add(name)
-    return opacity
-
-
-class _Members(trimesh.resolvers.Resolver):  # type: ignore[misc]  # trimesh has no types
-    """Hands out the files of one model and nothing else."""
-
-    def __init__(self, files: dict[str, bytes]) -> None:
-        self._files = {name.lower(): data for name, data in files.items()}
-
-    def get(self, key: str) -> bytes:
-        # Exporters write any case, backslashes, and where the file was on their own disk; it may be beside the model.
-        path = posixpath.normpath(key.strip().replace("\\", "/")).lower()
-        return self._files[path if path in self._files else posixpath.basename(path)]
-
-    def keys(self) -> Iterable[str]:
-        return self._files.keys()
-
-    def write(self, name: str, data: Any) -> None:
-        raise NotImplementedError
-
-    def namespaced(self, namespace: str) -> "_Members":
-        raise NotImplementedError
 
 
 def _files(archive: zipfile.ZipFile, path: str) -> dict[str, bytes]:
@@ -117,17 +76,3 @@ def _digest(model: Model, files: dict[str, bytes]) -> str:
         digest.update(f"\n{name}\n{len(data)}\n".encode())
         digest.update(data)
     return digest.hexdigest()
-
-
-def _surfaces(files: dict[str, bytes], path: str) -> list[Surface]:
-    resolver = _Members(files)
-    obj = files[posixpath.basename(path)]
-    opacity: dict[str, float] = {}
-    library = re.search(rb"^\s*mtllib\s+(.+?)\s*$", obj, re.MULTILINE)
-    if library is not None:
-        try:
-            opacity = read_opacity(resolver.get(library[1].decode("latin-1")).decode("latin-1"))
-        except KeyError:
-            opacity = {}
-    scene = trimesh.load_scene(BytesIO(obj), file_type="obj", resolver=resolver, process=False)
-    return read_surfaces(scene, opacity)

@@ -11,6 +11,7 @@ from services.scenes.description import DISTANCE, FIELD_OF_VIEW
 Floats = NDArray[np.float32]
 Doubles = NDArray[np.float64]
 Integers = NDArray[np.int32]
+Longs = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
 
 FIT_RADIUS = 0.9 * DISTANCE * sin(FIELD_OF_VIEW / 2)

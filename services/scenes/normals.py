@@ -8,9 +8,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
-from services.scenes.mesh import Doubles
-
-Longs = NDArray[np.int64]
+from services.scenes.mesh import Doubles, Longs
 
 CREASE_ANGLE = 40 * pi / 180
 """Faces that meet at less than this angle are shaded as one smooth surface, radians."""

@@ -5,10 +5,8 @@ from collections.abc import Callable
 from math import pi, sqrt
 
 import numpy as np
-import trimesh
 
-from services.scenes.mesh import Doubles, Mesh, Part, fitted
-from services.scenes.normals import Longs
+from services.scenes.mesh import Doubles, Longs, Mesh, Part, fitted
 
 FINE = 128
 """Segments around a round solid."""
@@ -45,6 +43,8 @@ def cube() -> Shape:
 
 def sphere() -> Shape:
     """A unit sphere of 20,480 near-equal triangles; it departs from round by less than 0.03 % of its radius."""
+    import trimesh
+
     mesh = trimesh.creation.icosphere(subdivisions=5)
     vertices = np.asarray(mesh.vertices, np.float64)
     vertices = vertices / np.linalg.norm(vertices, axis=1, keepdims=True)

@@ -8,8 +8,8 @@ import numpy as np
 import trimesh
 from PIL import Image
 
-from services.scenes.mesh import Bytes, Doubles, Floats, Part, fitted
-from services.scenes.normals import CREASE_ANGLE, Longs, smooth_normals
+from services.scenes.mesh import Bytes, Doubles, Floats, Longs, Part, fitted
+from services.scenes.normals import CREASE_ANGLE, smooth_normals
 
 MAX_TEXTURE = 1024
 """Textures are reduced to this many pixels a side; a frame has no more."""

@@ -6,8 +6,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from services.errors import InvalidRequest, JobFailure
-from services.scenes.mesh import Mesh
-from services.scenes.reading import read_mesh
+from services.scenes.mesh import Mesh, Part
 from services.scenes.store import load_parts, mesh_path, save_parts, write_atomically
 from services.settings import settings
 
@@ -43,7 +42,7 @@ class Uploads:
         known = self.record(sha256)
         if known is not None and known.kind == kind:
             return known
-        parts = read_mesh(data, kind, settings().max_faces)
+        parts = _parts(data, kind)
         record = Upload(sha256=sha256, kind=kind, size=len(data), triangles=sum(len(part.faces) for part in parts))
         save_parts(mesh_path(self._processed, f"{sha256}-{kind}"), parts)
         # The record goes last: an entry that can be seen is complete.
@@ -74,6 +73,12 @@ class Uploads:
                 raise JobFailure("asset-missing", f"the uploaded mesh {upload.sha256} has gone: {error}") from error
             if hashlib.sha256(data).hexdigest() != upload.sha256:
                 raise JobFailure("asset-missing", f"the uploaded mesh {upload.sha256} has changed on disk")
-            parts = read_mesh(data, upload.kind, settings().max_faces)
+            parts = _parts(data, upload.kind)
             save_parts(kept, parts)
         return Mesh(parts=parts, sha256=upload.sha256, credit=None)
+
+
+def _parts(data: bytes, kind: str) -> tuple[Part, ...]:
+    from services.scenes.reading import read_mesh  # imports trimesh, which a mesh that is kept already does not need
+
+    return read_mesh(data, kind, settings().max_faces)

@@ -1,10 +1,9 @@
 """The camera: where it stands, how it projects, and whether it sees anything of an object."""
 
-from math import cos, sin, tan
+from math import cos, pi, sin, tan
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from services.scenes.description import Camera, SceneObject
 from services.scenes.mesh import Doubles, Mesh
@@ -39,10 +38,23 @@ def projection(camera: Camera, far: float) -> Doubles:
     return matrix
 
 
+def rotation_matrix(vectors: Doubles) -> Doubles:
+    """Rotations [..., 3, 3] of rotation vectors [..., 3] (axis times angle in radians), by Rodrigues' formula.
+
+    With K = [v]×: 1 + (sin θ / θ) K + ½ (sin(θ/2) / (θ/2))² K², exact to rounding for any angle.
+    """
+    x, y, z = np.moveaxis(np.asarray(vectors, np.float64), -1, 0)
+    none = np.zeros_like(x)
+    cross = np.stack([none, -z, y, z, none, -x, -y, x, none], axis=-1).reshape(*x.shape, 3, 3)
+    angle = np.sqrt(x * x + y * y + z * z)[..., None, None]
+    first, second = np.sinc(angle / pi), 0.5 * np.sinc(angle / (2 * pi)) ** 2
+    return np.asarray(np.eye(3) + first * cross + second * (cross @ cross))
+
+
 def model_matrix(placed: SceneObject) -> Doubles:
     """Mesh to world, float64 [4,4]: scaled, then rotated by the rotation vector, then moved."""
     matrix = np.eye(4)
-    matrix[:3, :3] = Rotation.from_rotvec(placed.rotation).as_matrix() * placed.scale
+    matrix[:3, :3] = rotation_matrix(np.array(placed.rotation)) * placed.scale
     matrix[:3, 3] = placed.translation
     return matrix
 

@@ -9,8 +9,9 @@ from PIL import Image
 
 from services.errors import JobFailure
 from services.scenes.catalogue import IDENTITY, Model
-from services.scenes.furniture import load_model, read_opacity
+from services.scenes.furniture import load_model
 from services.scenes.mesh import FIT_RADIUS
+from services.scenes.wavefront import read_opacity
 
 BOX = """
 mtllib box.mtl

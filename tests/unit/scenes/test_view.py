@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from services.scenes.description import Camera, SceneObject
 from services.scenes.mesh import FIT_RADIUS, Mesh, Part
 from services.scenes.primitives import primitive
-from services.scenes.view import NEAR, camera_to_world, model_matrix, projection, visible_area
+from services.scenes.view import NEAR, camera_to_world, model_matrix, projection, rotation_matrix, visible_area
 
 SIZE = (200, 300)
 
@@ -129,3 +130,12 @@ def test_the_area_agrees_with_counting_pixel_centres(seed):
     assert abs(area - covered) <= 0.5 * 4 * 91
     if area == 0:
         assert covered == 0
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-300, 1e-9, 1e-3, 1.0, pi, 2 * pi, 100.0])
+def test_rotations_are_those_of_another_library(size):
+    vectors = np.random.default_rng(0).normal(size=(5, 3))
+    vectors = size * vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    found = rotation_matrix(vectors)
+    np.testing.assert_allclose(found, Rotation.from_rotvec(vectors).as_matrix(), rtol=0, atol=1e-13 * max(1.0, size))
+    np.testing.assert_allclose(found @ found.transpose(0, 2, 1), np.tile(np.eye(3), (5, 1, 1)), rtol=0, atol=1e-14)
