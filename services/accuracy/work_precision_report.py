@@ -1,5 +1,6 @@
 """What error costs in time, as a page and as data."""
 
+import json
 import platform
 from collections.abc import Iterable, Iterator, Sequence
 from importlib.metadata import version
@@ -63,9 +64,22 @@ def write(made: Report, folder: Path) -> None:
     from services.accuracy.curves import draw  # matplotlib takes a second to import
 
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / f"{NAME}.json").write_text(made.model_dump_json(indent=1) + "\n", "utf-8")
+    (folder / f"{NAME}.json").write_text(_json(made), "utf-8")
     (folder / f"{NAME}.md").write_text(markdown(made), "utf-8")
     draw(made.shading, made.slopes, made.attacks, folder / f"{NAME}.png")
+
+
+def _json(made: Report) -> str:
+    """One row to a line."""
+
+    def text(value: object) -> str:
+        return json.dumps(value, ensure_ascii=False, allow_nan=False)
+
+    def entry(value: object) -> str:
+        return "[\n  " + ",\n  ".join(map(text, value)) + "\n ]" if isinstance(value, list) else text(value)
+
+    data = made.model_dump(mode="json")
+    return "{\n" + ",\n".join(f" {text(name)}: {entry(value)}" for name, value in data.items()) + "\n}\n"
 
 
 def markdown(made: Report) -> str:

@@ -46,9 +46,18 @@ def _of_shading(rows: Sequence[ShadingRow]) -> Iterator[str]:
             f"{plans[whole].largest:.1e} and is so many times faster than the sum in float32, itself off by "
             f"{sums['float32', 'native'].largest:.1e}: {times}."
         )
-    within = [(row.largest, row.estimate) for row in rows if row.largest is not None and row.estimate is not None]
-    held = sum(largest <= max(estimate, EXACTLY) for largest, estimate in within)
-    yield f"The measured error is within the plan's estimate in {held} of {len(within)} plans."
+    plans = [(row, row.largest, row.estimate) for row in rows if row.largest is not None and row.estimate is not None]
+    beyond = [row for row, largest, estimate in plans if largest > max(estimate, EXACTLY)]
+    lost = sum(row.note.startswith("misses") for row, _, _ in plans)
+    yield (
+        f"The measured error is within the plan's estimate in {len(plans) - len(beyond)} of {len(plans)} plans, and "
+        f"beyond the tolerance in {lost}."
+    )
+    for row in beyond:
+        yield (
+            f"Beyond the estimate: {row.mesh}, {' and '.join(row.groups)}, tolerance {row.tolerance}: {row.largest:.1e} "
+            f"where {row.estimate:.1e} was estimated."
+        )
     missed = sum(bool(row.note) for row in rows)
     yield f"{missed} of {len(rows)} ways missed 1e-3 or the tolerance they were given, or could not run; each says so."
 
