@@ -46,17 +46,17 @@ def _of_shading(rows: Sequence[ShadingRow]) -> Iterator[str]:
             f"{plans[whole].largest:.1e} and is so many times faster than the sum in float32, itself off by "
             f"{sums['float32', 'native'].largest:.1e}: {times}."
         )
-    plans = [(row, row.largest, row.estimate) for row in rows if row.largest is not None and row.estimate is not None]
-    beyond = [row for row, largest, estimate in plans if largest > max(estimate, EXACTLY)]
-    lost = sum(row.note.startswith("misses") for row, _, _ in plans)
+    promised = [(r, r.largest, r.estimate) for r in rows if r.largest is not None and r.estimate is not None]
+    beyond = [one for one in promised if one[1] > max(one[2], EXACTLY)]
+    lost = sum(row.note.startswith("misses") for row, _, _ in promised)
     yield (
-        f"The measured error is within the plan's estimate in {len(plans) - len(beyond)} of {len(plans)} plans, and "
-        f"beyond the tolerance in {lost}."
+        f"The measured error is within the plan's estimate in {len(promised) - len(beyond)} of {len(promised)} plans, "
+        f"and beyond the tolerance in {lost}."
     )
-    for row in beyond:
+    for row, largest, estimate in beyond:
         yield (
-            f"Beyond the estimate: {row.mesh}, {' and '.join(row.groups)}, tolerance {row.tolerance}: {row.largest:.1e} "
-            f"where {row.estimate:.1e} was estimated."
+            f"Beyond the estimate: {row.mesh}, {' and '.join(row.groups)}, tolerance {row.tolerance}: {largest:.1e} "
+            f"where {estimate:.1e} was estimated."
         )
     missed = sum(bool(row.note) for row in rows)
     yield f"{missed} of {len(rows)} ways missed 1e-3 or the tolerance they were given, or could not run; each says so."
