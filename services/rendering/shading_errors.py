@@ -15,7 +15,9 @@ from services.rendering.shader import Recipe, Shader, Sky, Surface, displayed_er
 from services.rendering.units import ILLUMINATION_MEAN
 
 SAMPLED = 4_096
-"""Pixels a table is measured at, at most: evenly among the object's, ordered by their normals."""
+STILL = 16_384
+"""Pixels a table is measured at, at most, where normals are attacked and where they keep still (then these pixels are
+all there is): evenly among the object's, ordered by their normals."""
 POINTS = 16_384
 """Normals it is measured at where normals are attacked: the same pixels moved again and again, but ..."""
 MOVES = 8
@@ -29,7 +31,7 @@ REACH = {"normals": 0.3, "illumination": 0.36 * ILLUMINATION_MEAN, "material": 3
 DRAWS = 2
 """Of light and material, beside the scene's own."""
 TENFOLD = 10.0
-"""Where light is attacked, what is left out must not matter in ten times the light either."""
+"""Where light is attacked, what is left out must not matter in ten times the light either, the map's mean added."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,9 @@ def lobe_bounds(surface: Surface, sky: Sky, illumination: Tensor, groups: Sequen
     """Bounds over all normals that a pixel may have."""
     log_kappa, gamma = dsbrdf.lobes(surface.material, sky.curves[kept])
     exponent = log_kappa.clamp(*dsbrdf.LOG_EXPONENT_RANGE).exp()
-    light = _brightest(surface, sky, illumination, kept) * (TENFOLD if "illumination" in groups else 1.0)
+    if "illumination" in groups:  # a texel that is black may be lit
+        illumination = TENFOLD * (illumination + ILLUMINATION_MEAN)
+    light = _brightest(surface, sky, illumination, kept)
     # The remainder of the line is half its second derivative times (γ log n·h)², under the cosine n·ω. A seen normal
     # has n·h ≥ n·ω / 2, and t (log t/2)² is at most 1.09; a normal that moves may be anywhere.
     furthest = log(dsbrdf.COSINE_FLOOR) ** 2 if "normals" in groups else 1.09
@@ -64,7 +68,7 @@ def roughness(surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence
     """
     log_kappa, gamma = dsbrdf.lobes(surface.material, sky.curves)
     exponent = log_kappa.clamp(*dsbrdf.LOG_EXPONENT_RANGE).exp()
-    light = sky.power * (illumination + (REACH["illumination"] if "illumination" in groups else 0.0))
+    light = sky.power * _reached(illumination, groups)
     cosine = (sky.directions.half[:3] * sky.directions.towards).sum(0).clamp(0.0, 1.0)
     sine = (1 - cosine.square()).clamp_min(1e-8).sqrt()
     mesh = pi / rows
@@ -74,14 +78,16 @@ def roughness(surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence
     return ((0.07 * mesh * at_horizon + 0.05 * peak) * light).amax(0)
 
 
-def too_narrow(surface: Surface, sky: Sky, illumination: Tensor, recipe: Recipe, left: float) -> bool:
+def too_narrow(
+    surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str], recipe: Recipe, left: float
+) -> bool:
     """Whether the recipe's table holds a highlight that can be seen (more than a tenth of `left`) and is narrower than
     its mesh: pixels beside it may all miss it when an error is measured."""
     assert recipe.rows is not None
     held = recipe.kept[~torch.isin(recipe.kept, recipe.sharp)]
     log_kappa, gamma = dsbrdf.lobes(surface.material, sky.curves[held])
     exponent = log_kappa.clamp(*dsbrdf.LOG_EXPONENT_RANGE).exp()
-    light = _brightest(surface, sky, illumination, held)
+    light = _brightest(surface, sky, _reached(illumination, groups), held)
     seen = (STEEPEST * torch.expm1(exponent) * light > left / 10) & recipe.varying[..., None]
     return bool((exponent.clamp_min(1.0) * gamma * seen * (pi / recipe.rows) ** 2 > 1).any())
 
@@ -103,7 +109,8 @@ class Measured:
 
     def __init__(self, surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str], recipe: Recipe) -> None:
         random = torch.Generator().manual_seed(0)
-        self._surface = _spread(_some(surface, SAMPLED), "normals" in groups, random)
+        moving = "normals" in groups
+        self._surface = _spread(_some(surface, SAMPLED if moving else STILL), moving, random)
         self._sky, self._illumination = sky, illumination
         self._draws = [(illumination, surface.material)]
         for _ in range(DRAWS if "illumination" in groups or "material" in groups else 0):
@@ -151,6 +158,11 @@ def _some(surface: Surface, most: int) -> Surface:
     stride = -(-len(surface.angles) // most)
     viewers = None if surface.viewers is None else surface.viewers[::stride]
     return replace(surface, angles=surface.angles[::stride], base_color=surface.base_color[::stride], viewers=viewers)
+
+
+def _reached(illumination: Tensor, groups: Sequence[str]) -> Tensor:
+    """The most light that draws give each texel."""
+    return illumination + (REACH["illumination"] if "illumination" in groups else 0.0)
 
 
 def _brightest(surface: Surface, sky: Sky, illumination: Tensor, kept: Tensor) -> Tensor:

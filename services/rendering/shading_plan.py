@@ -24,7 +24,7 @@ SHARP = (0, 8, 16, 32, 64, 128)
 """Numbers of directions that are tried beside them, summed at the pixels."""
 ROUGH_AT = 48
 """Rows of the table for which the directions are put in the order of their roughness."""
-HEADROOM = 2.0
+HEADROOM = 3.0
 """How much worse than at the sampled pixels an error may be elsewhere; the same when a plan is made and when a picture
 is checked."""
 ROUNDING = 2e-5
@@ -37,6 +37,8 @@ CARRY = 1.0
 """A product with a factor that is kept costs as much as so many lobe values: it waits for memory."""
 WORTH = 0.8
 """A shortcut is taken where it costs less than this part of the straight way."""
+PICTURES = 50
+"""What is done once is done for so many pictures."""
 TRANSPORT_BYTES = 2**28
 """Factors that may be kept for one object."""
 
@@ -149,7 +151,7 @@ def _cheapest(
         if any(rows <= finer and sharp <= more for finer, more in failed):
             continue
         failed.append((rows, sharp))
-        if errors.too_narrow(surface, sky, illumination, recipe, left):
+        if errors.too_narrow(surface, sky, illumination, groups, recipe, left):
             why = "highlights are narrower than the mesh of any table that costs less"
             continue
         error = HEADROOM * measured.error(recipe, (left - rounding) / HEADROOM) + rounding
@@ -201,7 +203,7 @@ def _cost(recipe: Recipe, nodes: int, pixels: int) -> float:
         others = LOOKUP * pixels + CHECKED * len(recipe.kept) * each
     if recipe.nodes == "transported":
         return CARRY * recipe.channels * (pairs + nodes_pairs) + others
-    return each * (pairs + (nodes_pairs if recipe.nodes == "summed" else 0)) + others
+    return each * (pairs + nodes_pairs / (PICTURES if recipe.nodes == "tabulated" else 1)) + others
 
 
 _METHODS: dict[Nodes, str] = {
