@@ -60,7 +60,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--mesh", default="primitive/sphere")
     parser.add_argument("--material", default="plastic")
-    parser.add_argument("--scale", type=float, default=0.62, help="size of the object (default 0.62)")
+    parser.add_argument("--scale", type=float, default=0.73, help="size of the object (default 0.73: 60,000 pixels)")
     parser.add_argument("--tolerance", type=float, default=1e-3)
     parser.add_argument("--repeats", type=int, default=5, help="repeats of the fast lines (default 5)")
     parser.add_argument("--no-mitsuba", action="store_true")

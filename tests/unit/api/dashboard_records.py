@@ -15,6 +15,7 @@ from services.jobs.outcome import outcome
 from services.jobs.repository import Attempt, Repository
 from services.jobs.result import Result
 from services.jobs.spec import JobSpec, parse
+from services.rendering.plan import Item, Plan, Stage
 from services.settings import Settings
 
 SPEC = parse(
@@ -76,6 +77,26 @@ def result(spec: JobSpec = SPEC, **changed: Any) -> dict[str, Any]:
         "perceptibility": 0.0123,
         "group_perceptibility": {"normals": 0.02, "illumination": 0.01, "material": 0.03},
         "beyond_truncation": 4,
+        "plan": Plan.of(
+            "torch",
+            ["normals", "illumination"],
+            (224, 224),
+            1e-3,
+            [Item(part="object 0", what="lobes", kept=4, of=9, why="five are <dark>", error=2e-5)],
+            [
+                Stage(
+                    part="object 0",
+                    name="pixels",
+                    method="looked up",
+                    when="every picture",
+                    evaluations=9293,
+                    unit="lookups",
+                    why="11 times less work",
+                    error=4e-4,
+                )
+            ],
+        ),
+        "image_error": 1.5e-4,
         "subsets": [
             subset([], False),
             subset(["normals"], False),

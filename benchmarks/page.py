@@ -1,0 +1,168 @@
+"""Writes docs/benchmarks.md from the committed results. No figure of that page is typed by hand.
+
+Run after any benchmark: python -m benchmarks.page
+"""
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from benchmarks.report import RESULTS
+
+PAGE = Path(__file__).parents[1] / "docs" / "benchmarks.md"
+
+
+def page() -> str:
+    """The whole page."""
+    parts = ["# Benchmarks", INTRODUCTION, *_shading(), *_jobs(), *_image_attacks(), *_zoo(), *_rounded()]
+    return "\n\n".join(parts) + "\n"
+
+
+INTRODUCTION = """Each table is of one run of one command, the shortest of several repeats after a warm-up; ratios
+are of numbers of the same run. `benchmarks/setup` installs the peers. Errors are of displayed values in [0,1]."""
+
+
+def _result(name: str) -> dict[str, Any]:
+    loaded: dict[str, Any] = json.loads((RESULTS / f"{name}.json").read_text("utf-8"))
+    return loaded
+
+
+def _table(columns: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    columns = list(columns)
+    rule = [":---", *("---:" for _ in columns[1:])]
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in (columns, rule, *rows))
+
+
+def _foot(result: dict[str, Any]) -> str:
+    versions = ", ".join(f"{name} {number}" for name, number in result["versions"].items())
+    seed = "" if result["seed"] is None else f", seed {result['seed']}"
+    return f"<small>`{result['command']}`{seed}; {result['backend']}; {versions}; {result['machine']}</small>"
+
+
+def _shading() -> list[str]:
+    result = _result("shading")
+    rows = [
+        [
+            f"{row['method']}, {row['groups']}" + (f", {row['tolerance']}" if "tolerance" in row else ""),
+            f"{1e3 * row['seconds']:.0f}",
+            f"{row['times faster than chunked eager']:.3g}",
+            f"{row['max']:.1e}" if "max" in row else "",
+            f"{row['estimated']:.1e}" if "estimated" in row else "",
+        ]
+        for row in result["rows"]
+    ]
+    parts = [
+        "## Shading",
+        f"A picture of {result['pixels']:,} object pixels at 448² under 512 directions, 3 lobes × RGB, and the "
+        "gradients of the attacked groups. *Chunked* and *one shot* are plain torch with autograd.",
+        _table(("way, attacked, tolerance", "ms", "× chunked", "error", "estimated"), rows),
+    ]
+    if result["mitsuba"]:
+        mitsuba = [
+            [
+                str(row["samples"]),
+                f"{1e3 * row['seconds']:.0f}",
+                f"{row['times slower than ours, all groups']:.3g}",
+                f"{row['rms']:.1e}",
+                f"{row['rms / ours']:.3g}",
+            ]
+            for row in result["mitsuba"]["rows"]
+        ]
+        parts += [
+            f"Mitsuba {result['mitsuba']['mitsuba']} on a problem of the same size, against its own of many samples:",
+            _table(("samples", "ms", "× ours, all groups", "RMS error", "× ours"), mitsuba),
+        ]
+    return [*parts, _foot(result)]
+
+
+def _jobs() -> list[str]:
+    result = _result("jobs")
+    rows = [
+        [
+            row["attack"],
+            f"{row['loop s']:.2f}",
+            f"{row['loop / network']:.2f}",
+            f"{row['job / network']:.2f}",
+            f"{row['job s'] / row['plain network s']:.2f}",
+            f"{row['peak MiB at 448²']:.0f}",
+        ]
+        for row in result["rows"]
+    ]
+    return [
+        "## FGSM jobs",
+        f"Jobs of {result['steps']} steps at 224², beside as many forward and backward passes of EfficientNet-Lite0 "
+        "alone: as jobs use it, with packed weights, and in plain torch (channels_last). Memory is the peak of a fresh "
+        "process at 448².",
+        _table(("attacked", "loop s", "loop / network", "job / network", "job / plain network", "MiB"), rows),
+        _foot(result),
+    ]
+
+
+def _image_attacks() -> list[str]:
+    result = _result("image_attacks")
+    timing = [
+        [str(value) if not isinstance(value, float) else f"{value:.3g}" for value in row.values()]
+        for row in result["timing"]
+    ]
+    success = [
+        [str(value) if not isinstance(value, float) else f"{value:.3g}" for value in row.values()]
+        for row in result["success"]
+    ]
+    return [
+        "## Attacks on pixels",
+        result["about"].split("\n\n")[1].replace("\n", " "),
+        _table(result["timing"][0], timing),
+        _table(result["success"][0], success),
+        _foot(result),
+    ]
+
+
+def _zoo() -> list[str]:
+    result = _result("zoo_step")
+    rows = [
+        [
+            view["mesh"],
+            f"{view['faces']:,}",
+            f"{1e3 * view['seconds']['zoo_step']:.0f}",
+            f"{view['seconds']['zoo_step'] / view['seconds']['network_28']:.2f}",
+            f"{view['seconds']['loop_of_28'] / view['seconds']['zoo_step']:.2f}",
+            f"{view['seconds']['frame'] / view['seconds']['stock_pyrender_frame']:.2f}",
+        ]
+        for view in result["views"]
+    ]
+    return [
+        "## A step of ZOO",
+        "Differences of all 14 coordinates on pyrender at 224², beside the network's batch of 28 and beside a loop "
+        "that renders a frame and asks the network one at a time; and a frame beside stock pyrender's.",
+        _table(("mesh", "faces", "step ms", "step / network", "loop / step", "frame / stock frame"), rows),
+        _foot(result),
+    ]
+
+
+def _rounded() -> list[str]:
+    result = _result("rounded_gradient")
+    rows = [
+        [
+            row["attack"],
+            f"{row['saved']['verified']} / {row['float']['verified']} of {row['views']}",
+            *(_both(row, key, scale) for key, scale in (("steps_where_both", 1.0), ("p_where_both", 1e3))),
+        ]
+        for row in result["summary"]
+    ]
+    return [
+        "## The gradient at the saved picture",
+        "FGSM takes verdict and gradient from one pass on the saved picture; here beside the float picture's gradient.",
+        _table(("attacked", "verified, saved / float", "steps", "p ×10⁻³"), rows),
+        _foot(result),
+    ]
+
+
+def _both(row: dict[str, Any], key: str, scale: float) -> str:
+    values = [row[which][key] for which in ("saved", "float")]
+    return "–" if None in values else " / ".join(f"{scale * value:.3g}" for value in values)
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), "utf-8")
+    print(f"written to {PAGE}")
