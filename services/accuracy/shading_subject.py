@@ -8,16 +8,15 @@ from torch.nn.functional import interpolate
 
 from services.accuracy.placing import placed
 from services.attacks.seeds import generator
-from services.rendering import dsbrdf, table
-from services.rendering.directions import directions, solid_angles
+from services.rendering import table
 from services.rendering.display import to_display
 from services.rendering.gbuffer import rasterise
 from services.rendering.illumination import illumination
 from services.rendering.normals import to_angles
 from services.rendering.presets import preset
 from services.rendering.shader import Shader, Sky, Surface
-from services.rendering.shading import Directions
 from services.rendering.shading_errors import REACH
+from services.rendering.torch_renderer import sky_of
 from services.rendering.units import MATERIAL_UNIT
 from services.scenes.resolve import ResolvedScene
 
@@ -89,12 +88,7 @@ def light_of(scene: ResolvedScene) -> tuple[Sky, Tensor]:
     """The sky of a scene's map as its camera sees it, and the map's intensities [D], rounded to float32."""
     to_camera = torch.as_tensor(scene.view, dtype=torch.float64)[:3, :3]
     light = illumination(torch.as_tensor(scene.environment))
-    rows, cols = light.intensity.shape
-    towards = directions(rows, cols) @ to_camera
-    half, theta_d = dsbrdf.half_vectors(towards, torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
-    power = (light.exposure * light.chroma).reshape(-1, 3).T * solid_angles(rows, cols)
-    sky = Sky(Directions.of(towards, half), dsbrdf.basis(theta_d) / MATERIAL_UNIT, power)
-    return sky, light.intensity.flatten().float().double()
+    return sky_of(light, to_camera), light.intensity.flatten().float().double()
 
 
 def moved(values: dict[str, Tensor]) -> dict[str, Tensor]:

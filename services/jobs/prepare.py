@@ -49,11 +49,7 @@ def preflight(spec: JobSpec, library: Library) -> JobSpec:
 
 def plan(spec: JobSpec, library: Library) -> Plan:
     """How the pictures of a job would be made, without asking the network anything. Raises as `prepare` does."""
-    for index, thing in enumerate(spec.scene.objects):
-        preset(thing.material, f"scene.objects.{index}.material")
-    scene = resolve(spec.scene, library)
-    attack = spec.attack
-    return build(scene, attack.renderer, attack.picture, attack.groups, spec.tolerance).plan
+    return _renderer(spec, _scene(spec, library)).plan
 
 
 def prepare(spec: JobSpec, library: Library) -> Prepared:
@@ -67,13 +63,11 @@ def prepare(spec: JobSpec, library: Library) -> Prepared:
     reach = _label(spec.goal.reach, labels, "goal.reach", spec.target.name)
     if leave is not None and leave == reach:
         raise InvalidRequest("goal.reach", f"is the label to leave ({labels[leave]!r}); name another one")
-    for index, thing in enumerate(spec.scene.objects):
-        preset(thing.material, f"scene.objects.{index}.material")
-    scene = resolve(spec.scene, library)
+    scene = _scene(spec, library)
     target = registry.load(spec.target.name)
     if spec.target.question is not None and not target.takes_question:
         raise InvalidRequest("target.question", f"{target.name} answers no questions; leave it out")
-    renderer = build(scene, spec.attack.renderer, spec.attack.picture, spec.attack.groups, spec.tolerance)
+    renderer = _renderer(spec, scene)
     judge = Judge(renderer, target, spec.target.question)
     original = judge.picture({})
     logits = judge.logits(original)
@@ -86,6 +80,17 @@ def prepare(spec: JobSpec, library: Library) -> Prepared:
     )
     spec = spec.model_copy(update={"goal": goal})
     return Prepared(spec, scene, renderer, target, ResolvedGoal(leave, reach), judge, original, logits)
+
+
+def _scene(spec: JobSpec, library: Library) -> ResolvedScene:
+    for index, thing in enumerate(spec.scene.objects):
+        preset(thing.material, f"scene.objects.{index}.material")
+    return resolve(spec.scene, library)
+
+
+def _renderer(spec: JobSpec, scene: ResolvedScene) -> Renderer:
+    attack = spec.attack
+    return build(scene, attack.renderer, attack.picture, attack.groups, spec.tolerance)
 
 
 def _label(wanted: str | int | None, labels: tuple[str, ...], field: str, target: str) -> int | None:

@@ -19,7 +19,7 @@ from services.rendering import dsbrdf, native, table
 from services.rendering.directions import directions, solid_angles
 from services.rendering.display import to_display
 from services.rendering.gbuffer import GBuffer
-from services.rendering.illumination import illumination
+from services.rendering.illumination import Illumination, illumination
 from services.rendering.normals import FURTHEST_ANGLE, to_angles
 from services.rendering.plan import DEFAULT_TOLERANCE, Tolerance
 from services.rendering.presets import preset
@@ -68,7 +68,7 @@ class TorchRenderer:
         )
         to_camera = torch.as_tensor(scene.view, dtype=torch.float64)[:3, :3]
         light = illumination(torch.as_tensor(scene.environment))
-        sky = _sky(light.exposure * light.chroma, to_camera)
+        sky = sky_of(light, to_camera)
         materials = [
             preset(thing.material, f"scene.objects.{i}.material") for i, thing in enumerate(scene.description.objects)
         ]
@@ -180,12 +180,12 @@ class TorchRenderer:
         return picture.reshape(height, width, 3)
 
 
-def _sky(radiance: Tensor, to_camera: Tensor) -> Sky:
-    """Of a map's radiance per unit of intensity [rows, cols, 3], seen from the camera."""
-    rows, cols, _ = radiance.shape
+def sky_of(light: Illumination, to_camera: Tensor) -> Sky:
+    """A map's directions and powers, seen from the camera: `to_camera` [3, 3] turns world vectors, as rows, into it."""
+    rows, cols = light.intensity.shape
     towards = directions(rows, cols) @ to_camera
     half, theta_d = dsbrdf.half_vectors(towards, torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
-    power = radiance.reshape(-1, 3).T * solid_angles(rows, cols)
+    power = (light.exposure * light.chroma).reshape(-1, 3).T * solid_angles(rows, cols)
     return Sky(Directions.of(towards, half), dsbrdf.basis(theta_d) / MATERIAL_UNIT, power)
 
 
