@@ -40,6 +40,18 @@ template <class T> struct Meeting {
     }
 
     bool negligible(T log_kappa, T gamma) const { return log_kappa + gamma * log_closest < Lanes<T>::negligible; }
+
+    // Reflectance times cosine in one channel.
+    V<T> reflected(const Scene<T> &s, int c, int64_t d) const {
+        V<T> rho = s.base[c * s.directions + d] + s.tilt[c * s.directions + d] * log_half;
+        for (int l = 0; l < s.lobes; ++l) {
+            T kappa = s.lobe(s.log_kappa, c, l)[d], gamma = s.lobe(s.gamma, c, l)[d];
+            if (negligible(kappa, gamma)) continue;
+            V<T> x = most<T>(least<T>(kappa + gamma * log_half, all<T>(s.highest)), all<T>(s.lowest));
+            rho += exponential_minus_1<T>(exponential<T>(x));
+        }
+        return rho * cosine;
+    }
 };
 
 template <class T, int C> void forward(const Scene<T> &s, T *out, int threads) {
@@ -53,14 +65,7 @@ template <class T, int C> void forward(const Scene<T> &s, T *out, int threads) {
             Meeting<T> m(s, block, d);
             if (m.dark) continue;
             for (int c = 0; c < C; ++c) {
-                V<T> rho = s.base[c * D + d] + s.tilt[c * D + d] * m.log_half;
-                for (int l = 0; l < s.lobes; ++l) {
-                    T kappa = s.lobe(s.log_kappa, c, l)[d], gamma = s.lobe(s.gamma, c, l)[d];
-                    if (m.negligible(kappa, gamma)) continue;
-                    V<T> x = most<T>(least<T>(kappa + gamma * m.log_half, all<T>(s.highest)), all<T>(s.lowest));
-                    rho += exponential_minus_1<T>(exponential<T>(x));
-                }
-                rho *= m.cosine;
+                V<T> rho = m.reflected(s, c, d);
                 if (C == 3) {
                     result[c] += rho * s.light[c * D + d];
                 } else {
@@ -162,17 +167,7 @@ template <class T, int C> void transport(const Scene<T> &s, T *out, int threads)
         for (int64_t d = 0; d < D; ++d) {
             Meeting<T> m(s, block, d);
             for (int c = 0; c < C; ++c) {
-                V<T> rho{};
-                if (!m.dark) {
-                    rho = s.base[c * D + d] + s.tilt[c * D + d] * m.log_half;
-                    for (int l = 0; l < s.lobes; ++l) {
-                        T kappa = s.lobe(s.log_kappa, c, l)[d], gamma = s.lobe(s.gamma, c, l)[d];
-                        if (m.negligible(kappa, gamma)) continue;
-                        V<T> x = most<T>(least<T>(kappa + gamma * m.log_half, all<T>(s.highest)), all<T>(s.lowest));
-                        rho += exponential_minus_1<T>(exponential<T>(x));
-                    }
-                    rho *= m.cosine;
-                }
+                V<T> rho = m.dark ? V<T>{} : m.reflected(s, c, d);
                 std::memcpy(out + (c * D + d) * s.count + b * n, &rho, lanes * sizeof(T));
             }
         }
