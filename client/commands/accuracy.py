@@ -31,9 +31,9 @@ def stability(
 
     from client.console import err, print_json, table
     from client.console import out as stdout
-    from services.accuracy.case import Case
-    from services.accuracy.report import report, write
-    from services.accuracy.stability import cases, run
+    from services.accuracy.stability.case import Case
+    from services.accuracy.stability.cases import cases, run
+    from services.accuracy.stability.report import report, write
     from services.settings import settings
 
     torch.set_num_threads(settings().threads)
@@ -84,9 +84,9 @@ def work_precision(
 
     from client.console import err, print_json
     from client.console import out as stdout
-    from services.accuracy.work_precision import FULL, QUICK, collect
-    from services.accuracy.work_precision_report import report, write
-    from services.accuracy.work_precision_words import findings
+    from services.accuracy.work_precision.collect import FULL, QUICK, collect
+    from services.accuracy.work_precision.report import report, write
+    from services.accuracy.work_precision.words import findings
     from services.settings import settings
 
     torch.set_num_threads(settings().threads)

@@ -2,7 +2,7 @@
 
 import torch
 
-from services.accuracy import differences, precision
+from services.accuracy.stability import differences, precision
 from services.attacks import goal, problem, zoo
 from services.attacks.differences import Estimate
 from services.attacks.fgsm import FgsmMethod

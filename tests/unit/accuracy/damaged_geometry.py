@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from services.accuracy import lights, meshes, views
-from services.accuracy import normals as normals_cases
+from services.accuracy.stability import lights, meshes, views
+from services.accuracy.stability import normals as normals_cases
 from services.attacks import problem
 from services.rendering import pyrender_renderer
 from services.scenes import normals, resolve, surfaces

@@ -2,7 +2,7 @@
 
 import torch
 
-from services.accuracy import differences, meshes, precision, shading, sizes, steps, views
+from services.accuracy.stability import differences, meshes, precision, shading, sizes, steps, views
 
 BUILDERS = (shading, views, differences, steps, sizes, precision, meshes)
 """Modules that make renderers."""

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from services.accuracy import environments
-from services.accuracy import normals as normals_cases
+from services.accuracy.stability import environments
+from services.accuracy.stability import normals as normals_cases
 from services.rendering import shader, torch_renderer
 from services.rendering.dsbrdf import COSINE_FLOOR
 from services.scenes import environment

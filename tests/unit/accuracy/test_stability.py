@@ -2,8 +2,8 @@
 
 import pytest
 
-from services.accuracy.case import Case, observe
-from services.accuracy.stability import cases
+from services.accuracy.stability.case import Case, observe
+from services.accuracy.stability.cases import cases
 from tests.unit.accuracy import damaged_attacks, damaged_geometry, damaged_pictures, damaged_shading
 
 ALL = {(case.family, case.name): case for case in cases()}

@@ -8,15 +8,15 @@ import pytest
 import torch
 from torch import Tensor
 
-from services.accuracy import attack_runs, shading_methods
-from services.accuracy.attack_runs import Attacked, success
 from services.accuracy.placing import placed
-from services.accuracy.shading_methods import GROUPS, ShadingRow, kernel, truth, ways
-from services.accuracy.shading_subject import Subject, subject
-from services.accuracy.single_sample import Sampled, displayed
-from services.accuracy.slopes import Objective, SlopeRow, along_directions, differences
-from services.accuracy.work_precision import QUICK, Found, attacks, objectives, shading, slopes
-from services.accuracy.work_precision_report import report, write
+from services.accuracy.work_precision import attack_runs, shading_methods
+from services.accuracy.work_precision.attack_runs import Attacked, success
+from services.accuracy.work_precision.collect import QUICK, Found, attacks, objectives, shading, slopes
+from services.accuracy.work_precision.report import report, write
+from services.accuracy.work_precision.shading_methods import GROUPS, ShadingRow, kernel, truth, ways
+from services.accuracy.work_precision.shading_subject import Subject, subject
+from services.accuracy.work_precision.single_sample import Sampled, displayed
+from services.accuracy.work_precision.slopes import Objective, SlopeRow, along_directions, differences
 from services.rendering import native, shader, table
 from services.rendering.build import build
 from services.rendering.gbuffer import rasterise

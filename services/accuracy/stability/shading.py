@@ -7,8 +7,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from services.accuracy import definition
-from services.accuracy.case import need
+from services.accuracy.stability import definition
+from services.accuracy.stability.case import need
 from services.rendering.build import build
 from services.rendering.gbuffer import GBuffer, rasterise
 from services.rendering.plan import DEFAULT_TOLERANCE, Tolerance

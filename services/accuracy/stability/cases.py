@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 
-from services.accuracy import (
+from services.accuracy.stability import (
     differences,
     environments,
     lights,
@@ -16,7 +16,7 @@ from services.accuracy import (
     steps,
     views,
 )
-from services.accuracy.case import Case, Observation, observe
+from services.accuracy.stability.case import Case, Observation, observe
 
 FAMILIES = (lobes, normals, environments, plans, views, meshes, lights, logits, differences, steps, sizes, precision)
 

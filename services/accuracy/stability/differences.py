@@ -3,9 +3,9 @@
 import torch
 from torch import Tensor
 
-from services.accuracy.case import Case, Measured, need
-from services.accuracy.linear import SIDE, linear_problem, linear_slopes, pixels
 from services.accuracy.placing import placed
+from services.accuracy.stability.case import Case, Measured, need
+from services.accuracy.stability.linear import SIDE, linear_problem, linear_slopes, pixels
 from services.attacks.differences import estimate, layout, measure_noise
 from services.attacks.exact import Judge
 from services.attacks.loop import Budget, run

@@ -7,9 +7,9 @@ import numpy as np
 import torch
 import trimesh
 
-from services.accuracy.case import Case, Measured, need
 from services.accuracy.placing import placed, sky
-from services.accuracy.views import against_rays, sound
+from services.accuracy.stability.case import Case, Measured, need
+from services.accuracy.stability.views import against_rays, sound
 from services.rendering.build import build
 from services.scenes.mesh import Doubles, Longs, Part
 from services.scenes.reading import read_mesh

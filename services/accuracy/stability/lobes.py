@@ -5,9 +5,9 @@ from math import log
 import torch
 from torch import Tensor
 
-from services.accuracy.case import Case, Measured, need
 from services.accuracy.placing import TABLES, placed, sky
-from services.accuracy.shading import EXACT, LOOP, SLOPE, Shading
+from services.accuracy.stability.case import Case, Measured, need
+from services.accuracy.stability.shading import EXACT, LOOP, SLOPE, Shading
 from services.rendering.dsbrdf import LOG_GAMMA_RANGE, LOG_KAPPA_RANGE, SHAPE
 from services.rendering.units import MATERIAL_UNIT
 

@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from services.accuracy.placing import placed
-from services.accuracy.shading_subject import GROUPS, smooth_weights
-from services.accuracy.slopes import PICTURE, Objective
+from services.accuracy.work_precision.shading_subject import GROUPS, smooth_weights
+from services.accuracy.work_precision.slopes import PICTURE, Objective
 from services.attacks.seeds import generator
 from services.rendering.build import build
 from services.rendering.display import as_saved

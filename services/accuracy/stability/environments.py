@@ -5,11 +5,11 @@ from math import pi
 import numpy as np
 import torch
 
-from services.accuracy import definition
-from services.accuracy.case import Case, Measured, need
-from services.accuracy.lobes import of_one_lobe
 from services.accuracy.placing import TABLES, placed, sky
-from services.accuracy.shading import EXACT, LOOP, Shading
+from services.accuracy.stability import definition
+from services.accuracy.stability.case import Case, Measured, need
+from services.accuracy.stability.lobes import of_one_lobe
+from services.accuracy.stability.shading import EXACT, LOOP, Shading
 from services.rendering.illumination import illumination
 from services.scenes.environment import average, from_picture, radiance_of
 from services.scenes.mesh import Doubles, Floats

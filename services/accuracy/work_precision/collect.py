@@ -3,11 +3,11 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
-from services.accuracy import attack_runs, shading_methods, slopes_pyrender, slopes_torch
-from services.accuracy.attack_runs import Attacked
-from services.accuracy.shading_methods import ShadingRow, Truth
-from services.accuracy.shading_subject import subject
-from services.accuracy.slopes import Objective, Reference, SlopeRow, along_directions, differences
+from services.accuracy.work_precision import attack_runs, shading_methods, slopes_pyrender, slopes_torch
+from services.accuracy.work_precision.attack_runs import Attacked
+from services.accuracy.work_precision.shading_methods import ShadingRow, Truth
+from services.accuracy.work_precision.shading_subject import subject
+from services.accuracy.work_precision.slopes import Objective, Reference, SlopeRow, along_directions, differences
 
 Told = Callable[[str], None]
 

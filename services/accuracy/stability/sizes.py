@@ -3,10 +3,10 @@
 import numpy as np
 import torch
 
-from services.accuracy.case import Case, Measured, need
-from services.accuracy.linear import linear_network
 from services.accuracy.placing import placed, sky
-from services.accuracy.shading import EXACT, LOOP, Shading
+from services.accuracy.stability.case import Case, Measured, need
+from services.accuracy.stability.linear import linear_network
+from services.accuracy.stability.shading import EXACT, LOOP, Shading
 from services.attacks.exact import Judge
 from services.attacks.fgsm import FgsmMethod
 from services.attacks.goal import ResolvedGoal

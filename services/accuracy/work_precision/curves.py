@@ -8,9 +8,9 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
-from services.accuracy.attack_runs import Attacked, success
-from services.accuracy.shading_methods import ShadingRow
-from services.accuracy.slopes import PICTURE, SlopeRow
+from services.accuracy.work_precision.attack_runs import Attacked, success
+from services.accuracy.work_precision.shading_methods import ShadingRow
+from services.accuracy.work_precision.slopes import PICTURE, SlopeRow
 
 COLORS = ("#4a2fd6", "#0a5a94", "#0b6b3a", "#b26a00", "#a3182f", "#8b1a86", "#5d5875")
 """The dashboard's, as they stand on white paper."""

@@ -6,10 +6,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from services.accuracy.case import Case, Measured, need
-from services.accuracy.lobes import of_one_lobe
 from services.accuracy.placing import TABLES, placed, sky
-from services.accuracy.shading import EXACT, LOOP, SLOPE, Shading
+from services.accuracy.stability.case import Case, Measured, need
+from services.accuracy.stability.lobes import of_one_lobe
+from services.accuracy.stability.shading import EXACT, LOOP, SLOPE, Shading
 from services.rendering.gbuffer import rasterise
 from services.rendering.normals import to_angles, to_vectors
 

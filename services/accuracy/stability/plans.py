@@ -5,11 +5,11 @@ from functools import partial
 import numpy as np
 import torch
 
-from services.accuracy.case import Case, Measured, need
-from services.accuracy.environments import sun
-from services.accuracy.lobes import of_one_lobe
 from services.accuracy.placing import TABLES, placed, sky
-from services.accuracy.shading import EXACT, SLOPE, Shading
+from services.accuracy.stability.case import Case, Measured, need
+from services.accuracy.stability.environments import sun
+from services.accuracy.stability.lobes import of_one_lobe
+from services.accuracy.stability.shading import EXACT, SLOPE, Shading
 from services.rendering.plan import DEFAULT_TOLERANCE, Tolerance
 from services.rendering.protocol import Parameters
 from services.scenes.mesh import Floats

@@ -2,9 +2,9 @@
 
 from collections.abc import Iterator, Sequence
 
-from services.accuracy.attack_runs import Attacked
-from services.accuracy.shading_methods import ShadingRow
-from services.accuracy.slopes import PICTURE, SlopeRow
+from services.accuracy.work_precision.attack_runs import Attacked
+from services.accuracy.work_precision.shading_methods import ShadingRow
+from services.accuracy.work_precision.slopes import PICTURE, SlopeRow
 
 EXACTLY = 1e-12
 """Largest error of a plan that estimates none: its sum is the reference's."""

@@ -9,8 +9,8 @@ import torch
 from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
-from services.accuracy.shading_subject import GROUPS, Subject
-from services.accuracy.timing import shortest
+from services.accuracy.work_precision.shading_subject import GROUPS, Subject
+from services.accuracy.work_precision.timing import shortest
 from services.rendering import native
 from services.rendering.plan import Tolerance
 from services.rendering.shader import CHECKED, Nodes, Recipe, Shader

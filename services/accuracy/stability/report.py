@@ -1,19 +1,14 @@
 """What the stability cases came to, as a page and as data."""
 
-import platform
 from collections.abc import Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
 
-import torch
 from pydantic import BaseModel, ConfigDict, Field
 
-from services.accuracy.case import Observation
-from services.rendering import native
-from services.rendering.gl import gl_backend
+from services.accuracy.provenance import backend, versions
+from services.accuracy.stability.case import Observation
 
-PACKAGES = ("scene-attack", "torch", "numpy", "scipy", "pyrender-maintained", "PyOpenGL", "trimesh", "OpenEXR")
 BANDS = ((10.0, "< 10"), (100.0, "< 100"))
 """Seconds are told this roughly, so that another run on another day gives the same page."""
 
@@ -66,8 +61,8 @@ def report(observations: Sequence[Observation], command: str) -> Report:
     return Report(
         command=command,
         seed="each case has its own, in its code",
-        versions={"python": platform.python_version()} | {name: version(name) for name in PACKAGES},
-        backend=f"torch cpu, {torch.get_num_threads()} threads, shading {native.backend()}; {gl_backend()}",
+        versions=versions(),
+        backend=backend(),
         counts={word: sum(row.outcome == word for row in rows) for word in WORDS},
         cases=rows,
     )

@@ -19,9 +19,9 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
 from services.accuracy.placing import placed
-from services.accuracy.shading_subject import smooth_weights
-from services.accuracy.single_sample import Sampled, displayed
-from services.accuracy.slopes import PICTURE, Objective
+from services.accuracy.work_precision.shading_subject import smooth_weights
+from services.accuracy.work_precision.single_sample import Sampled, displayed
+from services.accuracy.work_precision.slopes import PICTURE, Objective
 from services.rendering.build import build
 from services.rendering.display import as_saved
 from services.rendering.protocol import Parameters

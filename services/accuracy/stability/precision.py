@@ -6,9 +6,9 @@ import numpy as np
 import torch
 from pydantic import TypeAdapter, ValidationError
 
-from services.accuracy.case import Case, Measured, need
-from services.accuracy.linear import SIDE, linear_network
 from services.accuracy.placing import placed, sky
+from services.accuracy.stability.case import Case, Measured, need
+from services.accuracy.stability.linear import SIDE, linear_network
 from services.attacks.goal import ResolvedGoal
 from services.attacks.seeds import generator
 from services.attacks.spec import LARGEST_SEED, Seed

@@ -5,8 +5,8 @@ from math import inf, nan
 import torch
 from torch import Tensor
 
-from services.accuracy.case import Case, Measured, need
 from services.accuracy.placing import placed
+from services.accuracy.stability.case import Case, Measured, need
 from services.rendering.pyrender_renderer import PyrenderRenderer
 from services.scenes.mesh import FIT_RADIUS
 

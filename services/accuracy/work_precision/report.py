@@ -1,22 +1,17 @@
 """What error costs in time, as a page and as data."""
 
 import json
-import platform
 from collections.abc import Iterable, Iterator, Sequence
-from importlib.metadata import version
 from pathlib import Path
 
-import torch
 from pydantic import BaseModel, ConfigDict, Field
 
-from services.accuracy.attack_runs import Attacked
-from services.accuracy.report import PACKAGES
-from services.accuracy.shading_methods import ShadingRow
-from services.accuracy.slopes import DELTAS, Reference, SlopeRow
-from services.accuracy.work_precision import Found
-from services.accuracy.work_precision_words import OMISSIONS, findings
-from services.rendering import native
-from services.rendering.gl import gl_backend
+from services.accuracy.provenance import backend, versions
+from services.accuracy.work_precision.attack_runs import Attacked
+from services.accuracy.work_precision.collect import Found
+from services.accuracy.work_precision.shading_methods import ShadingRow
+from services.accuracy.work_precision.slopes import DELTAS, Reference, SlopeRow
+from services.accuracy.work_precision.words import OMISSIONS, findings
 
 NAME = "work-precision"
 WAYS = (
@@ -50,8 +45,8 @@ def report(found: Found, command: str) -> Report:
     return Report(
         command=command,
         seed=0,
-        versions={"python": platform.python_version()} | {name: version(name) for name in (*PACKAGES, "matplotlib")},
-        backend=f"torch cpu, {torch.get_num_threads()} threads, shading {native.backend()}; {gl_backend()}",
+        versions=versions("matplotlib"),
+        backend=backend(),
         shading=found.shading,
         references=found.references,
         slopes=found.slopes,
@@ -61,7 +56,7 @@ def report(found: Found, command: str) -> Report:
 
 def write(made: Report, folder: Path) -> None:
     """`work-precision.md`, `.json` and `.png` in the folder, which is made if need be."""
-    from services.accuracy.curves import draw  # matplotlib takes a second to import
+    from services.accuracy.work_precision.curves import draw  # matplotlib takes a second to import
 
     folder.mkdir(parents=True, exist_ok=True)
     (folder / f"{NAME}.json").write_text(_json(made), "utf-8")

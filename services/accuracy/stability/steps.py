@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import torch
 
-from services.accuracy.case import Case, Measured, need
-from services.accuracy.linear import linear_problem, pixels
 from services.accuracy.placing import placed, sky
-from services.accuracy.shading import LOOP
+from services.accuracy.stability.case import Case, Measured, need
+from services.accuracy.stability.linear import linear_problem, pixels
+from services.accuracy.stability.shading import LOOP
 from services.attacks.exact import Judge
 from services.attacks.fgsm import FgsmMethod
 from services.attacks.loop import Budget, Run, run

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from services.accuracy.case import Case, Measured, need
 from services.accuracy.placing import placed
-from services.accuracy.rays import cast
+from services.accuracy.stability.case import Case, Measured, need
+from services.accuracy.stability.rays import cast
 from services.rendering.build import build
 from services.rendering.gbuffer import GBuffer, rasterise
 from services.scenes.mesh import Doubles

@@ -7,8 +7,8 @@ from math import exp
 import torch
 from torch import Tensor
 
-from services.accuracy.case import Case, Measured, need
-from services.accuracy.linear import SIDE, linear_network
+from services.accuracy.stability.case import Case, Measured, need
+from services.accuracy.stability.linear import SIDE, linear_network
 from services.attacks.exact import Judge
 from services.attacks.fgsm import FgsmMethod
 from services.attacks.goal import ResolvedGoal

@@ -1,0 +1,1 @@
+"""Stiff and extreme cases: what must hold of each, and what was seen."""

@@ -1,0 +1,1 @@
+"""Error against run time: shading, gradient estimates, whole attacks."""
