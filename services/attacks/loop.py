@@ -166,7 +166,7 @@ def _step(active: list[_Running]) -> None:
 
 def _row(problem: Problem, judge: Judge, view: View, logits: Tensor, state: Run, seconds: float) -> TraceRow:
     height, width = problem.renderer.size
-    distance = float((view.images.detach() - problem.original).double().square_().sum().sqrt())
+    distance = float(torch.linalg.vector_norm(view.images.detach() - problem.original, dtype=torch.float64))
     label = int(logits.argmax())
     return TraceRow(
         step=state.step,

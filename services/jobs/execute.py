@@ -2,6 +2,7 @@
 
 import platform
 from collections.abc import Callable
+from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
@@ -155,7 +156,7 @@ def _provenance(prepared: Prepared) -> Provenance:
     return Provenance(
         seed=prepared.spec.seed,
         backend=prepared.backend,
-        versions={"python": platform.python_version()} | {name: version(name) for name in _VERSIONED},
+        versions=_versions(),
         scene_sha256=prepared.scene.sha256,
         weights_sha256=prepared.target.weights_sha256,
         meshes={
@@ -164,3 +165,8 @@ def _provenance(prepared: Prepared) -> Provenance:
         },
         credits=prepared.scene.credits,
     )
+
+
+@lru_cache(maxsize=1)
+def _versions() -> dict[str, str]:
+    return {"python": platform.python_version()} | {name: version(name) for name in _VERSIONED}

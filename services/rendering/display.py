@@ -1,20 +1,51 @@
 """From linear radiance to the picture on a screen, and to the 8 bits of a file."""
 
+from typing import Any
+
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from services.rendering import native
+
+KNEE = 0.0031308
+"""Linear values up to here are displayed in proportion."""
 
 
 def to_display(linear: Tensor) -> Tensor:
-    """The sRGB curve on radiance clipped to [0,1] (IEC 61966-2-1). Any shape; gradients are finite everywhere.
-
-    Clipped values have a zero gradient.
+    """The sRGB curve on radiance clipped to [0,1] (IEC 61966-2-1). Any shape. Differentiable (once); gradients are
+    finite everywhere, and zero where values are clipped.
     """
-    clipped = linear.clamp(0.0, 1.0)
-    # The power is only ever taken above the knee, so that its infinite slope at 0 never meets a gradient. It is taken
-    # through the logarithm: torch's own power in float32 has other last bits at the end of a tensor than in its middle,
-    # so that a picture's would depend on its batch.
-    curved = 1.055 * (clipped.clamp_min(0.0031308).log() / 2.4).exp() - 0.055
-    return torch.where(clipped <= 0.0031308, 12.92 * clipped, curved)
+    result: Tensor = _Display.apply(linear)  # type: ignore[no-untyped-call]
+    return result
+
+
+def display_slope(linear: Tensor) -> Tensor:
+    """The curve's derivative."""
+    # The power is only ever taken above the knee, so that its infinite slope at 0 is not met.
+    above = linear.clamp(KNEE, 1.0)
+    slope = torch.where(linear <= KNEE, 12.92, 1.055 / 2.4 * (above.log() * (1 / 2.4 - 1)).exp())
+    return slope * ((linear >= 0) & (linear <= 1))
+
+
+class _Display(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, linear: Tensor) -> Tensor:
+        ctx.save_for_backward(linear)
+        if native.runs(linear):
+            shown = torch.empty_like(linear, memory_format=torch.contiguous_format)
+            native.call("display", linear.dtype, linear.numel(), linear.contiguous(), shown, native.threads())
+            return shown
+        clipped = linear.clamp(0.0, 1.0)
+        # Through the logarithm: torch's own power in float32 has other last bits at the end of a tensor than in its
+        # middle, so that a picture's would depend on its batch.
+        curved = 1.055 * (clipped.clamp_min(KNEE).log() / 2.4).exp() - 0.055
+        return torch.where(clipped <= KNEE, 12.92 * clipped, curved)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, slope: Tensor) -> Tensor:
+        return slope * display_slope(*ctx.saved_tensors)
 
 
 def to_linear(display: Tensor) -> Tensor:

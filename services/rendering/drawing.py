@@ -100,7 +100,7 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
         insides: Insides = "like outsides",
     ) -> Image:
         """One pass over the geometry: what the fragment shader writes to each output, 0 where nothing is;
-        [outputs, height, width, 4], or a `rectangle` of it.
+        [outputs, height, width, 4], or a `rectangle` of it. The first row is the bottom one, as OpenGL has it.
 
         poses [objects, 4, 4] world_from_object; colors [pictures, objects, 3] linear factors on the base colours;
         `uniforms` of the pass, and `object_uniforms` with one value per object. With `blend` the parts that are not

@@ -52,9 +52,7 @@ class Framebuffer:
         GL.glClear(GL.GL_COLOR_BUFFER_BIT | GL.GL_DEPTH_BUFFER_BIT)
 
     def read(self, outputs: int, rectangle: Rectangle) -> NDArray[np.float32]:
-        """A rectangle of the first `outputs` images, [outputs, rows, columns, 4]; unlike OpenGL's, the first row is
-        the top.
-        """
+        """A rectangle of the first `outputs` images, [outputs, rows, columns, 4]; the first row is the bottom one."""
         top, bottom, left, right = rectangle
         low, high = self.size[0] - bottom, self.size[0] - top
         images = np.empty((outputs, high - low, right - left, 4), np.float32)
@@ -69,8 +67,7 @@ class Framebuffer:
                 GL.glBindFramebuffer(GL.GL_READ_FRAMEBUFFER, self._read)
                 GL.glReadBuffer(GL.GL_COLOR_ATTACHMENT0)
             GL.glReadPixels(left, low, right - left, high - low, GL.GL_RGBA, GL.GL_FLOAT, array=image)
-        # Turned over by a copy: of a single row numpy takes the turned view for contiguous, with its negative stride.
-        return images[:, ::-1].copy()
+        return images
 
     def delete(self) -> None:
         """Give the memory back."""

@@ -80,7 +80,7 @@ def rasterise(scene: ResolvedScene) -> GBuffer:
             blend=False,
         )
         for name, tile in _average(torch.from_numpy(geometry), torch.from_numpy(surface), count, view.forward).items():
-            images[name][rows, columns] = tile
+            images[name][rows, columns] = tile.flip(0)  # OpenGL's first row is the bottom one
     if not images["coverage"].any():
         raise InvalidRequest("scene.objects", "out of view: no object covers any part of the picture")
     return GBuffer(**images, backend=f"{context.backend}; {FACTOR}x{FACTOR} samples per pixel")

@@ -90,6 +90,11 @@ def library() -> ctypes.CDLL | None:
         return None
 
 
+def runs(values: Tensor) -> bool:
+    """Whether the loops do the work for `values`: on the CPU, of a dtype they know."""
+    return values.device.type == "cpu" and values.dtype in NAMES and library() is not None
+
+
 def backend() -> str:
     """What computes the sums: decides the bits of a picture."""
     return "torch" if library() is None else f"native {_key()[:8]}"

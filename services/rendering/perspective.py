@@ -34,7 +34,7 @@ class _Radiance(torch.autograd.Function):
         held = tuple(value.contiguous() for value in inputs)
         ctx.save_for_backward(*held)
         normals, viewers, light, material, towards = held
-        if _is_native(normals):
+        if native.runs(normals):
             result = torch.empty_like(normals)
             native.call("shade_perspective", normals.dtype, _pack(*held), result, native.threads())
             return result
@@ -48,7 +48,7 @@ class _Radiance(torch.autograd.Function):
         normals, viewers, light, material, towards = ctx.saved_tensors
         slopes = [torch.zeros_like(value) for value in (light, material, normals)]
         slope = slope.contiguous()
-        if _is_native(normals):
+        if native.runs(normals):
             packed = _pack(normals, viewers, light, material, towards)
             native.call("shade_perspective_backward", normals.dtype, packed, slope, *slopes, native.threads())
         else:
@@ -86,10 +86,6 @@ def _chunk(normals: Tensor, viewers: Tensor, light: Tensor, material: Tensor, to
     log_half = half.clamp(dsbrdf.COSINE_FLOOR, 1.0).log().to(dtype)
     rho = dsbrdf.reflectance(log_half, log_kappa, gamma).sum(1) * cosine.clamp_min(0.0).to(dtype)
     return torch.einsum("cpd,cd->pc", rho.expand(3, -1, -1), light)
-
-
-def _is_native(normals: Tensor) -> bool:
-    return normals.device.type == "cpu" and native.library() is not None
 
 
 def _pack(

@@ -184,7 +184,7 @@ class PyrenderRenderer:
         pictures = empty.expand(len(batch["color"]), *self.size, len(empty)).clone()
         if not done:
             return pictures
-        radiance = torch.from_numpy(np.concatenate([frames.reshape(-1, 4) for _, _, frames in done]))
+        radiance = torch.from_numpy(np.concatenate([frames[:, ::-1].reshape(-1, 4) for _, _, frames in done]))
         if not finite(radiance):
             raise JobFailure("non-finite", "the picture has values that are not finite: light or colour is too strong")
         finished = torch.split(finish(radiance), [frames[..., 0].size for _, _, frames in done])
@@ -203,7 +203,8 @@ class PyrenderRenderer:
     def _frames(
         self, drawn: Pass, poses: NDArray[np.float64], part: tuple[int, int, int, int], natural: bool = False
     ) -> NDArray[np.float32]:
-        """Radiance [pictures, rows, columns, 4] of a part of the picture; `natural`: no surface taken for closed."""
+        """Radiance [pictures, rows, columns, 4] of a part of the picture, its bottom row first; `natural`: no surface
+        taken for closed."""
         points = drawn.illuminations[:, 1:].reshape(-1, 4)
         uniforms: dict[str, object] = {"ambients[0]": drawn.illuminations[:, 0]}
         if len(points):

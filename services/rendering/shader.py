@@ -108,10 +108,11 @@ class Shader:
             at_nodes = None if self._still_nodes is None else self._still_nodes.vectors
             self._smooth = _Sum(recipe, recipe.kept[~among], sky, frozen, at_nodes)
             self._sharp = _Sum(recipe, recipe.kept[among], sky, frozen, pixels)
+            self._checked = torch.arange(0, len(angles), max(1, len(angles) // CHECKED))
+            self._checked_color = surface.base_color[self._checked]
+            self._truth = _Sum(recipe, recipe.kept, sky, frozen, None if pixels is None else pixels[self._checked])
             self._known = torch.zeros(len(tiles(recipe.rows)), dtype=torch.bool)
             self._table = torch.zeros(2 * recipe.rows**2, 3, dtype=recipe.dtype)
-        self._checked = torch.arange(0, len(angles), max(1, len(angles) // CHECKED))
-        self._checked_color = surface.base_color[self._checked]
         self.summed_after_all = 0
 
     def __call__(self, angles: Tensor, illumination: Tensor, material: Tensor) -> Tensor:
@@ -148,7 +149,7 @@ class Shader:
     def _misses(self, shaded: Tensor, angles: Tensor, illumination: Tensor, material: Tensor) -> float:
         """The largest displayed error of the looked-up radiance at the checked pixels."""
         at = self._checked
-        truth = self._whole.summed(to_vectors(angles[at]), illumination, material)
+        truth = self._truth(to_vectors(angles[at]), illumination, material)
         return displayed_error(shaded[at], truth, self._checked_color)
 
 

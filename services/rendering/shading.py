@@ -74,7 +74,7 @@ def radiance(normals: Tensor, light: Tensor, lobes: Lobes, directions: Direction
 def transport(normals: Tensor, lobes: Lobes, directions: Directions) -> Tensor:
     """ρ(θ_h, θ_d) · max(0, n·ω) of every direction and normal, [C, D, N]: radiance per unit of light."""
     out = normals.new_empty(len(lobes.base), directions.towards.shape[1], len(normals))
-    if _is_native(normals):
+    if native.runs(normals):
         kept = _pack(
             normals,
             None,
@@ -105,7 +105,7 @@ class _Radiance(torch.autograd.Function):
         ctx.save_for_backward(*inputs)
         normals, light, log_kappa, gamma, base, tilt, towards, half = inputs
         result = torch.empty_like(normals)
-        if _is_native(normals):
+        if native.runs(normals):
             kept = _pack(*inputs)
             native.call("shade", normals.dtype, kept.scene, result, native.threads())
             return result
@@ -134,7 +134,7 @@ class _Radiance(torch.autograd.Function):
         normals, light, log_kappa, gamma = inputs[:4]
         d_normals, d_light = torch.zeros_like(normals), torch.zeros_like(light)
         d_kappa, d_gamma = torch.zeros_like(log_kappa), torch.zeros_like(gamma)
-        if _is_native(normals):
+        if native.runs(normals):
             kept = _pack(*inputs)
             rows = (d_light, d_kappa, d_gamma, d_normals if of_normals else None)
             native.call("shade_backward", normals.dtype, kept.scene, slope.contiguous(), *rows, native.threads())
@@ -203,10 +203,6 @@ def _log_half(normals: Tensor, half: Tensor) -> Tensor:
     1 − n·h of 1e-5."""
     wide = torch.mm(normalize(normals.double(), dim=-1), normalize(half[:3].double(), dim=0))
     return wide.clamp_(COSINE_FLOOR, 1.0).log_().to(normals.dtype)
-
-
-def _is_native(normals: Tensor) -> bool:
-    return normals.device.type == "cpu" and native.library() is not None
 
 
 @dataclass(frozen=True)

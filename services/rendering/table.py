@@ -23,7 +23,7 @@ TILE = 4
 def look_up(table: Tensor, angles: Tensor) -> Tensor:
     """Values [P, 3] of a table [rows · 2 rows, 3] at azimuth and polar angle [P, 2], any finite angles. Differentiable
     (once) in both."""
-    if angles.device.type == "cpu" and native.library() is not None:
+    if native.runs(angles):
         result: Tensor = _LookUp.apply(table, angles.contiguous())  # type: ignore[no-untyped-call]
         return result
     nodes, weights = _spots(angles, _rows(table))
@@ -32,12 +32,12 @@ def look_up(table: Tensor, angles: Tensor) -> Tensor:
 
 def touched(angles: Tensor, rows: int) -> Tensor:
     """Which tiles the values at `angles` [P, 2] depend on: bool [tiles of the table]."""
+    if native.runs(angles):
+        found, plain = torch.zeros(len(tiles(rows)), dtype=torch.bool), angles.detach().contiguous()
+        native.call("touch", angles.dtype, len(plain), rows, plain, found, native.threads())
+        return found
     nodes = torch.zeros(2 * rows * rows, dtype=torch.bool)
-    if angles.device.type == "cpu" and native.library() is not None:
-        plain = angles.detach().contiguous()
-        native.call("touch", angles.dtype, len(plain), rows, plain, nodes)
-    else:
-        nodes[_spots(angles.detach(), rows)[0].flatten().cpu()] = True
+    nodes[_spots(angles.detach(), rows)[0].flatten().cpu()] = True
     return nodes[tiles(rows)].any(1)
 
 

@@ -16,8 +16,8 @@ import torch
 from torch import Tensor
 
 from services.rendering import dsbrdf, native, table
+from services.rendering.canvas import Canvas
 from services.rendering.directions import directions, solid_angles
-from services.rendering.display import to_display
 from services.rendering.gbuffer import GBuffer
 from services.rendering.illumination import Illumination, illumination
 from services.rendering.normals import FURTHEST_ANGLE, to_angles
@@ -87,22 +87,21 @@ class TorchRenderer:
         angles = rounded["normals"].reshape(-1, 2)
         owner = torch.where(coverage > 0, gbuffer.object_index.flatten(), -1)
         order = torch.argsort(owner * table.PLACES + table.place(angles), stable=True)
-        self._pixels = order[owner[order] >= 0]
-        self._counts = torch.bincount(owner[self._pixels], minlength=len(materials)).tolist()
-        base_color = gbuffer.base_color.reshape(-1, 3)[self._pixels]
-        self._base_color = base_color.to(dtype)
-        self._coverage = coverage[self._pixels, None].to(dtype)
-        self._ground = torch.tensor(scene.description.ground, dtype=dtype)
+        pixels = order[owner[order] >= 0]
+        self._counts = torch.bincount(owner[pixels], minlength=len(materials)).tolist()
+        base_color = gbuffer.base_color.reshape(-1, 3)[pixels]
+        ground = torch.tensor(scene.description.ground, dtype=dtype)
+        self._canvas = Canvas(self.size, pixels, base_color.to(dtype), coverage[pixels, None].to(dtype), ground)
 
         near = scene.description.camera.viewer == "perspective"
         surfaces = [
             Surface(f"object {i}", own, color.double(), material, own_viewers if near else None)
             for i, (own, color, material, own_viewers) in enumerate(
                 zip(
-                    torch.split(angles[self._pixels], self._counts),
+                    torch.split(angles[pixels], self._counts),
                     torch.split(base_color, self._counts),
                     rounded["material"],
-                    torch.split(viewers_of(scene, self.size)[self._pixels], self._counts),
+                    torch.split(viewers_of(scene, self.size)[pixels], self._counts),
                     strict=True,
                 )
             )
@@ -168,16 +167,12 @@ class TorchRenderer:
 
     def _image(self, normals: Tensor, illumination: Tensor, material: Tensor) -> Tensor:
         """One picture [H, W, 3]."""
-        angles, intensity = normals.reshape(-1, 2)[self._pixels], illumination.flatten()
+        angles, intensity = self._canvas.covered(normals), illumination.flatten()
         shaded = [
             shader(own, intensity, of_object).to(self._dtype)
             for shader, own, of_object in zip(self._shaders, torch.split(angles, self._counts), material, strict=True)
         ]
-        shown = to_display(torch.cat(shaded) * self._base_color)
-        height, width = self.size
-        over = self._coverage * shown + (1 - self._coverage) * self._ground
-        picture = self._ground.expand(height * width, 3).index_put((self._pixels,), over)
-        return picture.reshape(height, width, 3)
+        return self._canvas.picture(torch.cat(shaded) if len(shaded) > 1 else shaded[0])
 
 
 def sky_of(light: Illumination, to_camera: Tensor) -> Sky:

@@ -50,7 +50,7 @@ class Sampled:
                 lights=len(points),
                 insides="behind",
             )
-            pictures.append(torch.from_numpy(picture))
+            pictures.append(torch.from_numpy(picture).flip(0))
         return torch.stack(pictures)
 
 

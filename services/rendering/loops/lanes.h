@@ -72,18 +72,20 @@ template <class T> inline V<T> exponential_minus_1(V<T> x) {  // x >= 0
     return choose<T>(x < limit, small, exponential<T>(x) - T(1));
 }
 
-// log(1 - q) for q in [0, 1): with s = (m - 1) / (m + 1), log m = 2 atanh s. Near q = 0 nothing cancels.
-template <class T> inline V<T> log_1_minus(V<T> q) {
+// log c for c > 0, given c - 1: with s = (m - 1) / (m + 1), log m = 2 atanh s. Near c = 1 nothing cancels.
+template <class T> inline V<T> log_of(V<T> c, V<T> less_1) {
     using L = Lanes<T>;
-    V<T> c = T(1) - q;
     I<T> bits = (I<T>)c;
     I<T> k = (bits - L::root_half) >> L::mantissa;
     V<T> m = (V<T>)(bits - (k << L::mantissa));
-    V<T> s = choose<T>(k == 0, -q, m - T(1)) / (m + T(1));
+    V<T> s = choose<T>(k == 0, less_1, m - T(1)) / (m + T(1));
     V<T> z = s * s, p = all<T>(T(1) / T(2 * L::log_terms - 1));
     for (int i = L::log_terms - 2; i >= 0; --i) p = p * z + T(1) / T(2 * i + 1);
     return T(2) * s * p + __builtin_convertvector(k, V<T>) * T(0.69314718055994530942);
 }
+
+template <class T> inline V<T> log_of(V<T> c) { return log_of<T>(c, c - T(1)); }
+template <class T> inline V<T> log_1_minus(V<T> q) { return log_of<T>(T(1) - q, -q); }  // q in [0, 1)
 
 // One vector of unit normals, and a cone around them that tells which directions none of them sees.
 template <class T> struct Block {

@@ -12,7 +12,7 @@ namespace {
 // A table over the sphere in the two angles of a normal: row i at polar angle (i + 1/2) h, column j at azimuth
 // -pi + (j + 1/2) h, h = pi / rows, 2 rows columns. Past a pole the rows come back half a turn further round.
 template <class T> struct Spot {
-    int64_t nodes[4][4];
+    int64_t nodes[4][4], line[4];  // places in the table, and its rows
     T row[4], column[4], d_row[4], d_column[4];
 
     static int64_t wrapped(int64_t k, int64_t turn) { return k >= 0 && k < turn ? k : (k % turn + turn) % turn; }
@@ -42,8 +42,8 @@ template <class T> struct Spot {
             const bool past = r >= rows;
             int64_t c = past ? left + rows : left;
             if (c >= turn) c -= turn;
-            const int64_t start = (past ? turn - 1 - r : r) * turn;
-            for (int b = 0; b < 4; ++b, c = c + 1 == turn ? 0 : c + 1) nodes[a][b] = start + c;
+            line[a] = past ? turn - 1 - r : r;
+            for (int b = 0; b < 4; ++b, c = c + 1 == turn ? 0 : c + 1) nodes[a][b] = line[a] * turn + c;
         }
     }
 };
@@ -102,11 +102,20 @@ void look_up_backward(int64_t count, int64_t rows, const T *angles, const T *tab
         }
 }
 
-template <class T> void touch(int64_t count, int64_t rows, const T *angles, uint8_t *touched) {
+constexpr int64_t TILE = 4;  // nodes a side of a tile, as in table.py
+
+// Which tiles the values at some angles depend on: those at the corners of the 4 x 4 nodes around each. Threads that mark
+// the same tile write the same.
+template <class T> void touch(int64_t count, int64_t rows, const T *angles, uint8_t *touched, int threads) {
+    const int64_t turn = 2 * rows;
+#pragma omp parallel for schedule(static) num_threads(threads)
     for (int64_t p = 0; p < count; ++p) {
         Spot<T> at(angles + 2 * p, rows);
-        for (int a = 0; a < 4; ++a)
-            for (int b = 0; b < 4; ++b) touched[at.nodes[a][b]] = 1;
+        for (int a = 0; a < 4; a += 3)
+            for (int b = 0; b < 4; b += 3) {
+                const int64_t column = at.nodes[a][b] - at.line[a] * turn;
+                __atomic_store_n(touched + at.line[a] / TILE * (turn / TILE) + column / TILE, 1, __ATOMIC_RELAXED);
+            }
     }
 }
 
@@ -120,8 +129,8 @@ template <class T> void touch(int64_t count, int64_t rows, const T *angles, uint
                                         T *d_angles, T *d_table, int threads) {                                        \
         look_up_backward<T>(count, rows, angles, table, slope, d_angles, d_table, threads);                            \
     }                                                                                                                  \
-    EXPORT void touch_##NAME(int64_t count, int64_t rows, const T *angles, uint8_t *touched) {                         \
-        touch<T>(count, rows, angles, touched);                                                                        \
+    EXPORT void touch_##NAME(int64_t count, int64_t rows, const T *angles, uint8_t *touched, int threads) {            \
+        touch<T>(count, rows, angles, touched, threads);                                                               \
     }
 
 BOTH(float, float)

@@ -8,6 +8,7 @@ import torch
 from services.accuracy.stability import environments
 from services.accuracy.stability import normals as normals_cases
 from services.rendering import shader, torch_renderer
+from services.rendering.canvas import Canvas
 from services.rendering.dsbrdf import COSINE_FLOOR
 from services.scenes import environment
 
@@ -57,8 +58,8 @@ def wrong_slopes(patch) -> None:
         def backward(_, slope):
             return 1.1 * slope
 
-    true = torch_renderer.to_display
-    patch.setattr(torch_renderer, "to_display", lambda linear: Longer.apply(true(linear)))
+    true = Canvas.picture
+    patch.setattr(Canvas, "picture", lambda canvas, radiance: Longer.apply(true(canvas, radiance)))
 
 
 def turned_normals(patch) -> None:

@@ -1,7 +1,10 @@
 import numpy as np
+import pytest
 import torch
 
-from services.rendering.display import to_display, to_linear
+from services.rendering.display import display_slope, to_display, to_linear
+
+pytestmark = pytest.mark.usefixtures("kernel")
 
 
 def test_a_values_bits_do_not_depend_on_where_it_stands() -> None:
@@ -21,4 +24,19 @@ def test_the_curve_is_that_of_the_standard() -> None:
     np.testing.assert_allclose(to_display(torch.from_numpy(linear).float()).numpy(), expected, atol=3e-7)
     # the standard's two constants meet to about 1e-5
     np.testing.assert_allclose(to_linear(shown).numpy(), linear, atol=1e-5)
-    np.testing.assert_allclose(to_display(torch.tensor([-1.0, 2.0])), [0.0, 1.0], atol=1e-7)
+
+
+def test_what_is_out_of_range_is_clipped_and_what_is_no_number_stays_none() -> None:
+    values = torch.tensor([-torch.inf, -1.0, 0.0, 1.0, 2.0, torch.inf, torch.nan])
+    for dtype in (torch.float32, torch.float64):
+        shown = to_display(values.to(dtype))
+        torch.testing.assert_close(shown, values.to(dtype).clamp(0, 1), rtol=0, atol=1e-6, equal_nan=True)
+
+
+def test_the_slope_is_that_of_the_curve_and_zero_where_it_is_clipped() -> None:
+    linear = (
+        torch.cat([torch.linspace(-0.51, 1.52, 100), torch.tensor([1e-6, 0.003, 0.0032])]).double().requires_grad_()
+    )
+    assert torch.autograd.gradcheck(to_display, linear, eps=1e-7)
+    outside = torch.tensor([-1e-3, 1.001])
+    assert not display_slope(outside).any()

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from services.rendering import dsbrdf, native, shading
+from services.rendering import dsbrdf, shading
 from services.rendering.dsbrdf import COSINE_FLOOR
 from services.rendering.perspective import radiance
 from services.rendering.plan import Tolerance
@@ -18,13 +18,7 @@ from services.scenes.description import Camera, Scene, SceneObject
 from tests.unit.rendering.shading import reference_brdf, sky, sphere_gbuffer, sphere_scene
 from tests.unit.rendering.shapes import placed
 
-
-@pytest.fixture(autouse=True, params=["native", "torch"])
-def kernel(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    if request.param == "torch":
-        monkeypatch.setattr(native, "library", lambda: None)
-    else:
-        assert native.library() is not None
+pytestmark = pytest.mark.usefixtures("kernel")
 
 
 def inputs(pixels: int = 9, directions: int = 7, channels: int = 3, log_kappa: float = -1.0) -> list[Tensor]:

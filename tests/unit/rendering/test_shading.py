@@ -7,9 +7,11 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from services.rendering import native, shading
+from services.rendering import shading
 from services.rendering.dsbrdf import half_vectors
 from services.rendering.shading import Directions
+
+pytestmark = pytest.mark.usefixtures("kernel")
 
 VIEWER = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
 
@@ -33,16 +35,6 @@ def radiance(*values: Tensor) -> Tensor:
     normals, light, log_kappa, gamma, base, tilt, towards, half = values
     lobes = shading.Lobes(base, tilt, log_kappa, gamma)
     return shading.radiance(normals, light, lobes, Directions(towards, half))
-
-
-@pytest.fixture(autouse=True, params=["native", "torch"])
-def kernel(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
-    """Everything holds for the compiled loops and for those in torch."""
-    if request.param == "torch":
-        monkeypatch.setattr(native, "library", lambda: None)
-    else:
-        assert native.library() is not None
-    return str(request.param)
 
 
 def leaves(values: tuple[Tensor, ...]) -> list[Tensor]:

@@ -10,13 +10,7 @@ from services.rendering import native
 from services.rendering.normals import to_vectors
 from services.rendering.table import PLACES, look_up, node_vectors, place, tiles, touched
 
-
-@pytest.fixture(autouse=True, params=["native", "torch"])
-def kernel(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    if request.param == "torch":
-        monkeypatch.setattr(native, "library", lambda: None)
-    else:
-        assert native.library() is not None
+pytestmark = pytest.mark.usefixtures("kernel")
 
 
 def anywhere(count: int, seed: int = 0, dtype: torch.dtype = torch.float64) -> Tensor:
