@@ -3,8 +3,9 @@
 A job of 120 steps runs through services.jobs.execute in a process set up as a worker's. Its learning rate is so small
 that the picture does not move: the network holds, and all steps are run. Beside it, in the same process and taking
 turns, 120 forward and backward passes of the network alone on a picture of 224²: the packed one that jobs use, and the
-same in plain torch (channels_last). Ratios are of the shortest of the repeats. Memory: the peak resident set of a fresh
-process that runs a job of 448².
+same in plain torch (channels_last). A shared machine is faster one minute than the next, so each job is compared with
+the passes right before and after it; ratios and seconds are medians of the repeats. Memory: the peak resident set of
+a fresh process that runs a job of 448².
 """
 
 import argparse
@@ -16,6 +17,7 @@ import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 import torch
@@ -43,7 +45,7 @@ def main() -> None:
     """Runs the comparison; see --help."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--attacks", nargs="+", default=list(ATTACKS), choices=list(ATTACKS))
-    parser.add_argument("--repeats", type=int, default=2, help="jobs of each kind (default 2)")
+    parser.add_argument("--repeats", type=int, default=5, help="jobs of each kind (default 5)")
     parser.add_argument("--memory-steps", type=int, default=12, help="steps of the jobs of 448² (default 12)")
     parser.add_argument("--out", type=Path, default=RESULTS / "jobs.json")
     parser.add_argument("--one", nargs=3, metavar=("ATTACK", "SIZE", "STEPS"), help=argparse.SUPPRESS)
@@ -89,20 +91,32 @@ def _measure(attack: str, size: int, steps: int, repeats: int) -> dict[str, Any]
         target = registry.load(spec.target.name)
         execute(parse({"scene": scene, "attack": chosen | held | {"steps": 2}}), Path(out), library)  # warms up
         plain = Lite0(torch.channels_last)
-        jobs, loops, networks, plains = [], [], [], []
+
+        def packed() -> float:
+            return shortest(lambda: _passes(target.logits, target, steps), 1, 0)
+
+        found: list[dict[str, float]] = []
+        before = packed()
         for _ in range(repeats):
-            networks.append(shortest(lambda: _passes(target.logits, target, steps), 1, 0))
-            plains.append(shortest(lambda: _passes(lambda x: plain(x.permute(0, 3, 1, 2)), target, steps), 1, 0))
-            jobs.append(shortest(lambda: loops.append(_held(execute(spec, Path(out), library), steps)), 1, 0))
-        networks.append(shortest(lambda: _passes(target.logits, target, steps), 1, 0))
-    return {
-        "job s": min(jobs),
-        "loop s": min(loops),
-        "network s": min(networks),
-        "plain network s": min(plains),
-        "loop / plain network": min(loops) / min(plains),
-        "job / network": min(jobs) / min(networks),
-        "loop / network": min(loops) / min(networks),
+            loops: list[float] = []
+            job = shortest(lambda: loops.append(_held(execute(spec, Path(out), library), steps)), 1, 0)  # noqa: B023
+            after = packed()
+            unpacked = shortest(lambda: _passes(lambda x: plain(x.permute(0, 3, 1, 2)), target, steps), 1, 0)
+            network = (before + after) / 2
+            found.append(
+                {
+                    "job s": job,
+                    "loop s": loops[0],
+                    "network s": network,
+                    "plain network s": unpacked,
+                    "job / network": job / network,
+                    "loop / network": loops[0] / network,
+                    "job / plain network": job / unpacked,
+                }
+            )
+            before = packed()
+    middle: dict[str, Any] = {name: median(one[name] for one in found) for name in found[0]}
+    return middle | {
         "peak MiB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         "backend": prepare(spec, library).backend,
     }

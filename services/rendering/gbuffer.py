@@ -10,6 +10,7 @@ from torch import Tensor
 
 from services.errors import InvalidRequest
 from services.rendering import gl
+from services.rendering.extent import Rectangle, rectangle
 from services.scenes.resolve import ResolvedScene
 
 FACTOR = 4
@@ -40,9 +41,9 @@ class GBuffer:
 
 
 def rasterise(scene: ResolvedScene) -> GBuffer:
-    """Draw the scene's geometry with 4x4 samples per pixel and average: coverage is the share of samples on an object;
-    normal (renormalised) and base colour are means over those; the object is the one with most samples (the first of
-    equals), the depth the mean of its samples.
+    """Draw the scene's geometry, where the objects are, with 4x4 samples per pixel and average: coverage is the share
+    of samples on an object; normal (renormalised) and base colour are means over those; the object is the one with most
+    samples (the first of equals), the depth the mean of its samples.
 
     A part of opacity d < 1 is seen by about the share d of the samples and seen through by the others, so that it
     counts with its opacity in coverage, colour and normal; texels of less than half alpha are holes.
@@ -65,7 +66,8 @@ def rasterise(scene: ResolvedScene) -> GBuffer:
         "depth": torch.zeros(height, width),
         "object_index": torch.full((height, width), -1, dtype=torch.int64),
     }
-    for rows, columns in _tiles(height, width):
+    covered = rectangle(drawing.points, list(view.clip_from_world @ np.asarray(scene.models)), (height, width))
+    for rows, columns in _tiles(covered):
         geometry, surface = context.renderer.draw(
             drawing,
             "gbuffer.frag",
@@ -86,10 +88,11 @@ def rasterise(scene: ResolvedScene) -> GBuffer:
     return GBuffer(**images, backend=f"{context.backend}; {FACTOR}x{FACTOR} samples per pixel")
 
 
-def _tiles(height: int, width: int) -> Iterator[tuple[slice, slice]]:
-    for top in range(0, height, TILE):
-        for left in range(0, width, TILE):
-            yield slice(top, min(top + TILE, height)), slice(left, min(left + TILE, width))
+def _tiles(covered: Rectangle) -> Iterator[tuple[slice, slice]]:
+    first_row, last_row, first_column, last_column = covered
+    for top in range(first_row, last_row, TILE):
+        for left in range(first_column, last_column, TILE):
+            yield slice(top, min(top + TILE, last_row)), slice(left, min(left + TILE, last_column))
 
 
 def _crop(rows: slice, columns: slice, height: int, width: int) -> NDArray[np.float64]:
