@@ -11,19 +11,27 @@ from services.attacks.exact import Judge
 from services.attacks.goal import ResolvedGoal
 from services.rendering.protocol import Parameters
 
+Judged = tuple[Tensor, Tensor]
+"""A saved picture, uint8 [H, W, 3], and the network's scores of it [K]."""
+
 
 def subsets(
-    judge: Judge, goal: ResolvedGoal, perturbation: Parameters, original: Tensor, attacked: Tensor
+    judge: Judge, goal: ResolvedGoal, perturbation: Parameters, original: Judged, attacked: Judged
 ) -> list[Subset]:
-    """All 2^k subsets, the empty one first and the full one last. Pictures uint8 [H, W, 3].
+    """All 2^k subsets, the empty one first and the full one last.
 
-    The empty and the full set are the pictures already judged, so that the table agrees with the result to the bit.
+    The empty and the full set are what was judged already, so that the table agrees with the result to the bit.
     """
     rows = []
     for size in range(len(perturbation) + 1):
         for groups in combinations(perturbation, size):
-            picture = _picture(judge, {g: perturbation[g] for g in groups}, len(perturbation), original, attacked)
-            logits = judge.logits(picture)
+            if not groups:
+                picture, logits = original
+            elif len(groups) == len(perturbation):
+                picture, logits = attacked
+            else:
+                picture = judge.picture({g: perturbation[g] for g in groups})
+                logits = judge.logits(picture)
             said = answer(logits, judge.target.labels, goal)
             rows.append(
                 Subset(
@@ -31,14 +39,8 @@ def subsets(
                     label=said.label,
                     confidence=said.confidence,
                     goal_probability=said.goal_probability,
-                    perceptibility=of_pictures(original, picture),
+                    perceptibility=of_pictures(original[0], picture),
                     fooled=bool(goal.fooled(logits)),
                 )
             )
     return rows
-
-
-def _picture(judge: Judge, part: Parameters, groups: int, original: Tensor, attacked: Tensor) -> Tensor:
-    if not part:
-        return original
-    return attacked if len(part) == groups else judge.picture(part)

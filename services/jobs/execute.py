@@ -124,7 +124,7 @@ def _write(prepared: Prepared, problem: Problem, found: Run, out: Path) -> Resul
         beyond_truncation=None if limit is None else beyond(original, attacked, limit),
         plan=prepared.renderer.plan,
         image_error=_image_error(problem, found, exact),
-        subsets=subsets(judge, goal, found.stored, original, attacked),
+        subsets=subsets(judge, goal, found.stored, (original, prepared.logits), (attacked, logits)),
         settings=found.settings,
         steps=found.step,
         step=found.stored_step,

@@ -59,6 +59,8 @@ def prepare(spec: JobSpec, library: Library) -> Prepared:
     network already gets wrong (goal.leave), or already answers as wanted (goal.reach).
     """
     labels = registry.labels(spec.target.name)
+    if len(labels) < 2:
+        raise InvalidRequest("target.name", f"{spec.target.name} has one label only; there is no other answer")
     leave = _label(spec.goal.leave, labels, "goal.leave", spec.target.name)
     reach = _label(spec.goal.reach, labels, "goal.reach", spec.target.name)
     if leave is not None and leave == reach:

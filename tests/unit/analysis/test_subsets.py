@@ -10,7 +10,10 @@ def test_every_subset_once_and_the_ends_are_the_original_and_the_attacked() -> N
     judge = Judge(case.renderer, case.target)
     perturbation = {"a": torch.full((2, 3), 0.05), "b": torch.full((3,), 0.3)}
     original, attacked = judge.picture({}), judge.picture(perturbation)
-    rows = subsets(judge, case.goal, perturbation, original, attacked)
+    known = [(picture, judge.logits(picture)) for picture in (original, attacked)]
+    asked = judge.queries
+    rows = subsets(judge, case.goal, perturbation, *known)
+    assert judge.queries == asked + 2  # what is known is not asked again
     assert [row.groups for row in rows] == [[], ["a"], ["b"], ["a", "b"]]
     assert rows[0].perceptibility == 0
     assert not rows[0].fooled

@@ -78,3 +78,10 @@ def test_a_goal_already_reached_is_refused() -> None:
     with pytest.raises(InvalidRequest, match="already says") as refused:
         preflight(spec(goal={"reach": first}), LIBRARY)
     assert refused.value.field == "goal.reach"
+
+
+def test_a_network_with_one_label_is_refused_beforehand(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.jobs.prepare.registry.labels", lambda _: ("thing",))
+    with pytest.raises(InvalidRequest, match="one label only") as refused:
+        preflight(spec(), LIBRARY)
+    assert refused.value.field == "target.name"
