@@ -35,7 +35,7 @@ class FgsmMethod:
             self.velocity[group] = change.add_(self.velocity[group], alpha=self.settings.momentum)
             moved[group] = seen.sub(self.velocity[group], alpha=self.settings.learning_rate[group])
         self.perturbation = problem.clamp(moved)
-        return sum(not bool(slope.any()) for slope in view.slopes.values())
+        return sum(bool(slope.min() == slope.max() == 0) for slope in view.slopes.values())
 
     def state(self) -> dict[str, Tensor]:
         """Perturbation and velocity."""

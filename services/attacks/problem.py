@@ -10,7 +10,7 @@ from torch import Tensor
 
 from services.attacks.goal import ResolvedGoal
 from services.errors import JobFailure
-from services.rendering.display import from_bytes, to_bytes
+from services.rendering import display
 from services.rendering.protocol import Parameters, Renderer
 from services.targets.protocol import Target
 
@@ -125,9 +125,9 @@ def saved(images: Tensor) -> tuple[Tensor, Tensor]:
 class _Saved(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, images: Tensor) -> tuple[Tensor, Tensor]:
-        pictures = to_bytes(images)
+        pictures, seen = display.saved(images)
         ctx.mark_non_differentiable(pictures)
-        return pictures, from_bytes(pictures)
+        return pictures, seen
 
     @staticmethod
     def backward(ctx: Any, none: None, slope: Tensor) -> Tensor:  # noqa: ARG004 - autograd's signature

@@ -61,6 +61,17 @@ def to_bytes(images: Tensor) -> Tensor:
     return (wide.clamp(0.0, 1.0) * 255).round().to(torch.uint8)
 
 
+def saved(images: Tensor) -> tuple[Tensor, Tensor]:
+    """Images in [0,1], of any shape, as they are saved (uint8) and as a reader of the file sees them (float32)."""
+    if images.dtype == torch.float32 and native.runs(images):
+        plain = images.detach().contiguous()
+        pictures, seen = torch.empty_like(plain, dtype=torch.uint8), torch.empty_like(plain)
+        native.call("save", plain.dtype, plain.numel(), plain, pictures, seen, native.threads())
+        return pictures, seen
+    pictures = to_bytes(images)
+    return pictures, from_bytes(pictures)
+
+
 def from_bytes(images: Tensor) -> Tensor:
     """uint8 images as float32 in [0,1]."""
     return images.to(torch.float32) / 255
@@ -68,4 +79,4 @@ def from_bytes(images: Tensor) -> Tensor:
 
 def as_saved(images: Tensor) -> Tensor:
     """What a reader of the saved file sees: rounded to 8 bits, float32."""
-    return from_bytes(to_bytes(images))
+    return saved(images)[1]

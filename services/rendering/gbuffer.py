@@ -113,14 +113,15 @@ def _average(geometry: Tensor, surface: Tensor, count: int, forward: NDArray[np.
         rows = samples.reshape(h, FACTOR, w * FACTOR, channels).sum(1)  # one axis at a time: 20 times faster than both
         return rows.reshape(h, w, FACTOR, channels).sum(2)
 
+    shapes, looks = blocks(geometry), blocks(surface)
     number = surface[..., 3]
     owned = torch.stack([number == i + 1 for i in range(count)], dim=-1)
     votes = blocks(owned.float())
     covered = votes.sum(-1)
     share = covered.clamp_min(1)[..., None]
     winner = votes.argmax(-1, keepdim=True)
-    depths = blocks(geometry[..., 3:] * owned)
-    normal = blocks(geometry[..., :3]) / share
+    depths = blocks(geometry[..., 3:] * owned) if count > 1 else shapes[..., 3:]
+    normal = shapes[..., :3] / share
     length = normal.norm(dim=-1, keepdim=True)
     # Samples that face opposite ways cancel; such a pixel faces the viewer.
     facing = torch.from_numpy(-forward).float().expand_as(normal)
@@ -129,7 +130,7 @@ def _average(geometry: Tensor, surface: Tensor, count: int, forward: NDArray[np.
     return {
         "normals": unit * seen[..., None],
         "coverage": covered / FACTOR**2,
-        "base_color": blocks(surface[..., :3]) / share,
+        "base_color": looks[..., :3] / share,
         "depth": (depths / votes.clamp_min(1)).gather(-1, winner)[..., 0],
         "object_index": torch.where(seen, winner[..., 0], -1),
     }

@@ -33,6 +33,17 @@ template <class T> void display(int64_t count, const T *linear, T *shown, int th
     }
 }
 
+// Values as they are saved, bytes rounded to nearest (ties to even), and as a reader sees those. `count` values.
+void save(int64_t count, const float *shown, uint8_t *bytes, float *seen, int threads) {
+#pragma omp parallel for simd schedule(static) num_threads(threads)
+    for (int64_t i = 0; i < count; ++i) {
+        const float held = shown[i] > 0.0f ? shown[i] < 1.0f ? shown[i] : 1.0f : 0.0f;
+        const float rounded = std::nearbyint(held * 255.0f);
+        bytes[i] = (uint8_t)rounded;
+        seen[i] = rounded / 255.0f;
+    }
+}
+
 // Radiance times base colour of as many pixels as there are lanes: three vectors, in the order of memory.
 template <class T> struct Pixels {
     static constexpr int n = Lanes<T>::count;
@@ -85,6 +96,10 @@ void composite_backward(int64_t count, const T *radiance, const T *base_color, c
 }
 
 }  // namespace
+
+EXPORT void save_float(int64_t count, const float *shown, uint8_t *bytes, float *seen, int threads) {
+    save(count, shown, bytes, seen, threads);
+}
 
 #define BOTH(T)                                                                                                        \
     EXPORT void display_##T(int64_t count, const T *linear, T *shown, int threads) {                                   \

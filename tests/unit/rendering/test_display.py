@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from services.rendering.display import display_slope, to_display, to_linear
+from services.rendering.display import display_slope, from_bytes, saved, to_bytes, to_display, to_linear
 
 pytestmark = pytest.mark.usefixtures("kernel")
 
@@ -40,3 +40,17 @@ def test_the_slope_is_that_of_the_curve_and_zero_where_it_is_clipped() -> None:
     assert torch.autograd.gradcheck(to_display, linear, eps=1e-7)
     outside = torch.tensor([-1e-3, 1.001])
     assert not display_slope(outside).any()
+
+
+def test_saving_rounds_to_nearest_and_ties_to_even() -> None:
+    """The middles between bytes among the values, and what is out of range."""
+    middles = (torch.arange(255) + 0.5) / 255
+    values = torch.cat(
+        [middles, torch.rand(4099, generator=torch.Generator().manual_seed(0)), torch.tensor([-1.0, 2.0])]
+    )
+    pictures, seen = saved(values)
+    assert torch.equal(pictures, to_bytes(values))
+    assert torch.equal(seen, from_bytes(pictures))
+    rounded = np.rint(np.clip(values.numpy(), 0, 1) * np.float32(255))
+    np.testing.assert_array_equal(pictures.numpy(), rounded)
+    assert pictures[-2:].tolist() == [0, 255]
