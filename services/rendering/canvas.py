@@ -4,6 +4,7 @@ Each is one step of a graph with a derivative of its own: a picture is drawn and
 small steps cost more than the shading of a small object.
 """
 
+import ctypes
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -48,6 +49,23 @@ class Canvas:
         """The displayed picture [H, W, 3] of radiance [P, 3] per unit of base colour. Differentiable (once)."""
         result: Tensor = _Picture.apply(radiance, self)  # type: ignore[no-untyped-call]
         return result
+
+
+def over_ground(radiance: Tensor, exposure: float, ground: Tensor) -> Tensor:
+    """Displayed pictures [..., 3] of radiance times coverage, and coverage, [..., 4], over a `ground` [3], displayed.
+
+    `exposure` makes radiance linear display values. In radiance's dtype. Differentiable in radiance.
+    """
+    ground = ground.to(radiance.dtype)
+    if native.runs(radiance) and not radiance.requires_grad:  # renderers that rasterise have no derivative to lose
+        shown = radiance.new_empty(*radiance.shape[:-1], 3)
+        lit = {torch.float32: ctypes.c_float, torch.float64: ctypes.c_double}[radiance.dtype](exposure)
+        count = shown.numel() // 3
+        native.call("over_ground", radiance.dtype, count, radiance.contiguous(), lit, ground, shown, native.threads())
+        return shown
+    coverage = radiance[..., 3:]
+    surface = to_display(exposure * radiance[..., :3] / coverage.clamp_min(1e-6))
+    return surface * coverage + ground * (1 - coverage)
 
 
 class _Covered(torch.autograd.Function):

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from services.errors import JobFailure
 from services.rendering import gl
-from services.rendering.display import to_display
+from services.rendering.canvas import over_ground
 from services.rendering.extent import beyond, rectangle
 from services.rendering.idle import Idle, idle
 from services.rendering.plan import DEFAULT_TOLERANCE, Plan, Tolerance
@@ -132,12 +132,7 @@ class PyrenderRenderer:
         and wrong shapes.
         """
 
-        def displayed(radiance: Tensor) -> Tensor:
-            coverage = radiance[..., 3:]
-            surface = radiance[..., :3] / coverage.clamp_min(1e-6)
-            return to_display(surface.mul_(EXPOSURE)).mul_(coverage).add_(self._ground * (1 - coverage))
-
-        return self._draw(parameters, self._ground, displayed)
+        return self._draw(parameters, self._ground, lambda radiance: over_ground(radiance, EXPOSURE, self._ground))
 
     def radiance(self, parameters: Mapping[str, Tensor]) -> Tensor:
         """Linear, unclamped radiance times coverage, and coverage: float32 [B, H, W, 4]. Before exposure and display.
@@ -190,10 +185,12 @@ class PyrenderRenderer:
         finished = torch.split(finish(radiance), [frames[..., 0].size for _, _, frames in done])
         for (drawn, (top, bottom, left, right), frames), flat in zip(done, finished, strict=True):
             shown = flat.reshape(*frames.shape[:3], len(empty))
+            whole: dict[int, int] = {}
             for row, channel, slot in drawn.users:
                 if channel == 0:  # coverage is the same in all
                     pictures[row, top:bottom, left:right] = shown[slot]
-                else:
+                    whole[row] = slot
+                elif whole.get(row) != slot:
                     pictures[row, top:bottom, left:right, channel] = shown[slot, ..., channel]
         return pictures
 

@@ -6,9 +6,7 @@ import torch
 from torch import Tensor
 
 from services.rendering import gl
-from services.rendering.display import to_display
 from services.rendering.pyrender_numbers import ENERGY, Numbers
-from services.rendering.pyrender_renderer import EXPOSURE
 from services.scenes.resolve import ResolvedScene
 
 
@@ -52,10 +50,3 @@ class Sampled:
             )
             pictures.append(torch.from_numpy(picture).flip(0))
         return torch.stack(pictures)
-
-
-def displayed(radiance: Tensor, ground: Tensor) -> Tensor:
-    """Pictures [..., 3] of radiance times coverage and coverage [..., 4], over a ground [3], in radiance's dtype."""
-    coverage = radiance[..., 3:]
-    surface = radiance[..., :3] / coverage.clamp_min(1e-6)
-    return to_display(EXPOSURE * surface) * coverage + ground.to(radiance.dtype) * (1 - coverage)

@@ -20,12 +20,13 @@ from torch.nn.functional import avg_pool2d
 
 from services.accuracy.placing import placed
 from services.accuracy.work_precision.shading_subject import smooth_weights
-from services.accuracy.work_precision.single_sample import Sampled, displayed
+from services.accuracy.work_precision.single_sample import Sampled
 from services.accuracy.work_precision.slopes import PICTURE, Objective
 from services.rendering.build import build
+from services.rendering.canvas import over_ground
 from services.rendering.display import as_saved
 from services.rendering.protocol import Parameters
-from services.rendering.pyrender_renderer import PyrenderRenderer
+from services.rendering.pyrender_renderer import EXPOSURE, PyrenderRenderer
 from services.scenes.resolve import ResolvedScene
 
 POSITIONS = (0.02, 0.01, 0.005)
@@ -63,7 +64,7 @@ def objectives(mesh: str, size: tuple[int, int], factor: int) -> Iterator[Object
     start = build(scene, "pyrender").initial()
 
     def function(radiance: Tensor, pooled: int = 1) -> Tensor:
-        pictures = displayed(_pooled(radiance, pooled).double(), ground)
+        pictures = over_ground(_pooled(radiance, pooled).double(), EXPOSURE, ground)
         return (pictures * weights).sum(dim=(1, 2, 3))
 
     moving = {part.name: _of_poses(mesh, size, factor, part, start, function) for part in MOVING}
@@ -119,7 +120,7 @@ def _values(
     """The function at points [B, n] through float32 and 8-bit pictures, [B, 2]."""
     columns = []
     for some in torch.split(points, 8):
-        pictures = displayed(renderer.radiance(_parameters(part, start, some)), ground)
+        pictures = over_ground(renderer.radiance(_parameters(part, start, some)), EXPOSURE, ground)
         seen = torch.stack([pictures, as_saved(pictures)], dim=1)
         columns.append((seen.double() * weights).sum(dim=(2, 3, 4)))
     return torch.cat(columns)

@@ -95,6 +95,32 @@ void composite_backward(int64_t count, const T *radiance, const T *base_color, c
     }
 }
 
+// radiance [count, 4]: times coverage, and coverage; ground [3]; shown [count, 3].
+template <class T>
+void over_ground(int64_t count, const T *radiance, T exposure, const T *ground, T *shown, int threads) {
+    const int n = Lanes<T>::count;
+#pragma omp parallel for schedule(static) num_threads(threads)
+    for (int64_t first = 0; first < count; first += n) {
+        const int64_t here = std::min<int64_t>(n, count - first);
+        T linear[3 * n] = {}, coverage[n] = {};
+        for (int64_t i = 0; i < here; ++i) {
+            const T *of = radiance + 4 * (first + i);
+            const T bright = exposure / std::max(of[3], T(1e-6));
+            coverage[i] = of[3];
+            for (int k = 0; k < 3; ++k) linear[3 * i + k] = of[k] * bright;
+        }
+        for (int k = 0; k < 3; ++k) {
+            V<T> x;
+            std::memcpy(&x, linear + k * n, sizeof x);
+            x = Shown<T>(x).value;
+            std::memcpy(linear + k * n, &x, sizeof x);
+        }
+        for (int64_t i = 0; i < here; ++i)
+            for (int k = 0; k < 3; ++k)
+                shown[3 * (first + i) + k] = coverage[i] * linear[3 * i + k] + (1 - coverage[i]) * ground[k];
+    }
+}
+
 }  // namespace
 
 EXPORT void save_float(int64_t count, const float *shown, uint8_t *bytes, float *seen, int threads) {
@@ -104,6 +130,9 @@ EXPORT void save_float(int64_t count, const float *shown, uint8_t *bytes, float 
 #define BOTH(T)                                                                                                        \
     EXPORT void display_##T(int64_t count, const T *linear, T *shown, int threads) {                                   \
         display<T>(count, linear, shown, threads);                                                                     \
+    }                                                                                                                  \
+    EXPORT void over_ground_##T(int64_t count, const T *radiance, T exposure, const T *ground, T *shown, int threads) {\
+        over_ground<T>(count, radiance, exposure, ground, shown, threads);                                             \
     }                                                                                                                  \
     EXPORT void composite_##T(int64_t count, const T *radiance, const T *base_color, const T *coverage,                \
                               const T *under, const int64_t *pixels, T *picture, int threads) {                        \

@@ -15,11 +15,13 @@ from services.accuracy.work_precision.collect import QUICK, Found, attacks, obje
 from services.accuracy.work_precision.report import report, write
 from services.accuracy.work_precision.shading_methods import GROUPS, ShadingRow, kernel, truth, ways
 from services.accuracy.work_precision.shading_subject import Subject, subject
-from services.accuracy.work_precision.single_sample import Sampled, displayed
+from services.accuracy.work_precision.single_sample import Sampled
 from services.accuracy.work_precision.slopes import Objective, SlopeRow, along_directions, differences
 from services.rendering import native, shader, table
 from services.rendering.build import build
+from services.rendering.canvas import over_ground
 from services.rendering.gbuffer import rasterise
+from services.rendering.pyrender_renderer import EXPOSURE
 from services.rendering.shader import Shader
 from services.rendering.shading_plan import exact_recipe
 
@@ -242,7 +244,7 @@ def test_pictures_of_any_number_of_samples_are_pyrenders() -> None:
     exact = build(scene, "pyrender").exact()
     start = {group: value[None] for group, value in exact.initial().items()}
     ground = torch.tensor(scene.description.ground)
-    pictures = [displayed(Sampled(scene, samples).radiance(start), ground) for samples in (4, 1)]
+    pictures = [over_ground(Sampled(scene, samples).radiance(start), EXPOSURE, ground) for samples in (4, 1)]
     torch.testing.assert_close(pictures[0], exact.render(start), rtol=0, atol=1e-6)
     far = (pictures[1] - pictures[0]).abs().amax(-1) > 0.02
     assert 0 < far.double().mean() < 0.1

@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 
 from services.rendering import native
-from services.rendering.canvas import Canvas
+from services.rendering.canvas import Canvas, over_ground
 from services.rendering.display import to_display
 
 SIZE = (7, 9)
@@ -63,3 +63,15 @@ def test_the_two_kernels_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     torch.testing.assert_close(*[picture for picture, _ in found], rtol=0, atol=3e-7)  # of displayed values up to 1
     torch.testing.assert_close(*[slope for _, slope in found], rtol=3e-6, atol=1e-6)
     assert found[0][1].any()
+
+
+@pytest.mark.usefixtures("kernel")
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_radiance_over_the_ground(dtype: torch.dtype) -> None:
+    random = torch.Generator().manual_seed(3)
+    coverage = (torch.randint(0, 5, (2, 5, 9, 1), generator=random) / 4).to(dtype)
+    surface = 3 * torch.rand(2, 5, 9, 3, generator=random, dtype=torch.float64).to(dtype) ** 3
+    ground = torch.tensor([0.2, 0.5, 0.9])
+    shown = over_ground(torch.cat([surface * coverage, coverage], dim=-1), 0.5, ground)
+    expected = coverage * to_display(0.5 * surface) + (1 - coverage) * ground.to(dtype)
+    torch.testing.assert_close(shown, expected, rtol=0, atol=13 * 4 * torch.finfo(dtype).eps)  # 13: the curve's slope
