@@ -20,6 +20,7 @@ OMISSIONS = (
     "The function that is derived is a weighted sum with smooth random weights; rougher weights make 8-bit differences "
     "and those of silhouettes worse.",
     "Success is of a few scenes and seeds: enough for the cost of a step and the order of the methods, not for a rate.",
+    "The viewer is far away, as is the default; one at the camera (`viewer: perspective`) is summed pixel by pixel.",
     "Where light or pose moves nothing but a shadow nothing is seen: the renderers draw no shadows.",
 )
 
