@@ -96,25 +96,23 @@ def _measure(attack: str, size: int, steps: int, repeats: int) -> dict[str, Any]
             return shortest(lambda: _passes(target.logits, target, steps), 1, 0)
 
         found: list[dict[str, float]] = []
-        before = packed()
+        loops: list[float] = []
         for _ in range(repeats):
-            loops: list[float] = []
-            job = shortest(lambda: loops.append(_held(execute(spec, Path(out), library), steps)), 1, 0)  # noqa: B023
-            after = packed()
             unpacked = shortest(lambda: _passes(lambda x: plain(x.permute(0, 3, 1, 2)), target, steps), 1, 0)
-            network = (before + after) / 2
+            before = packed()
+            job = shortest(lambda: loops.append(_held(execute(spec, Path(out), library), steps)), 1, 0)
+            network = (before + packed()) / 2
             found.append(
                 {
                     "job s": job,
-                    "loop s": loops[0],
+                    "loop s": loops[-1],
                     "network s": network,
                     "plain network s": unpacked,
                     "job / network": job / network,
-                    "loop / network": loops[0] / network,
+                    "loop / network": loops[-1] / network,
                     "job / plain network": job / unpacked,
                 }
             )
-            before = packed()
     middle: dict[str, Any] = {name: median(one[name] for one in found) for name in found[0]}
     return middle | {
         "peak MiB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,

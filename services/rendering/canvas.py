@@ -4,7 +4,6 @@ Each is one step of a graph with a derivative of its own: a picture is drawn and
 small steps cost more than the shading of a small object.
 """
 
-import ctypes
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -59,9 +58,8 @@ def over_ground(radiance: Tensor, exposure: float, ground: Tensor) -> Tensor:
     ground = ground.to(radiance.dtype)
     if native.runs(radiance) and not radiance.requires_grad:  # renderers that rasterise have no derivative to lose
         shown = radiance.new_empty(*radiance.shape[:-1], 3)
-        lit = {torch.float32: ctypes.c_float, torch.float64: ctypes.c_double}[radiance.dtype](exposure)
-        count = shown.numel() // 3
-        native.call("over_ground", radiance.dtype, count, radiance.contiguous(), lit, ground, shown, native.threads())
+        of = (shown.numel() // 3, radiance.contiguous(), exposure, ground)
+        native.call("over_ground", radiance.dtype, *of, shown, native.threads())
         return shown
     coverage = radiance[..., 3:]
     surface = to_display(exposure * radiance[..., :3] / coverage.clamp_min(1e-6))

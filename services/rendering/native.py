@@ -103,19 +103,22 @@ def backend() -> str:
 def call(name: str, dtype: torch.dtype, *arguments: object) -> None:
     """Call `name` of the library for float32 or float64, with the number of threads torch uses.
 
-    Tensors are handed over as pointers: contiguous, on the CPU, of `dtype` (or what the loop asks for).
+    Tensors are handed over as pointers: contiguous, on the CPU, of `dtype` (or what the loop asks for); floats as
+    `dtype`, integers of 64 bits.
     """
     loaded = library()
     assert loaded is not None
-    getattr(loaded, f"{name}_{NAMES[dtype]}")(*(_plain(argument) for argument in arguments))
+    getattr(loaded, f"{name}_{NAMES[dtype]}")(*(_plain(argument, dtype) for argument in arguments))
 
 
-def _plain(argument: object) -> object:
+def _plain(argument: object, dtype: torch.dtype) -> object:
     if isinstance(argument, Tensor):
         assert argument.is_contiguous()
         return ctypes.c_void_p(argument.data_ptr())
     if isinstance(argument, ctypes.Structure):
         return ctypes.byref(argument)
+    if isinstance(argument, float):
+        return ctypes.c_float(argument) if dtype == torch.float32 else ctypes.c_double(argument)
     return ctypes.c_int64(argument) if isinstance(argument, int) else argument
 
 

@@ -110,7 +110,9 @@ class Shader:
             self._sharp = _Sum(recipe, recipe.kept[among], sky, frozen, pixels)
             self._checked = torch.arange(0, len(angles), max(1, len(angles) // CHECKED))
             self._checked_color = surface.base_color[self._checked]
-            self._truth = _Sum(recipe, recipe.kept, sky, frozen, None if pixels is None else pixels[self._checked])
+            self._truth = (
+                self._whole if pixels is None else _Sum(recipe, recipe.kept, sky, frozen, pixels[self._checked])
+            )
             self._known = torch.zeros(len(tiles(recipe.rows)), dtype=torch.bool)
             self._table = torch.zeros(2 * recipe.rows**2, 3, dtype=recipe.dtype)
         self.summed_after_all = 0

@@ -139,9 +139,7 @@ class Measured:
     def _values(self, recipe: Recipe, stride: int = 1) -> Iterator[Tensor]:
         """Radiance of each draw at every so many of the pixels."""
         plain = replace(recipe, nodes="summed", moving=True, guard=None)
-        some = replace(
-            self._surface, angles=self._surface.angles[::stride], base_color=self._surface.base_color[::stride]
-        )
+        some = _every(self._surface, stride)
         shader = Shader(plain, self._sky, some, self._illumination)
         for light, material in self._draws:
             yield shader(some.angles, light, material)
@@ -163,7 +161,11 @@ def _signs(like: Tensor, random: torch.Generator) -> Tensor:
 
 def _some(surface: Surface, most: int) -> Surface:
     """The surface at so many of its pixels at most, evenly spaced."""
-    stride = -(-len(surface.angles) // most)
+    return _every(surface, -(-len(surface.angles) // most))
+
+
+def _every(surface: Surface, stride: int) -> Surface:
+    """The surface at one in so many of its pixels."""
     viewers = None if surface.viewers is None else surface.viewers[::stride]
     return replace(surface, angles=surface.angles[::stride], base_color=surface.base_color[::stride], viewers=viewers)
 

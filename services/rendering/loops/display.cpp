@@ -44,6 +44,16 @@ void save(int64_t count, const float *shown, uint8_t *bytes, float *seen, int th
     }
 }
 
+// The curve in place, of the three channels of as many pixels as there are lanes.
+template <class T> void show(T *values) {
+    for (int k = 0; k < 3; ++k) {
+        V<T> x;
+        std::memcpy(&x, values + k * Lanes<T>::count, sizeof x);
+        x = Shown<T>(x).value;
+        std::memcpy(values + k * Lanes<T>::count, &x, sizeof x);
+    }
+}
+
 // Radiance times base colour of as many pixels as there are lanes: three vectors, in the order of memory.
 template <class T> struct Pixels {
     static constexpr int n = Lanes<T>::count;
@@ -66,10 +76,8 @@ void composite(int64_t count, const T *radiance, const T *base_color, const T *c
     for (int64_t first = 0; first < count; first += n) {
         Pixels<T> of(first, count, radiance, base_color);
         T shown[3 * n];
-        for (int k = 0; k < 3; ++k) {
-            V<T> value = Shown<T>(of.linear[k]).value;
-            std::memcpy(shown + k * n, &value, sizeof value);
-        }
+        std::memcpy(shown, of.linear, sizeof shown);
+        show<T>(shown);
         for (int64_t i = 0; i < of.here; ++i)
             for (int k = 0; k < 3; ++k)
                 picture[3 * pixels[first + i] + k] = under[3 * (first + i) + k] + coverage[first + i] * shown[3 * i + k];
@@ -109,12 +117,7 @@ void over_ground(int64_t count, const T *radiance, T exposure, const T *ground, 
             coverage[i] = of[3];
             for (int k = 0; k < 3; ++k) linear[3 * i + k] = of[k] * bright;
         }
-        for (int k = 0; k < 3; ++k) {
-            V<T> x;
-            std::memcpy(&x, linear + k * n, sizeof x);
-            x = Shown<T>(x).value;
-            std::memcpy(linear + k * n, &x, sizeof x);
-        }
+        show<T>(linear);
         for (int64_t i = 0; i < here; ++i)
             for (int k = 0; k < 3; ++k)
                 shown[3 * (first + i) + k] = coverage[i] * linear[3 * i + k] + (1 - coverage[i]) * ground[k];
