@@ -5,8 +5,9 @@ import platform
 import sys
 import time
 from collections.abc import Callable
-from importlib.metadata import version
 from pathlib import Path
+
+from services.versions import versions
 
 RESULTS = Path(__file__).parent / "results"
 VERSIONED = ("scene-attack", "torch", "numpy", "pyrender-maintained")
@@ -40,7 +41,7 @@ def save(path: Path, about: str, backend: str, seed: int | None, **content: obje
         "command": command(),
         "seed": seed,
         "machine": platform.platform(),
-        "versions": {"python": platform.python_version()} | {name: version(name) for name in VERSIONED},
+        "versions": versions(*VERSIONED),
         "backend": backend,
     }
     path.write_text(json.dumps(head | content, indent=1) + "\n", "utf-8")

@@ -1,7 +1,4 @@
-"""What made a report: versions and backend."""
-
-import platform
-from importlib.metadata import version
+"""What made a report: the packages it depends on, and the backend."""
 
 import torch
 
@@ -18,11 +15,6 @@ PACKAGES = (
     "trimesh",
     "OpenEXR",
 )
-
-
-def versions(*more: str) -> dict[str, str]:
-    """Of Python and of the packages that results depend on, `more` among them."""
-    return {"python": platform.python_version()} | {name: version(name) for name in (*PACKAGES, *more)}
 
 
 def backend() -> str:

@@ -1,9 +1,6 @@
 """One job from spec to result, in this process; the worker and `scene-attack run` both call it."""
 
-import platform
 from collections.abc import Callable
-from functools import lru_cache
-from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
 
@@ -29,6 +26,7 @@ from services.jobs.result import Provenance, Result
 from services.jobs.spec import JobSpec
 from services.rendering.display import to_bytes
 from services.scenes.library import Library
+from services.versions import versions
 
 PERTURBATION = "perturbation.safetensors"
 _VERSIONED = ("scene-attack", "torch", "numpy", "pyrender-maintained", "PyOpenGL", "trimesh", "OpenEXR", "safetensors")
@@ -156,7 +154,7 @@ def _provenance(prepared: Prepared) -> Provenance:
     return Provenance(
         seed=prepared.spec.seed,
         backend=prepared.backend,
-        versions=_versions(),
+        versions=versions(*_VERSIONED),
         scene_sha256=prepared.scene.sha256,
         weights_sha256=prepared.target.weights_sha256,
         meshes={
@@ -165,8 +163,3 @@ def _provenance(prepared: Prepared) -> Provenance:
         },
         credits=prepared.scene.credits,
     )
-
-
-@lru_cache(maxsize=1)
-def _versions() -> dict[str, str]:
-    return {"python": platform.python_version()} | {name: version(name) for name in _VERSIONED}

@@ -6,8 +6,9 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from services.accuracy.provenance import backend, versions
+from services.accuracy.provenance import PACKAGES, backend
 from services.accuracy.stability.case import Observation
+from services.versions import versions
 
 BANDS = ((10.0, "< 10"), (100.0, "< 100"))
 """Seconds are told this roughly, so that another run on another day gives the same page."""
@@ -61,7 +62,7 @@ def report(observations: Sequence[Observation], command: str) -> Report:
     return Report(
         command=command,
         seed="each case has its own, in its code",
-        versions=versions(),
+        versions=versions(*PACKAGES),
         backend=backend(),
         counts={word: sum(row.outcome == word for row in rows) for word in WORDS},
         cases=rows,

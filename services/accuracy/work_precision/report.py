@@ -6,12 +6,13 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from services.accuracy.provenance import backend, versions
+from services.accuracy.provenance import PACKAGES, backend
 from services.accuracy.work_precision.attack_runs import Attacked
 from services.accuracy.work_precision.collect import Found
 from services.accuracy.work_precision.shading_methods import ShadingRow
 from services.accuracy.work_precision.slopes import DELTAS, Reference, SlopeRow
 from services.accuracy.work_precision.words import OMISSIONS, findings
+from services.versions import versions
 
 NAME = "work-precision"
 WAYS = (
@@ -45,7 +46,7 @@ def report(found: Found, command: str) -> Report:
     return Report(
         command=command,
         seed=0,
-        versions=versions("matplotlib"),
+        versions=versions(*PACKAGES, "matplotlib"),
         backend=backend(),
         shading=found.shading,
         references=found.references,
