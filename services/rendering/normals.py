@@ -7,8 +7,13 @@ only surfaces seen exactly edge-on have a normal straight up. Nothing breaks the
 its gradient with respect to φ goes to zero at the pole.
 """
 
+from typing import Any
+
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from services.rendering import native
 
 FURTHEST_ANGLE = 100.0
 """Attacked angles are held within this on both sides, radians: 16 turns, more than 120 steps of the paper's size make,
@@ -27,7 +32,31 @@ def to_angles(vectors: Tensor) -> Tensor:
 
 
 def to_vectors(angles: Tensor) -> Tensor:
-    """Unit vectors [..., 3] in the camera's frame of angles [..., 2] (azimuth, polar), for any finite angles."""
+    """Unit vectors [..., 3] in the camera's frame of angles [..., 2] (azimuth, polar), for any finite angles.
+
+    Differentiable; once, in float32 on the CPU, which has loops of its own.
+    """
+    if angles.dtype == torch.float32 and native.runs(angles):
+        result: Tensor = _Vectors.apply(angles.contiguous())  # type: ignore[no-untyped-call]
+        return result
     azimuth, polar = angles.unbind(-1)
     horizontal = polar.sin()
     return torch.stack((horizontal * azimuth.sin(), polar.cos(), horizontal * azimuth.cos()), dim=-1)
+
+
+class _Vectors(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, angles: Tensor) -> Tensor:
+        ctx.save_for_backward(angles)
+        found = angles.new_empty(*angles.shape[:-1], 3)
+        native.call("vectors", angles.dtype, angles.numel() // 2, angles, found, native.threads())
+        return found
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, slope: Tensor) -> Tensor:
+        [angles] = ctx.saved_tensors
+        found = torch.empty_like(angles)
+        of = (angles.numel() // 2, angles, slope.contiguous(), found)
+        native.call("vectors_backward", angles.dtype, *of, native.threads())
+        return found
