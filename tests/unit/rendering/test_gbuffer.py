@@ -6,7 +6,7 @@ import torch
 
 from services.errors import InvalidRequest
 from services.rendering import gbuffer
-from services.rendering.gbuffer import rasterise
+from services.rendering.gbuffer import FACTOR, rasterise
 from services.scenes.description import Scene
 from tests.unit.rendering import shapes
 from tests.unit.rendering.shapes import disk, mesh, placed, quad, scene, sphere
@@ -165,3 +165,35 @@ def test_the_same_scene_gives_the_same_bits_again_and_after_others() -> None:
     for name in ("normals", "coverage", "base_color", "depth", "object_index"):
         assert torch.equal(getattr(first, name), getattr(again, name)), name
     assert first.backend == again.backend
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_pixels_are_the_means_of_their_samples_whatever_adds_them_up(kernel: str, count: int) -> None:  # noqa: ARG001
+    random = torch.Generator().manual_seed(count)
+    height, width = 5, 7
+    number = torch.randint(0, count + 1, (height * FACTOR, width * FACTOR), generator=random)
+    number[:FACTOR, :FACTOR] = 0
+    number[:FACTOR, FACTOR : 2 * FACTOR] = count
+    seen = (number > 0)[..., None]
+    geometry = torch.randn(*number.shape, 4, generator=random) * seen
+    surface = torch.cat([torch.rand(*number.shape, 3, generator=random) * seen, number[..., None]], dim=-1)
+    found = gbuffer._average(geometry, surface, count, np.array([0.0, 0.0, -1.0]))
+    for row, column in np.ndindex(height, width):
+        block = (slice(FACTOR * row, FACTOR * row + FACTOR), slice(FACTOR * column, FACTOR * column + FACTOR))
+        numbers, shapes_, looks = number[block], geometry[block].double(), surface[block].double()
+        votes = torch.bincount(numbers.flatten(), minlength=count + 1)[1:]
+        assert float(found["coverage"][row, column]) == int(votes.sum()) / FACTOR**2
+        if not votes.any():
+            assert int(found["object_index"][row, column]) == -1
+            for name in ("normals", "base_color", "depth"):
+                assert not found[name][row, column].any(), name
+            continue
+        owner = int(votes.argmax())
+        own, any_ = numbers == owner + 1, numbers > 0
+        assert int(found["object_index"][row, column]) == owner
+        close = {"rtol": 0, "atol": 3e-6}  # sixteen float32 values of order 1
+        depth = float(found["depth"][row, column])
+        torch.testing.assert_close(depth, float(shapes_[..., 3][own].mean()), **close)
+        torch.testing.assert_close(found["base_color"][row, column].double(), looks[..., :3][any_].mean(0), **close)
+        normal = shapes_[..., :3][any_].sum(0)
+        torch.testing.assert_close(found["normals"][row, column].double(), normal / normal.norm(), **close)
