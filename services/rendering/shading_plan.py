@@ -20,6 +20,8 @@ from services.rendering.table import tiles, touched
 
 ROWS = (24, 32, 48, 64, 96, 128, 192, 256)
 """Tables that are tried."""
+ORDER = 3
+"""Of Catmull-Rom: with a finer mesh a table's error falls by this power of it at best, so that some need no trial."""
 SHARP = (0, 8, 16, 32, 64, 128)
 """Numbers of directions that are tried beside them, summed at the pixels."""
 ROUGH_AT = 48
@@ -145,18 +147,21 @@ def _cheapest(
         return direct, [_nodes_stage(surface, direct, pixels, why, rounding)]
     measured = errors.Measured(surface, sky, illumination, groups, needs.recipe)
     why = "a table would cost more"
-    failed: list[tuple[int, int]] = []
+    limit = (left - rounding) / HEADROOM
+    failed: list[tuple[int, int, float]] = []
     for recipe, count in _tables(surface, sky, illumination, groups, direct, left):
         rows, sharp = recipe.rows or 0, len(recipe.sharp)
-        if any(rows <= finer and sharp <= more for finer, more in failed):
+        if any(sharp <= more and off * min(1, of / rows) ** ORDER >= limit for of, more, off in failed):
             continue
-        failed.append((rows, sharp))
         if errors.too_narrow(surface, sky, illumination, groups, recipe, left):
+            failed.append((rows, sharp, limit))
             why = "highlights are narrower than the mesh of any table that costs less"
             continue
-        error = HEADROOM * measured.error(recipe, (left - rounding) / HEADROOM) + rounding
-        if error <= left:
+        off = measured.error(recipe, limit)
+        error = HEADROOM * off + rounding
+        if off <= limit:
             return recipe, _table_stages(surface, recipe, count, pixels, error, direct)
+        failed.append((rows, sharp, off))
         why = f"a table of {rows} rows and {sharp} directions beside it may be off by {error:.1e} or more"
     return direct, [_nodes_stage(surface, direct, pixels, why, rounding)]
 
