@@ -26,7 +26,7 @@ def save(path: Path, run: "Run", problem: Problem, method: Method, judge: Judge)
     """Writes the run and the method's state."""
     tensors = {f"method.{name}": value for name, value in method.state().items()}
     tensors |= {f"stored.{group}": value for group, value in run.stored.items()}
-    tensors |= {"ever": run.ever, "picture": run.picture}
+    tensors |= {"ever": run.ever, "picture": run.picture, "scores": run.scores}
     words = {name: getattr(run, name) for name in _PLAIN}
     words["trace"] = [row.model_dump() for row in run.trace]
     words["counts"] = [problem.queries, problem.renders, judge.queries, judge.renders]
@@ -53,9 +53,9 @@ def load(path: Path | None, problem: Problem, method: Method, judge: Judge) -> "
     except (SafetensorError, KeyError, ValueError, OSError):
         return None
     run = Run(**{name: words[name] for name in _PLAIN})
-    assert {field.name for field in fields(run)} == {*_PLAIN, "trace", "ever", "stored", "picture"}
+    assert {field.name for field in fields(run)} == {*_PLAIN, "trace", "ever", "stored", "picture", "scores"}
     run.trace = [TraceRow(**row) for row in words["trace"]]
-    run.ever, run.picture = tensors["ever"], tensors["picture"]
+    run.ever, run.picture, run.scores = tensors["ever"], tensors["picture"], tensors["scores"]
     run.stored = {n.removeprefix("stored."): v for n, v in tensors.items() if n.startswith("stored.")}
     method.load({n.removeprefix("method."): v for n, v in tensors.items() if n.startswith("method.")})
     problem.queries, problem.renders, judge.queries, judge.renders = words["counts"]

@@ -46,6 +46,8 @@ class Run:
     """The perturbation that counts: the verified one, else the last that fooled the loop, else the last."""
     picture: Tensor = field(default_factory=lambda: torch.zeros(0, 0, 3, dtype=torch.uint8))
     """The loop's own picture of it, uint8 [H, W, 3]."""
+    scores: Tensor = field(default_factory=lambda: torch.zeros(0))
+    """The network's scores of that picture, [K]."""
 
 
 @dataclass
@@ -127,7 +129,7 @@ class _Running:
         if fooled or not state.fooled:
             state.stored = {g: v.detach().clone() for g, v in view.perturbation.items()}
             state.stored_step = state.step
-            state.picture = picture.clone()
+            state.picture, state.scores = picture.clone(), logits.clone()
         if fooled:
             state.fooled = True
             state.verified = judge.fooled(state.stored, problem.goal)
@@ -150,7 +152,7 @@ def _step(active: list[_Running]) -> None:
     gradient = active[0].attack.method.needs_gradient
     problems, views = [one.attack.problem for one in active], [one.view() for one in active]
     with torch.set_grad_enabled(gradient):
-        pictures, shown = saved(torch.cat([view.images for view in views]))
+        pictures, shown = saved(torch.cat([view.images for view in views]) if len(views) > 1 else views[0].images)
         logits = ask(problems, shown)
     for one, view, picture, scores in zip(active, views, pictures, logits.detach(), strict=True):
         one.look(view, picture, scores)
@@ -166,7 +168,8 @@ def _step(active: list[_Running]) -> None:
 
 def _row(problem: Problem, judge: Judge, view: View, logits: Tensor, state: Run, seconds: float) -> TraceRow:
     height, width = problem.renderer.size
-    distance = float(torch.linalg.vector_norm(view.images.detach() - problem.original, dtype=torch.float64))
+    change = view.images.detach() - problem.original
+    distance = float(torch.linalg.vector_norm(change.flatten(2), dim=-1).double().norm())  # rows first: as good, faster
     label = int(logits.argmax())
     return TraceRow(
         step=state.step,

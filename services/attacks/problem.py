@@ -162,9 +162,12 @@ def truncate(images: Tensor, original: Tensor, limit: float | None) -> tuple[Ten
 
     `images` [1, H, W, 3]; the mask is bool [H, W]. A held-back value passes no gradient (paper, section 3.3).
     """
+    nowhere = torch.zeros(images.shape[1:3], dtype=torch.bool)
     if limit is None:
-        return images, torch.zeros(images.shape[1:3], dtype=torch.bool)
-    held = ((images.detach() - original).abs_().amax(dim=-1) > limit + ROUNDING)[0]
-    if not bool(held.any()):
-        return images, held
+        return images, nowhere
+    change = images.detach() - original
+    low, high = torch.aminmax(change)
+    if max(-float(low), float(high)) <= limit + ROUNDING:
+        return images, nowhere
+    held = (change.abs_().amax(dim=-1) > limit + ROUNDING)[0]
     return images.clamp(original - limit, original + limit), held

@@ -116,7 +116,7 @@ def _write(prepared: Prepared, problem: Problem, found: Run, out: Path) -> Resul
         reach=prepared.spec.goal.reach if isinstance(prepared.spec.goal.reach, str) else None,
         original=answer(prepared.logits, labels, goal),
         attacked=answer(logits, labels, goal),
-        in_loop=answer(judge.logits(found.picture), labels, goal),
+        in_loop=answer(found.scores, labels, goal),
         perceptibility=of_pictures(original, attacked),
         group_perceptibility=of_groups(prepared.renderer.name, found.stored),
         beyond_truncation=None if limit is None else beyond(original, attacked, limit),

@@ -154,12 +154,11 @@ class TorchRenderer:
             if group not in self._attacked and self._twin is not self:  # the judge's takes every group
                 raise ValueError(f"group {group!r} is not among {self._attacked}, which this renderer is compiled for")
         # One image at a time: the same operations on the same shapes whatever else is in the batch, so the same bits.
-        return torch.stack(
-            [
-                self._image(**self._initial | {group: value[b].to(self._dtype) for group, value in parameters.items()})
-                for b in range(batch.pop())
-            ]
-        )
+        images = [
+            self._image(**self._initial | {group: value[b].to(self._dtype) for group, value in parameters.items()})
+            for b in range(batch.pop())
+        ]
+        return torch.stack(images) if len(images) > 1 else images[0][None]
 
     def exact(self) -> "TorchRenderer":
         """The float64 twin."""

@@ -10,7 +10,8 @@ def probability(logits: Tensor, label: int) -> Tensor:
 
 
 def _others(logits: Tensor, label: int) -> Tensor:
-    return torch.cat([logits[..., :label], logits[..., label + 1 :]], dim=-1)
+    """The scores with −inf for `label`: neither a sum of exponentials nor a maximum sees it."""
+    return logits.index_fill(-1, torch.tensor([label], device=logits.device), -torch.inf)
 
 
 def _wide(logits: Tensor) -> Tensor:
@@ -30,7 +31,4 @@ def log_odds(logits: Tensor, label: int) -> Tensor:
 def advantage(logits: Tensor, label: int) -> Tensor:
     """log p_label − max over others of log p, [B]; negative once another label wins (paper, attack curves)."""
     logits = _wide(logits)
-    others = _others(logits, label)
-    if others.shape[-1] == 0:
-        return torch.full_like(logits[..., label], float("inf"))
-    return logits[..., label] - others.amax(dim=-1)
+    return logits[..., label] - _others(logits, label).amax(dim=-1)
