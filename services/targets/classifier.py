@@ -41,7 +41,10 @@ class Classifier:
         """Scores [B, K] of pictures [B, H, W, 3] in [0,1]; see `Target.logits`."""
         if question is not None:
             raise ValueError(f"{self.name} takes no question")
-        x = ((images.to(self.dtype) - self._mean) / self._scale).permute(0, 3, 1, 2)
+        width = images.shape[2]
+        # Row by row: with three numbers to broadcast at a time it takes six times as long.
+        mean, scale = self._mean.repeat(width), self._scale.repeat(width)
+        x = ((images.to(self.dtype).flatten(2) - mean) / scale).reshape(images.shape).permute(0, 3, 1, 2)
         if tuple(x.shape[-2:]) != self.input_size:
             x = F.interpolate(x, self.input_size, mode="bilinear", antialias=True)
         scores: Tensor = self.network(x.contiguous(memory_format=torch.channels_last))
