@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from services.attacks.problem import Problem, truncate
+from services.attacks.problem import Problem, distances, truncate
 from services.attacks.seeds import generator
 from services.rendering.protocol import Parameters
 
@@ -63,10 +63,7 @@ def objective(problem: Problem, images: Tensor) -> Tensor:
     advantage = problem.goal.advantage(problem.logits(images)).double()
     if problem.weight == 0:
         return advantage
-    # Pictures are subtracted in their own type, which costs half a last place of each; the sum is long and is not.
-    change = (images - problem.original).flatten(1)
-    distance: Tensor = torch.linalg.vector_norm(change, dim=1, dtype=torch.float64)
-    return advantage + problem.weight * distance.square()
+    return advantage + problem.weight * distances(images, problem.original).square()
 
 
 @torch.no_grad()

@@ -12,7 +12,7 @@ from torch import Tensor
 from services.attacks import checkpoint
 from services.attacks.exact import Judge
 from services.attacks.method import Method
-from services.attacks.problem import Problem, View, ask, saved, slopes
+from services.attacks.problem import Problem, View, ask, distances, saved, slopes
 from services.attacks.trace import TraceRow
 from services.rendering.protocol import Parameters
 from services.targets.scores import probability
@@ -168,8 +168,7 @@ def _step(active: list[_Running]) -> None:
 
 def _row(problem: Problem, judge: Judge, view: View, logits: Tensor, state: Run, seconds: float) -> TraceRow:
     height, width = problem.renderer.size
-    change = view.images.detach() - problem.original
-    distance = float(torch.linalg.vector_norm(change.flatten(2), dim=-1).double().norm())  # rows first: as good, faster
+    distance = float(distances(view.images.detach(), problem.original)[0])
     label = int(logits.argmax())
     return TraceRow(
         step=state.step,

@@ -151,6 +151,17 @@ def slopes(problems: Sequence[Problem], views: Sequence[View], logits: Tensor) -
     return found
 
 
+def distances(images: Tensor, original: Tensor) -> Tensor:
+    """‖ΔY‖ of each picture [B, H, W, 3] from the original [1, H, W, 3], [B] float64.
+
+    Differences and their sums along a row are of the pictures' type, which costs a few last places; the sum over rows,
+    which is long, is not.
+    """
+    rows = torch.linalg.vector_norm((images - original).flatten(2), dim=2)
+    found: Tensor = torch.linalg.vector_norm(rows, dim=1, dtype=torch.float64)
+    return found
+
+
 def finite(values: Tensor) -> bool:
     """Whether no value is infinite or not a number. Both show in the extremes, and those take one pass."""
     low, high = torch.aminmax(values.detach())
