@@ -19,8 +19,10 @@ from pyrender.renderer import Renderer
 
 from services.rendering.extent import Rectangle, is_in_front
 from services.rendering.framebuffer import Framebuffer
-from services.rendering.geometry import Array, Drawing, Piece
+from services.rendering.geometry import Array, Drawing
+from services.rendering.hidden import Faces
 from services.rendering.program import Program
+from services.scenes.mesh import Integers
 
 Image = NDArray[np.float32]
 Insides = Literal["like outsides", "behind", "left out"]
@@ -54,6 +56,7 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
         self._programs: dict[tuple[str, tuple[int, ...]], Program] = {}
         self._framebuffer: Framebuffer | None = None
         self._resident: Drawing | None = None
+        self._all_faces, self._some_faces = (int(name) for name in GL.glGenBuffers(2))
 
     def __del__(self) -> None:
         """Nothing: the renderer lives as long as the process, and at its end the context may be gone already."""
@@ -62,7 +65,7 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
         """Raise where this driver cannot compile our shaders or draw to float32 with 4 samples."""
         for fragment in ("radiance.frag", "gbuffer.frag"):
             self.program(fragment, textured=True, holes=True, pictures=1, lights=1)
-        self._target((4, 4), samples=4, outputs=1)
+        self.sample_positions = self._target((4, 4), samples=4, outputs=1).positions()
 
     def program(self, fragment: str, *, textured: bool, holes: bool, pictures: int, lights: int) -> Program:
         """A fragment shader compiled for a kind of surface, a number of pictures and of lights; compiled once."""
@@ -98,6 +101,7 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
         lights: int = 0,
         rectangle: Rectangle | None = None,
         insides: Insides = "like outsides",
+        faces: Faces | None = None,
     ) -> Image:
         """One pass over the geometry: what the fragment shader writes to each output, 0 where nothing is;
         [outputs, height, width, 4], or a `rectangle` of it. The first row is the bottom one, as OpenGL has it.
@@ -106,12 +110,16 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
         `uniforms` of the pass, and `object_uniforms` with one value per object. With `blend` the parts that are not
         opaque come last, the far ones first, over what is behind them (colours times opacity); else all parts are
         drawn alike. For `insides` see there; the insides of an object that reaches to the camera are drawn like all.
+        `faces` are the only ones that are drawn, as `hidden.seen` finds them for the same poses and insides; None: all.
 
         Raises RuntimeError for an error of OpenGL (out of memory).
         """
         if self._resident is not drawing:
             self._update_context(drawing, 0)
             self._resident = drawing
+            _fill(self._all_faces, np.concatenate([piece.triangles for piece in drawing.pieces]), GL.GL_STATIC_DRAW)
+        if faces is not None:
+            _fill(self._some_faces, faces.triangles, GL.GL_STREAM_DRAW)
         framebuffer = self._target(size, samples, outputs)
         framebuffer.begin(outputs)
         GL.glEnable(GL.GL_DEPTH_TEST)
@@ -120,12 +128,20 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
         (GL.glEnable if samples > 1 else GL.glDisable)(GL.GL_MULTISAMPLE)
         GL.glFrontFace(GL.GL_CCW)
         GL.glActiveTexture(GL.GL_TEXTURE0)
-        in_front = [
-            is_in_front(points, view.clip_from_world @ pose) for points, pose in zip(drawing.points, poses, strict=True)
-        ]
-        ready: set[Program] = set()
-        for piece in _ordered(drawing, poses, view.eye) if blend else drawing.pieces:
-            pose = poses[piece.index]
+        closed = closed_faces(drawing, view, poses) if insides != "like outsides" else [0] * len(drawing.pieces)
+        counts = (
+            faces.counts.tolist()
+            if faces is not None
+            else [(count, piece.faces - count) for count, piece in zip(closed, drawing.pieces, strict=True)]
+        )
+        starts = np.cumsum([0] + [sum(count) for count in counts])
+        of_objects = [_of_object(view, pose) for pose in poses]
+        ready: dict[Program, int] = {}
+        """The object whose pose each program has; all of those here have the uniforms of the pass."""
+        for number in _ordered(drawing, poses, view.eye) if blend else range(len(drawing.pieces)):
+            piece, start = drawing.pieces[number], int(starts[number])
+            if not sum(counts[number]):
+                continue
             program = self.program(
                 fragment,
                 textured=piece.texture is not None,
@@ -135,17 +151,16 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
             )
             program._bind()
             if program not in ready:
-                ready.add(program)
-                program.set("eye", view.eye)
-                for name, value in uniforms.items():
+                for name, value in ({"eye": view.eye} | dict(uniforms)).items():
                     program.set(name, value)
-            program.set("clip_from_object", view.clip_from_world @ pose)
-            program.set("world_from_object", pose)
-            program.set("normal_from_object", np.linalg.inv(pose[:3, :3]).T)
+            if ready.get(program) != piece.index:
+                for name, value in of_objects[piece.index].items():
+                    program.set(name, value)
+                for name, values in object_uniforms.items():
+                    program.set(name, values[piece.index])
+            ready[program] = piece.index
             program.set("base_colors[0]", piece.part.color[:3] * colors[:, piece.index])
             program.set("opacity", float(piece.part.color[3]))
-            for name, values in object_uniforms.items():
-                program.set(name, values[piece.index])
             if piece.texture is not None:
                 program.set("base_color_texture", 0)
                 piece.texture._bind()
@@ -153,15 +168,16 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
             (GL.glEnable if see_through else GL.glDisable)(GL.GL_BLEND)
             GL.glDepthMask(GL.GL_FALSE if see_through else GL.GL_TRUE)
             piece.primitive._bind()
-            closed = piece.closed if insides != "like outsides" and in_front[piece.index] else 0
-            _draw_faces(0, closed, GL.GL_BACK)
+            GL.glBindBuffer(GL.GL_ELEMENT_ARRAY_BUFFER, self._all_faces if faces is None else self._some_faces)
+            middle, stop = start + counts[number][0], start + sum(counts[number])
+            _draw_faces(start, middle, GL.GL_BACK)
             if insides == "behind":
                 GL.glDepthRange(1.0, 1.0)
                 GL.glDepthFunc(GL.GL_LEQUAL)
-                _draw_faces(0, closed, GL.GL_FRONT)
+                _draw_faces(start, middle, GL.GL_FRONT)
                 GL.glDepthRange(0.0, 1.0)
                 GL.glDepthFunc(GL.GL_LESS)
-            _draw_faces(closed, piece.faces, None)
+            _draw_faces(middle, stop, None)
         GL.glBindVertexArray(0)
         images = framebuffer.read(outputs, rectangle or (0, size[0], 0, size[1]))
         error = GL.glGetError()
@@ -171,8 +187,8 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
 
 
 def _draw_faces(start: int, stop: int, hidden: Any) -> None:
-    """Some of the faces of the bound piece, of which one side may be hidden. Without: both, for furniture is modelled
-    with sheets, and windings differ.
+    """Some of the bound faces of the bound piece, of which one side may be hidden. Without: both, for furniture is
+    modelled with sheets, and windings differ.
     """
     if start == stop:
         return
@@ -184,15 +200,40 @@ def _draw_faces(start: int, stop: int, hidden: Any) -> None:
     GL.glDrawElements(GL.GL_TRIANGLES, 3 * (stop - start), GL.GL_UNSIGNED_INT, ctypes.c_void_p(12 * start))
 
 
-def _ordered(drawing: Drawing, poses: Array, eye: Array) -> list[Piece]:
-    """Opaque parts in the scene's order, then the others from far to near by the middle of their bounding box."""
+def _of_object(view: View, pose: Array) -> dict[str, NDArray[Any]]:
+    """The uniforms of an object at a pose [4,4]."""
+    return {
+        "clip_from_object": view.clip_from_world @ pose,
+        "world_from_object": pose,
+        "normal_from_object": np.linalg.inv(pose[:3, :3]).T,
+    }
 
-    def nearness(piece: Piece) -> float:
+
+def closed_faces(drawing: Drawing, view: View, poses: Array) -> list[int]:
+    """How many faces of each piece are of closed surfaces: at poses where the object reaches to the camera, none."""
+    in_front = [
+        is_in_front(points, view.clip_from_world @ pose) for points, pose in zip(drawing.points, poses, strict=True)
+    ]
+    return [piece.closed if in_front[piece.index] else 0 for piece in drawing.pieces]
+
+
+def _fill(buffer: int, triangles: Integers, usage: Any) -> None:
+    GL.glBindBuffer(GL.GL_ARRAY_BUFFER, buffer)
+    GL.glBufferData(GL.GL_ARRAY_BUFFER, triangles.nbytes, triangles, usage)
+    GL.glBindBuffer(GL.GL_ARRAY_BUFFER, 0)
+
+
+def _ordered(drawing: Drawing, poses: Array, eye: Array) -> list[int]:
+    """Which pieces: opaque ones in the scene's order, then the others from far to near by the middle of their bounding
+    box."""
+
+    def nearness(number: int) -> float:
+        piece = drawing.pieces[number]
         pose = poses[piece.index]
         return -float(np.linalg.norm(pose[:3, :3] @ piece.centre + pose[:3, 3] - eye))
 
-    solid = [piece for piece in drawing.pieces if piece.solid]
-    return solid + sorted((piece for piece in drawing.pieces if not piece.solid), key=nearness)
+    solid = [number for number, piece in enumerate(drawing.pieces) if piece.solid]
+    return solid + sorted((number for number, piece in enumerate(drawing.pieces) if not piece.solid), key=nearness)
 
 
 def describe() -> str:

@@ -69,6 +69,14 @@ class Framebuffer:
             GL.glReadPixels(left, low, right - left, high - low, GL.GL_RGBA, GL.GL_FLOAT, array=image)
         return images
 
+    def positions(self) -> NDArray[np.float64]:
+        """Where in a pixel its samples are, [samples, 2], x and y from the lower left corner."""
+        GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, self._draw)
+        found = [np.zeros(2, np.float32) for _ in range(self.samples)]
+        for i, position in enumerate(found):
+            GL.glGetMultisamplefv(GL.GL_SAMPLE_POSITION, i, position)
+        return np.array(found, np.float64)
+
     def delete(self) -> None:
         """Give the memory back."""
         GL.glDeleteFramebuffers(len(self._frames), self._frames)

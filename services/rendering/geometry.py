@@ -43,6 +43,8 @@ class Piece:
 
     index: int
     part: Part
+    triangles: Integers
+    """int32 [F, 3], in the order they are drawn."""
     primitive: Any
     texture: SrgbTexture | None
     holes: bool
@@ -75,7 +77,7 @@ class Drawing:
 
     def __init__(self, meshes: Sequence[Mesh], closed: bool = False) -> None:
         textures: dict[int, SrgbTexture] = {}
-        uploads: dict[int, list[tuple[Any, SrgbTexture | None, int]]] = {}
+        uploads: dict[int, list[tuple[Integers, Any, SrgbTexture | None, int]]] = {}
         self.pieces: list[Piece] = []
         self.points: list[Array] = []
         """Per object its corners, homogeneous [4,V], each once."""
@@ -83,16 +85,16 @@ class Drawing:
             if id(mesh) not in uploads:
                 wound = outsides(mesh) if closed else [(part.faces, 0) for part in mesh.parts]
                 uploads[id(mesh)] = [
-                    (*_primitive(part, faces, textures), count)
+                    (np.ascontiguousarray(faces, np.int32), *_primitive(part, faces, textures), count)
                     for part, (faces, count) in zip(mesh.parts, wound, strict=True)
                 ]
-            for part, (primitive, texture, count) in zip(mesh.parts, uploads[id(mesh)], strict=True):
+            for part, (faces, primitive, texture, count) in zip(mesh.parts, uploads[id(mesh)], strict=True):
                 centre = (part.vertices.min(axis=0) + part.vertices.max(axis=0)).astype(np.float64) / 2
-                self.pieces.append(Piece(index, part, primitive, texture, has_holes(part), count, centre))
+                self.pieces.append(Piece(index, part, faces, primitive, texture, has_holes(part), count, centre))
             corners = np.unique(np.concatenate([part.vertices for part in mesh.parts]), axis=0).astype(np.float64)
             self.points.append(np.ascontiguousarray(np.append(corners, np.ones((len(corners), 1)), axis=1).T))
         # What pyrender's Renderer._update_context asks of a scene.
-        self.meshes = {Upload(tuple(primitive for primitive, *_ in upload)) for upload in uploads.values()}
+        self.meshes = {Upload(tuple(primitive for _, primitive, *_ in upload)) for upload in uploads.values()}
         self.lights: tuple[()] = ()
 
 

@@ -31,6 +31,11 @@ class Context:
     pid: int
     thread: int
 
+    @property
+    def software(self) -> bool:
+        """Whether the processor draws."""
+        return "llvmpipe" in self.backend or "softpipe" in self.backend
+
 
 _context: Context | None = None
 _lock = threading.Lock()
@@ -119,6 +124,11 @@ def _create(platform: str) -> Context:
             surface = OSMesaPlatform(1, 1)
         surface.init_context()
         surface.make_current()
+        import OpenGL
+
+        # Read when OpenGL.GL is imported. Asking after every call takes as long as drawing a small part; `draw` asks
+        # once, at its end.
+        OpenGL.ERROR_CHECKING = False
         from services.rendering.drawing import FloatRenderer, describe
 
         renderer = FloatRenderer(surface)

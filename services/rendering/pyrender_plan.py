@@ -29,11 +29,13 @@ def compile_plan(
     tolerance: Tolerance,
     extent: tuple[int, int, int, int],
     closed: bool,
+    shown: int | None,
     most: int,
     idle: Sequence[Idle],
 ) -> Plan:
     """The plan for attacks on `groups`, with objects within `extent` at the start; `closed`: closed surfaces are
-    without inside; `most`: pictures to a pass; `idle`: coordinates that change nothing at the start, moved by REACH.
+    without inside; `shown`: faces that may be seen at the start, None: hidden ones are not looked for; `most`: pictures
+    to a pass; `idle`: coordinates that change nothing at the start, moved by REACH.
 
     Its errors are 0: everything it leaves out or shares gives a picture the very bits it has without.
     """
@@ -61,6 +63,16 @@ def compile_plan(
             if plain
             else f"at the start no object is outside rows {top} to {bottom} and columns {left} to {right}; found anew "
             "for every pose",
+        ),
+        Item(
+            what="faces",
+            kept=faces if plain or shown is None else shown,
+            of=faces,
+            why="exact: all are drawn"
+            if plain
+            else "all are drawn: looking for hidden ones would take longer"
+            if shown is None
+            else "at the start the others cover no sample or are behind all that shows; found anew for every pose",
         ),
         Item(
             what="faces with two sides",

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from services.errors import JobFailure
-from services.rendering import gl
+from services.rendering import gl, hidden
 from services.rendering.canvas import over_ground
-from services.rendering.extent import beyond, rectangle
+from services.rendering.extent import Rectangle, beyond, rectangle
+from services.rendering.hidden import Faces
 from services.rendering.idle import Idle, idle
 from services.rendering.plan import DEFAULT_TOLERANCE, Plan, Tolerance
 from services.rendering.protocol import Parameters
@@ -80,6 +81,7 @@ class PyrenderRenderer:
         self._most = max(1, min(MOST, MEMORY // (16 * SAMPLES * self.size[0] * self.size[1])))
         self._plain = tolerance == "exact"
         self._closed = self._insides_are_hidden()
+        self._shown = self._shown_at_start()
         self._plan: Plan | None = None
         self._attacked = tuple(groups or self.groups)
         self._tolerance = tolerance
@@ -95,6 +97,7 @@ class PyrenderRenderer:
                 self._tolerance,
                 extent=self.extent(self.initial()),
                 closed=self._closed,
+                shown=self._shown,
                 most=self._most,
                 idle=[] if self._plain else self.idle(self.initial(), {}),
             )
@@ -141,7 +144,7 @@ class PyrenderRenderer:
         """
         return self._draw(parameters, torch.zeros(4), lambda radiance: radiance)
 
-    def extent(self, parameters: Mapping[str, Tensor]) -> tuple[int, int, int, int]:
+    def extent(self, parameters: Mapping[str, Tensor]) -> Rectangle:
         """Rows from and to, columns from and to, within which the objects are at `parameters` {group: [...]}."""
         batch = self._numbers.checked({group: value[None] for group, value in parameters.items()})
         return self._extent(self._numbers.poses(batch["translation"][0], batch["rotation"][0]))
@@ -164,44 +167,81 @@ class PyrenderRenderer:
         return idle(self, parameters, reach)
 
     def _draw(self, parameters: Mapping[str, Tensor], empty: Tensor, finish: Callable[[Tensor], Tensor]) -> Tensor:
-        """Pictures [B, H, W, C]: `empty` [C] where no object is, and `finish` of radiance [N, 4] elsewhere.
+        """Pictures [B, H, W, C]: `empty` [C] where no object is, and `finish` of radiance [..., 4] elsewhere.
 
         First all is drawn, then all is finished: threads of torch that wait for work in between would be in the way of
         those that draw.
         """
         batch = self._numbers.checked(parameters)
-        done: list[tuple[Pass, tuple[int, int, int, int], NDArray[np.float32]]] = []
+        passes: list[tuple[Pass, NDArray[np.float64], Rectangle]] = []
         for drawn in alone(batch) if self._plain else shared(batch, self._most):
             poses = self._numbers.poses(drawn.translation, drawn.rotation)
             part = (0, self.size[0], 0, self.size[1]) if self._plain else self._extent(poses)
             if part[0] < part[1]:
-                done.append((drawn, part, self._frames(drawn, poses, part)))
-        pictures = empty.expand(len(batch["color"]), *self.size, len(empty)).clone()
-        if not done:
-            return pictures
-        radiance = torch.from_numpy(np.concatenate([frames[:, ::-1].reshape(-1, 4) for _, _, frames in done]))
-        if not finite(radiance):
-            raise JobFailure("non-finite", "the picture has values that are not finite: light or colour is too strong")
-        finished = torch.split(finish(radiance), [frames[..., 0].size for _, _, frames in done])
-        for (drawn, (top, bottom, left, right), frames), flat in zip(done, finished, strict=True):
-            shown = flat.reshape(*frames.shape[:3], len(empty))
+                passes.append((drawn, poses, part))
+        faces: Sequence[Faces | None] = [None] * len(passes)
+        if passes and self._shown is not None and not self._plain:
+            faces = self._seen([poses for _, poses, _ in passes], [part for *_, part in passes])
+        done = [
+            (drawn, part, self._frames(drawn, poses, part, faces=own))
+            for (drawn, poses, part), own in zip(passes, faces, strict=True)
+        ]
+        blank = empty.expand(*self.size, len(empty)).contiguous().numpy()
+        pictures = np.empty((len(batch["color"]), *blank.shape), np.float32)
+        missing = set(range(len(pictures)))
+        for drawn, (top, bottom, left, right), frames in done:
+            radiance = torch.from_numpy(frames)
+            if not finite(radiance):
+                why = "the picture has values that are not finite: light or colour is too strong"
+                raise JobFailure("non-finite", why)
+            shown = finish(radiance).numpy()[:, ::-1]  # OpenGL's first row is the bottom one
             whole: dict[int, int] = {}
             for row, channel, slot in drawn.users:
+                picture = pictures[row]
                 if channel == 0:  # coverage is the same in all
-                    pictures[row, top:bottom, left:right] = shown[slot]
+                    picture[:top], picture[bottom:] = blank[:top], blank[bottom:]
+                    picture[top:bottom, :left], picture[top:bottom, right:] = (
+                        blank[top:bottom, :left],
+                        blank[top:bottom, right:],
+                    )
+                    picture[top:bottom, left:right] = shown[slot]
                     whole[row] = slot
+                    missing.discard(row)
                 elif whole.get(row) != slot:
-                    pictures[row, top:bottom, left:right, channel] = shown[slot, ..., channel]
-        return pictures
+                    picture[top:bottom, left:right, channel] = shown[slot, ..., channel]
+        for row in missing:
+            pictures[row] = blank
+        return torch.from_numpy(pictures)
 
-    def _extent(self, poses: NDArray[np.float64]) -> tuple[int, int, int, int]:
+    def _extent(self, poses: NDArray[np.float64]) -> Rectangle:
         return rectangle(self._drawing.points, list(self._view.clip_from_world @ poses), self.size)
 
+    def _seen(self, poses: Sequence[NDArray[np.float64]], parts: Sequence[Rectangle]) -> list[Faces]:
+        """The faces that may be seen at each of some poses [objects, 4, 4], with objects in those parts."""
+        from services.rendering.drawing import closed_faces
+
+        drawing, view = self._drawing, self._view
+        owners = [piece.index for piece in drawing.pieces]
+        closed = [closed_faces(drawing, view, of) if self._closed else [0] * len(owners) for of in poses]
+        return hidden.seen(
+            drawing,
+            np.stack([(view.clip_from_world @ of)[owners] for of in poses]),
+            np.array(closed),
+            parts,
+            self.size,
+            gl.context().renderer.sample_positions,
+        )
+
     def _frames(
-        self, drawn: Pass, poses: NDArray[np.float64], part: tuple[int, int, int, int], natural: bool = False
+        self,
+        drawn: Pass,
+        poses: NDArray[np.float64],
+        part: Rectangle,
+        natural: bool = False,
+        faces: Faces | None = None,
     ) -> NDArray[np.float32]:
         """Radiance [pictures, rows, columns, 4] of a part of the picture, its bottom row first; `natural`: no surface
-        taken for closed."""
+        taken for closed; `faces`: no others."""
         points = drawn.illuminations[:, 1:].reshape(-1, 4)
         uniforms: dict[str, object] = {"ambients[0]": drawn.illuminations[:, 0]}
         if len(points):
@@ -221,6 +261,7 @@ class PyrenderRenderer:
             lights=len(points) // len(drawn.colors),
             rectangle=part,
             insides="like outsides" if natural or not self._closed else "behind" if self._plain else "left out",
+            faces=faces,
         )
         return images
 
@@ -234,6 +275,17 @@ class PyrenderRenderer:
         without, natural = self._frames(start, poses, whole), self._frames(start, poses, whole, natural=True)
         changed = np.abs(EXPOSURE * (without - natural)).max(axis=-1) > 1 / 255
         return bool(changed.sum() <= ODD * (natural[..., 3] > 0).sum())
+
+    def _shown_at_start(self) -> int | None:
+        """How many faces may be seen at the start; None where looking for them takes longer than drawing all."""
+        if not (hidden.available() and gl.context().software):
+            return None
+        [start] = alone(self._numbers.checked({}))
+        poses = self._numbers.poses(start.translation, start.rotation)
+        [left] = self._seen([poses], [self._extent(poses)])
+        # of a closed surface half the faces look away, and cost next to nothing
+        drawn = sum(piece.faces - (piece.closed if self._closed else 0) // 2 for piece in self._drawing.pieces)
+        return len(left.triangles) if len(left.triangles) <= hidden.WORTH * drawn else None
 
 
 def finite(radiance: Tensor) -> bool:
