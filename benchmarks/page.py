@@ -84,14 +84,14 @@ def _jobs() -> list[str]:
             f"{row['loop s']:.2f}",
             f"{row['loop / network']:.2f}",
             f"{row['job / network']:.2f}",
-            f"{row['job s'] / row['plain network s']:.2f}",
+            f"{row['job / plain network']:.2f}",
             f"{row['peak MiB at 448²']:.0f}",
         ]
         for row in result["rows"]
     ]
     return [
         "## FGSM jobs",
-        f"Jobs of {result['steps']} steps at 224², beside as many forward and backward passes of EfficientNet-Lite0 "
+        f"Jobs of {result['steps']} steps at 224², each step beside a forward and backward pass of EfficientNet-Lite0 "
         "alone: as jobs use it, with packed weights, and in plain torch (channels_last). Memory is the peak of a fresh "
         "process at 448².",
         _table(("attacked", "loop s", "loop / network", "job / network", "job / plain network", "MiB"), rows),
