@@ -1,11 +1,12 @@
 """Our attack on pixels beside Foolbox's and torchattacks', on the same network and pictures. Writes
 results/image_attacks.json.
 
-Time: every attack makes the same number of steps, so small that nothing is fooled and nothing ends early. The peers take
-turns, and before and after each of their runs ours makes as many steps; per step, shortest of the repeats, and median of
-each run beside ours around it: a shared machine is faster one second than the next. Success: the same step and bound for all; every adversary is judged as
-it would be saved, rounded to 8 bits, by the same network; p over those that fool it. The peers attack the network
-as plain torch gives it (contiguous) and in channels_last; ours is the one jobs use.
+Time: every attack makes the same number of steps, so small that nothing is fooled and nothing ends early. The others
+take turns, and before and after each of their runs ours makes as many steps: a shared machine is faster one second than
+the next. Per step, shortest of the repeats; and the median of each run over ours around it. Success: the same step and
+bound for all; every adversary is judged as it would be saved, rounded to 8 bits, by the same network; p over those that
+fool it. The peers attack the network as plain torch gives it (contiguous) and in channels_last; ours is the one jobs
+use.
 """
 
 import argparse

@@ -19,8 +19,9 @@ def page() -> str:
     return "\n\n".join(parts) + "\n"
 
 
-INTRODUCTION = """Each table is of one run of one command, the shortest of several repeats after a warm-up; ratios
-are of numbers of the same run. `benchmarks/setup` installs the peers. Errors are of displayed values in [0,1]."""
+INTRODUCTION = """Each table is of one run of one command, after a warm-up: times are the shortest of several repeats
+(of jobs the median), ratios are of numbers of the same run, side by side. `benchmarks/setup` installs the peers. Errors
+are of displayed values in [0,1]."""
 
 
 def _result(name: str) -> dict[str, Any]:
