@@ -24,6 +24,9 @@ from services.rendering.hidden import Faces
 from services.rendering.program import Program
 from services.scenes.mesh import Integers
 
+TILE = 64
+"""Pixels a side of the squares in which llvmpipe clears and draws."""
+
 Image = NDArray[np.float32]
 Insides = Literal["like outsides", "behind", "left out"]
 """How the insides of closed surfaces are drawn: like all faces, the nearest is seen; behind everything, where only a
@@ -54,7 +57,7 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
         # By shader alone: there is one context. pyrender's cache is keyed by the context as PyOpenGL hands it out, on
         # OSMesa a new pointer object each time, so that every draw compiles again and leaks a program (3 MB).
         self._programs: dict[tuple[str, tuple[int, ...]], Program] = {}
-        self._framebuffer: Framebuffer | None = None
+        self._framebuffers: dict[bool, Framebuffer] = {}
         self._resident: Drawing | None = None
         self._all_faces, self._some_faces = (int(name) for name in GL.glGenBuffers(2))
 
@@ -75,14 +78,19 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
             self._programs[key] = Program(fragment, constants)
         return self._programs[key]
 
-    def _target(self, size: tuple[int, int], samples: int, outputs: int) -> Framebuffer:
-        held = self._framebuffer
-        if held is None or held.key != (size, samples) or held.outputs < outputs:
-            if held is not None:
-                held.delete()
-                self._framebuffer = None
-            self._framebuffer = held = Framebuffer(size, samples, outputs)
+    def _target(self, size: tuple[int, int], samples: int, outputs: int, whole: bool = True) -> Framebuffer:
+        """A framebuffer for whole pictures, of just that size; or one for parts of pictures, of at least that size."""
+        held = self._framebuffers.get(whole)
+        if held is not None and not whole:
+            size = max(size[0], held.size[0]), max(size[1], held.size[1])
+        if held is None or (held.size, held.samples) != (size, samples) or held.outputs < outputs:
+            self._drop(whole)
+            held = self._framebuffers[whole] = Framebuffer(size, samples, outputs)
         return held
+
+    def _drop(self, whole: bool) -> None:
+        if whole in self._framebuffers:
+            self._framebuffers.pop(whole).delete()
 
     def draw(
         self,
@@ -117,11 +125,14 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
         if self._resident is not drawing:
             self._update_context(drawing, 0)
             self._resident = drawing
+            self._drop(whole=False)  # parts of its pictures may be smaller
             _fill(self._all_faces, np.concatenate([piece.triangles for piece in drawing.pieces]), GL.GL_STATIC_DRAW)
         if faces is not None:
             _fill(self._some_faces, faces.triangles, GL.GL_STREAM_DRAW)
-        framebuffer = self._target(size, samples, outputs)
-        framebuffer.begin(outputs)
+        rectangle = rectangle or (0, size[0], 0, size[1])
+        target = _up_to(rectangle, size)
+        framebuffer = self._target(target, samples, outputs, whole=target == size)
+        framebuffer.begin(outputs, size)
         GL.glEnable(GL.GL_DEPTH_TEST)
         GL.glDepthFunc(GL.GL_LESS)
         GL.glBlendFunc(GL.GL_ONE, GL.GL_ONE_MINUS_SRC_ALPHA)
@@ -179,11 +190,17 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
                 GL.glDepthFunc(GL.GL_LESS)
             _draw_faces(middle, stop, None)
         GL.glBindVertexArray(0)
-        images = framebuffer.read(outputs, rectangle or (0, size[0], 0, size[1]))
+        images = framebuffer.read(outputs, rectangle, size)
         error = GL.glGetError()
         if error != GL.GL_NO_ERROR:
             raise RuntimeError(f"OpenGL error {error:#x} while drawing {size[1]}x{size[0]} pixels")
         return images
+
+
+def _up_to(rectangle: Rectangle, size: tuple[int, int]) -> tuple[int, int]:
+    """The size of what lies between a picture's lower left corner and a rectangle's upper right one, in whole tiles."""
+    top, _, _, right = rectangle
+    return min(size[0], -(-(size[0] - top) // TILE) * TILE), min(size[1], -(-right // TILE) * TILE)
 
 
 def _draw_faces(start: int, stop: int, hidden: Any) -> None:
