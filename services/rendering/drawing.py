@@ -139,12 +139,11 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
         (GL.glEnable if samples > 1 else GL.glDisable)(GL.GL_MULTISAMPLE)
         GL.glFrontFace(GL.GL_CCW)
         GL.glActiveTexture(GL.GL_TEXTURE0)
-        closed = closed_faces(drawing, view, poses) if insides != "like outsides" else [0] * len(drawing.pieces)
-        counts = (
-            faces.counts.tolist()
-            if faces is not None
-            else [(count, piece.faces - count) for count, piece in zip(closed, drawing.pieces, strict=True)]
-        )
+        if faces is not None:
+            counts = faces.counts.tolist()
+        else:
+            closed = closed_faces(drawing, view, poses) if insides != "like outsides" else [0] * len(drawing.pieces)
+            counts = [(count, piece.faces - count) for count, piece in zip(closed, drawing.pieces, strict=True)]
         starts = np.cumsum([0] + [sum(count) for count in counts])
         of_objects = [_of_object(view, pose) for pose in poses]
         ready: dict[Program, int] = {}

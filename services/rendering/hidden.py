@@ -1,8 +1,8 @@
 """Faces that others hide: of a furniture model as it is found most are inside it, or smaller than what is sampled.
 
 A face is left out of a pass only if, however a rasteriser rounds, it covers no sample or is behind all that shows in
-the pixels it covers (loops/hidden.cpp), so that the picture has the same bits. That is found anew for every pose. It
-pays where a processor draws, for which a face is a microsecond.
+the blocks of 2 × 2 pixels it covers (loops/hidden.cpp), so that the picture has the same bits. That is found anew for
+every pose. It pays where a processor draws, for which a face is a microsecond.
 """
 
 import ctypes

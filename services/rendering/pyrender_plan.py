@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from services.rendering.extent import Rectangle
 from services.rendering.idle import REACH, Idle
 from services.rendering.plan import Item, Plan, Stage, Tolerance
 from services.rendering.sharing import alone, shared
@@ -27,7 +28,7 @@ def compile_plan(
     drawing: "Drawing",
     groups: Sequence[str],
     tolerance: Tolerance,
-    extent: tuple[int, int, int, int],
+    extent: Rectangle,
     closed: bool,
     shown: int | None,
     most: int,
@@ -66,7 +67,7 @@ def compile_plan(
         ),
         Item(
             what="faces",
-            kept=faces if plain or shown is None else shown,
+            kept=faces if shown is None else shown,
             of=faces,
             why="exact: all are drawn"
             if plain

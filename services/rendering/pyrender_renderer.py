@@ -81,7 +81,7 @@ class PyrenderRenderer:
         self._most = max(1, min(MOST, MEMORY // (16 * SAMPLES * self.size[0] * self.size[1])))
         self._plain = tolerance == "exact"
         self._closed = self._insides_are_hidden()
-        self._shown = self._shown_at_start()
+        self._shown = None if self._plain else self._shown_at_start()
         self._plan: Plan | None = None
         self._attacked = tuple(groups or self.groups)
         self._tolerance = tolerance
@@ -120,7 +120,7 @@ class PyrenderRenderer:
         if self._plain:
             return self
         twin = copy(self)
-        twin._plain, twin._tolerance, twin._plan = True, "exact", None
+        twin._plain, twin._tolerance, twin._plan, twin._shown = True, "exact", None, None
         return twin
 
     @property
@@ -180,7 +180,7 @@ class PyrenderRenderer:
             if part[0] < part[1]:
                 passes.append((drawn, poses, part))
         faces: Sequence[Faces | None] = [None] * len(passes)
-        if passes and self._shown is not None and not self._plain:
+        if passes and self._shown is not None:
             faces = self._seen([poses for _, poses, _ in passes], [part for *_, part in passes])
         done = [
             (drawn, part, self._frames(drawn, poses, part, faces=own))
@@ -265,12 +265,16 @@ class PyrenderRenderer:
         )
         return images
 
+    def _at_start(self) -> tuple[Pass, NDArray[np.float64]]:
+        """The scene's own picture as a pass, and the objects' poses [objects, 4, 4]."""
+        [start] = alone(self._numbers.checked({}))
+        return start, self._numbers.poses(start.translation, start.rotation)
+
     def _insides_are_hidden(self) -> bool:
         self._closed = True
         if not any(piece.closed for piece in self._drawing.pieces):
             return False
-        [start] = alone(self._numbers.checked({}))
-        poses = self._numbers.poses(start.translation, start.rotation)
+        start, poses = self._at_start()
         whole = (0, self.size[0], 0, self.size[1])
         without, natural = self._frames(start, poses, whole), self._frames(start, poses, whole, natural=True)
         changed = np.abs(EXPOSURE * (without - natural)).max(axis=-1) > 1 / 255
@@ -280,8 +284,7 @@ class PyrenderRenderer:
         """How many faces may be seen at the start; None where looking for them takes longer than drawing all."""
         if not (hidden.available() and gl.context().software):
             return None
-        [start] = alone(self._numbers.checked({}))
-        poses = self._numbers.poses(start.translation, start.rotation)
+        _, poses = self._at_start()
         [left] = self._seen([poses], [self._extent(poses)])
         # of a closed surface half the faces look away, and cost next to nothing
         drawn = sum(piece.faces - (piece.closed if self._closed else 0) // 2 for piece in self._drawing.pieces)

@@ -42,7 +42,7 @@ struct Corners {
     std::vector<double> x, y, z, off, z_off;
     bool known = true;  // all of them, and none is before the near plane, where the rasteriser cuts faces
 
-    __attribute__((noinline)) Corners(const Piece &piece, const float *matrix, const Frame &frame)
+    Corners(const Piece &piece, const float *matrix, const Frame &frame)
         : x(piece.corners), y(piece.corners), z(piece.corners), off(piece.corners), z_off(piece.corners) {
         double m[16], a[16];
         for (int i = 0; i < 16; ++i) m[i] = matrix[i], a[i] = std::fabs(m[i]);
@@ -133,8 +133,8 @@ struct Picture {
 
     Picture(const Frame &frame, const int64_t *part)
         : rows{part[0] / SIDE, (part[1] + SIDE - 1) / SIDE}, columns{part[2] / SIDE, (part[3] + SIDE - 1) / SIDE},
-          seen((rows[1] - rows[0]) * (columns[1] - columns[0]), Samples{} + NOWHERE), reached(seen.size(), Samples{} - NOWHERE),
-          furthest(seen.size()) {
+          seen((rows[1] - rows[0]) * (columns[1] - columns[0]), Samples{} + NOWHERE),
+          reached(seen.size(), Samples{} - NOWHERE), furthest(seen.size()) {
         for (int i = 0; i < LANES; ++i) {
             const int pixel = i / SAMPLES;
             x[i] = pixel % SIDE + frame.x[i % SAMPLES], y[i] = pixel / SIDE + frame.y[i % SAMPLES];
@@ -208,7 +208,8 @@ struct Picture {
 };
 
 // Makes `face` of three corners; false if it covers no sample, or shows its inside and has none.
-__attribute__((noinline)) bool make(Face &face, const Corners &of, const int32_t *t, bool closed, const Frame &frame, const Picture &picture) {
+bool make(Face &face, const Corners &of, const int32_t *t, bool closed, const Frame &frame,
+          const Picture &picture) {
     double x[3], y[3], z[3], off = 0, z_off = 0;
     for (int k = 0; k < 3; ++k) {
         x[k] = of.x[t[k]], y[k] = of.y[t[k]];
