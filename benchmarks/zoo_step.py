@@ -14,6 +14,7 @@ import os
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from statistics import median
 
@@ -33,7 +34,6 @@ from services.jobs.spec import parse
 from services.rendering import gl
 from services.rendering.pyrender_plan import both_sides
 from services.rendering.pyrender_renderer import SAMPLES, PyrenderRenderer
-from services.rendering.sharing import alone
 from services.scenes.library import Library
 from services.scenes.resolve import ResolvedScene
 from services.settings import settings
@@ -129,9 +129,8 @@ def _ratio(ones: list[tuple[float, float]], others: list[tuple[float, float]], k
 
 def _bare(renderer: PyrenderRenderer) -> Callable[[], object]:
     """The pass over the geometry of the start, all faces, of which one pixel is read so that it has happened."""
-    [start] = alone(renderer._numbers.checked({}))
-    poses = renderer._numbers.poses(start.translation, start.rotation)
-    return lambda: renderer._frames(start, poses, (0, 1, 0, 1), natural=True)
+    pixel = replace(renderer._at_start(), part=(0, 1, 0, 1))
+    return lambda: renderer._by_opengl(pixel, natural=True)
 
 
 def _stock(scene: ResolvedScene) -> Callable[[], object]:

@@ -15,6 +15,7 @@ class Framebuffer:
     """
 
     def __init__(self, size: tuple[int, int], samples: int, outputs: int) -> None:
+        self.key = (size, samples)
         self.size, self.samples, self.outputs = size, samples, outputs
         self._buffers: list[int] = []
         self._frames: list[int] = []
@@ -40,10 +41,9 @@ class Framebuffer:
             raise RuntimeError(f"no {samples}-sample float32 framebuffer of {width}x{height} here (status {status:#x})")
         return frame
 
-    def begin(self, outputs: int, picture: tuple[int, int]) -> None:
-        """Make its first `outputs` images the target of drawing, cleared to zero: the lower left corner of a `picture`
-        (height, width)."""
-        height, width = picture
+    def begin(self, outputs: int) -> None:
+        """Make its first `outputs` images the target of drawing, cleared to zero."""
+        height, width = self.size
         GL.glBindFramebuffer(GL.GL_FRAMEBUFFER, self._draw)
         GL.glDrawBuffers(outputs, [GL.GL_COLOR_ATTACHMENT0 + i for i in range(outputs)])
         GL.glViewport(0, 0, width, height)
@@ -51,11 +51,10 @@ class Framebuffer:
         GL.glClearColor(0.0, 0.0, 0.0, 0.0)
         GL.glClear(GL.GL_COLOR_BUFFER_BIT | GL.GL_DEPTH_BUFFER_BIT)
 
-    def read(self, outputs: int, rectangle: Rectangle, picture: tuple[int, int]) -> NDArray[np.float32]:
-        """A rectangle of a picture in the first `outputs` images, [outputs, rows, columns, 4]; the first row is the
-        bottom one."""
+    def read(self, outputs: int, rectangle: Rectangle) -> NDArray[np.float32]:
+        """A rectangle of the first `outputs` images, [outputs, rows, columns, 4]; the first row is the bottom one."""
         top, bottom, left, right = rectangle
-        low, high = picture[0] - bottom, picture[0] - top
+        low, high = self.size[0] - bottom, self.size[0] - top
         images = np.empty((outputs, high - low, right - left, 4), np.float32)
         for i, image in enumerate(images):
             GL.glBindFramebuffer(GL.GL_READ_FRAMEBUFFER, self._draw)

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from services.errors import InvalidRequest
 from services.rendering import gl, native
+from services.rendering.arrangement import View
 from services.rendering.extent import Rectangle, rectangle
 from services.scenes.resolve import ResolvedScene
 
@@ -51,7 +52,6 @@ def rasterise(scene: ResolvedScene) -> GBuffer:
     Raises InvalidRequest("scene.objects") when no sample meets an object.
     """
     context = gl.context()
-    from services.rendering.drawing import View  # imports OpenGL, so after the context
     from services.rendering.geometry import Drawing
 
     height, width = scene.description.camera.size

@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 class SrgbTexture(Texture):  # type: ignore[misc]
     """A repeated sRGB texture, decoded to linear before it is filtered (pyrender's are filtered as they are stored)."""
 
+    _levels: list[NDArray[np.uint8]] | None = None
+
     def _add_to_context(self) -> None:
         height, width = self.source.shape[:2]
         self._texid = int(GL.glGenTextures(1))
@@ -35,6 +37,20 @@ class SrgbTexture(Texture):  # type: ignore[misc]
         GL.glTexParameteri(GL.GL_TEXTURE_2D, GL.GL_TEXTURE_WRAP_S, GL.GL_REPEAT)
         GL.glTexParameteri(GL.GL_TEXTURE_2D, GL.GL_TEXTURE_WRAP_T, GL.GL_REPEAT)
         GL.glBindTexture(GL.GL_TEXTURE_2D, 0)
+
+    def levels(self) -> list[NDArray[np.uint8]]:
+        """The driver's mipmaps, each [height, width, 4] sRGB with its first row at v = 0; from when it was uploaded."""
+        if self._levels is None:
+            self._levels = []
+            GL.glPixelStorei(GL.GL_PACK_ALIGNMENT, 1)
+            GL.glBindTexture(GL.GL_TEXTURE_2D, self._texid)
+            size = np.array(self.source.shape[:2])
+            for level in range(int(size.max()).bit_length()):
+                texels = np.empty((*np.maximum(size >> level, 1), 4), np.uint8)
+                GL.glGetTexImage(GL.GL_TEXTURE_2D, level, GL.GL_RGBA, GL.GL_UNSIGNED_BYTE, array=texels)
+                self._levels.append(texels)
+            GL.glBindTexture(GL.GL_TEXTURE_2D, 0)
+        return self._levels
 
 
 @dataclass(frozen=True)

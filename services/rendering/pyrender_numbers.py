@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from services.errors import JobFailure
+from services.rendering.arrangement import Lit
+from services.rendering.extent import Rectangle
 from services.rendering.protocol import Parameters
 from services.scenes.description import Scene
 from services.scenes.view import rotation_matrix
@@ -81,6 +83,17 @@ class Numbers:
             else initial.expand(count, *initial.shape).numpy()
             for group, initial in self._initial.items()
         }
+
+    def lit(
+        self,
+        illuminations: NDArray[np.float64],
+        colors: NDArray[np.float64],
+        poses: NDArray[np.float64],
+        part: Rectangle,
+    ) -> Lit:
+        """A pass that draws pictures of those illuminations [pictures, 1 + 4 points] and colours."""
+        points = illuminations[:, 1:].reshape(len(illuminations), self._points, 4) * (ENERGY, 1.0, 1.0, 1.0)
+        return Lit(poses, part, illuminations[:, 0], points, colors)
 
     def poses(self, translations: NDArray[np.float64], rotations: NDArray[np.float64]) -> NDArray[np.float64]:
         """World from object [objects, 4, 4]: scaled, turned, moved; of translations and rotations [objects, 3]."""

@@ -9,7 +9,7 @@ from torch import Tensor
 from services.rendering.extent import Rectangle
 from services.rendering.idle import REACH, Idle
 from services.rendering.plan import Item, Plan, Stage, Tolerance
-from services.rendering.sharing import alone, shared
+from services.rendering.sharing import Pass, alone, shared
 
 if TYPE_CHECKING:
     from services.rendering.geometry import Drawing
@@ -35,8 +35,8 @@ def compile_plan(
     idle: Sequence[Idle],
 ) -> Plan:
     """The plan for attacks on `groups`, with objects within `extent` at the start; `closed`: closed surfaces are
-    without inside; `shown`: faces that may be seen at the start, None: hidden ones are not looked for; `most`: pictures
-    to a pass; `idle`: coordinates that change nothing at the start, moved by REACH.
+    without inside; `shown`: faces that show at the start, None: OpenGL draws; `most`: pictures to a pass; `idle`:
+    coordinates that change nothing at the start, moved by REACH.
 
     Its errors are 0: everything it leaves out or shares gives a picture the very bits it has without.
     """
@@ -47,6 +47,13 @@ def compile_plan(
     sheets = faces - (sum(piece.closed for piece in drawing.pieces) if closed else 0)
     textured = [piece for piece in drawing.pieces if piece.texture is not None]
     start = renderer.initial()
+
+    def passes_for(touched: Sequence[str]) -> list[Pass]:
+        sides = both_sides(start, touched)
+        batch = {group: value.double().numpy() for group, value in sides.items()}
+        return list(alone(batch) if plain else shared(batch, most))
+
+    passes = len(passes_for(groups))
     coordinates = sum(start[group].numel() for group in groups)
     still = [one for one in idle if one.group in groups]
     items = [
@@ -66,14 +73,23 @@ def compile_plan(
             "for every pose",
         ),
         Item(
-            what="faces",
+            what="passes through OpenGL",
+            kept=passes if shown is None else 0,
+            of=passes,
+            why="exact: all are drawn by pyrender's OpenGL"
+            if plain
+            else "loops for this driver's pictures would not give the start's picture its bits, or cannot be had"
+            if shown is None
+            else "loops of our own give the start's picture the driver's bits, and draw passes side by side; OpenGL "
+            "draws where the frame cuts an object",
+        ),
+        Item(
+            what="faces shaded",
             kept=faces if shown is None else shown,
             of=faces,
-            why="exact: all are drawn"
-            if plain
-            else "all are drawn: looking for hidden ones would take longer"
+            why="OpenGL shades a face before it knows what hides it"
             if shown is None
-            else "at the start the others cover no sample or are behind all that shows; found anew for every pose",
+            else "at the start the others cover no sample or are behind what shows; found anew for every pose",
         ),
         Item(
             what="faces with two sides",
@@ -103,18 +119,16 @@ def compile_plan(
     for name, touched in STAGES.items():
         attacked = [group for group in groups if group in touched]
         if attacked:
-            sides = both_sides(start, attacked)
-            batch = {group: value.double().numpy() for group, value in sides.items()}
-            passes = list(alone(batch) if plain else shared(batch, most))
-            pictures = sum(len(one.colors) for one in passes)
+            drawn = passes_for(attacked)
+            pictures = sum(len(one.colors) for one in drawn)
             count = sum(start[group].numel() for group in attacked)
             stages.append(
                 Stage(
                     name=name,
-                    method=f"{pictures} pictures, {len(passes)} times over the geometry, for both sides of "
+                    method=f"{pictures} pictures, {len(drawn)} times over the geometry, for both sides of "
                     f"{count} coordinates ({', '.join(attacked)})",
                     when="every picture",
-                    evaluations=len(passes),
+                    evaluations=len(drawn),
                     unit="passes a step of all coordinates",
                     why="exact: every picture by itself" if plain else WHY[name],
                 )

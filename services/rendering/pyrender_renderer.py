@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -9,14 +10,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from services.errors import JobFailure
-from services.rendering import gl, hidden
+from services.rendering import gl, raster
+from services.rendering.arrangement import Lit, View
 from services.rendering.canvas import over_ground
 from services.rendering.extent import Rectangle, beyond, rectangle
-from services.rendering.hidden import Faces
 from services.rendering.idle import Idle, idle
 from services.rendering.plan import DEFAULT_TOLERANCE, Plan, Tolerance
 from services.rendering.protocol import Parameters
-from services.rendering.pyrender_numbers import ENERGY, GROUPS, Numbers
+from services.rendering.pyrender_numbers import GROUPS, Numbers
 from services.rendering.pyrender_plan import compile_plan
 from services.rendering.sharing import Pass, alone, shared
 from services.scenes.resolve import ResolvedScene
@@ -68,8 +69,7 @@ class PyrenderRenderer:
     ) -> None:
         """For attacks on `groups` (None: all). Any tolerance but "exact" is kept with an error of nothing."""
         context = gl.context()
-        from services.rendering.drawing import View  # imports OpenGL, so after the context
-        from services.rendering.geometry import Drawing
+        from services.rendering.geometry import Drawing  # imports OpenGL, so after the context
 
         description = scene.description
         self.backend = context.backend
@@ -173,23 +173,13 @@ class PyrenderRenderer:
         those that draw.
         """
         batch = self._numbers.checked(parameters)
-        passes: list[tuple[Pass, NDArray[np.float64], Rectangle]] = []
-        for drawn in alone(batch) if self._plain else shared(batch, self._most):
-            poses = self._numbers.poses(drawn.translation, drawn.rotation)
-            part = (0, self.size[0], 0, self.size[1]) if self._plain else self._extent(poses)
-            if part[0] < part[1]:
-                passes.append((drawn, poses, part))
-        faces: Sequence[Faces | None] = [None] * len(passes)
-        if passes and self._shown is not None:
-            faces = self._seen([poses for _, poses, _ in passes], [part for *_, part in passes])
-        done = [
-            (drawn, part, self._frames(drawn, poses, part, faces=own))
-            for (drawn, poses, part), own in zip(passes, faces, strict=True)
-        ]
+        passes = [(drawn, self._lit(drawn)) for drawn in (alone(batch) if self._plain else shared(batch, self._most))]
+        passes = [(drawn, lit) for drawn, lit in passes if lit.part[0] < lit.part[1]]
         blank = empty.expand(*self.size, len(empty)).contiguous().numpy()
         pictures = np.empty((len(batch["color"]), *blank.shape), np.float32)
         missing = set(range(len(pictures)))
-        for drawn, (top, bottom, left, right), frames in done:
+        for (drawn, lit), frames in zip(passes, self._frames([lit for _, lit in passes]), strict=True):
+            top, bottom, left, right = lit.part
             radiance = torch.from_numpy(frames)
             if not finite(radiance):
                 why = "the picture has values that are not finite: light or colour is too strong"
@@ -216,79 +206,65 @@ class PyrenderRenderer:
     def _extent(self, poses: NDArray[np.float64]) -> Rectangle:
         return rectangle(self._drawing.points, list(self._view.clip_from_world @ poses), self.size)
 
-    def _seen(self, poses: Sequence[NDArray[np.float64]], parts: Sequence[Rectangle]) -> list[Faces]:
-        """The faces that may be seen at each of some poses [objects, 4, 4], with objects in those parts."""
-        from services.rendering.drawing import closed_faces
+    def _lit(self, drawn: Pass) -> Lit:
+        """What to draw of a pass: the part of the picture where objects are, or all of it to be exact."""
+        poses = self._numbers.poses(drawn.translation, drawn.rotation)
+        part = (0, self.size[0], 0, self.size[1]) if self._plain else self._extent(poses)
+        return self._numbers.lit(drawn.illuminations, drawn.colors, poses, part)
 
-        drawing, view = self._drawing, self._view
-        owners = [piece.index for piece in drawing.pieces]
-        closed = [closed_faces(drawing, view, of) if self._closed else [0] * len(owners) for of in poses]
-        return hidden.seen(
-            drawing,
-            np.stack([(view.clip_from_world @ of)[owners] for of in poses]),
-            np.array(closed),
-            parts,
-            self.size,
-            gl.context().renderer.sample_positions,
-        )
+    def _frames(self, passes: Sequence[Lit]) -> list[NDArray[np.float32]]:
+        """Radiance [pictures, rows, columns, 4] of each pass's part, the bottom row first."""
+        if self._shown is None or not passes:
+            return [self._by_opengl(lit) for lit in passes]
+        drawn = self._by_loops(passes)
+        return [self._by_opengl(lit) if own is None else own[0] for lit, own in zip(passes, drawn, strict=True)]
 
-    def _frames(
-        self,
-        drawn: Pass,
-        poses: NDArray[np.float64],
-        part: Rectangle,
-        natural: bool = False,
-        faces: Faces | None = None,
-    ) -> NDArray[np.float32]:
-        """Radiance [pictures, rows, columns, 4] of a part of the picture, its bottom row first; `natural`: no surface
-        taken for closed; `faces`: no others."""
-        points = drawn.illuminations[:, 1:].reshape(-1, 4)
-        uniforms: dict[str, object] = {"ambients[0]": drawn.illuminations[:, 0]}
-        if len(points):
-            uniforms |= {"positions[0]": points[:, 1:], "intensities[0]": points[:, 0] * ENERGY}
+    def _by_loops(self, passes: Sequence[Lit]) -> list[tuple[NDArray[np.float32], int] | None]:
+        positions = gl.context().renderer.sample_positions
+        return raster.draw(self._drawing, self._view, passes, self.size, positions, self._closed)
+
+    def _by_opengl(self, lit: Lit, natural: bool = False) -> NDArray[np.float32]:
+        """As `_frames`, of one pass; `natural`: no surface taken for closed."""
         images: NDArray[np.float32] = gl.context().renderer.draw(
             self._drawing,
             "radiance.frag",
             self._view,
-            poses,
-            drawn.colors,
-            uniforms,
+            lit.poses,
+            lit.colors,
+            lit.uniforms,
             {},
             size=self.size,
             samples=SAMPLES,
-            outputs=len(drawn.colors),
+            outputs=len(lit.colors),
             blend=True,
-            lights=len(points) // len(drawn.colors),
-            rectangle=part,
+            lights=lit.points.shape[1],
+            rectangle=lit.part,
             insides="like outsides" if natural or not self._closed else "behind" if self._plain else "left out",
-            faces=faces,
         )
         return images
 
-    def _at_start(self) -> tuple[Pass, NDArray[np.float64]]:
-        """The scene's own picture as a pass, and the objects' poses [objects, 4, 4]."""
+    def _at_start(self) -> Lit:
+        """The scene's own picture as a pass."""
         [start] = alone(self._numbers.checked({}))
-        return start, self._numbers.poses(start.translation, start.rotation)
+        return self._lit(start)
 
     def _insides_are_hidden(self) -> bool:
         self._closed = True
         if not any(piece.closed for piece in self._drawing.pieces):
             return False
-        start, poses = self._at_start()
-        whole = (0, self.size[0], 0, self.size[1])
-        without, natural = self._frames(start, poses, whole), self._frames(start, poses, whole, natural=True)
+        start = replace(self._at_start(), part=(0, self.size[0], 0, self.size[1]))
+        without, natural = self._by_opengl(start), self._by_opengl(start, natural=True)
         changed = np.abs(EXPOSURE * (without - natural)).max(axis=-1) > 1 / 255
         return bool(changed.sum() <= ODD * (natural[..., 3] > 0).sum())
 
     def _shown_at_start(self) -> int | None:
-        """How many faces may be seen at the start; None where looking for them takes longer than drawing all."""
-        if not (hidden.available() and gl.context().software):
+        """How many faces show at the start, where the loops draw it with OpenGL's bits; None where OpenGL draws."""
+        start = self._at_start()
+        if not (raster.available() and gl.context().software and start.part[0] < start.part[1]):
             return None
-        _, poses = self._at_start()
-        [left] = self._seen([poses], [self._extent(poses)])
-        # of a closed surface half the faces look away, and cost next to nothing
-        drawn = sum(piece.faces - (piece.closed if self._closed else 0) // 2 for piece in self._drawing.pieces)
-        return len(left.triangles) if len(left.triangles) <= hidden.WORTH * drawn else None
+        frame = self._by_opengl(start)  # before the loops, which ask for the textures as OpenGL has them
+        [drawn] = self._by_loops([start])
+        return drawn[1] if drawn is not None and np.array_equal(drawn[0], frame) else None
 
 
 def finite(radiance: Tensor) -> bool:

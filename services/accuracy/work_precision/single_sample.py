@@ -6,7 +6,8 @@ import torch
 from torch import Tensor
 
 from services.rendering import gl
-from services.rendering.pyrender_numbers import ENERGY, Numbers
+from services.rendering.arrangement import View
+from services.rendering.pyrender_numbers import Numbers
 from services.scenes.resolve import ResolvedScene
 
 
@@ -15,7 +16,6 @@ class Sampled:
 
     def __init__(self, scene: ResolvedScene, samples: int) -> None:
         gl.context()
-        from services.rendering.drawing import View  # imports OpenGL, so after the context
         from services.rendering.geometry import Drawing
 
         self._drawing = Drawing(scene.meshes, closed=True)
@@ -28,24 +28,22 @@ class Sampled:
         batch = self._numbers.checked(parameters)
         pictures = []
         for row in range(len(batch["color"])):
-            light, color = batch["illumination"][row], batch["color"][row]
-            points = light[1:].reshape(-1, 4)
-            uniforms: dict[str, object] = {"ambients[0]": light[:1]}
-            if len(points):
-                uniforms |= {"positions[0]": points[:, 1:], "intensities[0]": points[:, 0] * ENERGY}
+            poses = self._numbers.poses(batch["translation"][row], batch["rotation"][row])
+            whole = (0, self._size[0], 0, self._size[1])
+            lit = self._numbers.lit(batch["illumination"][row : row + 1], batch["color"][row : row + 1], poses, whole)
             [picture] = gl.context().renderer.draw(
                 self._drawing,
                 "radiance.frag",
                 self._view,
-                self._numbers.poses(batch["translation"][row], batch["rotation"][row]),
-                color[None],
-                uniforms,
+                lit.poses,
+                lit.colors,
+                lit.uniforms,
                 {},
                 size=self._size,
                 samples=self._samples,
                 outputs=1,
                 blend=True,
-                lights=len(points),
+                lights=lit.points.shape[1],
                 insides="behind",
             )
             pictures.append(torch.from_numpy(picture).flip(0))

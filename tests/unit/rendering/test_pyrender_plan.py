@@ -12,7 +12,6 @@ from torch import Tensor
 from services.rendering import pyrender_renderer
 from services.rendering.idle import REACH
 from services.rendering.pyrender_renderer import PyrenderRenderer
-from services.rendering.sharing import alone
 from services.scenes.description import Lights, PointLight
 from services.scenes.mesh import Part
 from tests.unit.rendering.shapes import mesh, part, placed, quad, scene, six_parts, sphere
@@ -57,6 +56,12 @@ def fewer_textures(renderer: PyrenderRenderer, patch: pytest.MonkeyPatch) -> Non
     renderer._drawing.pieces[:] = [replace(piece, texture=None) for piece in renderer._drawing.pieces]
 
 
+def fewer_that_show(renderer: PyrenderRenderer, patch: pytest.MonkeyPatch) -> None:  # noqa: ARG001
+    """The cube without one of the two faces of the side that faces the camera."""
+    pieces, at = renderer._drawing.pieces, of_object(renderer, 2)
+    pieces[at] = replace(pieces[at], triangles=pieces[at].triangles[:1].copy())
+
+
 def shared_too_much(renderer: PyrenderRenderer, patch: pytest.MonkeyPatch) -> None:  # noqa: ARG001
     """The second picture of a batch drawn with the pose of the first."""
     true = pyrender_renderer.shared
@@ -67,7 +72,7 @@ def shared_too_much(renderer: PyrenderRenderer, patch: pytest.MonkeyPatch) -> No
     patch.setattr(pyrender_renderer, "shared", all_alike)
 
 
-@pytest.mark.parametrize("less", [fewer_pixels, fewer_faces, fewer_textures, shared_too_much])
+@pytest.mark.parametrize("less", [fewer_pixels, fewer_faces, fewer_textures, fewer_that_show, shared_too_much])
 def test_without_what_is_kept_the_picture_is_another(
     less: Callable[[PyrenderRenderer, pytest.MonkeyPatch], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -105,7 +110,20 @@ def test_a_look_at_a_white_texture_changes_no_bit() -> None:
 
     white = SrgbTexture(source=np.full((2, 2, 4), 255, np.uint8), source_channels="RGBA")
     white._add_to_context()
-    pieces[:] = [replace(piece, texture=piece.texture or white) for piece in pieces]
+    for at, piece in enumerate(pieces):
+        if piece.texture is None:
+            uv = np.zeros((len(piece.part.vertices), 2), np.float32)
+            pieces[at] = replace(piece, texture=white, part=replace(piece.part, uv=uv))
+    assert torch.equal(picture(renderer), start)
+
+
+def test_opengl_and_faces_that_do_not_show_change_no_bit() -> None:
+    renderer = subject()
+    found = {item.what: (item.kept, item.of) for item in renderer.plan.items}
+    assert found["passes through OpenGL"][0] == 0 < found["passes through OpenGL"][1]
+    assert 0 < found["faces shaded"][0] < found["faces shaded"][1]
+    start = picture(renderer)
+    renderer._shown = None  # OpenGL shades all
     assert torch.equal(picture(renderer), start)
 
 
@@ -113,7 +131,6 @@ def test_insides_and_the_rest_of_the_frame_change_no_bit() -> None:
     renderer = subject()
     [faces] = [[item.kept, item.of] for item in renderer.plan.items if item.what == "faces with two sides"]
     assert 0 < faces[0] < faces[1]  # the sheet, not the ball
-    [start] = alone(renderer._numbers.checked({}))
-    poses = renderer._numbers.poses(start.translation, start.rotation)
-    [frame] = renderer.exact()._frames(start, poses, (0, *renderer.size[:1], 0, *renderer.size[1:]))
+    exact = renderer.exact()
+    [[frame]] = exact._frames([exact._at_start()])
     assert torch.equal(torch.from_numpy(frame[::-1].copy())[None], picture(renderer))

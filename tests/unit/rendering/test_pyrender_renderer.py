@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 from services.errors import JobFailure
 from services.rendering.display import as_saved, to_display
 from services.rendering.gbuffer import rasterise
-from services.rendering.pyrender_renderer import ENERGY, EXPOSURE, PyrenderRenderer
+from services.rendering.pyrender_numbers import ENERGY
+from services.rendering.pyrender_renderer import EXPOSURE, PyrenderRenderer
 from services.scenes.description import GROUND, Lights, PointLight, Scene, SceneObject
 from tests.unit.rendering import shapes
 from tests.unit.rendering.shapes import disk, mesh, part, placed, quad, scene, sphere

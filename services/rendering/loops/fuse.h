@@ -1,0 +1,30 @@
+// Vectors of floats, and the sum of a product: in one rounding where the processor can, as the driver does it there.
+
+#pragma once
+
+#include <cmath>
+#include <cstdint>
+
+namespace {
+
+constexpr int WIDTH = 16;
+typedef float Floats __attribute__((vector_size(WIDTH * sizeof(float))));
+typedef int32_t Ints __attribute__((vector_size(WIDTH * sizeof(int32_t))));
+
+inline Floats choose(Ints mask, Floats yes, Floats no) { return (Floats)((mask & (Ints)yes) | (~mask & (Ints)no)); }
+
+#ifdef __FMA__
+inline float fuse(float a, float b, float c) { return __builtin_fmaf(a, b, c); }
+#else
+inline float fuse(float a, float b, float c) { return a * b + c; }
+#endif
+
+inline Floats fuse(float a, Floats b, Floats c) {
+    Floats r;
+    for (int i = 0; i < WIDTH; ++i) r[i] = fuse(a, b[i], c[i]);
+    return r;
+}
+
+inline float between(float part, float from, float to) { return fuse(part, to - from, from); }
+
+}  // namespace
