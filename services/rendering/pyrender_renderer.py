@@ -55,9 +55,9 @@ class PyrenderRenderer:
     the outside is seen. Everything is drawn in the process's one OpenGL context, so only the thread that used it first
     may render.
 
-    The pictures of a batch share what they can (`sharing`), and nothing is drawn where no object is. `plan` says how
-    much that is. It costs no accuracy: a picture has the bits that `exact`, which draws each by itself and whole, gives
-    it.
+    The pictures of a batch share what they can (`sharing`), nothing is drawn where no object is, and loops draw what
+    they can instead of OpenGL (`raster`), if they give the start's picture its bits. `plan` says how much that is. It
+    costs no accuracy: a picture has the bits that `exact`, which has OpenGL draw each by itself and whole, gives it.
     """
 
     name = "pyrender"
@@ -82,6 +82,7 @@ class PyrenderRenderer:
         self._plain = tolerance == "exact"
         self._closed = self._insides_are_hidden()
         self._shown = None if self._plain else self._shown_at_start()
+        """Faces that show at the start; None where OpenGL draws."""
         self._plan: Plan | None = None
         self._attacked = tuple(groups or self.groups)
         self._tolerance = tolerance

@@ -6,9 +6,6 @@
 
 #pragma once
 
-#include <algorithm>
-#include <vector>
-
 #include "texture.h"
 
 namespace {
@@ -241,7 +238,7 @@ struct Picture {
     void take(const Piece &piece, const Corners &of, const int32_t *t, Taken it, Ints inside, Floats z) {
         const int64_t here = block(it.row, it.column);
         const Floats known = depth[here];
-        inside &= ~(z >= known);  // what is not a number passes
+        inside &= z < known;
         const Ints bits = inside & Ints{1, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1024, 2048, 4096, 8192, 16384, 32768};
         for (int i = 0; i < WIDTH; ++i) it.samples |= bits[i];
         if (!it.samples) return;

@@ -2,16 +2,15 @@
 
 #pragma once
 
-#include <cmath>
-#include <cstdint>
+#include "lanes.h"
 
 namespace {
 
-constexpr int WIDTH = 16;
-typedef float Floats __attribute__((vector_size(WIDTH * sizeof(float))));
-typedef int32_t Ints __attribute__((vector_size(WIDTH * sizeof(int32_t))));
+constexpr int WIDTH = Lanes<float>::count;
+typedef V<float> Floats;
+typedef I<float> Ints;
 
-inline Floats choose(Ints mask, Floats yes, Floats no) { return (Floats)((mask & (Ints)yes) | (~mask & (Ints)no)); }
+inline Floats choose(Ints mask, Floats yes, Floats no) { return choose<float>(mask, yes, no); }
 
 #ifdef __FMA__
 inline float fuse(float a, float b, float c) { return __builtin_fmaf(a, b, c); }

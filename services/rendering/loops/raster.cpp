@@ -8,8 +8,6 @@
 #include "coverage.h"
 #include "radiance.h"
 
-#define EXPORT extern "C" __attribute__((visibility("default")))
-
 namespace {
 
 struct Owner {

@@ -2,9 +2,6 @@
 
 #pragma once
 
-#include <algorithm>
-#include <cstring>
-
 #include "fuse.h"
 
 namespace {
