@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import isfinite
 from typing import Any
 
 import torch
@@ -10,6 +9,7 @@ from torch import Tensor
 
 from services.attacks.goal import ResolvedGoal
 from services.errors import JobFailure
+from services.finite import finite
 from services.rendering import display
 from services.rendering.protocol import Parameters, Renderer
 from services.targets.protocol import Target
@@ -160,12 +160,6 @@ def distances(images: Tensor, original: Tensor) -> Tensor:
     rows = torch.linalg.vector_norm((images - original).flatten(2), dim=2)
     found: Tensor = torch.linalg.vector_norm(rows, dim=1, dtype=torch.float64)
     return found
-
-
-def finite(values: Tensor) -> bool:
-    """Whether no value is infinite or not a number. Both show in the extremes, and those take one pass."""
-    low, high = torch.aminmax(values.detach())
-    return isfinite(float(low)) and isfinite(float(high))
 
 
 def truncate(images: Tensor, original: Tensor, limit: float | None) -> tuple[Tensor, Tensor]:

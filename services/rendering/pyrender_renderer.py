@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from services.errors import JobFailure
+from services.finite import finite
 from services.rendering import gl, raster
 from services.rendering.arrangement import Lit, View
 from services.rendering.canvas import over_ground
@@ -266,9 +267,3 @@ class PyrenderRenderer:
         frame = self._by_opengl(start)  # before the loops, which ask for the textures as OpenGL has them
         [drawn] = self._by_loops([start])
         return drawn[1] if drawn is not None and np.array_equal(drawn[0], frame) else None
-
-
-def finite(radiance: Tensor) -> bool:
-    """Whether no value is infinite or not a number."""
-    low, high = torch.aminmax(radiance)
-    return bool(low.isfinite() and high.isfinite())

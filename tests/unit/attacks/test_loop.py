@@ -6,10 +6,11 @@ import torch
 from services.attacks.exact import Judge
 from services.attacks.fgsm import FgsmMethod
 from services.attacks.loop import Attack, Budget, Run, run, run_together
-from services.attacks.problem import Problem, finite, saved
+from services.attacks.problem import Problem, saved
 from services.attacks.spec import Fgsm, Zoo
 from services.attacks.zoo import ZooMethod
 from services.errors import Cancelled, JobFailure
+from services.finite import finite
 from services.rendering.display import as_saved
 from tests.unit.attacks.small import LinearRenderer, LinearTarget, problem
 
