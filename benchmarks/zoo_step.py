@@ -14,6 +14,7 @@ import os
 import sys
 import time
 from collections.abc import Callable
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
@@ -130,7 +131,9 @@ def _ratio(ones: list[tuple[float, float]], others: list[tuple[float, float]], k
 def _bare(renderer: PyrenderRenderer) -> Callable[[], object]:
     """The pass over the geometry of the start, all faces, of which one pixel is read so that it has happened."""
     pixel = replace(renderer._at_start(), part=(0, 1, 0, 1))
-    return lambda: renderer._by_opengl(pixel, natural=True)
+    natural = copy(renderer)
+    natural._closed = False
+    return lambda: natural._by_opengl(pixel)
 
 
 def _stock(scene: ResolvedScene) -> Callable[[], object]:

@@ -48,11 +48,8 @@ def outsides(mesh: Mesh) -> list[tuple[Integers, int]]:
     return result
 
 
-def _surfaces(faces: NDArray[np.int64], points: int) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+def _surfaces(faces: NDArray[np.int64], points: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """The surface [F] that each face belongs to, and which surfaces [S] are closed."""
-    from scipy.sparse import coo_matrix  # a third of a second to import, and the torch renderer closes nothing
-    from scipy.sparse.csgraph import connected_components
-
     edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
     owner = np.repeat(np.arange(len(faces)), 3)
     key = edges.min(axis=1) * np.int64(points) + edges.max(axis=1)
@@ -62,6 +59,21 @@ def _surfaces(faces: NDArray[np.int64], points: int) -> tuple[NDArray[np.int32],
     order = np.argsort(edge, kind="stable")
     first = (np.cumsum(uses) - uses)[uses == 2]
     one, other = owner[order[first]], owner[order[first + 1]]
-    count, surface = connected_components(coo_matrix((np.ones(len(one)), (one, other)), (len(faces),) * 2), False)
+    surface = components(len(faces), one, other)
     broken = ((uses != 2) | (balance != 0))[edge]
-    return surface, np.bincount(surface[owner], broken, count) == 0
+    return surface, np.bincount(surface[owner], broken, surface.max(initial=-1) + 1) == 0
+
+
+def components(count: int, one: NDArray[np.int64], other: NDArray[np.int64]) -> NDArray[np.int64]:
+    """What hangs together of things 0 to `count` by links between `one` and `other` [L]: a number [count] each, from 0.
+
+    Importing scipy, which has this too, takes as long as the rest of what a small scene needs before it is drawn.
+    """
+    least = np.arange(count)
+    while True:
+        low, high = np.sort([least[one], least[other]], axis=0)
+        if (low == high).all():
+            return np.unique(least, return_inverse=True)[1]
+        np.minimum.at(least, high, low)
+        while not np.array_equal(shorter := least[least], least):
+            least = shorter

@@ -81,9 +81,9 @@ class PyrenderRenderer:
         self._numbers = Numbers(description)
         self._most = max(1, min(MOST, MEMORY // (16 * SAMPLES * self.size[0] * self.size[1])))
         self._plain = tolerance == "exact"
-        self._closed = self._insides_are_hidden()
-        self._shown = None if self._plain else self._shown_at_start()
-        """Faces that show at the start; None where OpenGL draws."""
+        self._closed = False
+        self._shown: int | None = None
+        self._try_at_start()
         self._plan: Plan | None = None
         self._attacked = tuple(groups or self.groups)
         self._tolerance = tolerance
@@ -225,8 +225,8 @@ class PyrenderRenderer:
         positions = gl.context().renderer.sample_positions
         return raster.draw(self._drawing, self._view, passes, self.size, positions, self._closed)
 
-    def _by_opengl(self, lit: Lit, natural: bool = False) -> NDArray[np.float32]:
-        """As `_frames`, of one pass; `natural`: no surface taken for closed."""
+    def _by_opengl(self, lit: Lit) -> NDArray[np.float32]:
+        """As `_frames`, of one pass."""
         images: NDArray[np.float32] = gl.context().renderer.draw(
             self._drawing,
             "radiance.frag",
@@ -241,7 +241,7 @@ class PyrenderRenderer:
             blend=True,
             lights=lit.points.shape[1],
             rectangle=lit.part,
-            insides="like outsides" if natural or not self._closed else "behind" if self._plain else "left out",
+            insides="like outsides" if not self._closed else "behind" if self._plain else "left out",
         )
         return images
 
@@ -250,20 +250,22 @@ class PyrenderRenderer:
         [start] = alone(self._numbers.checked({}))
         return self._lit(start)
 
-    def _insides_are_hidden(self) -> bool:
-        self._closed = True
-        if not any(piece.closed for piece in self._drawing.pieces):
-            return False
-        start = replace(self._at_start(), part=(0, self.size[0], 0, self.size[1]))
-        without, natural = self._by_opengl(start), self._by_opengl(start, natural=True)
-        changed = np.abs(EXPOSURE * (without - natural)).max(axis=-1) > 1 / 255
-        return bool(changed.sum() <= ODD * (natural[..., 3] > 0).sum())
-
-    def _shown_at_start(self) -> int | None:
-        """How many faces show at the start, where the loops draw it with OpenGL's bits; None where OpenGL draws."""
-        start = self._at_start()
-        if not (raster.available() and gl.context().software and start.part[0] < start.part[1]):
-            return None
-        frame = self._by_opengl(start)  # before the loops, which ask for the textures as OpenGL has them
-        [drawn] = self._by_loops([start])
-        return drawn[1] if drawn is not None and np.array_equal(drawn[0], frame) else None
+    def _try_at_start(self) -> None:
+        """Finds out whether closed surfaces may be taken for closed (`_closed`), and whether the loops draw with
+        OpenGL's bits; `_shown` is then how many faces show."""
+        start = replace(seen := self._at_start(), part=(0, self.size[0], 0, self.size[1]))
+        frame = None
+        if any(piece.closed for piece in self._drawing.pieces):
+            natural, self._closed = self._by_opengl(start), True
+            frame = self._by_opengl(start)
+            changed = np.abs(EXPOSURE * (frame - natural)).max(axis=-1) > 1 / 255
+            if changed.sum() > ODD * (natural[..., 3] > 0).sum():
+                frame, self._closed = natural, False
+        in_frame = seen.part[0] < seen.part[1]
+        if self._plain or not (raster.available() and gl.context().software and in_frame):
+            return
+        if frame is None:
+            frame = self._by_opengl(start)
+        [drawn] = self._by_loops([start])  # after OpenGL, which is asked for its textures
+        if drawn is not None and np.array_equal(drawn[0], frame):
+            self._shown = drawn[1]
