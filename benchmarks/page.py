@@ -132,6 +132,7 @@ def _zoo() -> list[str]:
                     "zoo_step / network_28",
                     "zoo_step / plain_network_28",
                     "loop_of_28 / zoo_step",
+                    "pictures_28_alone / pictures_28_shared",
                     "frame / stock_pyrender_frame",
                 )
             ),
@@ -142,7 +143,7 @@ def _zoo() -> list[str]:
         "## A step of ZOO",
         "Differences of all 14 coordinates on pyrender at 224², beside the network's batch of 28, packed as jobs use "
         "it and in plain torch (channels_last), and beside a loop that renders a frame and asks the network one at a "
-        "time; and a frame beside stock pyrender's.",
+        "time; its 28 pictures beside OpenGL's one by one, and a frame beside stock pyrender's.",
         _table(
             (
                 "mesh",
@@ -151,6 +152,7 @@ def _zoo() -> list[str]:
                 "step / network",
                 "step / plain network",
                 "loop / step",
+                "OpenGL / pictures",
                 "frame / stock frame",
             ),
             sorted(rows, key=lambda row: int(row[1].replace(",", ""))),

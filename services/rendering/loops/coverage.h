@@ -2,7 +2,8 @@
 //
 // Corners are float32 and are put on a grid of 1/256 of a pixel; edges are integers, with the top-left rule. Depths and
 // attributes are planes over the picture, counted from its lower left corner. A face takes the samples at which it is
-// nearest when its turn comes. It is shaded once a pixel: in its middle if it took all samples, else at the first it took.
+// nearest when its turn comes. It is shaded once a pixel: in the middle if it took all samples, else at the first it
+// took; only its normal and texture are looked at there.
 
 #pragma once
 
@@ -85,7 +86,7 @@ struct Corners {
                 values[i][k] = (((a[0] * p[0] + a[1] * p[1]) + a[2] * p[2]) + a[3]) * w[i];
                 values[i][3 + k] = ((b[0] * n[0] + b[1] * n[1]) + b[2] * n[2]) * w[i];
             }
-            values[i][6] = piece.uv ? piece.uv[2 * i] * w[i] : 0, values[i][7] = piece.uv ? piece.uv[2 * i + 1] * w[i] : 0;
+            for (int k = 0; k < 2; ++k) values[i][6 + k] = piece.uv ? piece.uv[2 * i + k] * w[i] : 0;
         }
     }
 };
@@ -120,7 +121,8 @@ struct Surface {
 
     Surface(const Corners &of, const int32_t *t) : Surface(Slopes(of, t), of, t) {}
     Surface(const Slopes &slopes, const Corners &of, const int32_t *t)
-        : w(slopes, of.w[t[0]], of.w[t[1]], of.w[t[2]]), channels(slopes, of.values[t[0]], of.values[t[1]], of.values[t[2]]) {}
+        : w(slopes, of.w[t[0]], of.w[t[1]], of.w[t[2]]),
+          channels(slopes, of.values[t[0]], of.values[t[1]], of.values[t[2]]) {}
 };
 
 // What a face took of a block.
@@ -137,7 +139,7 @@ template <class I, class Vector> struct Edges {
     Vector at[3];
     I start[3], right[3], up[3], most[3];
 
-    Edges(const int32_t *x, const int32_t *y, const int32_t *box, const Vector &sample_x, const Vector &sample_y) {
+    Edges(const int32_t *x, const int32_t *y, const int64_t *box, const Vector &sample_x, const Vector &sample_y) {
         for (int i = 0, j = 1; i < 3; ++i, j = (j + 1) % 3) {
             const int64_t ex = y[j] - y[i], ey = x[i] - x[j];
             const int64_t tie = ex > 0 || (ex == 0 && ey >= 0), block = GRID * SIDE;
@@ -191,8 +193,8 @@ struct Picture {
         return sample(texture, u, v, pixel);
     }
 
-    // A face of corners `t`: false if it shows nothing, as on the wrong side of a closed one. Its corners are left in an
-    // order in which it is on the left of its edges.
+    // A face of corners `t`, which it puts in the order that has the face on the right side of its edges. False if it
+    // has no area, or is seen from inside and has no inside.
     bool draw(const Piece &piece, const Corners &of, int32_t *t, bool closed, int32_t face) {
         const int64_t area = int64_t(of.grid_x[t[0]] - of.grid_x[t[1]]) * (of.grid_y[t[2]] - of.grid_y[t[0]]) -
                              int64_t(of.grid_x[t[2]] - of.grid_x[t[0]]) * (of.grid_y[t[0]] - of.grid_y[t[1]]);
@@ -200,19 +202,21 @@ struct Picture {
         if (area < 0) std::swap(t[0], t[1]);
         const int32_t gx[3] = {of.grid_x[t[0]], of.grid_x[t[1]], of.grid_x[t[2]]};
         const int32_t gy[3] = {of.grid_y[t[0]], of.grid_y[t[1]], of.grid_y[t[2]]};
-        const int32_t low_x = std::min({gx[0], gx[1], gx[2]}) / GRID, low_y = std::min({gy[0], gy[1], gy[2]}) / GRID;
-        const int32_t high_x = (std::max({gx[0], gx[1], gx[2]}) - 1) / GRID;
-        const int32_t high_y = (std::max({gy[0], gy[1], gy[2]}) - 1) / GRID;
-        const int32_t box[4] = {std::max<int32_t>(low_x / SIDE, columns[0]), std::min<int32_t>(high_x / SIDE + 1, columns[1]),
-                                std::max<int32_t>(low_y / SIDE, rows[0]), std::min<int32_t>(high_y / SIDE + 1, rows[1])};
+        // pixels from, to
+        const int64_t left = std::min({gx[0], gx[1], gx[2]}) / GRID, bottom = std::min({gy[0], gy[1], gy[2]}) / GRID;
+        const int64_t right = (std::max({gx[0], gx[1], gx[2]}) - 1) / GRID + 1;
+        const int64_t top = (std::max({gy[0], gy[1], gy[2]}) - 1) / GRID + 1;
+        const int64_t box[4] = {
+            std::max(left / SIDE, columns[0]), std::min((right + SIDE - 1) / SIDE, columns[1]),
+            std::max(bottom / SIDE, rows[0]), std::min((top + SIDE - 1) / SIDE, rows[1])};
         const Slopes slopes(of, t);
         const Plane<float> z(slopes, of.z[t[0]], of.z[t[1]], of.z[t[2]]);
         auto take = [&](Ints inside, int32_t row, int32_t column) {
-            const float right = SIDE * column, up = SIDE * row;
-            const Floats depths = fuse(z.along_y, y + up, fuse(z.along_x, x + right, Floats{} + z.start));
+            const Floats px = x + float(SIDE * column), py = y + float(SIDE * row);
+            const Floats depths = fuse(z.along_y, py, fuse(z.along_x, px, Floats{} + z.start));
             this->take(piece, of, t, Taken{face, row, column, 0, {}}, inside, depths);
         };
-        if (high_x - low_x < SMALL && high_y - low_y < SMALL)
+        if (right - left <= SMALL && top - bottom <= SMALL)
             cover<int32_t>(gx, gy, box, grid_x, grid_y, take);
         else
             cover<int64_t>(gx, gy, box, wide_x, wide_y, take);
@@ -220,7 +224,8 @@ struct Picture {
     }
 
     template <class I, class Vector, class Visit>
-    void cover(const int32_t *gx, const int32_t *gy, const int32_t *box, const Vector &sx, const Vector &sy, Visit visit) {
+    void cover(const int32_t *gx, const int32_t *gy, const int64_t *box, const Vector &sx, const Vector &sy,
+               Visit visit) {
         Edges<I, Vector> edges(gx, gy, box, sx, sy);
         for (int32_t row = box[2]; row < box[3]; ++row) {
             I e[3] = {edges.start[0], edges.start[1], edges.start[2]};

@@ -30,7 +30,9 @@ inline Vector unit(Vector a) { return a * (1.0f / root(dot(a, a))); }
 inline Vector cross(Vector a, Vector b) {
     return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
 }
-template <class T> inline Vector all(const T *v) { return {Floats{} + float(v[0]), Floats{} + float(v[1]), Floats{} + float(v[2])}; }
+template <class T> inline Vector all(const T *v) {
+    return {Floats{} + float(v[0]), Floats{} + float(v[1]), Floats{} + float(v[2])};
+}
 
 // What a picture is lit by, and the linear factors on the base colours: see the shader's uniforms.
 struct Light {
@@ -71,8 +73,10 @@ struct Shade {
     Floats body, gloss;
 };
 
-inline Shade shade(const Light &light, Vector position, Vector v, Vector n, Floats facing) {
-    Shade sum{light.ambient * (1.0f + n.y / 3.0f), light.ambient * fresnel(1.0f - ROUGHNESS - NORMAL_REFLECTANCE, facing)};
+inline Shade radiance(const Light &light, Vector position, Vector v, Vector n, Floats facing) {
+    Shade sum;
+    sum.body = light.ambient * (1.0f + n.y / 3.0f);
+    sum.gloss = light.ambient * fresnel(1.0f - ROUGHNESS - NORMAL_REFLECTANCE, facing);
     for (int64_t i = 0; i < light.lights; ++i) {
         const float *point = light.points + 4 * i;
         const Vector to_light = all(point + 1) - position;

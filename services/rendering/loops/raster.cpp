@@ -20,6 +20,14 @@ struct Fragment {
     int32_t pixel;
 };
 
+// What fragments are shaded by, one a lane: where they are, how far to the next pixels, and their own.
+struct Seen {
+    Floats place[3], right[3], up[3], normal[3], texel[3], opacity;
+    int32_t pieces[WIDTH];
+};
+
+inline Vector vector(const Floats *of) { return {of[0], of[1], of[2]}; }
+
 struct Drawing {
     const Frame &frame;
     const Pass &pass;
@@ -31,6 +39,7 @@ struct Drawing {
     std::vector<int32_t> laid;  // of each layer and pixel, its fragment
     std::vector<float> colors;  // [pictures, 3, fragments]
     std::vector<Surface> surfaces;  // of the faces that show
+    std::vector<int32_t> number;  // of each face, among them
     int64_t padded = 0;
 
     Drawing(const Frame &frame, const Pass &pass) : frame(frame), pass(pass), picture(frame, pass.part) {}
@@ -47,7 +56,8 @@ struct Drawing {
             for (int64_t f = 0; f < piece.faces; ++f) {
                 const int32_t *t = piece.triangles + 3 * f;
                 Owner owner{int32_t(i), {t[0], t[1], t[2]}};
-                if (picture.draw(piece, corners[i], owner.corners, f < pass.closed[i], owners.size())) owners.push_back(owner);
+                if (picture.draw(piece, corners[i], owner.corners, f < pass.closed[i], owners.size()))
+                    owners.push_back(owner);
             }
         }
         return true;
@@ -76,118 +86,121 @@ struct Drawing {
             }
     }
 
+    const Surface &surface_of(const Taken &of) {
+        int32_t &mine = number[of.face];
+        if (mine == NONE) {
+            mine = surfaces.size();
+            surfaces.emplace_back(corners[owners[of.face].piece], owners[of.face].corners);
+        }
+        return surfaces[mine];
+    }
+
+    void see(const Fragment &fragment, int i, Seen &seen) {
+        const Taken &of = *fragment.of;
+        const Surface &surface = surface_of(of);
+        const int32_t px = SIDE * of.column + fragment.pixel % SIDE, py = SIDE * of.row + fragment.pixel / SIDE;
+        // World positions in the middles of the pixel and of its neighbours in the block.
+        auto middle = [&](int32_t x, int32_t y, float *out) {
+            const float w = 1.0f / surface.w.at(x + 0.5f, y + 0.5f);
+            const Channels values = surface.channels.at(x + 0.5f, y + 0.5f);
+            for (int k = 0; k < 3; ++k) out[k] = values[k] * w;
+            return w;
+        };
+        float here[3], beside[3], above[3];
+        const float w = middle(px, py, here);
+        middle(px ^ 1, py, beside), middle(px, py ^ 1, above);
+        const int place = of.places[fragment.pixel];
+        const Channels there = surface.channels.at(px + picture.place_x[place], py + picture.place_y[place]);
+        const float to_right = px & 1 ? -1 : 1, to_top = py & 1 ? -1 : 1;
+        for (int k = 0; k < 3; ++k) {
+            seen.place[k][i] = here[k];
+            seen.right[k][i] = to_right * (beside[k] - here[k]), seen.up[k][i] = to_top * (above[k] - here[k]);
+            seen.normal[k][i] = there[3 + k] * w;
+        }
+        seen.pieces[i] = owners[of.face].piece;
+        const Piece &piece = frame.piece[seen.pieces[i]];
+        seen.opacity[i] = float(piece.opacity);
+        Texel texel{1, 1, 1, 1};
+        if (piece.texture.levels) texel = picture.texel(piece.texture, surface, of, fragment.pixel);
+        for (int c = 0; c < 3; ++c) seen.texel[c][i] = texel.c[c];
+    }
+
+    float color(int64_t k, int c, int32_t fragment) const { return colors[(3 * k + c) * padded + fragment]; }
+
     void shade() {
         const int64_t count = fragments.size();
         padded = (count + WIDTH - 1) / WIDTH * WIDTH;
         colors.resize(pass.pictures * 3 * padded);
-        std::vector<int32_t> number(owners.size(), NONE);
+        number.assign(owners.size(), NONE);
         for (int64_t first = 0; first < count; first += WIDTH) {
-            Vector place, right, up, normal;
-            Floats texel[3] = {Floats{} + 1.0f, Floats{} + 1.0f, Floats{} + 1.0f}, opacity;
-            int32_t pieces[WIDTH];
-            for (int i = 0; i < WIDTH; ++i) {
-                const Fragment &fragment = fragments[std::min(first + i, count - 1)];
-                const Taken &of = *fragment.of;
-                const Owner &owner = owners[of.face];
-                if (number[of.face] == NONE) {
-                    number[of.face] = surfaces.size();
-                    surfaces.emplace_back(corners[owner.piece], owner.corners);
-                }
-                const Surface &surface = surfaces[number[of.face]];
-                const int32_t px = SIDE * of.column + fragment.pixel % SIDE, py = SIDE * of.row + fragment.pixel / SIDE;
-                auto at = [&](int32_t x, int32_t y, Channels &values, float &w) {
-                    w = 1.0f / surface.w.at(x + 0.5f, y + 0.5f);
-                    values = surface.channels.at(x + 0.5f, y + 0.5f);
-                };
-                Channels here, beside, above, there;
-                float w, w_beside, w_above;
-                at(px, py, here, w), at(px ^ 1, py, beside, w_beside), at(px, py ^ 1, above, w_above);
-                const int at_sample = of.places[fragment.pixel];
-                there = surface.channels.at(px + picture.place_x[at_sample], py + picture.place_y[at_sample]);
-                const float turn_x = px & 1 ? -1 : 1, turn_y = py & 1 ? -1 : 1;
-                place.x[i] = here[0] * w, place.y[i] = here[1] * w, place.z[i] = here[2] * w;
-                right.x[i] = turn_x * (beside[0] * w_beside - place.x[i]);
-                right.y[i] = turn_x * (beside[1] * w_beside - place.y[i]);
-                right.z[i] = turn_x * (beside[2] * w_beside - place.z[i]);
-                up.x[i] = turn_y * (above[0] * w_above - place.x[i]);
-                up.y[i] = turn_y * (above[1] * w_above - place.y[i]);
-                up.z[i] = turn_y * (above[2] * w_above - place.z[i]);
-                normal.x[i] = there[3] * w, normal.y[i] = there[4] * w, normal.z[i] = there[5] * w;
-                const Piece &piece = frame.piece[owner.piece];
-                pieces[i] = owner.piece, opacity[i] = float(piece.opacity);
-                if (piece.texture.levels) {
-                    const Texel found = picture.texel(piece.texture, surface, of, fragment.pixel);
-                    for (int c = 0; c < 3; ++c) texel[c][i] = found.c[c];
-                }
-            }
-            const Vector v = unit(all(frame.eye) - place), n = surface_normal(normal, right, up, v);
+            Seen seen;
+            for (int i = 0; i < WIDTH; ++i) see(fragments[std::min(first + i, count - 1)], i, seen);
+            const Vector place = vector(seen.place);
+            const Vector v = unit(all(frame.eye) - place);
+            const Vector n = surface_normal(vector(seen.normal), vector(seen.right), vector(seen.up), v);
             const Floats facing = dot(n, v);
             for (int64_t k = 0; k < pass.pictures; ++k) {
-                const Shade sum = ::shade({pass.ambients[k], pass.points + 4 * pass.lights * k, pass.lights}, place, v, n, facing);
+                const Light light{pass.ambients[k], pass.points + 4 * pass.lights * k, pass.lights};
+                const Shade sum = radiance(light, place, v, n, facing);
                 for (int c = 0; c < 3; ++c) {
                     float *out = &colors[(3 * k + c) * padded + first];
                     const float *base = pass.colors + 3 * frame.pieces * k + c;
-                    for (int i = 0; i < WIDTH; ++i)
-                        out[i] = base[3 * pieces[i]] * texel[c][i] * opacity[i] * sum.body[i] + sum.gloss[i];
+                    for (int i = 0; i < WIDTH; ++i) {
+                        const float opaque = base[3 * seen.pieces[i]] * seen.texel[c][i] * seen.opacity[i];
+                        out[i] = opaque * sum.body[i] + sum.gloss[i];
+                    }
                 }
             }
         }
     }
 
-    // The samples of a block in a picture, nothing where no face is.
-    void samples_of(int64_t block, int64_t k, float (*out)[4]) const {
+    // The samples of a block in a picture: red, green, blue, opacity; nothing where no face is.
+    void show(int64_t block, int64_t k, float (*samples)[4]) const {
         for (int i = 0; i < WIDTH; ++i) {
             const int32_t fragment = shown[block * WIDTH + i];
-            for (int c = 0; c < 3; ++c) out[i][c] = fragment == NONE ? 0 : colors[(3 * k + c) * padded + fragment];
-            out[i][3] = fragment == NONE ? 0 : 1;
+            for (int c = 0; c < 3; ++c) samples[i][c] = fragment == NONE ? 0 : color(k, c, fragment);
+            samples[i][3] = fragment == NONE ? 0 : 1;
+        }
+    }
+
+    // And what a layer lets through of them.
+    void lay_over(int64_t layer, int64_t k, float (*samples)[4]) const {
+        const Taken &of = picture.layers[layer];
+        const float opacity = frame.piece[owners[of.face].piece].opacity, through = 1.0f - opacity;
+        for (int i = 0; i < WIDTH; ++i) {
+            if (!(of.samples >> i & 1)) continue;
+            const int32_t fragment = laid[layer * PIXELS + i / SAMPLES];
+            for (int c = 0; c < 3; ++c) samples[i][c] = color(k, c, fragment) + samples[i][c] * through;
+            samples[i][3] = opacity + samples[i][3] * through;
         }
     }
 
     void average() const {
-        typedef float Block[WIDTH][4];
-        std::vector<int32_t> number(picture.top.size(), NONE);  // of the blocks with layers
-        int32_t layered = 0;
-        for (const Taken &layer : picture.layers) {
-            int32_t &mine = number[picture.block(layer.row, layer.column)];
-            if (mine == NONE) mine = layered++;
+        // The first layer of each block, and the one after each.
+        std::vector<int32_t> first(picture.top.size(), NONE), next(picture.layers.size());
+        for (int64_t l = int64_t(next.size()) - 1; l >= 0; --l) {
+            int32_t &mine = first[picture.block(picture.layers[l].row, picture.layers[l].column)];
+            next[l] = mine, mine = l;
         }
-        std::vector<float> over(layered * sizeof(Block) / sizeof(float));
-        Block *blocks = reinterpret_cast<Block *>(over.data());
-        for (int64_t k = 0; k < pass.pictures; ++k) {
-            for (size_t block = 0; block < number.size(); ++block)
-                if (number[block] != NONE) samples_of(block, k, blocks[number[block]]);
-            for (size_t l = 0; l < picture.layers.size(); ++l) {
-                const Taken &layer = picture.layers[l];
-                Block &block = blocks[number[picture.block(layer.row, layer.column)]];
-                const float opacity = frame.piece[owners[layer.face].piece].opacity, through = 1.0f - opacity;
-                for (int i = 0; i < WIDTH; ++i) {
-                    if (!(layer.samples >> i & 1)) continue;
-                    const int32_t fragment = laid[l * PIXELS + i / SAMPLES];
-                    for (int c = 0; c < 3; ++c)
-                        block[i][c] = colors[(3 * k + c) * padded + fragment] + block[i][c] * through;
-                    block[i][3] = opacity + block[i][3] * through;
-                }
-            }
-            const int64_t high = pass.part[1] - pass.part[0], wide = pass.part[3] - pass.part[2];
-            for (int64_t row = 0; row < high; ++row)
-                for (int64_t column = 0; column < wide; ++column) {
-                    const int64_t y = row + pass.part[0], x = column + pass.part[2], block = picture.block(y / SIDE, x / SIDE);
-                    const int64_t first = (y % SIDE * SIDE + x % SIDE) * SAMPLES;
-                    float *out = pass.images + ((k * high + row) * wide + column) * 4, sum[4] = {0, 0, 0, 0};
-                    const int32_t *of = &shown[block * WIDTH + first];
-                    if (number[block] != NONE) {
-                        for (int s = 0; s < SAMPLES; ++s)
-                            for (int c = 0; c < 4; ++c) sum[c] += blocks[number[block]][first + s][c];
-                    } else {
-                        for (int s = 0; s < SAMPLES; ++s) {
-                            if (of[s] == NONE) continue;
-                            for (int c = 0; c < 3; ++c) sum[c] += colors[(3 * k + c) * padded + of[s]];
-                            sum[3] += 1;
+        const int64_t *part = pass.part, wide = part[3] - part[2];
+        for (int64_t k = 0; k < pass.pictures; ++k)
+            for (int64_t row = picture.rows[0]; row < picture.rows[1]; ++row)
+                for (int64_t column = picture.columns[0]; column < picture.columns[1]; ++column) {
+                    const int64_t block = picture.block(row, column);
+                    float samples[WIDTH][4];
+                    show(block, k, samples);
+                    for (int32_t l = first[block]; l != NONE; l = next[l]) lay_over(l, k, samples);
+                    for (int p = 0; p < PIXELS; ++p) {
+                        const int64_t y = SIDE * row + p / SIDE, x = SIDE * column + p % SIDE;
+                        if (y < part[0] || y >= part[1] || x < part[2] || x >= part[3]) continue;
+                        float *out = pass.images + ((k * (part[1] - part[0]) + y - part[0]) * wide + x - part[2]) * 4;
+                        for (int c = 0; c < 4; ++c) {
+                            float sum = 0;
+                            for (int s = 0; s < SAMPLES; ++s) sum += samples[SAMPLES * p + s][c];
+                            out[c] = sum * (1.0f / SAMPLES);
                         }
                     }
-                    for (int c = 0; c < 4; ++c) out[c] = sum[c] * (1.0f / SAMPLES);
                 }
-        }
     }
 };
 
