@@ -7,6 +7,8 @@
 
 #pragma once
 
+#include <optional>
+
 #include "texture.h"
 
 namespace {
@@ -209,11 +211,12 @@ struct Picture {
         const int64_t box[4] = {
             std::max(left / SIDE, columns[0]), std::min((right + SIDE - 1) / SIDE, columns[1]),
             std::max(bottom / SIDE, rows[0]), std::min((top + SIDE - 1) / SIDE, rows[1])};
-        const Slopes slopes(of, t);
-        const Plane<float> z(slopes, of.z[t[0]], of.z[t[1]], of.z[t[2]]);
+        std::optional<Plane<float>> z;  // most small faces cover no sample
         auto take = [&](Ints inside, int32_t row, int32_t column) {
+            if (!bits_of(inside)) return;
+            if (!z) z.emplace(Slopes(of, t), of.z[t[0]], of.z[t[1]], of.z[t[2]]);
             const Floats px = x + float(SIDE * column), py = y + float(SIDE * row);
-            const Floats depths = fuse(z.along_y, py, fuse(z.along_x, px, Floats{} + z.start));
+            const Floats depths = fuse(z->along_y, py, fuse(z->along_x, px, Floats{} + z->start));
             this->take(piece, of, t, Taken{face, row, column, 0, {}}, inside, depths);
         };
         if (right - left <= SMALL && top - bottom <= SMALL)
@@ -244,8 +247,7 @@ struct Picture {
         const int64_t here = block(it.row, it.column);
         const Floats known = depth[here];
         inside &= z < known;
-        const Ints bits = inside & Ints{1, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1024, 2048, 4096, 8192, 16384, 32768};
-        for (int i = 0; i < WIDTH; ++i) it.samples |= bits[i];
+        it.samples = bits_of(inside);
         if (!it.samples) return;
         for (int p = 0; p < PIXELS; ++p) {
             const unsigned mine = it.samples >> SAMPLES * p & 15;
