@@ -1,5 +1,6 @@
 """`plan`: what a job would do to make its pictures, before it runs."""
 
+import gc
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -23,6 +24,7 @@ def plan(
 
     Nothing is attacked and the network is not asked. The scene is rasterised, and errors of tables are measured on it.
     """
+    gc.disable()  # looking for garbage while all is imported takes longer than this process leaves any
     from client import spec_input
     from client.console import print_json
     from services.jobs.spec import parse
