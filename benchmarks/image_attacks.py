@@ -40,9 +40,9 @@ from services.targets.protocol import Target
 
 BOUND = 18 / 255
 STEP = 0.002
+"""Of the paper's attack on pixels, section 4.1."""
 OURS = "ours, momentum 0.9"
 """The attack that the others are put beside."""
-"""Of the paper's attack on pixels, section 4.1."""
 STILL = 1e-9
 FORMATS = {"contiguous": torch.contiguous_format, "channels_last": torch.channels_last}
 

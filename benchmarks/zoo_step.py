@@ -34,7 +34,8 @@ from services.jobs.prepare import prepare
 from services.jobs.spec import parse
 from services.rendering import gl
 from services.rendering.pyrender_plan import both_sides
-from services.rendering.pyrender_renderer import SAMPLES, PyrenderRenderer
+from services.rendering.pyrender_renderer import PyrenderRenderer
+from services.rendering.raster import SAMPLES
 from services.scenes.library import Library
 from services.scenes.resolve import ResolvedScene
 from services.settings import settings

@@ -1,6 +1,5 @@
 """How the pieces of a drawing lie before a camera, and in what light: what a pass over the geometry is drawn from."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -80,5 +79,5 @@ def ordered(drawing: "Drawing", view: View, poses: Array) -> list[int]:
         pose = poses[piece.index]
         return -float(np.linalg.norm(pose[:3, :3] @ piece.centre + pose[:3, 3] - view.eye))
 
-    solid: Sequence[int] = [number for number, piece in enumerate(drawing.pieces) if piece.solid]
-    return [*solid, *sorted((number for number, piece in enumerate(drawing.pieces) if not piece.solid), key=nearness)]
+    solid = [number for number, piece in enumerate(drawing.pieces) if piece.solid]
+    return solid + sorted((number for number, piece in enumerate(drawing.pieces) if not piece.solid), key=nearness)

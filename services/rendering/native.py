@@ -1,7 +1,8 @@
-"""The compiled inner loops of shading (loops/): built once per machine into the cache, then loaded.
+"""The compiled inner loops of shading and rasterising (loops/): built once per machine into the cache, then loaded.
 
-Where there is no compiler the same sums run in torch, some ten times slower; `SCENE_ATTACK_KERNEL` decides. The loops
-call no Python and use `torch.get_num_threads()` threads, which never changes their bits.
+Where there is no compiler the same sums run in torch, some ten times slower, and OpenGL draws all pictures;
+`SCENE_ATTACK_KERNEL` decides. The loops call no Python and use `torch.get_num_threads()` threads, which never changes
+their bits.
 """
 
 import ctypes

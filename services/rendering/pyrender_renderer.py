@@ -27,8 +27,6 @@ EXPOSURE = 0.5
 """Radiance times this is the linear picture: a white surface that faces the default light from 2.5 away (radiance 2.0
 with the ambient light) is just the display's white. EfficientNet-Lite0 does as well from 0.4 to 0.8."""
 
-SAMPLES = 4
-
 MOST = 8
 """Pictures drawn in one pass over the geometry: as many outputs as every driver has."""
 
@@ -79,7 +77,7 @@ class PyrenderRenderer:
         self._view = View.of(scene.view, scene.projection)
         self._ground = torch.tensor(description.ground, dtype=torch.float32)
         self._numbers = Numbers(description)
-        self._most = max(1, min(MOST, MEMORY // (16 * SAMPLES * self.size[0] * self.size[1])))
+        self._most = max(1, min(MOST, MEMORY // (16 * raster.SAMPLES * self.size[0] * self.size[1])))
         self._plain = tolerance == "exact"
         self._closed = False
         self._shown: int | None = None
@@ -177,9 +175,7 @@ class PyrenderRenderer:
         batch = self._numbers.checked(parameters)
         passes = [(drawn, self._lit(drawn)) for drawn in (alone(batch) if self._plain else shared(batch, self._most))]
         passes = [(drawn, lit) for drawn, lit in passes if lit.part[0] < lit.part[1]]
-        blank = empty.expand(*self.size, len(empty)).contiguous().numpy()
-        pictures = np.empty((len(batch["color"]), *blank.shape), np.float32)
-        missing = set(range(len(pictures)))
+        pictures = empty.expand(len(batch["color"]), *self.size, len(empty)).clone().numpy()
         for (drawn, lit), frames in zip(passes, self._frames([lit for _, lit in passes]), strict=True):
             top, bottom, left, right = lit.part
             radiance = torch.from_numpy(frames)
@@ -189,20 +185,12 @@ class PyrenderRenderer:
             shown = finish(radiance).numpy()[:, ::-1]  # OpenGL's first row is the bottom one
             whole: dict[int, int] = {}
             for row, channel, slot in drawn.users:
-                picture = pictures[row]
+                part = pictures[row, top:bottom, left:right]
                 if channel == 0:  # coverage is the same in all
-                    picture[:top], picture[bottom:] = blank[:top], blank[bottom:]
-                    picture[top:bottom, :left], picture[top:bottom, right:] = (
-                        blank[top:bottom, :left],
-                        blank[top:bottom, right:],
-                    )
-                    picture[top:bottom, left:right] = shown[slot]
+                    part[:] = shown[slot]
                     whole[row] = slot
-                    missing.discard(row)
                 elif whole.get(row) != slot:
-                    picture[top:bottom, left:right, channel] = shown[slot, ..., channel]
-        for row in missing:
-            pictures[row] = blank
+                    part[..., channel] = shown[slot, ..., channel]
         return torch.from_numpy(pictures)
 
     def _extent(self, poses: NDArray[np.float64]) -> Rectangle:
@@ -236,7 +224,7 @@ class PyrenderRenderer:
             lit.uniforms,
             {},
             size=self.size,
-            samples=SAMPLES,
+            samples=raster.SAMPLES,
             outputs=len(lit.colors),
             blend=True,
             lights=lit.points.shape[1],

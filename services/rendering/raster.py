@@ -2,8 +2,8 @@
 
 On a processor the driver takes a microsecond for every small face that covers a sample, and shades all of it though
 little shows. The loops do its arithmetic in its order, but shade only what shows, once for all pictures of a pass, and
-draw passes side by side: a fifth to a tenth of the time. They know one driver's arithmetic; whoever uses them compares
-a picture first (`PyrenderRenderer`), and lets OpenGL draw where a bit differs.
+draw passes side by side (docs/benchmarks.md has the times). They know one driver's arithmetic; whoever uses them
+compares a picture first (`PyrenderRenderer`), and lets OpenGL draw where a bit differs.
 """
 
 import ctypes
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 
 SAMPLES = 4
-"""Of a pixel, that the loops are written for."""
+"""Of a pixel, in pictures of the pyrender renderer; the loops are written for as many."""
 
 
 class _Texture(ctypes.Structure):

@@ -159,7 +159,6 @@ struct Picture {
     int64_t rows[2], columns[2];
     Floats x, y;
     Ints grid_x, grid_y;
-    Longs wide_x, wide_y;
     float place_x[SAMPLES + 1], place_y[SAMPLES + 1];  // in a pixel, of its samples and its middle
     std::vector<Floats> depth;
     std::vector<Ints> top;  // of each sample, the one of `taken` that it shows
@@ -172,8 +171,8 @@ struct Picture {
         for (int i = 0; i < WIDTH; ++i) {
             const int pixel = i / SAMPLES, s = i % SAMPLES;
             x[i] = pixel % SIDE + float(frame.x[s]), y[i] = pixel / SIDE + float(frame.y[s]);
-            wide_x[i] = grid_x[i] = int32_t(std::lround(GRID * (pixel % SIDE + frame.x[s])));
-            wide_y[i] = grid_y[i] = int32_t(std::lround(GRID * (pixel / SIDE + frame.y[s])));
+            grid_x[i] = int32_t(std::lround(GRID * (pixel % SIDE + frame.x[s])));
+            grid_y[i] = int32_t(std::lround(GRID * (pixel / SIDE + frame.y[s])));
         }
         for (int s = 0; s <= SAMPLES; ++s)
             place_x[s] = s == MIDDLE ? 0.5f : frame.x[s], place_y[s] = s == MIDDLE ? 0.5f : frame.y[s];
@@ -212,17 +211,20 @@ struct Picture {
             std::max(left / SIDE, columns[0]), std::min((right + SIDE - 1) / SIDE, columns[1]),
             std::max(bottom / SIDE, rows[0]), std::min((top + SIDE - 1) / SIDE, rows[1])};
         std::optional<Plane<float>> z;  // most small faces cover no sample
+        std::optional<Surface> surface;  // where its texture decides what it takes
         auto take = [&](Ints inside, int32_t row, int32_t column) {
             if (!bits_of(inside)) return;
             if (!z) z.emplace(Slopes(of, t), of.z[t[0]], of.z[t[1]], of.z[t[2]]);
             const Floats px = x + float(SIDE * column), py = y + float(SIDE * row);
             const Floats depths = fuse(z->along_y, py, fuse(z->along_x, px, Floats{} + z->start));
-            this->take(piece, of, t, Taken{face, row, column, 0, {}}, inside, depths);
+            if (piece.holes && !surface) surface.emplace(of, t);
+            this->take(piece, surface, Taken{face, row, column, 0, {}}, inside, depths);
         };
         if (right - left <= SMALL && top - bottom <= SMALL)
             cover<int32_t>(gx, gy, box, grid_x, grid_y, take);
         else
-            cover<int64_t>(gx, gy, box, wide_x, wide_y, take);
+            cover<int64_t>(gx, gy, box, __builtin_convertvector(grid_x, Longs), __builtin_convertvector(grid_y, Longs),
+                           take);
         return true;
     }
 
@@ -243,7 +245,7 @@ struct Picture {
         }
     }
 
-    void take(const Piece &piece, const Corners &of, const int32_t *t, Taken it, Ints inside, Floats z) {
+    void take(const Piece &piece, const std::optional<Surface> &surface, Taken it, Ints inside, Floats z) {
         const int64_t here = block(it.row, it.column);
         const Floats known = depth[here];
         inside &= z < known;
@@ -254,9 +256,8 @@ struct Picture {
             it.places[p] = mine == 0 || mine == 15 ? MIDDLE : __builtin_ctz(mine);
         }
         if (piece.holes) {  // pixels that look through one are let go
-            const Surface surface(of, t);
             for (int p = 0; p < PIXELS; ++p)
-                if (it.samples >> SAMPLES * p & 15 && texel(piece.texture, surface, it, p).c[3] < 0.5f) {
+                if (it.samples >> SAMPLES * p & 15 && texel(piece.texture, *surface, it, p).c[3] < 0.5f) {
                     it.samples &= ~(15u << SAMPLES * p);
                     for (int s = 0; s < SAMPLES; ++s) inside[SAMPLES * p + s] = 0;
                 }
