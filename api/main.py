@@ -11,8 +11,8 @@ from fastapi import FastAPI
 from starlette.middleware import Middleware
 
 from api import dashboard
+from api.description import describe
 from api.limits import BodyLimit, SameSite, is_loopback
-from api.openapi import describe
 from api.preflight import Preflight
 from api.problems import Answers, install
 from api.routes import artifacts, assets, events, health, jobs, library

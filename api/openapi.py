@@ -1,80 +1,15 @@
-"""The description of the API: `python -m api.openapi > openapi.yaml`."""
+"""The OpenAPI document as YAML: `python -m api.openapi > openapi.yaml`."""
 
 import sys
-from typing import Any
 
 import yaml
-from fastapi import FastAPI
 
-from api.problems import MEDIA_TYPE, Problem
-
-DESCRIPTION = """\
-Attacks on vision models through the scene: its light, its surfaces, its poses.
-
-A request is checked whole before it becomes a job; what is wrong with it is answered at once, naming the fields. Every
-error is a problem (RFC 9457). Angles are radians, lengths scene units, colours and pictures in [0,1].
-"""
-
-ERRORS = {
-    "400": "The request could not be read.",
-    "404": "There is no such thing.",
-    "413": "The body is too large.",
-    "415": "The body is of the wrong kind.",
-    "416": "The file has no such range.",
-    "422": "A field is wrong; `errors` names it.",
-    "503": "Not now; `Retry-After` says when to try again.",
-}
-
-
-def describe(app: FastAPI) -> None:
-    """Have the app describe its errors as it sends them."""
-    original = app.openapi
-
-    def openapi() -> dict[str, Any]:
-        if app.openapi_schema is None:
-            app.description = DESCRIPTION
-            _errors(original())
-        assert app.openapi_schema is not None
-        return app.openapi_schema
-
-    app.openapi = openapi  # type: ignore[method-assign]
-
-
-def _errors(schema: dict[str, Any]) -> None:
-    schemas = schema["components"]["schemas"]
-    for name in ("HTTPValidationError", "ValidationError"):
-        schemas.pop(name, None)
-    own = Problem.model_json_schema(ref_template="#/components/schemas/{model}")
-    schemas |= own.pop("$defs")
-    schemas["Problem"] = own
-    for path, operations in schema["paths"].items():
-        for operation in operations.values():
-            answers = operation["responses"]
-            for status in _possible(path, operation):
-                answers[status] = {
-                    "description": ERRORS[status],
-                    "content": {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}},
-                }
-
-
-def _possible(path: str, operation: dict[str, Any]) -> list[str]:
-    found = []
-    if "{" in path:
-        found.append("404")
-    if "requestBody" in operation:
-        found += ["400", "413", "415", "422", "503"]
-    elif "422" in operation["responses"]:
-        found.append("422")
-    if "206" in operation["responses"]:
-        found.append("416")
-    return found
+from api.main import create_app
+from services.settings import Settings
 
 
 def document() -> str:
-    """The description as YAML."""
-    from api.main import create_app
-    from services.settings import Settings
-
+    """The description of the API as YAML."""
     schema = create_app(Settings()).openapi()
     return yaml.safe_dump(schema, sort_keys=False, allow_unicode=True, width=120)
 

@@ -6,8 +6,8 @@ from typing import Any, BinaryIO
 
 from services.errors import InvalidRequest
 from services.jobs.child import Child, ChildDied
-from services.jobs.spec import JobSpec
 from services.logs import logger
+from services.pipeline.spec import JobSpec
 from services.scenes.library import Entry
 from services.settings import Settings
 

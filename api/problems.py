@@ -15,8 +15,8 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from api.preflight import Unavailable
 from services.errors import InvalidRequest
 from services.jobs.repository import KeyReused, QueueFull
-from services.jobs.spec import named
 from services.logs import logger
+from services.pipeline.spec import named
 
 MEDIA_TYPE = "application/problem+json"
 log = logger(__name__)
@@ -29,7 +29,7 @@ class BadField(BaseModel):
     detail: str = Field(description="what was wrong, and what would be right")
 
 
-class Problem(BaseModel):
+class ProblemDetails(BaseModel):
     """An error (RFC 9457)."""
 
     type: str = Field("about:blank", description="about:blank: the status says it all")
@@ -41,7 +41,7 @@ class Problem(BaseModel):
 
 def problem(status: int, detail: str, errors: Sequence[InvalidRequest] = (), headers: Any = None) -> JSONResponse:
     """A problem as a response."""
-    body = Problem(
+    body = ProblemDetails(
         title=HTTPStatus(status).phrase,
         status=status,
         detail=detail,

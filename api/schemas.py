@@ -9,9 +9,9 @@ from pydantic import BaseModel, Field
 
 from services.errors import InvalidRequest
 from services.jobs.models import Artifact, Job, State
-from services.jobs.outcome import Outcome
-from services.jobs.result import Result
-from services.jobs.spec import JobSpec
+from services.pipeline.outcome import Outcome
+from services.pipeline.result import Result
+from services.pipeline.spec import JobSpec
 from services.scenes.library import Entry
 
 

@@ -23,15 +23,15 @@ from benchmarks.peers import Lite0, reach
 from benchmarks.report import RESULTS, save
 from benchmarks.views import right
 from services.analysis.perceptibility import of_pictures
-from services.attacks.exact import Judge
 from services.attacks.fgsm import FgsmMethod
 from services.attacks.goal import ResolvedGoal
-from services.attacks.loop import Attack, Budget, run_together
-from services.attacks.problem import Problem
+from services.attacks.loop import AttackRun, Budget, run_together
+from services.attacks.problem import AttackProblem
 from services.attacks.spec import Fgsm
-from services.jobs.prepare import prepare
-from services.jobs.spec import parse
-from services.rendering.display import from_bytes, to_bytes
+from services.attacks.verifier import Verifier
+from services.pipeline.prepare import prepare
+from services.pipeline.spec import parse
+from services.rendering.color import from_bytes, to_bytes
 from services.rendering.image_renderer import ImageRenderer
 from services.scenes.library import Library
 from services.settings import settings
@@ -72,11 +72,11 @@ def ours(momentum: float) -> Attacks:
     return attack
 
 
-def _attack(target: Target, saved: Tensor, label: Tensor, step: float, steps: int, momentum: float) -> Attack:
+def _attack(target: Target, saved: Tensor, label: Tensor, step: float, steps: int, momentum: float) -> AttackRun:
     chosen = Fgsm(method="fgsm", renderer="image", learning_rate={"image": step}, momentum=momentum)
     renderer = ImageRenderer(from_bytes(saved), "a file")
-    problem = Problem(renderer, target, ResolvedGoal(int(label), None), ("image",), truncation=BOUND)
-    return Attack(problem, FgsmMethod(chosen, problem), Judge(renderer, target), Budget(steps))
+    problem = AttackProblem(renderer, target, ResolvedGoal(int(label), None), ("image",), truncation=BOUND)
+    return AttackRun(problem, FgsmMethod(chosen, problem), Verifier(renderer, target), Budget(steps))
 
 
 def torchattacks(network: Lite0, name: str) -> Attacks:

@@ -1,8 +1,8 @@
 """Whole FGSM jobs beside the network's own passes, and the memory they take. Writes results/jobs.json.
 
-A job of 120 steps runs through services.jobs.execute in a process set up as a worker's. Its learning rate is so small
-that the picture does not move: the network holds, and all steps are run. After each step, a forward and backward pass
-of the network alone on a picture of 224²: a shared machine is faster one second than the next, and both find the
+A job of 120 steps runs through services.pipeline.execute in a process set up as a worker's. Its learning rate is so
+small that the picture does not move: the network holds, and all steps are run. After each step, a forward and backward
+pass of the network alone on a picture of 224²: a shared machine is faster one second than the next, and both find the
 processor's caches as the other left them. What the passes took is not the job's time. So for the packed network that
 jobs use, and again for the same in plain torch (channels_last). Ratios and seconds are medians of the repeats. Memory:
 the peak resident set of a fresh process that runs a job of 448².
@@ -28,10 +28,10 @@ from benchmarks.peers import Lite0
 from benchmarks.report import RESULTS, save, shortest
 from benchmarks.rounded_gradient import ATTACKS
 from services.jobs.child import ALLOCATOR
-from services.jobs.execute import Progress, execute
-from services.jobs.prepare import prepare
-from services.jobs.spec import JobSpec, parse
-from services.jobs.warm import warm
+from services.jobs.warm_up import warm
+from services.pipeline.execute import Progress, execute
+from services.pipeline.prepare import prepare
+from services.pipeline.spec import JobSpec, parse
 from services.scenes.library import Library
 from services.settings import settings
 from services.targets import registry

@@ -19,7 +19,7 @@ import numpy as np
 import torch
 
 from benchmarks.peers import reach
-from services.rendering.display import to_display
+from services.rendering.color import to_display
 
 LLVM = "/usr/lib/x86_64-linux-gnu/libLLVM.so.19.1"
 """With another version beside it on the machine it may load that one, and abort."""

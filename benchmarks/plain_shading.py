@@ -9,14 +9,14 @@ from typing import Self
 import torch
 from torch import Tensor
 
-from services.rendering import dsbrdf
-from services.rendering.directions import directions, solid_angles
-from services.rendering.display import to_display
-from services.rendering.gbuffer import rasterise
-from services.rendering.illumination import illumination
-from services.rendering.normals import to_vectors
+from services.rendering.color import to_display
+from services.rendering.opengl.gbuffer import rasterise
 from services.rendering.protocol import Parameters
-from services.rendering.units import MATERIAL_UNIT
+from services.rendering.torch_renderer import dsbrdf
+from services.rendering.torch_renderer.directions import directions, solid_angles
+from services.rendering.torch_renderer.environment_light import illumination
+from services.rendering.torch_renderer.normals import to_vectors
+from services.rendering.torch_renderer.units import MATERIAL_UNIT
 from services.scenes.resolve import ResolvedScene
 
 

@@ -19,10 +19,10 @@ from benchmarks.views import right
 from services.analysis.perceptibility import of_pictures
 from services.attacks.fgsm import FgsmMethod
 from services.attacks.loop import Budget, run
-from services.attacks.problem import Problem, View, ask, slopes
+from services.attacks.problem import AttackProblem, Evaluation, ask, slopes
 from services.attacks.spec import Fgsm
-from services.jobs.prepare import Prepared, prepare
-from services.jobs.spec import JobSpec, parse
+from services.pipeline.prepare import Prepared, prepare
+from services.pipeline.spec import JobSpec, parse
 from services.scenes.library import Library
 from services.settings import settings
 
@@ -38,7 +38,7 @@ ATTACKS: dict[str, dict[str, object]] = {
 class FloatPictureFgsm(FgsmMethod):
     """FGSM with the gradient at the picture before rounding, which takes a pass of its own."""
 
-    def advance(self, problem: Problem, view: View, step: int) -> int:
+    def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:
         """One step along the float picture's slopes."""
         again = problem.view(self.perturbation, gradient=True)
         [found] = slopes([problem], [again], ask([problem], again.images))
@@ -80,7 +80,7 @@ def _run(prepared: Prepared, method: type[FgsmMethod], steps: int) -> Row:
     attack = prepared.spec.attack
     assert isinstance(attack, Fgsm)
     assert attack.truncation is not None
-    problem = Problem(
+    problem = AttackProblem(
         prepared.renderer, prepared.target, prepared.goal, attack.groups, truncation=attack.truncation / 255
     )
     prepared.judge.queries = prepared.judge.renders = 0

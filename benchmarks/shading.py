@@ -23,8 +23,8 @@ from torch import Tensor
 from benchmarks.plain_shading import PlainShading
 from benchmarks.report import RESULTS, save, shortest
 from services.attacks.seeds import generator
-from services.jobs.spec import parse
-from services.rendering.build import build
+from services.pipeline.spec import parse
+from services.rendering.factory import build
 from services.rendering.protocol import Parameters, Renderer
 from services.scenes.library import Library
 from services.scenes.resolve import ResolvedScene, resolve

@@ -17,10 +17,10 @@ from rich.progress import track
 
 from benchmarks.views import right
 from services.attacks.spec import FGSM_RATES
-from services.jobs.execute import execute
-from services.jobs.result import Result
-from services.jobs.spec import JobSpec, parse
-from services.rendering.units import ILLUMINATION_MEAN, MATERIAL_UNIT
+from services.pipeline.execute import execute
+from services.pipeline.result import Result
+from services.pipeline.spec import JobSpec, parse
+from services.rendering.torch_renderer.units import ILLUMINATION_MEAN, MATERIAL_UNIT
 from services.scenes.library import Library
 from services.settings import settings
 

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from services.errors import InvalidRequest
-from services.jobs.prepare import preflight
-from services.jobs.spec import parse
+from services.pipeline.prepare import preflight
+from services.pipeline.spec import parse
 from services.scenes.library import Library
 
 VIEWS = Path(__file__).with_name("views.json")

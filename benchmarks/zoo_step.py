@@ -27,15 +27,15 @@ from rich.table import Table
 from benchmarks.peers import Lite0
 from benchmarks.report import RESULTS, save
 from benchmarks.views import right
-from services.attacks.problem import Problem
+from services.attacks.problem import AttackProblem
 from services.attacks.zoo import ZooMethod
 from services.jobs.child import ALLOCATOR
-from services.jobs.prepare import prepare
-from services.jobs.spec import parse
-from services.rendering import gl
-from services.rendering.pyrender_plan import both_sides
-from services.rendering.pyrender_renderer import PyrenderRenderer
-from services.rendering.raster import SAMPLES
+from services.pipeline.prepare import prepare
+from services.pipeline.spec import parse
+from services.rendering.opengl import context
+from services.rendering.pyrender_renderer.planner import both_sides
+from services.rendering.pyrender_renderer.rasteriser import SAMPLES
+from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.scenes.library import Library
 from services.scenes.resolve import ResolvedScene
 from services.settings import settings
@@ -58,7 +58,7 @@ def main() -> None:
     library = Library(settings().cache_dir, settings().data_dir)
     rows = [_measure(library, mesh, label, options.repeats) for mesh, label in right(library, options.views)]
     _show(rows)
-    backend = f"{gl.gl_backend()}; torch {torch.__version__} {torch.get_num_threads()} threads"
+    backend = f"{context.gl_backend()}; torch {torch.__version__} {torch.get_num_threads()} threads"
     save(options.out, str(__doc__).split("\n\n")[0], backend, SEED, limit=LIMIT, allocator=ALLOCATOR, views=rows)
 
 
@@ -68,7 +68,7 @@ def _measure(library: Library, mesh: str, label: str, repeats: int) -> dict[str,
     ready = prepare(spec, library)
     renderer = ready.renderer
     assert isinstance(renderer, PyrenderRenderer)
-    problem = Problem(renderer, ready.target, ready.goal, renderer.groups, seed=SEED, weight=0.001)
+    problem = AttackProblem(renderer, ready.target, ready.goal, renderer.groups, seed=SEED, weight=0.001)
     method = ZooMethod(spec.attack, problem)  # type: ignore[arg-type]
     method.start(problem)
     view = problem.view(method.perturbation)
@@ -159,7 +159,7 @@ def _stock(scene: ResolvedScene) -> Callable[[], object]:
         stock.add(pyrender.PointLight(intensity=point.energy), pose=pose)
     stock.add(pyrender.PerspectiveCamera(scene.description.camera.field_of_view), pose=scene.view)
     height, width = scene.description.camera.size
-    gl.context()
+    context.current()
     renderer = pyrender.Renderer(width, height)
     return lambda: renderer.render(stock, pyrender.RenderFlags.OFFSCREEN)
 

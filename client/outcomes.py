@@ -1,4 +1,4 @@
-"""The outcome of jobs as table rows (services.jobs.outcome.Outcome, as JSON)."""
+"""The outcome of jobs as table rows (services.pipeline.outcome.Outcome, as JSON)."""
 
 from collections.abc import Mapping
 from typing import Any

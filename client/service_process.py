@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from services.errors import JobFailure
-from services.jobs.tether import die_with_parent
+from services.jobs.parent_death import die_with_parent
 
 STOP_SECONDS = 30.0
 

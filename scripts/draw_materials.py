@@ -10,10 +10,10 @@ from pathlib import Path
 import torch
 from PIL import Image
 
-from services.rendering.display import to_bytes
-from services.rendering.gbuffer import rasterise
-from services.rendering.presets import presets
-from services.rendering.torch_renderer import TorchRenderer
+from services.rendering.color import to_bytes
+from services.rendering.opengl.gbuffer import rasterise
+from services.rendering.torch_renderer.presets import presets
+from services.rendering.torch_renderer.renderer import TorchRenderer
 from services.scenes.description import Scene
 from services.scenes.library import Library
 from services.scenes.resolve import resolve

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from PIL import Image, ImageDraw, ImageFont
 
-from services.jobs.result import Result
+from services.pipeline.result import Result
 
 SIDE, GAP, CAPTION = 336, 12, 60
 PAPER, INK, SOFT = "#ffffff", "#1c1930", "#5d5875"

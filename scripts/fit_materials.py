@@ -1,6 +1,6 @@
 """Fit the material presets: DSBRDF coefficients that come nearest to analytic reference BRDFs.
 
-    python scripts/fit_materials.py                writes services/rendering/presets.json
+    python scripts/fit_materials.py                writes services/rendering/torch_renderer/presets.json
     python scripts/fit_materials.py --help         what can be set
 
 The references and how they are brought to (θ_h, θ_d) are described in docs/materials.md.
@@ -19,7 +19,7 @@ import scipy
 import torch
 from scipy.optimize import least_squares
 
-from services.rendering import dsbrdf
+from services.rendering.torch_renderer import dsbrdf
 
 ROOT = Path(__file__).resolve().parents[1]
 THETA_H, THETA_D, PHI_D = 72, 24, 128
@@ -137,7 +137,10 @@ def fit(reference: Reference, seed: int) -> dict[str, object]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
-        "--out", type=Path, default=ROOT / "services" / "rendering" / "presets.json", help="file to write"
+        "--out",
+        type=Path,
+        default=ROOT / "services" / "rendering" / "torch_renderer" / "presets.json",
+        help="file to write",
     )
     parser.add_argument("--seed", type=int, default=0, help="of the random starts")
     parser.add_argument("--only", choices=REFERENCES, help="fit one preset and print its errors; writes nothing")

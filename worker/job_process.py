@@ -17,15 +17,15 @@ from services.errors import Cancelled, InvalidRequest, JobFailure
 from services.jobs.artifacts import ArtifactStore, media_type
 from services.jobs.child import connect, reply, requests
 from services.jobs.database import connect as connect_database
-from services.jobs.execute import Progress, execute
 from services.jobs.models import Artifact
-from services.jobs.outcome import outcome
 from services.jobs.repository import Attempt, Repository, Standing
-from services.jobs.result import Result
-from services.jobs.spec import JobSpec
-from services.jobs.warm import warm
-from services.jobs.workplace import Workplace
+from services.jobs.warm_up import warm
+from services.jobs.working_files import Workplace
 from services.logs import configure, logger
+from services.pipeline.execute import Progress, execute
+from services.pipeline.outcome import outcome
+from services.pipeline.result import Result
+from services.pipeline.spec import JobSpec
 from services.scenes.library import Library
 from services.settings import Settings, settings
 

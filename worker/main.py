@@ -15,7 +15,7 @@ from services.jobs.database import migrate
 from services.jobs.queue import Queue, reconcile
 from services.jobs.queue import connect as connect_redis
 from services.jobs.repository import Repository
-from services.jobs.workplace import Workplace
+from services.jobs.working_files import Workplace
 from services.logs import configure, logger
 from services.settings import Settings, settings
 from worker.supervisor import Program, Supervisor

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from services.jobs.tether import die_with_parent
+from services.jobs.parent_death import die_with_parent
 from services.logs import logger
 
 LOOK_SECONDS = 0.1

@@ -7,7 +7,7 @@ from typing import Any
 
 from api.dashboard.charts import Chart, chart
 from services.jobs.models import Artifact, Event, Job, State
-from services.jobs.names import attack_name, scene_name
+from services.pipeline.names import attack_name, scene_name
 
 PICTURES = ("original.png", "attacked.png", "perturbation.png")
 

@@ -1,4 +1,4 @@
-"""Numbers, times and reasons as a person reads them."""
+"""SceneParameters, times and reasons as a person reads them."""
 
 import json
 from datetime import datetime

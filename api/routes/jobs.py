@@ -12,7 +12,7 @@ from api.state import Has, KnownJob, no_such
 from services.jobs.models import Job, State
 from services.jobs.repository import Key
 from services.jobs.service import digest
-from services.jobs.spec import JobSpec
+from services.pipeline.spec import JobSpec
 
 LONGEST_WAIT = 30.0
 """Cap of `Prefer: wait=N`, in seconds."""

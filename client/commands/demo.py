@@ -90,7 +90,7 @@ def _watch(client: "ApiClient", ids: list[str]) -> list[dict[str, Any]]:
 def _table(jobs: list[dict[str, Any]]) -> "Table":
     from client.console import state_text, table
     from client.outcomes import COLUMNS, cells
-    from services.jobs.names import attack_name, scene_name
+    from services.pipeline.names import attack_name, scene_name
 
     rows = []
     for job in jobs:
@@ -106,7 +106,7 @@ def _table(jobs: list[dict[str, Any]]) -> "Table":
 
 
 def _name(job: dict[str, Any]) -> str:
-    from services.jobs.names import attack_name, scene_name
+    from services.pipeline.names import attack_name, scene_name
 
     return f"{scene_name(job['spec'])}, {attack_name(job['spec'])}"
 

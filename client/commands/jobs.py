@@ -27,7 +27,7 @@ def list_jobs(
     from client.api_client import ApiClient
     from client.console import out, print_json, state_text, table, yes
     from client.outcomes import said, verdict
-    from services.jobs.names import attack_name, scene_name
+    from services.pipeline.names import attack_name, scene_name
 
     with ApiClient(url) as client:
         page = client.jobs(limit, state)

@@ -27,13 +27,13 @@ def plan(
     gc.disable()  # looking for garbage while all is imported takes longer than this process leaves any
     from client import spec_input
     from client.console import print_json
-    from services.jobs.spec import parse
+    from services.pipeline.spec import parse
 
     job = parse(spec_input.read(spec))
     from client.commands.run import library
 
     assets = library()
-    from services.jobs.prepare import plan as compile_plan
+    from services.pipeline.prepare import plan as compile_plan
 
     found = compile_plan(job, assets)
     if as_json:

@@ -11,9 +11,9 @@ if TYPE_CHECKING:
     from rich.text import Text
 
     from client.live import JobLine
-    from services.jobs.execute import Progress
-    from services.jobs.result import Result
-    from services.jobs.spec import JobSpec
+    from services.pipeline.execute import Progress
+    from services.pipeline.result import Result
+    from services.pipeline.spec import JobSpec
     from services.scenes.library import Library
 
 
@@ -42,8 +42,8 @@ def run(
     from client.console import out as stdout
     from client.live import JobLine
     from client.outcomes import COLUMNS, cells
-    from services.jobs.names import attack_name, scene_name
-    from services.jobs.spec import parse
+    from services.pipeline.names import attack_name, scene_name
+    from services.pipeline.spec import parse
 
     _keep_memory()
     data = spec_input.read(spec, seed)
@@ -56,7 +56,7 @@ def run(
     if as_json:
         print_json(result.model_dump(mode="json"))
         return
-    from services.jobs.outcome import outcome
+    from services.pipeline.outcome import outcome
 
     stdout().print(table(COLUMNS, [cells(name, attack, outcome(result))]))
     for credit in result.provenance.credits:
@@ -76,7 +76,7 @@ def replay(
     from client.console import out as stdout
 
     with err().status("rendering"):
-        from services.jobs.replay import replay as render_again
+        from services.pipeline.replay import replay as render_again
 
         again = render_again(directory, library())
     same = again.stored.label == again.replayed.label and (again.pixels_differing == 0 or not again.same_backend)
@@ -136,7 +136,7 @@ def library() -> "Library":
 def _execute(spec: "JobSpec", out: Path, line: "JobLine") -> "Result":
     """Runs the job; a checkpoint in `out` is resumed from if it is of this very job, and removed at the end."""
     from services.errors import InvalidRequest
-    from services.jobs.execute import execute
+    from services.pipeline.execute import execute
 
     def report(progress: "Progress") -> None:
         row = None if progress.row is None else progress.row.model_dump()

@@ -52,7 +52,7 @@ def submit(
 def follow(client: "ApiClient", job: dict[str, Any]) -> dict[str, Any]:
     """Shows the job's progress until it has ended; returns it as it then is."""
     from client.live import JobLine
-    from services.jobs.names import attack_name, scene_name
+    from services.pipeline.names import attack_name, scene_name
 
     with JobLine(f"{scene_name(job['spec'])}, {attack_name(job['spec'])}") as line:
         for event in client.events(job["id"]):
@@ -66,7 +66,7 @@ def show(job: dict[str, Any]) -> None:
     """Prints a job: its state, and its outcome or why it failed."""
     from client.console import err, out, state_text, table
     from client.outcomes import COLUMNS, cells
-    from services.jobs.names import attack_name, scene_name
+    from services.pipeline.names import attack_name, scene_name
 
     scene, attack = scene_name(job["spec"]), attack_name(job["spec"])
     if job.get("outcome"):

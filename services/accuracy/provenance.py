@@ -2,8 +2,8 @@
 
 import torch
 
-from services.rendering import native
-from services.rendering.gl import gl_backend
+from services.rendering.kernels import compiled
+from services.rendering.opengl.context import gl_backend
 
 PACKAGES = (
     "scene-attack",
@@ -19,4 +19,4 @@ PACKAGES = (
 
 def backend() -> str:
     """What renders and sums in this process."""
-    return f"torch cpu, {torch.get_num_threads()} threads, shading {native.backend()}; {gl_backend()}"
+    return f"torch cpu, {torch.get_num_threads()} threads, shading {compiled.backend()}; {gl_backend()}"

@@ -7,8 +7,8 @@ from torch import Tensor
 from services.analysis.answers import answer
 from services.analysis.perceptibility import of_pictures
 from services.analysis.records import Subset
-from services.attacks.exact import Judge
 from services.attacks.goal import ResolvedGoal
+from services.attacks.verifier import Verifier
 from services.rendering.protocol import Parameters
 
 Judged = tuple[Tensor, Tensor]
@@ -16,7 +16,7 @@ Judged = tuple[Tensor, Tensor]
 
 
 def subsets(
-    judge: Judge, goal: ResolvedGoal, perturbation: Parameters, original: Judged, attacked: Judged
+    judge: Verifier, goal: ResolvedGoal, perturbation: Parameters, original: Judged, attacked: Judged
 ) -> list[Subset]:
     """All 2^k subsets, the empty one first and the full one last.
 

@@ -4,25 +4,22 @@ import json
 import os
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
-from services.attacks.exact import Judge
 from services.attacks.method import Method
-from services.attacks.problem import Problem
+from services.attacks.problem import AttackProblem
+from services.attacks.state import AttackState
 from services.attacks.trace import TraceRow
-
-if TYPE_CHECKING:
-    from services.attacks.loop import Run
+from services.attacks.verifier import Verifier
 
 EVERY = 2.0
 """Seconds between checkpoints."""
 _PLAIN = ("step", "settings", "flat", "seconds", "stopped", "fooled", "verified", "stored_step")
 
 
-def save(path: Path, run: "Run", problem: Problem, method: Method, judge: Judge) -> None:
+def save(path: Path, run: AttackState, problem: AttackProblem, method: Method, judge: Verifier) -> None:
     """Writes the run and the method's state."""
     tensors = {f"method.{name}": value for name, value in method.state().items()}
     tensors |= {f"stored.{group}": value for group, value in run.stored.items()}
@@ -37,13 +34,11 @@ def save(path: Path, run: "Run", problem: Problem, method: Method, judge: Judge)
     part.replace(path)
 
 
-def load(path: Path | None, problem: Problem, method: Method, judge: Judge) -> "Run | None":
+def load(path: Path | None, problem: AttackProblem, method: Method, judge: Verifier) -> AttackState | None:
     """The saved run, with its state put into the method and the counts into problem and judge; None if there is none.
 
     A file that cannot be read is as good as none: the attack starts again and ends in the same result.
     """
-    from services.attacks.loop import Run
-
     if path is None or not path.exists():
         return None
     try:
@@ -52,7 +47,7 @@ def load(path: Path | None, problem: Problem, method: Method, judge: Judge) -> "
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
     except (SafetensorError, KeyError, ValueError, OSError):
         return None
-    run = Run(**{name: words[name] for name in _PLAIN})
+    run = AttackState(**{name: words[name] for name in _PLAIN})
     assert {field.name for field in fields(run)} == {*_PLAIN, "trace", "ever", "stored", "picture", "scores"}
     run.trace = [TraceRow(**row) for row in words["trace"]]
     run.ever, run.picture, run.scores = tensors["ever"], tensors["picture"], tensors["scores"]

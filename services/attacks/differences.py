@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from services.attacks.problem import Problem, distances, truncate
+from services.attacks.problem import AttackProblem, distances, truncate
 from services.attacks.seeds import generator
 from services.rendering.protocol import Parameters
 
@@ -46,7 +46,7 @@ class Layout:
         }
 
 
-def layout(problem: Problem) -> Layout:
+def layout(problem: AttackProblem) -> Layout:
     """The layout of a problem's attacked groups."""
     starts, total = {}, 0
     for group in problem.groups:
@@ -55,7 +55,7 @@ def layout(problem: Problem) -> Layout:
     return Layout(problem.groups, {g: v.shape for g, v in problem.initial.items()}, starts, total)
 
 
-def objective(problem: Problem, images: Tensor) -> Tensor:
+def objective(problem: AttackProblem, images: Tensor) -> Tensor:
     """The hinge-free objective of ZOO, [B] float64: log-probability advantage + λ·‖ΔY‖².
 
     Each picture is scored alone: the sums run over its own pixels, never over the batch.
@@ -67,7 +67,7 @@ def objective(problem: Problem, images: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def evaluate(problem: Problem, vectors: Tensor, where: Layout) -> Tensor:
+def evaluate(problem: AttackProblem, vectors: Tensor, where: Layout) -> Tensor:
     """The objective at perturbations [B, total], [B] float64, rendered and asked in chunks of bounded memory."""
     height, width = problem.renderer.size
     size = max(1, min(28, CHUNK_VALUES // (height * width * 3)))
@@ -89,7 +89,9 @@ class Estimate:
     flat: Tensor
 
 
-def estimate(problem: Problem, perturbation: Tensor, coordinates: Tensor, deltas: Tensor, noise: float) -> Estimate:
+def estimate(
+    problem: AttackProblem, perturbation: Tensor, coordinates: Tensor, deltas: Tensor, noise: float
+) -> Estimate:
     """∂objective/∂x_d ≈ (f(x + δ_d e_d) − f(x − δ_d e_d)) / 2δ_d at the flat coordinates [k] (paper, section 3.2).
 
     Where a side would leave the physical bounds it stops there, and the true distance divides. `deltas` [k].
@@ -110,13 +112,13 @@ def estimate(problem: Problem, perturbation: Tensor, coordinates: Tensor, deltas
     return Estimate(slopes, flat)
 
 
-def where_clamped(problem: Problem, vectors: Tensor, where: Layout) -> Tensor:
+def where_clamped(problem: AttackProblem, vectors: Tensor, where: Layout) -> Tensor:
     """Perturbations [B, total] pulled back into the physical bounds."""
     clamped = problem.clamp(where.unflatten(vectors))
     return torch.cat([clamped[g].flatten(1) for g in where.groups], dim=1)
 
 
-def measure_noise(problem: Problem, perturbation: Tensor, samples: int = 8) -> float:
+def measure_noise(problem: AttackProblem, perturbation: Tensor, samples: int = 8) -> float:
     """How much the objective moves when nothing does: the spread under changes of the picture by float rounding.
 
     Pictures are jittered by one unit in the last place at 1, of their own dtype; twice the range seen is called noise.
@@ -133,7 +135,7 @@ def measure_noise(problem: Problem, perturbation: Tensor, samples: int = 8) -> f
     return 2 * float(values.max() - values.min())
 
 
-def measure_deltas(problem: Problem, reach: Tensor, noise: float, probes: int = 4) -> dict[str, float]:
+def measure_deltas(problem: AttackProblem, reach: Tensor, noise: float, probes: int = 4) -> dict[str, float]:
     """For each group the half-step whose slopes agree best with those of the neighbouring half-steps.
 
     Too small a step drowns in rounding and in the pixels of an edge, too large a one sees curvature; both show as

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from services.attacks.problem import Problem, View
+from services.attacks.problem import AttackProblem, Evaluation
 from services.attacks.spec import Fgsm
 from services.rendering.protocol import Parameters
 
@@ -17,17 +17,17 @@ class FgsmMethod:
 
     needs_gradient = True
 
-    def __init__(self, settings: Fgsm, problem: Problem) -> None:
+    def __init__(self, settings: Fgsm, problem: AttackProblem) -> None:
         self.settings = settings
         self.perturbation: Parameters = problem.nothing()
         self.velocity: Parameters = problem.nothing()
 
-    def start(self, problem: Problem) -> dict[str, object]:  # noqa: ARG002 - nothing to measure
+    def start(self, problem: AttackProblem) -> dict[str, object]:  # noqa: ARG002 - nothing to measure
         """Nothing to measure."""
         return {}
 
     @torch.no_grad()
-    def advance(self, problem: Problem, view: View, step: int) -> int:  # noqa: ARG002
+    def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:  # noqa: ARG002
         """One step along the view's slopes. Returns how many groups have none: all of the group's slopes are zero."""
         moved = {}
         for group, seen in view.perturbation.items():

@@ -1,7 +1,7 @@
 """The one loop all attacks run in: look, judge, stop or advance."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from math import sqrt
 from pathlib import Path
 from time import monotonic
@@ -10,10 +10,11 @@ import torch
 from torch import Tensor
 
 from services.attacks import checkpoint
-from services.attacks.exact import Judge
 from services.attacks.method import Method
-from services.attacks.problem import Problem, View, ask, distances, saved, slopes
+from services.attacks.problem import AttackProblem, Evaluation, ask, distances, saved, slopes
+from services.attacks.state import AttackState
 from services.attacks.trace import TraceRow
+from services.attacks.verifier import Verifier
 from services.rendering.protocol import Parameters
 from services.targets.scores import probability
 
@@ -28,60 +29,37 @@ class Budget:
 
 
 @dataclass
-class Run:
-    """All that a loop has gathered; with the method's state, all it needs to go on."""
-
-    step: int = 0
-    trace: list[TraceRow] = field(default_factory=list)
-    settings: dict[str, object] = field(default_factory=dict)
-    ever: Tensor = field(default_factory=lambda: torch.zeros(0, 0, dtype=torch.bool))
-    """Pixels that were ever truncated, bool [H, W]."""
-    flat: int = 0
-    seconds: float = 0.0
-    stopped: str = ""
-    fooled: bool = False
-    verified: bool = False
-    stored_step: int = 0
-    stored: Parameters = field(default_factory=dict)
-    """The perturbation that counts: the verified one, else the last that fooled the loop, else the last."""
-    picture: Tensor = field(default_factory=lambda: torch.zeros(0, 0, 3, dtype=torch.uint8))
-    """The loop's own picture of it, uint8 [H, W, 3]."""
-    scores: Tensor = field(default_factory=lambda: torch.zeros(0))
-    """The network's scores of that picture, [K]."""
-
-
-@dataclass
-class Attack:
+class AttackRun:
     """One attack as the loop runs it. `saved` is a checkpoint: resumed from if it fits, written every few seconds."""
 
-    problem: Problem
+    problem: AttackProblem
     method: Method
-    judge: Judge
+    judge: Verifier
     budget: Budget
     saved: Path | None = None
     on_row: Callable[[TraceRow], None] = lambda _: None
 
 
 def run(
-    problem: Problem,
+    problem: AttackProblem,
     method: Method,
-    judge: Judge,
+    judge: Verifier,
     budget: Budget,
     *,
     saved: Path | None = None,
     on_row: Callable[[TraceRow], None] = lambda _: None,
-) -> Run:
+) -> AttackState:
     """Attacks until an adversary is verified or the budget is spent.
 
     At every step the picture, as it would be saved, is put to the network. If that fools it, the perturbation is
     rendered afresh by the exact path; the loop ends when that fools the network too, and goes on otherwise (truncation
     makes picture and parameters disagree).
     """
-    [found] = run_together([Attack(problem, method, judge, budget, saved, on_row)])
+    [found] = run_together([AttackRun(problem, method, judge, budget, saved, on_row)])
     return found
 
 
-def run_together(attacks: Sequence[Attack]) -> list[Run]:
+def run_together(attacks: Sequence[AttackRun]) -> list[AttackState]:
     """Several attacks in lockstep, one pass of the network a step for all; each ends when it ends. Results in order.
 
     They share the network, the question, the size of the pictures and whether the method needs gradients (ValueError
@@ -102,9 +80,9 @@ def run_together(attacks: Sequence[Attack]) -> list[Run]:
 class _Running:
     """An attack and how far it is."""
 
-    def __init__(self, attack: Attack) -> None:
+    def __init__(self, attack: AttackRun) -> None:
         self.attack = attack
-        self.run = checkpoint.load(attack.saved, attack.problem, attack.method, attack.judge) or Run(
+        self.run = checkpoint.load(attack.saved, attack.problem, attack.method, attack.judge) or AttackState(
             ever=torch.zeros(attack.problem.renderer.size, dtype=torch.bool)
         )
         self.began, self.last_saved = monotonic() - self.run.seconds, monotonic()
@@ -115,11 +93,11 @@ class _Running:
     def seconds(self) -> float:
         return monotonic() - self.began
 
-    def view(self) -> View:
+    def view(self) -> Evaluation:
         method = self.attack.method
         return self.attack.problem.view(method.perturbation, gradient=method.needs_gradient)
 
-    def look(self, view: View, picture: Tensor, logits: Tensor) -> None:
+    def look(self, view: Evaluation, picture: Tensor, logits: Tensor) -> None:
         """Takes note of a view, its picture as saved (uint8 [H, W, 3]) and the scores [K]; judges; may stop."""
         attack, state = self.attack, self.run
         problem, judge = attack.problem, attack.judge
@@ -137,7 +115,7 @@ class _Running:
         attack.on_row(row)
         state.stopped = _stop(problem, judge, state, attack.budget, self.seconds)
 
-    def advance(self, view: View) -> None:
+    def advance(self, view: Evaluation) -> None:
         self.run.flat = self.attack.method.advance(self.attack.problem, view, self.run.step)
         self.run.step += 1
 
@@ -166,7 +144,9 @@ def _step(active: list[_Running]) -> None:
         one.save()
 
 
-def _row(problem: Problem, judge: Judge, view: View, logits: Tensor, state: Run, seconds: float) -> TraceRow:
+def _row(
+    problem: AttackProblem, judge: Verifier, view: Evaluation, logits: Tensor, state: AttackState, seconds: float
+) -> TraceRow:
     height, width = problem.renderer.size
     distance = float(distances(view.images.detach(), problem.original)[0])
     label = int(logits.argmax())
@@ -186,7 +166,7 @@ def _row(problem: Problem, judge: Judge, view: View, logits: Tensor, state: Run,
     )
 
 
-def _stop(problem: Problem, judge: Judge, state: Run, budget: Budget, seconds: float) -> str:
+def _stop(problem: AttackProblem, judge: Verifier, state: AttackState, budget: Budget, seconds: float) -> str:
     if state.verified:
         return "verified"
     if state.step >= budget.steps:

@@ -4,7 +4,7 @@ from typing import Protocol
 
 from torch import Tensor
 
-from services.attacks.problem import Problem, View
+from services.attacks.problem import AttackProblem, Evaluation
 from services.rendering.protocol import Parameters
 
 
@@ -21,11 +21,11 @@ class Method(Protocol):
         """The current perturbation, by group."""
         ...
 
-    def start(self, problem: Problem) -> dict[str, object]:
+    def start(self, problem: AttackProblem) -> dict[str, object]:
         """Called once before the first step, not on resuming; returns settings that were found by measuring."""
         ...
 
-    def advance(self, problem: Problem, view: View, step: int) -> int:
+    def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:
         """Moves the perturbation one step.
 
         Returns how much of what it went by said nothing: differences below the noise, or groups all of whose slopes

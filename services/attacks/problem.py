@@ -10,7 +10,7 @@ from torch import Tensor
 from services.attacks.goal import ResolvedGoal
 from services.errors import JobFailure
 from services.finite import finite
-from services.rendering import display
+from services.rendering import color
 from services.rendering.protocol import Parameters, Renderer
 from services.targets.protocol import Target
 
@@ -19,7 +19,7 @@ ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
-class View:
+class Evaluation:
     """What the loop sees at one perturbation."""
 
     perturbation: Parameters
@@ -33,7 +33,7 @@ class View:
 
 
 @dataclass
-class Problem:
+class AttackProblem:
     """Renders perturbations and puts pictures to the network, counting both.
 
     `truncation` is U in [0,1] or None; `weight` is λ of the summed squares of the picture's change (zoo).
@@ -87,19 +87,19 @@ class Problem:
             raise JobFailure("non-finite", "the renderer returned a picture with values that are not finite")
         return images
 
-    def view(self, perturbation: Mapping[str, Tensor], gradient: bool = False) -> View:
+    def view(self, perturbation: Mapping[str, Tensor], gradient: bool = False) -> Evaluation:
         """The picture of one perturbation, truncated to U around the original; with a graph if `gradient`."""
         leaves = {g: value.detach().requires_grad_(gradient) for g, value in perturbation.items()}
         with torch.set_grad_enabled(gradient):
             images = self.render({g: (self.initial[g] + value)[None] for g, value in leaves.items()})
-            return View(leaves, *truncate(images, self.original, self.truncation))
+            return Evaluation(leaves, *truncate(images, self.original, self.truncation))
 
     def logits(self, images: Tensor) -> Tensor:
         """Scores [B, K] of pictures. Raises JobFailure("non-finite")."""
         return ask([self] * len(images), images)
 
 
-def ask(problems: Sequence[Problem], images: Tensor) -> Tensor:
+def ask(problems: Sequence[AttackProblem], images: Tensor) -> Tensor:
     """Scores [B, K] of pictures [B, H, W, 3] by one pass of the network the problems share; picture b is counted for
     problem b. Raises JobFailure("non-finite").
     """
@@ -125,7 +125,7 @@ def saved(images: Tensor) -> tuple[Tensor, Tensor]:
 class _Saved(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, images: Tensor) -> tuple[Tensor, Tensor]:
-        pictures, seen = display.saved(images)
+        pictures, seen = color.saved(images)
         ctx.mark_non_differentiable(pictures)
         return pictures, seen
 
@@ -134,7 +134,7 @@ class _Saved(torch.autograd.Function):
         return slope
 
 
-def slopes(problems: Sequence[Problem], views: Sequence[View], logits: Tensor) -> list[Parameters]:
+def slopes(problems: Sequence[AttackProblem], views: Sequence[Evaluation], logits: Tensor) -> list[Parameters]:
     """∂objective/∂perturbation of each problem at its view, by group, in one backward pass.
 
     `logits` [B, K], one row a problem, with a graph that leads to the views. Raises JobFailure("non-finite") naming the

@@ -169,4 +169,4 @@ def _only_groups(name: str, given: dict[str, float], groups: tuple[str, ...]) ->
             raise ValueError(f"{name}: group {group!r} has no value")
 
 
-Attack = Annotated[Fgsm | Zoo, Field(discriminator="method")]
+AttackSpec = Annotated[Fgsm | Zoo, Field(discriminator="method")]

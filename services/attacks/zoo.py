@@ -4,12 +4,12 @@ import torch
 from torch import Tensor
 
 from services.attacks.differences import estimate, layout, measure_deltas, measure_noise, where_clamped
-from services.attacks.problem import Problem, View
+from services.attacks.problem import AttackProblem, Evaluation
 from services.attacks.seeds import generator
 from services.attacks.spec import Zoo
 from services.errors import JobFailure
-from services.rendering.idle import FindsIdle, Idle
 from services.rendering.protocol import Parameters
+from services.rendering.pyrender_renderer.inactive import FindsInactive, InactiveCoordinate
 
 BETAS = (0.9, 0.999)
 EPSILON = 1e-8
@@ -27,7 +27,7 @@ class ZooMethod:
 
     needs_gradient = False
 
-    def __init__(self, settings: Zoo, problem: Problem) -> None:
+    def __init__(self, settings: Zoo, problem: AttackProblem) -> None:
         self.settings = settings
         self.where = layout(problem)
         self.flat = torch.zeros(self.where.total)
@@ -43,7 +43,7 @@ class ZooMethod:
         """The current perturbation, by group."""
         return self.where.unflatten(self.flat)
 
-    def start(self, problem: Problem) -> dict[str, object]:
+    def start(self, problem: AttackProblem) -> dict[str, object]:
         """Measures the noise of the objective and, where asked, each group's difference step; finds what to skip."""
         self.noise = measure_noise(problem, self.flat)
         delta = self.settings.delta
@@ -57,7 +57,7 @@ class ZooMethod:
         skipped = [{"coordinate": one.name, "why": one.why} for one in found]
         return {"delta": chosen, "noise": self.noise, "skipped": skipped}
 
-    def advance(self, problem: Problem, view: View, step: int) -> int:  # noqa: ARG002
+    def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:  # noqa: ARG002
         """Differences, then Adam on the coordinates that were not flat. Returns how many were."""
         random = generator(problem.seed, "zoo", step)
         pool = self._pool(problem)
@@ -94,20 +94,20 @@ class ZooMethod:
         self.moves, self.deltas, self.noise = state["moves"], state["deltas"], float(state["noise"])
         self.idle = state["idle"]
 
-    def _find_idle(self, problem: Problem) -> list[Idle]:
+    def _find_idle(self, problem: AttackProblem) -> list[InactiveCoordinate]:
         """The attacked coordinates that change no pixel where the attack is, moved by their difference step."""
-        if not isinstance(problem.renderer, FindsIdle):
+        if not isinstance(problem.renderer, FindsInactive):
             return []
         reach = {g: float(self.deltas[self.where.starts[g]]) for g in self.where.groups}
         at = {g: problem.initial[g] + value for g, value in self.perturbation.items()}
         return [one for one in problem.renderer.idle(at, reach) if one.group in self.where.groups]
 
-    def _mask(self, found: list[Idle]) -> Tensor:
+    def _mask(self, found: list[InactiveCoordinate]) -> Tensor:
         mask = torch.zeros(self.where.total, dtype=torch.bool)
         mask[[self.where.starts[one.group] + one.index for one in found]] = True
         return mask
 
-    def _pool(self, problem: Problem) -> Tensor:
+    def _pool(self, problem: AttackProblem) -> Tensor:
         """The coordinates to draw from. Those once idle are examined again; none ever was in most scenes."""
         still = self.idle & self._mask(self._find_idle(problem)) if bool(self.idle.any()) else self.idle
         return (~still).nonzero()[:, 0]

@@ -10,10 +10,10 @@ from typing import Any
 
 from services.errors import InvalidRequest, JobFailure
 from services.jobs.child import connect, reply, requests
-from services.jobs.prepare import preflight
-from services.jobs.spec import JobSpec
-from services.jobs.warm import warm
+from services.jobs.warm_up import warm
 from services.logs import configure, logger
+from services.pipeline.prepare import preflight
+from services.pipeline.spec import JobSpec
 from services.scenes.library import Library
 from services.settings import settings
 

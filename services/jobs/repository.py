@@ -17,7 +17,7 @@ from sqlalchemy.orm import Session, undefer
 from sqlalchemy.sql.elements import ColumnElement
 
 from services.jobs.models import Artifact, Event, IdempotencyKey, Job, State
-from services.jobs.spec import JobSpec
+from services.pipeline.spec import JobSpec
 
 ACTIVE = (State.RUNNING, State.CANCELLING)
 

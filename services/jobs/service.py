@@ -11,8 +11,8 @@ from sqlalchemy.exc import IntegrityError
 from services.jobs.models import Job
 from services.jobs.queue import Queue
 from services.jobs.repository import Key, Repository
-from services.jobs.spec import JobSpec
 from services.logs import logger
+from services.pipeline.spec import JobSpec
 
 log = logger(__name__)
 

@@ -47,7 +47,7 @@ def read_mesh(data: bytes, kind: str, max_faces: int) -> tuple[Part, ...]:
         raise InvalidRequest("file", "it is empty")
     try:
         CHECKS[kind](data, max_faces)
-        # Numbers that are not finite are reported below, by name, not by whichever product met them first.
+        # SceneParameters that are not finite are reported below, by name, not by whichever product met them first.
         with np.errstate(all="ignore"):
             scene = trimesh.load_scene(BytesIO(data), file_type=kind, resolver=_Nothing(), process=False)
     except ValueError as error:

@@ -12,8 +12,8 @@ import pytest
 import torch
 
 from services.attacks.spec import RENDERER_GROUPS
-from services.jobs.execute import execute
-from services.jobs.spec import parse
+from services.pipeline.execute import execute
+from services.pipeline.spec import parse
 from services.scenes.library import Library
 from services.settings import settings
 

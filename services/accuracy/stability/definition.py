@@ -8,8 +8,8 @@ from math import comb, pi
 
 import numpy as np
 
-from services.rendering.dsbrdf import COSINE_FLOOR
-from services.rendering.units import ILLUMINATION_MEAN, MATERIAL_UNIT, WHITE
+from services.rendering.torch_renderer.dsbrdf import COSINE_FLOOR
+from services.rendering.torch_renderer.units import ILLUMINATION_MEAN, MATERIAL_UNIT, WHITE
 from services.scenes.mesh import Doubles
 
 

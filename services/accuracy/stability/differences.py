@@ -7,11 +7,11 @@ from services.accuracy.placing import placed
 from services.accuracy.stability.case import Case, Measured, need
 from services.accuracy.stability.linear import SIDE, linear_problem, linear_slopes, pixels
 from services.attacks.differences import estimate, layout, measure_noise
-from services.attacks.exact import Judge
 from services.attacks.loop import Budget, run
 from services.attacks.spec import Zoo
+from services.attacks.verifier import Verifier
 from services.attacks.zoo import ZooMethod
-from services.rendering.build import build
+from services.rendering.factory import build
 from services.rendering.protocol import Renderer
 
 
@@ -34,7 +34,7 @@ def _zoo_flat() -> Measured:
     renderer = pixels()
     problem = linear_problem(renderer)
     method = ZooMethod(Zoo(method="zoo", renderer="image", delta=1e-12, coordinates=50, steps=3), problem)
-    found = run(problem, method, Judge(renderer, problem.target), Budget(3))
+    found = run(problem, method, Verifier(renderer, problem.target), Budget(3))
     need([row.flat for row in found.trace] == [0, 50, 50, 50], f"reported flat: {[row.flat for row in found.trace]}")
     need(not any(bool(v.any()) for n, v in method.state().items() if n in ("first", "second", "moves")), "Adam moved")
     return Measured(

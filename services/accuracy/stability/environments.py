@@ -10,7 +10,7 @@ from services.accuracy.stability import definition
 from services.accuracy.stability.case import Case, Measured, need
 from services.accuracy.stability.lobes import of_one_lobe
 from services.accuracy.stability.shading import EXACT, LOOP, Shading
-from services.rendering.illumination import illumination
+from services.rendering.torch_renderer.environment_light import illumination
 from services.scenes.environment import average, from_picture, radiance_of
 from services.scenes.mesh import Doubles, Floats
 

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from services.accuracy.placing import placed
 from services.accuracy.stability.case import Case, Measured, need
-from services.rendering.pyrender_renderer import PyrenderRenderer
+from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.scenes.mesh import FIT_RADIUS
 
 FRONT = {"azimuth": 0.0, "elevation": 0.0}

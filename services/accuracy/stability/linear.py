@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from services.attacks.goal import ResolvedGoal
-from services.attacks.problem import Problem
+from services.attacks.problem import AttackProblem
 from services.rendering.image_renderer import ImageRenderer
 from services.rendering.protocol import Renderer
 from services.targets.classifier import Classifier
@@ -48,10 +48,10 @@ def pixels() -> ImageRenderer:
 
 def linear_problem(
     renderer: Renderer, groups: tuple[str, ...] | None = None, lead: float = NEVER, **more: Any
-) -> Problem:
+) -> AttackProblem:
     """To leave the first of the network's two labels; `groups` None: all of the renderer's."""
     network = linear_network(classes=2, lead=lead)
-    return Problem(renderer, network, ResolvedGoal(0, None), groups or renderer.groups, **more)
+    return AttackProblem(renderer, network, ResolvedGoal(0, None), groups or renderer.groups, **more)
 
 
 def linear_slopes() -> Tensor:

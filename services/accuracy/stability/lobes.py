@@ -8,8 +8,8 @@ from torch import Tensor
 from services.accuracy.placing import TABLES, placed, sky
 from services.accuracy.stability.case import Case, Measured, need
 from services.accuracy.stability.shading import EXACT, LOOP, SLOPE, Shading
-from services.rendering.dsbrdf import LOG_GAMMA_RANGE, LOG_KAPPA_RANGE, SHAPE
-from services.rendering.units import MATERIAL_UNIT
+from services.rendering.torch_renderer.dsbrdf import LOG_GAMMA_RANGE, LOG_KAPPA_RANGE, SHAPE
+from services.rendering.torch_renderer.units import MATERIAL_UNIT
 
 
 def of_one_lobe(kappa: float, gamma: float) -> Tensor:

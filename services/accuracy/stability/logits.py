@@ -9,12 +9,12 @@ from torch import Tensor
 
 from services.accuracy.stability.case import Case, Measured, need
 from services.accuracy.stability.linear import SIDE, linear_network
-from services.attacks.exact import Judge
 from services.attacks.fgsm import FgsmMethod
 from services.attacks.goal import ResolvedGoal
 from services.attacks.loop import Budget, run
-from services.attacks.problem import Problem
+from services.attacks.problem import AttackProblem
 from services.attacks.spec import Fgsm
+from services.attacks.verifier import Verifier
 from services.rendering.image_renderer import ImageRenderer
 from services.targets.classifier import Classifier
 from services.targets.scores import probability
@@ -73,9 +73,9 @@ def _perturbed(network: Classifier) -> Tensor:
     picture = torch.rand(SIDE, SIDE, 3, generator=torch.Generator().manual_seed(5))
     renderer = ImageRenderer(picture, "random numbers")
     label = int(network.logits(picture[None]).argmax())
-    problem = Problem(renderer, network, ResolvedGoal(label, None), ("image",))
+    problem = AttackProblem(renderer, network, ResolvedGoal(label, None), ("image",))
     settings = Fgsm(renderer="image", learning_rate={"image": 1e-4}, truncation=None)
-    found = run(problem, FgsmMethod(settings, problem), Judge(renderer, network), Budget(steps=5))
+    found = run(problem, FgsmMethod(settings, problem), Verifier(renderer, network), Budget(steps=5))
     need(found.step == 5, f"it stopped after {found.step} steps")
     return found.stored["image"]
 

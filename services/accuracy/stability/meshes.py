@@ -10,7 +10,7 @@ import trimesh
 from services.accuracy.placing import placed, sky
 from services.accuracy.stability.case import Case, Measured, need
 from services.accuracy.stability.views import against_rays, sound
-from services.rendering.build import build
+from services.rendering.factory import build
 from services.scenes.mesh import Doubles, Longs, Part
 from services.scenes.reading import read_mesh
 from services.settings import settings

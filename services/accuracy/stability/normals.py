@@ -10,8 +10,8 @@ from services.accuracy.placing import TABLES, placed, sky
 from services.accuracy.stability.case import Case, Measured, need
 from services.accuracy.stability.lobes import of_one_lobe
 from services.accuracy.stability.shading import EXACT, LOOP, SLOPE, Shading
-from services.rendering.gbuffer import rasterise
-from services.rendering.normals import to_angles, to_vectors
+from services.rendering.opengl.gbuffer import rasterise
+from services.rendering.torch_renderer.normals import to_angles, to_vectors
 
 
 def _all_at(shading: Shading, azimuth: float, polar: float) -> Tensor:

@@ -13,8 +13,8 @@ from services.attacks.goal import ResolvedGoal
 from services.attacks.seeds import generator
 from services.attacks.spec import LARGEST_SEED, Seed
 from services.errors import InvalidRequest
-from services.rendering.build import build
-from services.rendering.display import as_saved
+from services.rendering.color import as_saved
+from services.rendering.factory import build
 from services.rendering.image_renderer import ImageRenderer
 
 

@@ -4,7 +4,7 @@ from math import tan
 
 import numpy as np
 
-from services.rendering.gbuffer import FACTOR
+from services.rendering.opengl.gbuffer import FACTOR
 from services.scenes.mesh import Doubles
 from services.scenes.resolve import ResolvedScene
 from services.scenes.view import NEAR

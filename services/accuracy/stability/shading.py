@@ -9,8 +9,8 @@ from torch import Tensor
 
 from services.accuracy.stability import definition
 from services.accuracy.stability.case import need
-from services.rendering.build import build
-from services.rendering.gbuffer import GBuffer, rasterise
+from services.rendering.factory import build
+from services.rendering.opengl.gbuffer import GBuffer, rasterise
 from services.rendering.plan import DEFAULT_TOLERANCE, Tolerance
 from services.rendering.protocol import Parameters, Renderer
 from services.scenes.mesh import Doubles

@@ -7,13 +7,13 @@ from services.accuracy.placing import placed, sky
 from services.accuracy.stability.case import Case, Measured, need
 from services.accuracy.stability.linear import linear_network
 from services.accuracy.stability.shading import EXACT, LOOP, Shading
-from services.attacks.exact import Judge
 from services.attacks.fgsm import FgsmMethod
 from services.attacks.goal import ResolvedGoal
 from services.attacks.loop import Budget, run
-from services.attacks.problem import Problem
+from services.attacks.problem import AttackProblem
 from services.attacks.spec import Fgsm
-from services.rendering.build import build
+from services.attacks.verifier import Verifier
+from services.rendering.factory import build
 
 
 def _picture(size: tuple[int, int]) -> Measured:
@@ -50,10 +50,10 @@ def _attacked(size: tuple[int, int], renderer: str) -> Measured:
     drawn = build(placed(size=size, radiance=sky()), renderer)
     network = linear_network()
     label = int(network.logits(drawn.render({g: v[None] for g, v in drawn.initial().items()}).float()).argmax())
-    problem = Problem(drawn, network, ResolvedGoal(label, None), drawn.groups, truncation=18 / 255)
+    problem = AttackProblem(drawn, network, ResolvedGoal(label, None), drawn.groups, truncation=18 / 255)
     far = dict.fromkeys(drawn.groups, 1.0)
     method = FgsmMethod(Fgsm.model_validate({"renderer": renderer, "learning_rate": far}), problem)
-    found = run(problem, method, Judge(drawn, network), Budget(5))
+    found = run(problem, method, Verifier(drawn, network), Budget(5))
     need(found.trace[-1].truncated > 0, "it never comes to U")
     need(all(np.isfinite((row.loss, row.advantage, row.distance)).all() for row in found.trace), "a row is not finite")
     need(found.picture.shape == (*size, 3), f"the picture is {tuple(found.picture.shape)}")

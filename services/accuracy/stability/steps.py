@@ -10,20 +10,21 @@ from services.accuracy.placing import placed, sky
 from services.accuracy.stability.case import Case, Measured, need
 from services.accuracy.stability.linear import linear_problem, pixels
 from services.accuracy.stability.shading import LOOP
-from services.attacks.exact import Judge
 from services.attacks.fgsm import FgsmMethod
-from services.attacks.loop import Budget, Run, run
+from services.attacks.loop import Budget, run
 from services.attacks.problem import truncate
 from services.attacks.spec import Fgsm, Zoo
+from services.attacks.state import AttackState
+from services.attacks.verifier import Verifier
 from services.attacks.zoo import ZooMethod
-from services.rendering.build import build
+from services.rendering.factory import build
 from services.rendering.protocol import Renderer
 
 
-def _fgsm(renderer: Renderer, group: str, steps: int, **settings: Any) -> Run:
+def _fgsm(renderer: Renderer, group: str, steps: int, **settings: Any) -> AttackState:
     problem = linear_problem(renderer, (group,))
     spec = Fgsm.model_validate({"renderer": renderer.name, "groups": (group,), "truncation": None} | settings)
-    found = run(problem, FgsmMethod(spec, problem), Judge(renderer, problem.target), Budget(steps))
+    found = run(problem, FgsmMethod(spec, problem), Verifier(renderer, problem.target), Budget(steps))
     need(found.step == steps, f"it stopped after {found.step} steps")
     need(all(np.isfinite(row.perceptibility) for row in found.trace), "a perceptibility is not finite")
     return found
@@ -86,7 +87,7 @@ def _giant_zoo() -> Measured:
     renderer = build(placed(size=(16, 16)), "pyrender")
     problem = linear_problem(renderer)
     method = ZooMethod(Zoo(method="zoo", renderer="pyrender", delta=1e-2, learning_rate=1e3, steps=20), problem)
-    found = run(problem, method, Judge(renderer, problem.target), Budget(20))
+    found = run(problem, method, Verifier(renderer, problem.target), Budget(20))
     outside = 0.0
     for group, (low, high) in renderer.bounds().items():
         value = renderer.initial()[group] + found.stored[group]
@@ -111,7 +112,7 @@ def _no_slope() -> Measured:
     renderer = build(placed(thing={"color": (0, 0, 0)}, size=(16, 16)), "torch")
     problem = linear_problem(renderer)
     method = FgsmMethod(Fgsm(groups=renderer.groups), problem)
-    found = run(problem, method, Judge(renderer, problem.target), Budget(120))
+    found = run(problem, method, Verifier(renderer, problem.target), Budget(120))
     need([row.flat for row in found.trace] == [0] + [3] * 120, "not all three groups are reported flat at every step")
     need(found.stopped == "steps", f"it stopped for {found.stopped}")
     moved = max(float(v.abs().max()) for v in found.stored.values())
@@ -128,7 +129,7 @@ def _coasting() -> Measured:
     state = method.state()
     state["velocity.illumination"] = torch.full_like(state["velocity.illumination"], -1.0)
     method.load(state)
-    found = run(problem, method, Judge(renderer, problem.target), Budget(120))
+    found = run(problem, method, Verifier(renderer, problem.target), Budget(120))
     # (Δ, v) → v' = momentum·v + decay·Δ, Δ' = Δ − rate·v'
     step = np.array([[1 - rate * decay, -rate * momentum], [decay, momentum]])
     wanted = float((np.linalg.matrix_power(step, 120) @ np.array([0.0, -1.0]))[0])

@@ -9,8 +9,8 @@ import torch
 from services.accuracy.placing import placed
 from services.accuracy.stability.case import Case, Measured, need
 from services.accuracy.stability.rays import cast
-from services.rendering.build import build
-from services.rendering.gbuffer import GBuffer, rasterise
+from services.rendering.factory import build
+from services.rendering.opengl.gbuffer import GBuffer, rasterise
 from services.scenes.mesh import Doubles
 from services.scenes.resolve import ResolvedScene
 from services.scenes.view import camera_to_world

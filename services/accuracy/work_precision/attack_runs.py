@@ -7,14 +7,15 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from services.accuracy.placing import placed
-from services.attacks.exact import Judge
 from services.attacks.fgsm import FgsmMethod
 from services.attacks.goal import ResolvedGoal
-from services.attacks.loop import Budget, Run, run
-from services.attacks.problem import Problem
+from services.attacks.loop import Budget, run
+from services.attacks.problem import AttackProblem
 from services.attacks.spec import Fgsm, Zoo
+from services.attacks.state import AttackState
+from services.attacks.verifier import Verifier
 from services.attacks.zoo import ZooMethod
-from services.rendering.build import build
+from services.rendering.factory import build
 from services.rendering.plan import Tolerance
 from services.rendering.protocol import Renderer
 from services.targets.registry import load
@@ -106,11 +107,11 @@ def attack(case: Case) -> Attacked:
     }
     scene = placed(case.scene, size=target_size(), lights={"environment": {"map": "studio", "size": (16, 32)}})
     renderer: Renderer = build(scene, settings.renderer, settings.picture, settings.groups, case.tolerance)
-    judge = Judge(renderer, target)
+    judge = Verifier(renderer, target)
     goal = ResolvedGoal(leave=target.labels.index(case.label), reach=None)
     if bool(goal.fooled(judge.logits(judge.picture({})))):
         return Attacked(**known, outcome="wrong to begin with")
-    problem = Problem(
+    problem = AttackProblem(
         renderer=renderer,
         target=target,
         goal=goal,
@@ -138,7 +139,7 @@ def target_size() -> tuple[int, int]:
     return load(NETWORK).input_size
 
 
-def _outcome(found: Run) -> Outcome:
+def _outcome(found: AttackState) -> Outcome:
     if found.verified:
         return "verified"
     return "fooled in the loop only" if found.fooled else "held"

@@ -11,12 +11,12 @@ from torch import Tensor
 
 from services.accuracy.work_precision.shading_subject import GROUPS, Subject
 from services.accuracy.work_precision.timing import shortest
-from services.rendering import native
+from services.rendering.kernels import compiled
 from services.rendering.plan import Tolerance
-from services.rendering.shader import CHECKED, Nodes, Recipe, Shader
-from services.rendering.shading_errors import roughness
-from services.rendering.shading_plan import ROUGH_AT, ROWS, compile_plan, exact_recipe
-from services.rendering.table import TILE, touched
+from services.rendering.torch_renderer.error_estimates import roughness
+from services.rendering.torch_renderer.lookup_table import TILE, touched
+from services.rendering.torch_renderer.planner import ROUGH_AT, ROWS, compile_plan, exact_recipe
+from services.rendering.torch_renderer.shader import CHECKED, Nodes, Recipe, Shader
 from services.settings import settings
 
 SHARP = (0, 8, 32, 128)
@@ -127,7 +127,7 @@ def kernel(wanted: str) -> Iterator[None]:
     try:
         os.environ["SCENE_ATTACK_KERNEL"] = wanted
         _forget()
-        native.library()
+        compiled.library()
         yield
     finally:
         if before is None:
@@ -139,7 +139,7 @@ def kernel(wanted: str) -> Iterator[None]:
 
 def _forget() -> None:
     settings.cache_clear()
-    native.library.cache_clear()
+    compiled.library.cache_clear()
 
 
 @dataclass(frozen=True)

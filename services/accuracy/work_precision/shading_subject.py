@@ -8,16 +8,16 @@ from torch.nn.functional import interpolate
 
 from services.accuracy.placing import placed
 from services.attacks.seeds import generator
-from services.rendering import table
-from services.rendering.display import to_display
-from services.rendering.gbuffer import rasterise
-from services.rendering.illumination import illumination
-from services.rendering.normals import to_angles
-from services.rendering.presets import preset
-from services.rendering.shader import Shader, Sky, Surface
-from services.rendering.shading_errors import REACH
-from services.rendering.torch_renderer import sky_of
-from services.rendering.units import MATERIAL_UNIT
+from services.rendering.color import to_display
+from services.rendering.opengl.gbuffer import rasterise
+from services.rendering.torch_renderer import lookup_table
+from services.rendering.torch_renderer.environment_light import illumination
+from services.rendering.torch_renderer.error_estimates import REACH
+from services.rendering.torch_renderer.normals import to_angles
+from services.rendering.torch_renderer.presets import preset
+from services.rendering.torch_renderer.renderer import sky_of
+from services.rendering.torch_renderer.shader import Shader, Sky, Surface
+from services.rendering.torch_renderer.units import MATERIAL_UNIT
 from services.scenes.resolve import ResolvedScene
 
 GROUPS = ("normals", "illumination", "material")
@@ -69,7 +69,7 @@ def subject(mesh: str, material: str, size: tuple[int, int], texels: tuple[int, 
     to_camera = torch.as_tensor(scene.view, dtype=torch.float64)[:3, :3]
     angles = to_angles(gbuffer.normals.double() @ to_camera).float().double().reshape(-1, 2)
     covered = gbuffer.coverage.flatten().nonzero()[:, 0]
-    pixels = covered[torch.argsort(table.place(angles[covered]), stable=True)]
+    pixels = covered[torch.argsort(lookup_table.place(angles[covered]), stable=True)]
     sky, intensity = light_of(scene)
     values = {
         "normals": angles[pixels],

@@ -5,9 +5,9 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from services.rendering import gl
-from services.rendering.arrangement import View
-from services.rendering.pyrender_numbers import Numbers
+from services.rendering.opengl import context
+from services.rendering.opengl.camera import CameraMatrices
+from services.rendering.pyrender_renderer.parameters import SceneParameters
 from services.scenes.resolve import ResolvedScene
 
 
@@ -15,12 +15,12 @@ class Sampled:
     """Draws a scene as `PyrenderRenderer.exact()` does, every picture by itself, but with `samples` per pixel."""
 
     def __init__(self, scene: ResolvedScene, samples: int) -> None:
-        gl.context()
-        from services.rendering.geometry import Drawing
+        context.current()
+        from services.rendering.opengl.mesh_upload import Drawing
 
         self._drawing = Drawing(scene.meshes, closed=True)
-        self._view = View.of(scene.view, scene.projection)
-        self._numbers = Numbers(scene.description)
+        self._view = CameraMatrices.of(scene.view, scene.projection)
+        self._numbers = SceneParameters(scene.description)
         self._size, self._samples = scene.description.camera.size, samples
 
     def radiance(self, parameters: Mapping[str, Tensor]) -> Tensor:
@@ -31,7 +31,7 @@ class Sampled:
             poses = self._numbers.poses(batch["translation"][row], batch["rotation"][row])
             whole = (0, self._size[0], 0, self._size[1])
             lit = self._numbers.lit(batch["illumination"][row : row + 1], batch["color"][row : row + 1], poses, whole)
-            [picture] = gl.context().renderer.draw(
+            [picture] = context.current().renderer.draw(
                 self._drawing,
                 "radiance.frag",
                 self._view,

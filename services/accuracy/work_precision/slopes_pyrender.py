@@ -22,11 +22,11 @@ from services.accuracy.placing import placed
 from services.accuracy.work_precision.shading_subject import smooth_weights
 from services.accuracy.work_precision.single_sample import Sampled
 from services.accuracy.work_precision.slopes import PICTURE, Objective
-from services.rendering.build import build
-from services.rendering.canvas import over_ground
-from services.rendering.display import as_saved
+from services.rendering.color import as_saved
+from services.rendering.compositing import over_ground
+from services.rendering.factory import build
 from services.rendering.protocol import Parameters
-from services.rendering.pyrender_renderer import EXPOSURE, PyrenderRenderer
+from services.rendering.pyrender_renderer.renderer import EXPOSURE, PyrenderRenderer
 from services.scenes.resolve import ResolvedScene
 
 POSITIONS = (0.02, 0.01, 0.005)

@@ -9,8 +9,8 @@ from services.accuracy.placing import placed
 from services.accuracy.work_precision.shading_subject import GROUPS, smooth_weights
 from services.accuracy.work_precision.slopes import PICTURE, Objective
 from services.attacks.seeds import generator
-from services.rendering.build import build
-from services.rendering.display import as_saved
+from services.rendering.color import as_saved
+from services.rendering.factory import build
 from services.rendering.protocol import Renderer
 from services.scenes.resolve import ResolvedScene
 from services.targets.protocol import Target

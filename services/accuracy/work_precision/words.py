@@ -15,8 +15,8 @@ OMISSIONS = (
     "A table's own values, filled once where neither light nor material is attacked, are not counted as evaluations.",
     "float16 is not tried: its largest number is 65,504, and exponentials of lobes pass it. bfloat16 is a row.",
     "Random directions are tried with one step and on weighted pictures, not on the network.",
-    "Numbers of the torch renderer are handed on in float32, as an attack does: with a step below 1e-5 a number of the "
-    "material may stay what it is, and its slope is 0.",
+    "Parameters of the torch renderer are handed on in float32, as an attack does: with a step below 1e-5 a number of "
+    "the material may stay what it is, and its slope is 0.",
     "The function that is derived is a weighted sum with smooth random weights; rougher weights make 8-bit differences "
     "and those of silhouettes worse.",
     "Success is of a few scenes and seeds: enough for the cost of a step and the order of the methods, not for a rate.",

@@ -6,7 +6,7 @@ from services.accuracy.stability import differences, precision
 from services.attacks import goal, problem, zoo
 from services.attacks.differences import Estimate
 from services.attacks.fgsm import FgsmMethod
-from services.rendering import display
+from services.rendering import color
 from services.targets.classifier import Classifier
 
 
@@ -62,7 +62,7 @@ def never_flat(patch) -> None:
 
 
 def no_bounds(patch) -> None:
-    patch.setattr(problem.Problem, "clamp", lambda _, perturbation: dict(perturbation))
+    patch.setattr(problem.AttackProblem, "clamp", lambda _, perturbation: dict(perturbation))
 
 
 def drifting(patch) -> None:
@@ -114,7 +114,7 @@ def narrow_rounding(patch) -> None:
     """Pictures are rounded to 8 bits in their own type."""
 
     def as_saved(images):
-        return display.from_bytes((images.clamp(0, 1) * 255).round().to(torch.uint8))
+        return color.from_bytes((images.clamp(0, 1) * 255).round().to(torch.uint8))
 
     patch.setattr(precision, "as_saved", as_saved)
 

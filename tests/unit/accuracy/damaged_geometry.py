@@ -8,7 +8,7 @@ import torch
 from services.accuracy.stability import lights, meshes, views
 from services.accuracy.stability import normals as normals_cases
 from services.attacks import problem
-from services.rendering import pyrender_renderer
+from services.rendering.pyrender_renderer import renderer as pyrender_renderer
 from services.scenes import normals, resolve, surfaces
 
 

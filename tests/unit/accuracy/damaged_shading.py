@@ -7,9 +7,10 @@ import torch
 
 from services.accuracy.stability import environments
 from services.accuracy.stability import normals as normals_cases
-from services.rendering import shader, torch_renderer
-from services.rendering.canvas import Canvas
-from services.rendering.dsbrdf import COSINE_FLOOR
+from services.rendering.compositing import Canvas
+from services.rendering.torch_renderer import renderer as torch_renderer
+from services.rendering.torch_renderer import shader
+from services.rendering.torch_renderer.dsbrdf import COSINE_FLOOR
 from services.scenes import environment
 
 

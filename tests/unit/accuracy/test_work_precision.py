@@ -17,13 +17,14 @@ from services.accuracy.work_precision.shading_methods import GROUPS, ShadingRow,
 from services.accuracy.work_precision.shading_subject import Subject, subject
 from services.accuracy.work_precision.single_sample import Sampled
 from services.accuracy.work_precision.slopes import Objective, SlopeRow, along_directions, differences
-from services.rendering import native, shader, table
-from services.rendering.build import build
-from services.rendering.canvas import over_ground
-from services.rendering.gbuffer import rasterise
-from services.rendering.pyrender_renderer import EXPOSURE
-from services.rendering.shader import Shader
-from services.rendering.shading_plan import exact_recipe
+from services.rendering.compositing import over_ground
+from services.rendering.factory import build
+from services.rendering.kernels import compiled
+from services.rendering.opengl.gbuffer import rasterise
+from services.rendering.pyrender_renderer.renderer import EXPOSURE
+from services.rendering.torch_renderer import lookup_table, shader
+from services.rendering.torch_renderer.planner import exact_recipe
+from services.rendering.torch_renderer.shader import Shader
 
 SMALL = ("furniture/soccer-ball", "brushed-metal", (64, 64), (8, 16))
 
@@ -116,16 +117,16 @@ def test_no_way_is_dropped(rows: list[ShadingRow]) -> None:
 
 
 def test_a_kernel_is_chosen_and_the_former_comes_back() -> None:
-    before = native.backend()
+    before = compiled.backend()
     with kernel("torch"):
-        assert native.backend() == "torch"
-    assert native.backend() == before != "torch"
+        assert compiled.backend() == "torch"
+    assert compiled.backend() == before != "torch"
 
 
 def test_a_wrong_table_is_seen(small: Subject, monkeypatch: pytest.MonkeyPatch) -> None:
     good = one("table", small, rows=96, sharp=8, dtype="float32")
     assert good.note == ""
-    monkeypatch.setattr(shader, "look_up", lambda values, angles: table.look_up(values, angles + 0.02))
+    monkeypatch.setattr(shader, "look_up", lambda values, angles: lookup_table.look_up(values, angles + 0.02))
     assert one("table", small, rows=96, sharp=8, dtype="float32").note.startswith("misses")
 
 

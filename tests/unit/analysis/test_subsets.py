@@ -1,13 +1,13 @@
 import torch
 
 from services.analysis.subsets import subsets
-from services.attacks.exact import Judge
+from services.attacks.verifier import Verifier
 from tests.unit.attacks.small import problem
 
 
 def test_every_subset_once_and_the_ends_are_the_original_and_the_attacked() -> None:
     case = problem()
-    judge = Judge(case.renderer, case.target)
+    judge = Verifier(case.renderer, case.target)
     perturbation = {"a": torch.full((2, 3), 0.05), "b": torch.full((3,), 0.3)}
     original, attacked = judge.picture({}), judge.picture(perturbation)
     known = [(picture, judge.logits(picture)) for picture in (original, attacked)]

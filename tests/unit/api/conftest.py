@@ -12,8 +12,8 @@ from fastapi import FastAPI
 from api.main import create_app
 from api.state import Services
 from services.jobs.models import Artifact
-from services.jobs.outcome import Outcome
-from services.jobs.spec import parse
+from services.pipeline.outcome import Outcome
+from services.pipeline.spec import parse
 from services.settings import Settings
 
 SPHERE: dict[str, Any] = {

@@ -11,10 +11,10 @@ from api import dashboard
 from api.state import Services
 from services.jobs.database import connect, migrate
 from services.jobs.models import Artifact, Job
-from services.jobs.outcome import outcome
 from services.jobs.repository import Attempt, Repository
-from services.jobs.result import Result
-from services.jobs.spec import JobSpec, parse
+from services.pipeline.outcome import outcome
+from services.pipeline.result import Result
+from services.pipeline.spec import JobSpec, parse
 from services.rendering.plan import Item, Plan, Stage
 from services.settings import Settings
 

@@ -9,7 +9,7 @@ import pytest
 from httpx import ASGITransport
 
 from services.jobs.repository import Repository
-from services.jobs.spec import parse
+from services.pipeline.spec import parse
 from tests.unit.api.dashboard_records import SPEC, add, app, record, result, row, start, succeed
 
 HOSTILE = "<script>alert(1)</script>\"'&"

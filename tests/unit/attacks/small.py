@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from services.attacks.goal import ResolvedGoal
-from services.attacks.problem import Problem, View, ask, saved, slopes
+from services.attacks.problem import AttackProblem, Evaluation, ask, saved, slopes
 from services.rendering.protocol import Parameters
 
 
@@ -79,15 +79,17 @@ class LinearTarget:
         return self.scale * (images.to(self.dtype).flatten(1) - 0.5) @ self.weights.to(self.dtype)
 
 
-def problem(renderer: LinearRenderer | None = None, target: LinearTarget | None = None, **settings: object) -> Problem:
+def problem(
+    renderer: LinearRenderer | None = None, target: LinearTarget | None = None, **settings: object
+) -> AttackProblem:
     """The linear problem of leaving the first answer, with all groups attacked."""
     renderer, target = renderer or LinearRenderer(), target or LinearTarget()
     start = {g: v[None] for g, v in renderer.initial().items()}
     first = int(target.logits(renderer.render(start)).argmax())
-    return Problem(renderer, target, ResolvedGoal(first, None), renderer.groups, **settings)  # type: ignore[arg-type]
+    return AttackProblem(renderer, target, ResolvedGoal(first, None), renderer.groups, **settings)  # type: ignore[arg-type]
 
 
-def guided(case: Problem, perturbation: Parameters) -> View:
+def guided(case: AttackProblem, perturbation: Parameters) -> Evaluation:
     """The view of a perturbation with the objective's slopes, as the loop hands it to FGSM."""
     view = case.view(perturbation, gradient=True)
     [found] = slopes([case], [view], ask([case], saved(view.images)[1]))

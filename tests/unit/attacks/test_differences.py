@@ -3,13 +3,13 @@ from collections.abc import Mapping
 import torch
 
 from services.attacks.differences import CANDIDATES, estimate, layout, measure_deltas, measure_noise
-from services.attacks.problem import Problem
+from services.attacks.problem import AttackProblem
 from tests.unit.attacks.small import LinearRenderer, LinearTarget, problem
 
 ALL = torch.arange(9)
 
 
-def gradient(case: Problem) -> torch.Tensor:
+def gradient(case: AttackProblem) -> torch.Tensor:
     """Of the objective at the start, by autograd: the reference no difference is involved in."""
     where = layout(case)
     flat = torch.zeros(where.total, dtype=torch.float64, requires_grad=True)

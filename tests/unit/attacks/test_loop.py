@@ -3,24 +3,25 @@ from pathlib import Path
 import pytest
 import torch
 
-from services.attacks.exact import Judge
 from services.attacks.fgsm import FgsmMethod
-from services.attacks.loop import Attack, Budget, Run, run, run_together
-from services.attacks.problem import Problem, saved
+from services.attacks.loop import AttackRun, Budget, run, run_together
+from services.attacks.problem import AttackProblem, saved
 from services.attacks.spec import Fgsm, Zoo
+from services.attacks.state import AttackState
+from services.attacks.verifier import Verifier
 from services.attacks.zoo import ZooMethod
 from services.errors import Cancelled, JobFailure
 from services.finite import finite
-from services.rendering.display import as_saved
+from services.rendering.color import as_saved
 from tests.unit.attacks.small import LinearRenderer, LinearTarget, problem
 
 FGSM = Fgsm.model_construct(learning_rate={"a": 0.01, "b": 0.01}, momentum=0.9, weight_decay=1e-4)
 ZOO = Zoo.model_construct(coordinates=4, delta=1e-4, learning_rate=2e-3)
 
 
-def attack(case: Problem, budget: Budget, *, zoo: bool = False, saved: Path | None = None) -> Run:
+def attack(case: AttackProblem, budget: Budget, *, zoo: bool = False, saved: Path | None = None) -> AttackState:
     method = ZooMethod(ZOO, case) if zoo else FgsmMethod(FGSM, case)
-    return run(case, method, Judge(case.renderer, case.target), budget, saved=saved)
+    return run(case, method, Verifier(case.renderer, case.target), budget, saved=saved)
 
 
 def test_it_stops_when_verified_and_stores_that_step() -> None:
@@ -81,7 +82,7 @@ def test_a_picture_fooled_by_truncation_alone_does_not_end_the_loop() -> None:
     renderer.base = original[0]
     quick = Fgsm.model_construct(learning_rate={"a": 0.5, "b": 0.5}, momentum=0.0, weight_decay=0.0)
     case = problem(renderer, Shy(classes=2), truncation=0.01)
-    found = run(case, FgsmMethod(quick, case), Judge(case.renderer, case.target), Budget(3))
+    found = run(case, FgsmMethod(quick, case), Verifier(case.renderer, case.target), Budget(3))
     assert found.fooled
     assert not found.verified
     assert found.stopped == "steps"
@@ -138,12 +139,12 @@ def test_attacks_run_together_end_as_they_do_alone() -> None:
     """Four problems of which each stops at a step of its own; in float64, where a batch's rounding decides nothing."""
     target = LinearTarget()
 
-    def cases() -> list[Problem]:
+    def cases() -> list[AttackProblem]:
         return [problem(LinearRenderer(seed=seed), target, truncation=0.05) for seed in range(3, 7)]
 
     alone = [attack(case, Budget(6)) for case in cases()]
     together = run_together(
-        [Attack(case, FgsmMethod(FGSM, case), Judge(case.renderer, target), Budget(6)) for case in cases()]
+        [AttackRun(case, FgsmMethod(FGSM, case), Verifier(case.renderer, target), Budget(6)) for case in cases()]
     )
     assert len({found.step for found in alone}) > 1
     assert {found.stopped for found in alone} == {"verified", "steps"}
@@ -165,7 +166,7 @@ def test_attacks_run_together_share_the_network() -> None:
     assert cases[0].target is not cases[1].target
     with pytest.raises(ValueError, match="share network"):
         run_together(
-            [Attack(case, FgsmMethod(FGSM, case), Judge(case.renderer, case.target), Budget(2)) for case in cases]
+            [AttackRun(case, FgsmMethod(FGSM, case), Verifier(case.renderer, case.target), Budget(2)) for case in cases]
         )
 
 

@@ -4,10 +4,10 @@ import torch
 
 from services.attacks.differences import estimate, layout
 from services.attacks.goal import ResolvedGoal
-from services.attacks.problem import Problem
+from services.attacks.problem import AttackProblem
 from services.attacks.spec import Zoo
 from services.attacks.zoo import ZooMethod
-from services.rendering.pyrender_renderer import PyrenderRenderer
+from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.scenes.description import Lights, PointLight
 from tests.unit.attacks.small import LinearTarget
 from tests.unit.rendering.shapes import mesh, placed, quad, scene
@@ -17,10 +17,10 @@ BEFORE = PointLight(energy=15.0, position=(0.3, 0.2, 1.5))
 SKIPPED = {"point 1 energy", "point 1 x", "point 1 y", "point 1 z"}
 
 
-def problem(*lights: PointLight) -> Problem:
+def problem(*lights: PointLight) -> AttackProblem:
     description = scene((4, 5), lights=Lights(ambient=0.3, points=lights))
     renderer = PyrenderRenderer(placed(description, mesh(quad(0.5, color=(0.4, 0.5, 0.6, 1)))))
-    return Problem(renderer, LinearTarget(), ResolvedGoal(0, None), renderer.groups)  # type: ignore[arg-type]
+    return AttackProblem(renderer, LinearTarget(), ResolvedGoal(0, None), renderer.groups)  # type: ignore[arg-type]
 
 
 def settings(**changes: object) -> Zoo:

@@ -8,9 +8,9 @@ from torch.nn.functional import cosine_similarity
 
 from services.attacks.differences import estimate, layout, where_clamped
 from services.attacks.goal import ResolvedGoal
-from services.attacks.problem import Problem
-from services.rendering.gbuffer import rasterise
-from services.rendering.torch_renderer import TorchRenderer
+from services.attacks.problem import AttackProblem
+from services.rendering.opengl.gbuffer import rasterise
+from services.rendering.torch_renderer.renderer import TorchRenderer
 from services.scenes.description import Scene
 from services.scenes.resolve import resolve
 from services.targets import registry
@@ -24,7 +24,7 @@ SCENE = {
 }
 
 
-def build(group: str, weight: float = 0.1) -> Problem:
+def build(group: str, weight: float = 0.1) -> AttackProblem:
     scene = resolve(Scene.model_validate(SCENE), LIBRARY)
     renderer = TorchRenderer(scene, rasterise(scene), tolerance="exact")
     target = registry.load("efficientnet-lite0", torch.float64)
@@ -33,17 +33,17 @@ def build(group: str, weight: float = 0.1) -> Problem:
     with torch.no_grad():
         start = {g: v[None] for g, v in renderer.initial().items()}
         first = int(target.logits(renderer.render(start)).argmax())
-    return Problem(renderer, target, ResolvedGoal(first, None), (group,), weight=weight)
+    return AttackProblem(renderer, target, ResolvedGoal(first, None), (group,), weight=weight)
 
 
-def at_random(problem: Problem) -> torch.Tensor:
+def at_random(problem: AttackProblem) -> torch.Tensor:
     """A small perturbation within bounds: at zero the λ term has no slope, and would not be tested."""
     where = layout(problem)
     at = 0.5 * torch.randn(1, where.total, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     return where_clamped(problem, at, where)[0]
 
 
-def autograd(problem: Problem, at: torch.Tensor) -> torch.Tensor:
+def autograd(problem: AttackProblem, at: torch.Tensor) -> torch.Tensor:
     where = layout(problem)
     leaf = at.clone().requires_grad_()
     images = problem.renderer.render(where.unflatten((where.flatten(problem.initial) + leaf)[None]))

@@ -8,7 +8,7 @@ from pydantic import BaseModel
 
 from api.main import create_app
 from services.attacks.spec import Fgsm, Goal, Zoo
-from services.rendering.presets import presets
+from services.rendering.torch_renderer.presets import presets
 from services.scenes.description import Camera, Environment, Lights, PointLight, SceneObject
 from services.settings import Settings
 from tests.unit.client.test_cli import COMMANDS

@@ -4,7 +4,7 @@ from typing import Any
 
 from services.jobs.models import Artifact, Job
 from services.jobs.repository import Attempt, Repository
-from services.jobs.spec import JobSpec, parse
+from services.pipeline.spec import JobSpec, parse
 
 SPEC = parse({"scene": {"objects": [{"mesh": "primitive/sphere"}]}, "seed": 7})
 OUTCOME = {"fooled": True, "verified": False}

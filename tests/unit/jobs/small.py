@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from services.jobs.spec import JobSpec, parse
+from services.pipeline.spec import JobSpec, parse
 from services.scenes.library import Library
 from services.settings import settings
 

@@ -7,8 +7,8 @@ import torch
 from services.attacks.trace import TraceRow
 from services.errors import InvalidRequest, JobFailure
 from services.jobs.database import connect, migrate
-from services.jobs.execute import Progress
 from services.jobs.repository import Repository
+from services.pipeline.execute import Progress
 from services.settings import Settings
 from tests.unit.jobs.records import add, start
 from worker.job_process import LOOK_SECONDS, REPORT_SECONDS, Reporter, classify

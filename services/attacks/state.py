@@ -1,0 +1,32 @@
+"""What a running attack has gathered so far."""
+
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from services.attacks.trace import TraceRow
+from services.rendering.protocol import Parameters
+
+
+@dataclass
+class AttackState:
+    """All that a loop has gathered; with the method's state, all it needs to go on."""
+
+    step: int = 0
+    trace: list[TraceRow] = field(default_factory=list)
+    settings: dict[str, object] = field(default_factory=dict)
+    ever: Tensor = field(default_factory=lambda: torch.zeros(0, 0, dtype=torch.bool))
+    """Pixels that were ever truncated, bool [H, W]."""
+    flat: int = 0
+    seconds: float = 0.0
+    stopped: str = ""
+    fooled: bool = False
+    verified: bool = False
+    stored_step: int = 0
+    stored: Parameters = field(default_factory=dict)
+    """The perturbation that counts: the verified one, else the last that fooled the loop, else the last."""
+    picture: Tensor = field(default_factory=lambda: torch.zeros(0, 0, 3, dtype=torch.uint8))
+    """The loop's own picture of it, uint8 [H, W, 3]."""
+    scores: Tensor = field(default_factory=lambda: torch.zeros(0))
+    """The network's scores of that picture, [K]."""

@@ -1,0 +1,47 @@
+"""The judge: a perturbation rendered afresh by the exact path, rounded to 8 bits, and put to the network."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from services.attacks.goal import ResolvedGoal
+from services.rendering.color import from_bytes, to_bytes
+from services.rendering.protocol import Renderer
+from services.targets.protocol import Target
+
+
+@dataclass
+class Verifier:
+    """Answers for stored perturbations; never sees the loop's own pictures. Counts what it asks and renders."""
+
+    renderer: Renderer
+    target: Target
+    question: str | None = None
+    queries: int = 0
+    renders: int = 0
+
+    @torch.no_grad()
+    def render(self, perturbation: Mapping[str, Tensor]) -> Tensor:
+        """The exact picture [H, W, 3], not yet rounded. Groups left out are unperturbed; {} is the original."""
+        exact = self.renderer.exact()
+        start = exact.initial()
+        changed = {g: (start[g] + perturbation[g].to(start[g].dtype))[None] for g in perturbation}
+        self.renders += 1
+        # always the whole parameter set: the same computation, bit for bit, for every subset of the groups
+        return exact.render({g: changed.get(g, start[g][None]) for g in exact.groups})[0]
+
+    def picture(self, perturbation: Mapping[str, Tensor]) -> Tensor:
+        """The exact picture as saved, uint8 [H, W, 3]."""
+        return to_bytes(self.render(perturbation))
+
+    @torch.no_grad()
+    def logits(self, picture: Tensor) -> Tensor:
+        """Scores [K] of a saved picture, uint8 [H, W, 3]; one at a time, so that their bits depend on nothing else."""
+        self.queries += 1
+        return self.target.logits(from_bytes(picture)[None], self.question)[0]
+
+    def fooled(self, perturbation: Mapping[str, Tensor], goal: ResolvedGoal) -> bool:
+        """Whether the exact picture of the perturbation does what the goal asks."""
+        return bool(goal.fooled(self.logits(self.picture(perturbation))))

@@ -1,0 +1,1 @@
+"""A job from spec to result: parse, prepare, execute, record, replay."""

@@ -1,0 +1,166 @@
+"""One job from spec to result, in this process; the worker and `scene-attack run` both call it."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal
+
+import torch
+from pydantic import BaseModel
+from safetensors.torch import save_file
+from torch import Tensor
+
+from services.analysis import pictures
+from services.analysis.answers import answer
+from services.analysis.perceptibility import beyond, of_groups, of_pictures
+from services.analysis.subsets import subsets
+from services.attacks.fgsm import FgsmMethod
+from services.attacks.loop import Budget, run
+from services.attacks.method import Method
+from services.attacks.problem import AttackProblem
+from services.attacks.spec import Fgsm
+from services.attacks.state import AttackState
+from services.attacks.trace import TraceRow
+from services.attacks.zoo import ZooMethod
+from services.errors import Cancelled
+from services.pipeline.prepare import Prepared, prepare
+from services.pipeline.result import Provenance, Result
+from services.pipeline.spec import JobSpec
+from services.rendering.color import to_bytes
+from services.scenes.library import Library
+from services.versions import versions
+
+PERTURBATION = "perturbation.safetensors"
+_VERSIONED = ("scene-attack", "torch", "numpy", "pyrender-maintained", "PyOpenGL", "trimesh", "OpenEXR", "safetensors")
+
+
+class Progress(BaseModel):
+    """Where a running job is. `row` is the newest row of the trace, while attacking."""
+
+    phase: Literal["loading", "attacking", "analysing"]
+    step: int = 0
+    steps: int
+    row: TraceRow | None = None
+
+
+def execute(
+    spec: JobSpec,
+    out: Path,
+    library: Library,
+    *,
+    progress: Callable[[Progress], None] = lambda _: None,
+    cancelled: Callable[[], bool] = lambda: False,
+    checkpoint: Path | None = None,
+) -> Result:
+    """Runs a job and writes its files into `out`.
+
+    Files: result.json, trace.json, perturbation.safetensors (one tensor a group), original.png, attacked.png,
+    perturbation.png (×5 + 128). `checkpoint` is written every few seconds and resumed from.
+    Raises InvalidRequest, JobFailure, or Cancelled once `cancelled()` is true (asked before every rendering).
+    """
+
+    def interrupt() -> None:
+        if cancelled():
+            raise Cancelled
+
+    steps = spec.attack.steps
+    progress(Progress(phase="loading", steps=steps))
+    interrupt()
+    prepared = prepare(spec, library)
+    problem = _problem(prepared, interrupt)
+    budget = Budget(steps, spec.attack.queries, spec.attack.seconds)
+    found = run(
+        problem,
+        _method(prepared.spec, problem),
+        prepared.judge,
+        budget,
+        saved=checkpoint,
+        on_row=lambda row: progress(Progress(phase="attacking", step=row.step, steps=steps, row=row)),
+    )
+    progress(Progress(phase="analysing", step=found.step, steps=steps))
+    interrupt()
+    return _write(prepared, problem, found, out)
+
+
+def _problem(prepared: Prepared, interrupt: Callable[[], None]) -> AttackProblem:
+    attack = prepared.spec.attack
+    return AttackProblem(
+        renderer=prepared.renderer,
+        target=prepared.target,
+        goal=prepared.goal,
+        groups=attack.groups,
+        seed=prepared.spec.seed,
+        question=prepared.spec.target.question,
+        truncation=None if attack.truncation is None else attack.truncation / 255,
+        weight=0.0 if isinstance(attack, Fgsm) else attack.weight,
+        interrupt=interrupt,
+    )
+
+
+def _method(spec: JobSpec, problem: AttackProblem) -> Method:
+    return FgsmMethod(spec.attack, problem) if isinstance(spec.attack, Fgsm) else ZooMethod(spec.attack, problem)
+
+
+def _write(prepared: Prepared, problem: AttackProblem, found: AttackState, out: Path) -> Result:
+    out.mkdir(parents=True, exist_ok=True)
+    judge, goal, labels, original = prepared.judge, prepared.goal, prepared.target.labels, prepared.original
+    queries, renders = problem.queries + judge.queries, problem.renders + judge.renders
+    exact = judge.render(found.stored)
+    attacked = to_bytes(exact)
+    logits = judge.logits(attacked)
+    limit = prepared.spec.attack.truncation
+    result = Result(
+        spec=prepared.spec.model_dump(mode="json"),
+        fooled=found.fooled,
+        verified=bool(goal.fooled(logits)),
+        stopped=found.stopped,
+        leave=prepared.spec.goal.leave if isinstance(prepared.spec.goal.leave, str) else None,
+        reach=prepared.spec.goal.reach if isinstance(prepared.spec.goal.reach, str) else None,
+        original=answer(prepared.logits, labels, goal),
+        attacked=answer(logits, labels, goal),
+        in_loop=answer(found.scores, labels, goal),
+        perceptibility=of_pictures(original, attacked),
+        group_perceptibility=of_groups(prepared.renderer.name, found.stored),
+        beyond_truncation=None if limit is None else beyond(original, attacked, limit),
+        plan=prepared.renderer.plan,
+        image_error=_image_error(problem, found, exact),
+        subsets=subsets(judge, goal, found.stored, (original, prepared.logits), (attacked, logits)),
+        settings=found.settings,
+        steps=found.step,
+        step=found.stored_step,
+        queries=queries,
+        renders=renders,
+        truncated=int(found.ever.sum()),
+        seconds=found.seconds,
+        trace=found.trace,
+        provenance=_provenance(prepared),
+    )
+    pictures.save_png(original, out / "original.png")
+    pictures.save_png(attacked, out / "attacked.png")
+    pictures.save_png(pictures.magnified(original, attacked), out / "perturbation.png")
+    save_file({group: value.contiguous() for group, value in found.stored.items()}, out / PERTURBATION)
+    trace = ",\n".join(row.model_dump_json() for row in found.trace)
+    (out / "trace.json").write_text(f"[{trace}]\n", "utf-8")
+    (out / "result.json").write_text(result.model_dump_json(indent=1) + "\n", "utf-8")
+    return result
+
+
+@torch.no_grad()
+def _image_error(problem: AttackProblem, found: AttackState, exact: Tensor) -> float:
+    """Of the stored perturbation's picture as the loop renders it, before any truncation."""
+    moved = {group: (problem.initial[group] + value)[None] for group, value in found.stored.items()}
+    return float((problem.renderer.render(moved)[0].double() - exact.double()).abs().max())
+
+
+def _provenance(prepared: Prepared) -> Provenance:
+    return Provenance(
+        seed=prepared.spec.seed,
+        backend=prepared.backend,
+        versions=versions(*_VERSIONED),
+        scene_sha256=prepared.scene.sha256,
+        weights_sha256=prepared.target.weights_sha256,
+        meshes={
+            thing.mesh: mesh.sha256
+            for thing, mesh in zip(prepared.spec.scene.objects, prepared.scene.meshes, strict=True)
+        },
+        credits=prepared.scene.credits,
+    )

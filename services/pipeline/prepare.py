@@ -1,0 +1,124 @@
+"""Everything of a job that can go wrong before it begins: assets, target, goal, and the network's first answer."""
+
+import difflib
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from services.attacks.goal import ResolvedGoal
+from services.attacks.verifier import Verifier
+from services.errors import InvalidRequest
+from services.pipeline.spec import JobSpec
+from services.rendering.factory import build
+from services.rendering.plan import Plan
+from services.rendering.protocol import Renderer
+from services.rendering.torch_renderer.presets import preset
+from services.scenes.library import Library
+from services.scenes.resolve import ResolvedScene, resolve
+from services.targets import registry
+from services.targets.protocol import Target
+from services.targets.scores import probability
+
+
+@dataclass
+class Prepared:
+    """A request with everything it names in hand, and the picture it starts from."""
+
+    spec: JobSpec
+    """With the label to leave filled in."""
+    scene: ResolvedScene
+    renderer: Renderer
+    target: Target
+    goal: ResolvedGoal
+    judge: Verifier
+    original: Tensor
+    """The exact picture of the scene as saved, uint8 [H, W, 3]."""
+    logits: Tensor
+    """The network's scores of it, [K]."""
+
+    @property
+    def backend(self) -> str:
+        """Everything that decides the bits of the verdict: the exact renderer's backend and the network's."""
+        return f"{self.renderer.exact().backend}; {self.target.backend}"
+
+
+def preflight(spec: JobSpec, library: Library) -> JobSpec:
+    """The spec as it would run. Raises InvalidRequest for whatever would keep it from running."""
+    return prepare(spec, library).spec
+
+
+def plan(spec: JobSpec, library: Library) -> Plan:
+    """How the pictures of a job would be made, without asking the network anything. Raises as `prepare` does."""
+    return _renderer(spec, _scene(spec, library)).plan
+
+
+def prepare(spec: JobSpec, library: Library) -> Prepared:
+    """Looks up meshes, map, materials, target and labels, renders the scene exactly and asks the network.
+
+    Raises InvalidRequest naming the field: unknown names, a label out of range, an object out of view, a picture the
+    network already gets wrong (goal.leave), or already answers as wanted (goal.reach).
+    """
+    labels = registry.labels(spec.target.name)
+    if len(labels) < 2:
+        raise InvalidRequest("target.name", f"{spec.target.name} has one label only; there is no other answer")
+    leave = _label(spec.goal.leave, labels, "goal.leave", spec.target.name)
+    reach = _label(spec.goal.reach, labels, "goal.reach", spec.target.name)
+    if leave is not None and leave == reach:
+        raise InvalidRequest("goal.reach", f"is the label to leave ({labels[leave]!r}); name another one")
+    scene = _scene(spec, library)
+    target = registry.load(spec.target.name)
+    if spec.target.question is not None and not target.takes_question:
+        raise InvalidRequest("target.question", f"{target.name} answers no questions; leave it out")
+    renderer = _renderer(spec, scene)
+    judge = Verifier(renderer, target, spec.target.question)
+    original = judge.picture({})
+    logits = judge.logits(original)
+    leave = _first_answer(logits, leave, reach, labels)
+    goal = spec.goal.model_copy(
+        update={
+            "leave": None if leave is None else labels[leave],
+            "reach": None if reach is None else labels[reach],
+        }
+    )
+    spec = spec.model_copy(update={"goal": goal})
+    return Prepared(spec, scene, renderer, target, ResolvedGoal(leave, reach), judge, original, logits)
+
+
+def _scene(spec: JobSpec, library: Library) -> ResolvedScene:
+    for index, thing in enumerate(spec.scene.objects):
+        preset(thing.material, f"scene.objects.{index}.material")
+    return resolve(spec.scene, library)
+
+
+def _renderer(spec: JobSpec, scene: ResolvedScene) -> Renderer:
+    attack = spec.attack
+    return build(scene, attack.renderer, attack.picture, attack.groups, spec.tolerance)
+
+
+def _label(wanted: str | int | None, labels: tuple[str, ...], field: str, target: str) -> int | None:
+    if wanted is None:
+        return None
+    if isinstance(wanted, int):
+        if wanted >= len(labels):
+            raise InvalidRequest(field, f"{target} has labels 0 to {len(labels) - 1}, not {wanted}")
+        return wanted
+    if wanted not in labels:
+        near = difflib.get_close_matches(wanted, labels, n=3)
+        hint = f"; did you mean {' or '.join(map(repr, near))}?" if near else ""
+        raise InvalidRequest(field, f"{target} has no label {wanted!r}{hint}")
+    return labels.index(wanted)
+
+
+def _first_answer(logits: Tensor, leave: int | None, reach: int | None, labels: tuple[str, ...]) -> int | None:
+    """The label to leave, checked against the network's first answer."""
+    first = int(logits.argmax())
+    said = f"{labels[first]!r} ({float(probability(logits, first)):.2f})"
+    if leave is not None and first != leave:
+        raise InvalidRequest(
+            "goal.leave",
+            f"the network already gets this scene wrong: it says {said}, not {labels[leave]!r}; "
+            "choose a view it gets right, or leave this field out to attack its own first answer",
+        )
+    if reach is not None and first == reach:
+        raise InvalidRequest("goal.reach", f"the network already says {said}; there is nothing to attack")
+    return first if leave is None and reach is None else leave

@@ -1,0 +1,1 @@
+"""The compiled inner loops (C++), their build and their loading."""

@@ -1,0 +1,1 @@
+"""OpenGL through pyrender: context, framebuffers, programs, render passes, G-buffer."""

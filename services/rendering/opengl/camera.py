@@ -1,0 +1,83 @@
+"""How the pieces of a drawing lie before a camera, and in what light: what a pass over the geometry is drawn from."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.rendering.opengl.screen_bounds import Rectangle, is_in_front
+
+if TYPE_CHECKING:
+    from services.rendering.opengl.mesh_upload import Drawing
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CameraMatrices:
+    """A camera: clip_from_world [4,4], its position `eye` [3] and unit viewing direction `forward` [3], float64."""
+
+    clip_from_world: Array
+    eye: Array
+    forward: Array
+
+    @classmethod
+    def of(cls, world_from_camera: Array, projection: Array) -> "CameraMatrices":
+        """From a camera-to-world matrix with OpenGL axes (it looks along its -z) and a projection matrix."""
+        camera = np.asarray(world_from_camera, np.float64)
+        return cls(np.asarray(projection, np.float64) @ np.linalg.inv(camera), camera[:3, 3], -camera[:3, 2])
+
+    def matrices(self, poses: Array) -> list[dict[str, NDArray[Any]]]:
+        """What the vertex shader multiplies by, for each object at its pose [objects, 4, 4]. Multiplied in float64, so
+        that a small move survives the rounding to float32.
+        """
+        return [
+            {
+                "clip_from_object": self.clip_from_world @ pose,
+                "world_from_object": pose,
+                "normal_from_object": np.linalg.inv(pose[:3, :3]).T,
+            }
+            for pose in poses
+        ]
+
+
+@dataclass(frozen=True)
+class RenderPass:
+    """A pass over the geometry: poses [objects, 4, 4] (world from object); the part of the picture that is drawn; and
+    for each picture its ambient light, its point lights [pictures, lights, 4] (intensity, then x, y, z) and the linear
+    factors on the objects' colours [pictures, objects, 3]."""
+
+    poses: Array
+    part: Rectangle
+    ambients: Array
+    points: Array
+    colors: Array
+
+    @property
+    def uniforms(self) -> dict[str, Array]:
+        """As the shader of radiance has the lights."""
+        points = self.points.reshape(-1, 4)
+        named = {"positions[0]": points[:, 1:], "intensities[0]": points[:, 0]} if len(points) else {}
+        return {"ambients[0]": self.ambients, **named}
+
+
+def closed_faces(drawing: "Drawing", view: CameraMatrices, poses: Array) -> list[int]:
+    """How many faces of each piece are of closed surfaces: at poses where the object reaches to the camera, none."""
+    in_front = [
+        is_in_front(points, view.clip_from_world @ pose) for points, pose in zip(drawing.points, poses, strict=True)
+    ]
+    return [piece.closed if in_front[piece.index] else 0 for piece in drawing.pieces]
+
+
+def ordered(drawing: "Drawing", view: CameraMatrices, poses: Array) -> list[int]:
+    """Which pieces: opaque ones in the scene's order, then the others from far to near by the middle of their bounding
+    box."""
+
+    def nearness(number: int) -> float:
+        piece = drawing.pieces[number]
+        pose = poses[piece.index]
+        return -float(np.linalg.norm(pose[:3, :3] @ piece.centre + pose[:3, 3] - view.eye))
+
+    solid = [number for number, piece in enumerate(drawing.pieces) if piece.solid]
+    return solid + sorted((number for number, piece in enumerate(drawing.pieces) if not piece.solid), key=nearness)

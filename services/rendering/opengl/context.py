@@ -1,0 +1,138 @@
+"""The process's one OpenGL context: which platform draws, and proof that it works.
+
+OpenGL binds to a platform at import, so nothing may import OpenGL or pyrender before `current()` has chosen one; the
+modules that do (`drawing`) are imported from here. There is one context per process, because under EGL deleting one
+renderer kills the others, and it belongs to the thread that first asked for it: OpenGL keeps its current context per
+thread, and a forked child of a process that has one hangs.
+"""
+
+import os
+import threading
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from services.errors import JobFailure
+from services.rendering.opengl import bare_pyrender, probe
+from services.settings import settings
+
+if TYPE_CHECKING:
+    from services.rendering.opengl.render_pass import FloatRenderer
+
+PLATFORMS = ("egl", "osmesa")
+PACKAGES = "install the Debian packages `libegl1 libgl1 libgl1-mesa-dri` (EGL) or `libosmesa6 libgl1` (OSMesa)"
+
+
+@dataclass(frozen=True)
+class Context:
+    """A current OpenGL context and what draws in it."""
+
+    renderer: "FloatRenderer"
+    backend: str
+    pid: int
+    thread: int
+
+    @property
+    def software(self) -> bool:
+        """Whether the processor draws."""
+        return "llvmpipe" in self.backend or "softpipe" in self.backend
+
+
+_context: Context | None = None
+_lock = threading.Lock()
+
+
+def current() -> Context:
+    """The process's context, made on first use.
+
+    Raises JobFailure("internal") when no platform works, and when called from another thread than the first call, or
+    in a process forked after it.
+    """
+    global _context
+    with _lock:
+        if _context is None:
+            _context = _create(choose_platform())
+            probe.confirm()
+    if _context.pid != os.getpid():
+        raise JobFailure("internal", "OpenGL was used before this process was forked; start it afresh (spawn) instead")
+    if _context.thread != threading.get_ident():
+        raise JobFailure("internal", "OpenGL belongs to the thread that used it first; render from that thread only")
+    return _context
+
+
+def gl_backend() -> str:
+    """Everything of the OpenGL side that decides the bits of a picture: platform, driver and library versions."""
+    return current().backend
+
+
+def choose_platform() -> str:
+    """Choose "egl" or "osmesa", and tell PyOpenGL (and child processes) through PYOPENGL_PLATFORM and EGL_DEVICE_ID.
+
+    A PYOPENGL_PLATFORM that is already set is kept. Otherwise the setting `gl` decides; "auto" takes EGL if a separate
+    process can draw with it (a broken driver may abort the process that tries it), else OSMesa.
+    """
+    wanted = settings().gl
+    chosen = os.environ.get("PYOPENGL_PLATFORM")
+    if chosen is not None:
+        if chosen not in PLATFORMS:
+            raise JobFailure("internal", f"PYOPENGL_PLATFORM={chosen!r} cannot draw off screen; use egl or osmesa")
+        if wanted not in ("auto", chosen):
+            raise JobFailure("internal", f"SCENE_ATTACK_GL={wanted} contradicts PYOPENGL_PLATFORM={chosen}; unset one")
+        return chosen
+    if wanted != "osmesa":
+        device, trouble = probe.working_device()
+        if device is not None:
+            os.environ["EGL_DEVICE_ID"] = device
+            wanted = "egl"
+        elif wanted == "egl":
+            raise JobFailure("internal", f"EGL does not work here ({trouble}); {PACKAGES}")
+        else:
+            wanted = "osmesa"
+    os.environ["PYOPENGL_PLATFORM"] = wanted
+    return wanted
+
+
+def try_egl_devices() -> str:
+    """The number of the first EGL device that can draw in floating point. Runs in the probe's own process."""
+    bare_pyrender.install()
+    from pyrender.platforms import egl
+
+    given = os.environ.get("EGL_DEVICE_ID")
+    errors = []
+    for device in [given] if given is not None else [str(i) for i in range(len(egl.query_devices()))]:
+        os.environ["EGL_DEVICE_ID"] = device
+        try:
+            _create("egl")
+        except Exception as error:
+            errors.append(f"device {device}: {error}")
+        else:
+            return device
+    raise RuntimeError("; ".join(errors) or "no EGL device")
+
+
+def _create(platform: str) -> Context:
+    bare_pyrender.install()
+    try:
+        # A 1x1 window surface: everything is drawn into framebuffers of our own.
+        if platform == "egl":
+            from pyrender.platforms import egl
+
+            device = egl.get_device_by_index(int(os.environ.get("EGL_DEVICE_ID", "0")))
+            surface = egl.EGLPlatform(1, 1, device=device)
+        else:
+            from pyrender.platforms.osmesa import OSMesaPlatform
+
+            surface = OSMesaPlatform(1, 1)
+        surface.init_context()
+        surface.make_current()
+        import OpenGL
+
+        # Read when OpenGL.GL is imported. Asking after every call takes as long as drawing a small part; `draw` asks
+        # once, at its end.
+        OpenGL.ERROR_CHECKING = False
+        from services.rendering.opengl.render_pass import FloatRenderer, describe
+
+        renderer = FloatRenderer(surface)
+        renderer.check()
+        return Context(renderer, f"{platform} {describe()}", os.getpid(), threading.get_ident())
+    except Exception as error:
+        raise JobFailure("internal", f"cannot draw with {platform} ({error!r}); {PACKAGES}") from error

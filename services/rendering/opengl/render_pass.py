@@ -1,0 +1,176 @@
+"""Drawing meshes into floating-point framebuffers with pyrender. Imported by `context.current()` only, after the
+platform is chosen.
+
+pyrender uploads geometry and textures and compiles programs; the pass over the parts is ours, because pyrender's own
+goes through a set (unordered, so not the same bits twice), swallows the errors of uniforms that do not exist, clamps
+to [0,1], applies a gamma curve, and hands back 8 bits.
+"""
+
+import ctypes
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from OpenGL import GL
+from pyrender.renderer import Renderer
+
+from services.rendering.opengl.camera import CameraMatrices, closed_faces, ordered
+from services.rendering.opengl.framebuffer import Framebuffer
+from services.rendering.opengl.mesh_upload import Array, Drawing
+from services.rendering.opengl.program import Program
+from services.rendering.opengl.screen_bounds import Rectangle
+
+Image = NDArray[np.float32]
+Insides = Literal["like outsides", "behind", "left out"]
+"""How the insides of closed surfaces are drawn: like all faces, the nearest is seen; behind everything, where only a
+hole in the outside would show them; or not."""
+
+
+class FloatRenderer(Renderer):  # type: ignore[misc]
+    """pyrender's renderer with float framebuffers and our shaders. One per process: see `gl`."""
+
+    def __init__(self, surface: Any) -> None:
+        super().__init__(1, 1)
+        self._surface = surface  # keeps the context alive
+        # By shader alone: there is one context. pyrender's cache is keyed by the context as PyOpenGL hands it out, on
+        # OSMesa a new pointer object each time, so that every draw compiles again and leaks a program (3 MB).
+        self._programs: dict[tuple[str, tuple[int, ...]], Program] = {}
+        self._framebuffer: Framebuffer | None = None
+        self._resident: Drawing | None = None
+
+    def __del__(self) -> None:
+        """Nothing: the renderer lives as long as the process, and at its end the context may be gone already."""
+
+    def check(self) -> None:
+        """Raise where this driver cannot compile our shaders or draw to float32 with 4 samples."""
+        for fragment in ("radiance.frag", "gbuffer.frag"):
+            self.program(fragment, textured=True, holes=True, pictures=1, lights=1)
+        self.sample_positions = self._target((4, 4), samples=4, outputs=1).positions()
+
+    def program(self, fragment: str, *, textured: bool, holes: bool, pictures: int, lights: int) -> Program:
+        """A fragment shader compiled for a kind of surface, a number of pictures and of lights; compiled once."""
+        constants = {"TEXTURED": int(textured), "HOLES": int(holes), "PICTURES": pictures, "LIGHTS": lights}
+        key = fragment, tuple(constants.values())
+        if key not in self._programs:
+            self._programs[key] = Program(fragment, constants)
+        return self._programs[key]
+
+    def _target(self, size: tuple[int, int], samples: int, outputs: int) -> Framebuffer:
+        held = self._framebuffer
+        if held is None or held.key != (size, samples) or held.outputs < outputs:
+            if held is not None:
+                held.delete()
+                self._framebuffer = None
+            self._framebuffer = held = Framebuffer(size, samples, outputs)
+        return held
+
+    def draw(
+        self,
+        drawing: Drawing,
+        fragment: str,
+        view: CameraMatrices,
+        poses: Array,
+        colors: Array,
+        uniforms: Mapping[str, Any],
+        object_uniforms: Mapping[str, Sequence[float]],
+        *,
+        size: tuple[int, int],
+        samples: int,
+        outputs: int,
+        blend: bool,
+        lights: int = 0,
+        rectangle: Rectangle | None = None,
+        insides: Insides = "like outsides",
+    ) -> Image:
+        """One pass over the geometry: what the fragment shader writes to each output, 0 where nothing is;
+        [outputs, height, width, 4], or a `rectangle` of it. The first row is the bottom one, as OpenGL has it.
+
+        poses [objects, 4, 4] world_from_object; colors [pictures, objects, 3] linear factors on the base colours;
+        `uniforms` of the pass, and `object_uniforms` with one value per object. With `blend` the parts that are not
+        opaque come last, the far ones first, over what is behind them (colours times opacity); else all parts are
+        drawn alike. For `insides` see there; the insides of an object that reaches to the camera are drawn like all.
+
+        Raises RuntimeError for an error of OpenGL (out of memory).
+        """
+        if self._resident is not drawing:
+            self._update_context(drawing, 0)
+            self._resident = drawing
+        framebuffer = self._target(size, samples, outputs)
+        framebuffer.begin(outputs)
+        GL.glEnable(GL.GL_DEPTH_TEST)
+        GL.glDepthFunc(GL.GL_LESS)
+        GL.glBlendFunc(GL.GL_ONE, GL.GL_ONE_MINUS_SRC_ALPHA)
+        (GL.glEnable if samples > 1 else GL.glDisable)(GL.GL_MULTISAMPLE)
+        GL.glFrontFace(GL.GL_CCW)
+        GL.glActiveTexture(GL.GL_TEXTURE0)
+        closed = closed_faces(drawing, view, poses) if insides != "like outsides" else [0] * len(drawing.pieces)
+        of_objects = view.matrices(poses)
+        ready: dict[Program, int] = {}
+        """The object whose pose each program has; all of those here have the uniforms of the pass."""
+        for number in ordered(drawing, view, poses) if blend else range(len(drawing.pieces)):
+            piece = drawing.pieces[number]
+            program = self.program(
+                fragment,
+                textured=piece.texture is not None,
+                holes=piece.holes,
+                pictures=len(colors),
+                lights=lights,
+            )
+            program._bind()
+            if program not in ready:
+                for name, value in ({"eye": view.eye} | dict(uniforms)).items():
+                    program.set(name, value)
+            if ready.get(program) != piece.index:
+                for name, value in of_objects[piece.index].items():
+                    program.set(name, value)
+                for name, values in object_uniforms.items():
+                    program.set(name, values[piece.index])
+            ready[program] = piece.index
+            program.set("base_colors[0]", piece.part.color[:3] * colors[:, piece.index])
+            program.set("opacity", float(piece.part.color[3]))
+            if piece.texture is not None:
+                program.set("base_color_texture", 0)
+                piece.texture._bind()
+            see_through = blend and not piece.solid
+            (GL.glEnable if see_through else GL.glDisable)(GL.GL_BLEND)
+            GL.glDepthMask(GL.GL_FALSE if see_through else GL.GL_TRUE)
+            piece.primitive._bind()
+            _draw_faces(0, closed[number], GL.GL_BACK)
+            if insides == "behind":
+                GL.glDepthRange(1.0, 1.0)
+                GL.glDepthFunc(GL.GL_LEQUAL)
+                _draw_faces(0, closed[number], GL.GL_FRONT)
+                GL.glDepthRange(0.0, 1.0)
+                GL.glDepthFunc(GL.GL_LESS)
+            _draw_faces(closed[number], piece.faces, None)
+        GL.glBindVertexArray(0)
+        images = framebuffer.read(outputs, rectangle or (0, size[0], 0, size[1]))
+        error = GL.glGetError()
+        if error != GL.GL_NO_ERROR:
+            raise RuntimeError(f"OpenGL error {error:#x} while drawing {size[1]}x{size[0]} pixels")
+        return images
+
+
+def _draw_faces(start: int, stop: int, hidden: Any) -> None:
+    """Some of the faces of the bound piece, of which one side may be hidden. Without: both, for furniture is modelled
+    with sheets, and windings differ.
+    """
+    if start == stop:
+        return
+    if hidden is None:
+        GL.glDisable(GL.GL_CULL_FACE)
+    else:
+        GL.glEnable(GL.GL_CULL_FACE)
+        GL.glCullFace(hidden)
+    GL.glDrawElements(GL.GL_TRIANGLES, 3 * (stop - start), GL.GL_UNSIGNED_INT, ctypes.c_void_p(12 * start))
+
+
+def describe() -> str:
+    """Driver and libraries of the current context."""
+    driver = GL.glGetString(GL.GL_RENDERER).decode()
+    return (
+        f"{driver}; OpenGL {GL.glGetString(GL.GL_VERSION).decode()}; float32, 4 samples; "
+        f"pyrender-maintained {version('pyrender-maintained')}; PyOpenGL {version('PyOpenGL')}"
+    )

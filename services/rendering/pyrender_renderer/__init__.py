@@ -1,0 +1,1 @@
+"""The non-differentiable renderer: lights, colours and poses, drawn by pyrender's OpenGL."""

@@ -1,0 +1,77 @@
+"""Which pictures of a batch share a pass over the geometry, and which share their channels."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SharedPass:
+    """Pictures of the same poses, to be drawn at once; and which of their channels make which picture of the batch.
+
+    translation, rotation [objects, 3]; illuminations [pictures, 1 + 4 points]; colors [pictures, objects, 3];
+    users: (row of the batch, channel, picture here).
+    """
+
+    translation: Array
+    rotation: Array
+    illuminations: Array
+    colors: Array
+    users: list[tuple[int, int, int]]
+
+
+def shared(batch: Mapping[str, Array], most: int) -> Iterator[SharedPass]:
+    """Passes of at most `most` pictures that draw a batch {group: [B, ...]}.
+
+    A colour factor touches one channel of light. So pictures of the same poses and lights are drawn with the first
+    red, the first green and the first blue that any of them has, then with the second of each, and so on: the six
+    sides of the differences of one object's colour, and the picture they are around, take three pictures.
+    """
+    count = len(batch["color"])
+    poses: dict[bytes, list[int]] = {}
+    for row in range(count):
+        poses.setdefault(_key(batch["translation"][row], batch["rotation"][row]), []).append(row)
+    for rows in poses.values():
+        lit: dict[bytes, list[int]] = {}
+        for row in rows:
+            lit.setdefault(_key(batch["illumination"][row]), []).append(row)
+        illuminations: list[Array] = []
+        colors: list[Array] = []
+        users: list[tuple[int, int, int]] = []
+        for alike in lit.values():
+            first = len(colors)
+            for channel in range(3):
+                slots: dict[bytes, int] = {}
+                for row in alike:
+                    column = batch["color"][row][:, channel]
+                    slot = slots.setdefault(_key(column), first + len(slots))
+                    if slot == len(colors):
+                        colors.append(batch["color"][row].copy())
+                        illuminations.append(batch["illumination"][row])
+                    colors[slot][:, channel] = column
+                    users.append((row, channel, slot))
+        for start in range(0, len(colors), most):
+            stop = min(start + most, len(colors))
+            yield SharedPass(
+                batch["translation"][rows[0]],
+                batch["rotation"][rows[0]],
+                np.stack(illuminations[start:stop]),
+                np.stack(colors[start:stop]),
+                [(row, channel, slot - start) for row, channel, slot in users if start <= slot < stop],
+            )
+
+
+def alone(batch: Mapping[str, Array]) -> Iterator[SharedPass]:
+    """A pass for every picture."""
+    for row in range(len(batch["color"])):
+        one = {group: values[row : row + 1] for group, values in batch.items()}
+        users = [(row, channel, 0) for channel in range(3)]
+        yield SharedPass(one["translation"][0], one["rotation"][0], one["illumination"], one["color"], users)
+
+
+def _key(*values: Array) -> bytes:
+    return b"".join(np.ascontiguousarray(value).tobytes() for value in values)

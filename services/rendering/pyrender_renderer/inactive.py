@@ -1,0 +1,132 @@
+"""Coordinates that cannot change a picture of the pyrender renderer, each with its proof.
+
+Radiance is linear in the ambient light, in each energy and in each colour factor. So what two values of one of these
+do, all values do: a light that adds nothing at energy 1 adds nothing at any. A light's position is not linear, but the
+positions from which it reaches no pixel are a convex set: for every pixel the half-space behind its surface. If they
+hold six points around a position, they hold all between.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import torch
+from torch import Tensor
+
+Values = Mapping[str, Tensor]
+
+REACH = 0.1
+"""The largest half-step of a difference that is ever measured."""
+
+
+@dataclass(frozen=True)
+class InactiveCoordinate:
+    """A coordinate of a group, by its flat index, that changes no pixel; its name, and why."""
+
+    group: str
+    index: int
+    name: str
+    why: str
+
+
+class Linear(Protocol):
+    """What is asked of the renderer: pictures before exposure, and where things are."""
+
+    def initial(self) -> dict[str, Tensor]:
+        """The scene's own values."""
+        ...
+
+    def names(self, group: str) -> list[str] | None:
+        """A word for each coordinate."""
+        ...
+
+    def radiance(self, parameters: Values) -> Tensor:
+        """Radiance times coverage, and coverage, [B, H, W, 4]."""
+        ...
+
+    def out_of_frame(self, parameters: Values, index: int, margin: float, turned: bool) -> bool:
+        """Whether an object stays outside the frame wherever it moves by `margin`, or however it is turned."""
+        ...
+
+
+@runtime_checkable
+class FindsInactive(Protocol):
+    """A renderer that can prove coordinates idle."""
+
+    def idle(self, parameters: Values, reach: Mapping[str, float]) -> list[InactiveCoordinate]:
+        """As the function of this name."""
+        ...
+
+
+def idle(renderer: Linear, parameters: Values, reach: Mapping[str, float]) -> list[InactiveCoordinate]:
+    """The coordinates of which none alone changes the picture at `parameters` {group: [...]}, moved by at most its
+    group's `reach` up or down; energies, colours and the ambient light by any amount.
+    """
+    at = {group: parameters.get(group, value).double() for group, value in renderer.initial().items()}
+    found = _lights(renderer, at, reach.get("illumination", REACH)) + _colors(renderer, at)
+    for index in range(len(at["translation"])):
+        if renderer.out_of_frame(at, index, reach.get("translation", REACH), turned=False):
+            why = "the object is out of the frame, and would be were it moved by as much"
+            found += [_idle(renderer, "translation", 3 * index + axis, why) for axis in range(3)]
+        if renderer.out_of_frame(at, index, 0.0, turned=True):
+            why = "the object is out of the frame however it is turned"
+            found += [_idle(renderer, "rotation", 3 * index + axis, why) for axis in range(3)]
+    return found
+
+
+def _lights(renderer: Linear, at: Values, reach: float) -> list[InactiveCoordinate]:
+    """The ambient light, and each point light where it is and around it, with one unit of it alone."""
+    lights = at["illumination"]
+    alone = torch.zeros_like(lights)
+    alone[0] = 1.0
+    found = []
+    if _dark(renderer, at, alone):
+        found.append(_idle(renderer, "illumination", 0, "no object is in the picture"))
+    for i in range((len(lights) - 1) // 4):
+        energy, places = 1 + 4 * i, [2 + 4 * i, 3 + 4 * i, 4 + 4 * i]
+        alone = torch.zeros_like(lights)
+        alone[energy] = 1.0
+        alone[places] = lights[places]
+        behind = _dark(renderer, at, alone)
+        if behind:
+            found.append(_idle(renderer, "illumination", energy, "the light is behind all that is seen"))
+        if lights[energy] == 0:
+            found += [_idle(renderer, "illumination", place, "the light has no energy") for place in places]
+        elif behind and all(_dark(renderer, at, moved) for moved in _around(alone, places, reach)):
+            why = f"the light is behind all that is seen, and would be from anywhere within {reach:g}"
+            found += [_idle(renderer, "illumination", place, why) for place in places]
+    return found
+
+
+def _around(lights: Tensor, places: list[int], reach: float) -> Iterator[Tensor]:
+    for place in places:
+        for sign in (1, -1):
+            moved = lights.clone()
+            moved[place] += sign * reach
+            yield moved
+
+
+def _dark(renderer: Linear, at: Values, lights: Tensor) -> bool:
+    return not bool(_picture(renderer, at, "illumination", lights).any())
+
+
+def _colors(renderer: Linear, at: Values) -> list[InactiveCoordinate]:
+    """Pictures with an object white and black, where its colour has nothing to do if they are the same."""
+    found = []
+    for index in range(len(at["color"])):
+        white, black = at["color"].clone(), at["color"].clone()
+        white[index], black[index] = 1.0, 0.0
+        same = (_picture(renderer, at, "color", white) == _picture(renderer, at, "color", black)).all(dim=0).all(dim=0)
+        why = "the object's colour is not seen: it is black, unlit, hidden or out of the frame"
+        found += [_idle(renderer, "color", 3 * index + channel, why) for channel in range(3) if same[channel]]
+    return found
+
+
+def _picture(renderer: Linear, at: Values, group: str, value: Tensor) -> Tensor:
+    """Radiance [H, W, 3] with one group replaced. One at a time: that takes no shader but the one for one picture."""
+    return renderer.radiance({name: v[None] for name, v in {**at, group: value}.items()})[0, ..., :3]
+
+
+def _idle(renderer: Linear, group: str, index: int, why: str) -> InactiveCoordinate:
+    names = renderer.names(group)
+    return InactiveCoordinate(group, index, names[index] if names else f"{group} {index}", why)

@@ -1,0 +1,155 @@
+"""The plan of the pyrender renderer: which stage each coordinate touches, and what is not drawn."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from services.rendering.opengl.screen_bounds import Rectangle
+from services.rendering.plan import Item, Plan, Stage, Tolerance
+from services.rendering.pyrender_renderer.batching import SharedPass, alone, shared
+from services.rendering.pyrender_renderer.inactive import REACH, InactiveCoordinate
+
+if TYPE_CHECKING:
+    from services.rendering.opengl.mesh_upload import Drawing
+    from services.rendering.protocol import Renderer
+
+STAGES = {"redraw": ("translation", "rotation"), "relight": ("illumination",), "recolour": ("color",)}
+WHY = {
+    "redraw": "each side of a difference has a pose of its own",
+    "relight": "other lights on the same surfaces: the sides share one pass over the geometry, a picture to an output",
+    "recolour": "a colour factor touches one channel: red, green and blue sides share a picture, and the pass above",
+}
+
+
+def compile_plan(
+    renderer: "Renderer",
+    drawing: "Drawing",
+    groups: Sequence[str],
+    tolerance: Tolerance,
+    extent: Rectangle,
+    closed: bool,
+    shown: int | None,
+    most: int,
+    idle: Sequence[InactiveCoordinate],
+) -> Plan:
+    """The plan for attacks on `groups`, with objects within `extent` at the start; `closed`: closed surfaces are
+    without inside; `shown`: faces that show at the start, None: OpenGL draws; `most`: pictures to a pass; `idle`:
+    coordinates that change nothing at the start, moved by REACH.
+
+    Its errors are 0: everything it leaves out or shares gives a picture the very bits it has without.
+    """
+    height, width = renderer.size
+    top, bottom, left, right = extent
+    plain = tolerance == "exact"
+    faces = sum(piece.faces for piece in drawing.pieces)
+    sheets = faces - (sum(piece.closed for piece in drawing.pieces) if closed else 0)
+    textured = [piece for piece in drawing.pieces if piece.texture is not None]
+    start = renderer.initial()
+
+    def passes_for(touched: Sequence[str]) -> list[SharedPass]:
+        sides = both_sides(start, touched)
+        batch = {group: value.double().numpy() for group, value in sides.items()}
+        return list(alone(batch) if plain else shared(batch, most))
+
+    passes = len(passes_for(groups))
+    coordinates = sum(start[group].numel() for group in groups)
+    still = [one for one in idle if one.group in groups]
+    items = [
+        Item(
+            what="coordinates",
+            kept=coordinates - len(still),
+            of=coordinates,
+            why="; ".join(f"{one.name}: {one.why}" for one in still) or f"each may change the picture within {REACH:g}",
+        ),
+        Item(
+            what="pixels",
+            kept=height * width if plain else (bottom - top) * (right - left),
+            of=height * width,
+            why="exact: the whole picture"
+            if plain
+            else f"at the start no object is outside rows {top} to {bottom} and columns {left} to {right}; found anew "
+            "for every pose",
+        ),
+        Item(
+            what="passes through OpenGL",
+            kept=passes if shown is None else 0,
+            of=passes,
+            why="exact: all are drawn by pyrender's OpenGL"
+            if plain
+            else "loops for this driver's pictures would not give the start's picture its bits, or cannot be had"
+            if shown is None
+            else "loops of our own give the start's picture the driver's bits, and draw passes side by side; OpenGL "
+            "draws where the frame cuts an object",
+        ),
+        Item(
+            what="faces shaded",
+            kept=faces if shown is None else shown,
+            of=faces,
+            why="OpenGL shades a face before it knows what hides it"
+            if shown is None
+            else "at the start the others cover no sample or are behind what shows; found anew for every pose",
+        ),
+        Item(
+            what="faces with two sides",
+            kept=faces if plain else sheets,
+            of=faces,
+            why="exact: insides are drawn behind everything"
+            if plain
+            else "the others are of closed opaque surfaces, whose inside is behind their outside",
+        ),
+        Item(
+            what="parts with a look at their texture",
+            kept=len(textured),
+            of=len(drawing.pieces),
+            why="the others have none",
+        ),
+    ]
+    stages = [
+        Stage(
+            name="upload",
+            method="vertices, faces and textures go to OpenGL's memory",
+            when="once",
+            evaluations=faces,
+            unit="faces",
+            why="no coordinate changes them",
+        )
+    ]
+    for name, touched in STAGES.items():
+        attacked = [group for group in groups if group in touched]
+        if attacked:
+            drawn = passes_for(attacked)
+            pictures = sum(len(one.colors) for one in drawn)
+            count = sum(start[group].numel() for group in attacked)
+            stages.append(
+                Stage(
+                    name=name,
+                    method=f"{pictures} pictures, {len(drawn)} times over the geometry, for both sides of "
+                    f"{count} coordinates ({', '.join(attacked)})",
+                    when="every picture",
+                    evaluations=len(drawn),
+                    unit="passes a step of all coordinates",
+                    why="exact: every picture by itself" if plain else WHY[name],
+                )
+            )
+    return Plan.of(
+        renderer=renderer.name,
+        groups=tuple(groups),
+        size=renderer.size,
+        tolerance=tolerance,
+        items=tuple(items),
+        stages=tuple(stages),
+    )
+
+
+def both_sides(start: Mapping[str, Tensor], groups: Sequence[str], step: float = 0.01) -> dict[str, Tensor]:
+    """Parameters {group: [B, ...]}: those of `start` with each number of `groups` moved up, then down, by `step`."""
+    rows: list[dict[str, Tensor]] = []
+    for group in groups:
+        for index in range(start[group].numel()):
+            for sign in (1, -1):
+                moved = {name: value.clone() for name, value in start.items()}
+                moved[group].view(-1)[index] += sign * step
+                rows.append(moved)
+    return {name: torch.stack([row[name] for row in rows]) for name in start}

@@ -1,0 +1,260 @@
+"""Point lights, colours and poses, rendered by pyrender: the non-differentiable renderer (paper, section 4.1)."""
+
+from collections.abc import Callable, Mapping, Sequence
+from copy import copy
+from dataclasses import replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from services.errors import JobFailure
+from services.finite import finite
+from services.rendering.compositing import over_ground
+from services.rendering.opengl import context
+from services.rendering.opengl.camera import CameraMatrices, RenderPass
+from services.rendering.opengl.screen_bounds import Rectangle, beyond, rectangle
+from services.rendering.plan import DEFAULT_TOLERANCE, Plan, Tolerance
+from services.rendering.protocol import Parameters
+from services.rendering.pyrender_renderer import rasteriser
+from services.rendering.pyrender_renderer.batching import SharedPass, alone, shared
+from services.rendering.pyrender_renderer.inactive import InactiveCoordinate, idle
+from services.rendering.pyrender_renderer.parameters import GROUPS, SceneParameters
+from services.rendering.pyrender_renderer.planner import compile_plan
+from services.scenes.resolve import ResolvedScene
+
+EXPOSURE = 0.5
+"""Radiance times this is the linear picture: a white surface that faces the default light from 2.5 away (radiance 2.0
+with the ambient light) is just the display's white. EfficientNet-Lite0 does as well from 0.4 to 0.8."""
+
+MOST = 8
+"""Pictures drawn in one pass over the geometry: as many outputs as every driver has."""
+
+MEMORY = 2**26
+"""Bytes of samples that the pictures of a pass may take; a single one may take more."""
+
+ODD = 0.01
+"""Share of covered pixels that the insides of closed surfaces may change. They do change some at silhouettes, where the
+depths of both sides round to the same; a surface that passes through itself shows more, and is not taken for closed."""
+
+
+ROUNDING = 1e-3
+"""Scene units, and share, that an object must be further out of the frame than it could move, for it to be sure."""
+
+
+class PyrenderRenderer:
+    """Images of a scene as a function of its lights, colours and poses.
+
+    Groups, all float tensors: `illumination` [1 + 4 points] (ambient; then per point light its energy / 30 and x, y,
+    z), `color` [objects, 3] (linear factor on the mesh's own colours), `translation` [objects, 3] (scene units),
+    `rotation` [objects, 3] (rotation vectors, radians). With one object and one light these are the paper's 14 numbers.
+
+    A Lambertian body under a thin glossy coat, lit without shadows or bounces: `shaders/radiance.frag` has the
+    formula. Silhouettes are multisampled; the ground is composited as displayed, by coverage. Of closed surfaces only
+    the outside is seen. Everything is drawn in the process's one OpenGL context, so only the thread that used it first
+    may render.
+
+    The pictures of a batch share what they can (`sharing`), nothing is drawn where no object is, and loops draw what
+    they can instead of OpenGL (`raster`), if they give the start's picture its bits. `plan` says how much that is. It
+    costs no accuracy: a picture has the bits that `exact`, which has OpenGL draw each by itself and whole, gives it.
+    """
+
+    name = "pyrender"
+    groups = GROUPS
+    differentiable = False
+
+    def __init__(
+        self, scene: ResolvedScene, groups: Sequence[str] | None = None, tolerance: Tolerance = DEFAULT_TOLERANCE
+    ) -> None:
+        """For attacks on `groups` (None: all). Any tolerance but "exact" is kept with an error of nothing."""
+        current = context.current()
+        from services.rendering.opengl.mesh_upload import Drawing  # imports OpenGL, so after the context
+
+        description = scene.description
+        self.backend = current.backend
+        self.size = description.camera.size
+        self._drawing = Drawing(scene.meshes, closed=True)
+        self._view = CameraMatrices.of(scene.view, scene.projection)
+        self._ground = torch.tensor(description.ground, dtype=torch.float32)
+        self._numbers = SceneParameters(description)
+        self._most = max(1, min(MOST, MEMORY // (16 * rasteriser.SAMPLES * self.size[0] * self.size[1])))
+        self._plain = tolerance == "exact"
+        self._closed = False
+        self._shown: int | None = None
+        self._try_at_start()
+        self._plan: Plan | None = None
+        self._attacked = tuple(groups or self.groups)
+        self._tolerance = tolerance
+
+    @property
+    def plan(self) -> Plan:
+        """What is drawn, shared and left out for the attacked groups. Made when first asked for: it draws proofs."""
+        if self._plan is None:
+            self._plan = compile_plan(
+                self,
+                self._drawing,
+                self._attacked,
+                self._tolerance,
+                extent=self.extent(self.initial()),
+                closed=self._closed,
+                shown=self._shown,
+                most=self._most,
+                idle=[] if self._plain else self.idle(self.initial(), {}),
+            )
+        return self._plan
+
+    def initial(self) -> Parameters:
+        """The scene's own values, float64."""
+        return self._numbers.initial()
+
+    def bounds(self) -> Mapping[str, tuple[Tensor, Tensor]]:
+        """Light is not negative, colours lie in [0,1]; positions and rotations are free."""
+        return self._numbers.bounds()
+
+    def names(self, group: str) -> list[str] | None:
+        """A word for each number of a group, in order."""
+        return self._numbers.names(group)
+
+    def exact(self) -> "PyrenderRenderer":
+        """The twin that draws every picture by itself, whole, with the insides of closed surfaces."""
+        if self._plain:
+            return self
+        twin = copy(self)
+        twin._plain, twin._tolerance, twin._plan, twin._shown = True, "exact", None, None
+        return twin
+
+    @property
+    def closed(self) -> bool:
+        """Whether closed surfaces are taken for closed: only if at the start their insides show nowhere."""
+        return self._closed
+
+    def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
+        """Images float32 [B, H, W, 3] in [0,1]; `parameters` {group: [B, ...]}. An object out of frame leaves ground.
+
+        Raises JobFailure("non-finite") for parameters or radiances that are not finite, ValueError for unknown groups
+        and wrong shapes.
+        """
+
+        return self._draw(parameters, self._ground, lambda radiance: over_ground(radiance, EXPOSURE, self._ground))
+
+    def radiance(self, parameters: Mapping[str, Tensor]) -> Tensor:
+        """Linear, unclamped radiance times coverage, and coverage: float32 [B, H, W, 4]. Before exposure and display.
+
+        Strictly linear in the ambient light and in each light's energy. Raises as `render` does.
+        """
+        return self._draw(parameters, torch.zeros(4), lambda radiance: radiance)
+
+    def extent(self, parameters: Mapping[str, Tensor]) -> Rectangle:
+        """Rows from and to, columns from and to, within which the objects are at `parameters` {group: [...]}."""
+        batch = self._numbers.checked({group: value[None] for group, value in parameters.items()})
+        return self._extent(self._numbers.poses(batch["translation"][0], batch["rotation"][0]))
+
+    def out_of_frame(self, parameters: Mapping[str, Tensor], index: int, margin: float, turned: bool) -> bool:
+        """Whether an object at `parameters` {group: [...]} covers nothing wherever it is moved by at most `margin`
+        (scene units), and, if `turned`, however it is turned. False where that is not sure.
+        """
+        batch = self._numbers.checked({group: value[None] for group, value in parameters.items()})
+        pose = self._numbers.poses(batch["translation"][0], batch["rotation"][0])[index]
+        corners = pose @ self._drawing.points[index]
+        if turned:  # the ball around the object's own origin that holds it
+            centre = np.append(pose[:3, 3], 1.0)
+            margin += float(np.linalg.norm(corners[:3] - centre[:3, None], axis=0).max())
+            corners = centre[:, None]
+        return beyond(corners, self._view.clip_from_world, margin * (1 + ROUNDING) + ROUNDING)
+
+    def idle(self, parameters: Mapping[str, Tensor], reach: Mapping[str, float]) -> list[InactiveCoordinate]:
+        """The coordinates that change no pixel at `parameters` {group: [...]}, moved by at most `reach`; see `idle`."""
+        return idle(self, parameters, reach)
+
+    def _draw(self, parameters: Mapping[str, Tensor], empty: Tensor, finish: Callable[[Tensor], Tensor]) -> Tensor:
+        """Pictures [B, H, W, C]: `empty` [C] where no object is, and `finish` of radiance [..., 4] elsewhere.
+
+        First all is drawn, then all is finished: threads of torch that wait for work in between would be in the way of
+        those that draw.
+        """
+        batch = self._numbers.checked(parameters)
+        passes = [(drawn, self._lit(drawn)) for drawn in (alone(batch) if self._plain else shared(batch, self._most))]
+        passes = [(drawn, lit) for drawn, lit in passes if lit.part[0] < lit.part[1]]
+        pictures = empty.expand(len(batch["color"]), *self.size, len(empty)).clone().numpy()
+        for (drawn, lit), frames in zip(passes, self._frames([lit for _, lit in passes]), strict=True):
+            top, bottom, left, right = lit.part
+            radiance = torch.from_numpy(frames)
+            if not finite(radiance):
+                why = "the picture has values that are not finite: light or colour is too strong"
+                raise JobFailure("non-finite", why)
+            shown = finish(radiance).numpy()[:, ::-1]  # OpenGL's first row is the bottom one
+            whole: dict[int, int] = {}
+            for row, channel, slot in drawn.users:
+                part = pictures[row, top:bottom, left:right]
+                if channel == 0:  # coverage is the same in all
+                    part[:] = shown[slot]
+                    whole[row] = slot
+                elif whole.get(row) != slot:
+                    part[..., channel] = shown[slot, ..., channel]
+        return torch.from_numpy(pictures)
+
+    def _extent(self, poses: NDArray[np.float64]) -> Rectangle:
+        return rectangle(self._drawing.points, list(self._view.clip_from_world @ poses), self.size)
+
+    def _lit(self, drawn: SharedPass) -> RenderPass:
+        """What to draw of a pass: the part of the picture where objects are, or all of it to be exact."""
+        poses = self._numbers.poses(drawn.translation, drawn.rotation)
+        part = (0, self.size[0], 0, self.size[1]) if self._plain else self._extent(poses)
+        return self._numbers.lit(drawn.illuminations, drawn.colors, poses, part)
+
+    def _frames(self, passes: Sequence[RenderPass]) -> list[NDArray[np.float32]]:
+        """Radiance [pictures, rows, columns, 4] of each pass's part, the bottom row first."""
+        if self._shown is None or not passes:
+            return [self._by_opengl(lit) for lit in passes]
+        drawn = self._by_loops(passes)
+        return [self._by_opengl(lit) if own is None else own[0] for lit, own in zip(passes, drawn, strict=True)]
+
+    def _by_loops(self, passes: Sequence[RenderPass]) -> list[tuple[NDArray[np.float32], int] | None]:
+        positions = context.current().renderer.sample_positions
+        return rasteriser.draw(self._drawing, self._view, passes, self.size, positions, self._closed)
+
+    def _by_opengl(self, lit: RenderPass) -> NDArray[np.float32]:
+        """As `_frames`, of one pass."""
+        images: NDArray[np.float32] = context.current().renderer.draw(
+            self._drawing,
+            "radiance.frag",
+            self._view,
+            lit.poses,
+            lit.colors,
+            lit.uniforms,
+            {},
+            size=self.size,
+            samples=rasteriser.SAMPLES,
+            outputs=len(lit.colors),
+            blend=True,
+            lights=lit.points.shape[1],
+            rectangle=lit.part,
+            insides="like outsides" if not self._closed else "behind" if self._plain else "left out",
+        )
+        return images
+
+    def _at_start(self) -> RenderPass:
+        """The scene's own picture as a pass."""
+        [start] = alone(self._numbers.checked({}))
+        return self._lit(start)
+
+    def _try_at_start(self) -> None:
+        """Finds out whether closed surfaces may be taken for closed (`_closed`), and whether the loops draw with
+        OpenGL's bits; `_shown` is then how many faces show."""
+        start = replace(seen := self._at_start(), part=(0, self.size[0], 0, self.size[1]))
+        frame = None
+        if any(piece.closed for piece in self._drawing.pieces):
+            natural, self._closed = self._by_opengl(start), True
+            frame = self._by_opengl(start)
+            changed = np.abs(EXPOSURE * (frame - natural)).max(axis=-1) > 1 / 255
+            if changed.sum() > ODD * (natural[..., 3] > 0).sum():
+                frame, self._closed = natural, False
+        in_frame = seen.part[0] < seen.part[1]
+        if self._plain or not (rasteriser.available() and context.current().software and in_frame):
+            return
+        if frame is None:
+            frame = self._by_opengl(start)
+        [drawn] = self._by_loops([start])  # after OpenGL, which is asked for its textures
+        if drawn is not None and np.array_equal(drawn[0], frame):
+            self._shown = drawn[1]

@@ -1,0 +1,1 @@
+"""The differentiable renderer: normals, illumination and material, shaded by torch and kernels."""

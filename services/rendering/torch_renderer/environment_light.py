@@ -1,0 +1,55 @@
+"""An environment map as the torch renderer attacks it: one intensity per texel, a fixed colour, an exposure."""
+
+from dataclasses import dataclass
+from math import pi
+
+import torch
+from torch import Tensor
+
+from services.rendering.torch_renderer.directions import directions, solid_angles
+from services.rendering.torch_renderer.units import ILLUMINATION_MEAN, WHITE
+
+LUMINANCE = (0.2126, 0.7152, 0.0722)
+"""Linear RGB to luminance (ITU-R BT.709)."""
+
+PROBES = (16, 32)
+"""Grid of the surface directions over which the exposure looks for the brightest one."""
+
+
+@dataclass(frozen=True)
+class Illumination:
+    """A map taken apart: the radiance of texel t is `exposure · chroma[t] · intensity[t]`, in displayed linear units.
+
+    intensity: float64 [rows, cols], ≥ 0, mean over the sphere ILLUMINATION_MEAN (all zero for a black map).
+    chroma: float64 [rows, cols, 3], the colour at luminance 1; white where the map is black.
+    exposure: brings the most lit white Lambertian surface to WHITE in its brightest channel. It depends on the map
+    only, never on the object or on a perturbation.
+    """
+
+    intensity: Tensor
+    chroma: Tensor
+    exposure: float
+
+
+def illumination(environment: Tensor) -> Illumination:
+    """Take a map apart. `environment`: linear RGB radiance [rows, cols, 3], finite and ≥ 0, of any scale."""
+    rows, cols, _ = environment.shape
+    radiance = environment.to(torch.float64)
+    # A common factor first: squares and sums of very large or very small maps stay in range.
+    radiance = radiance / radiance.max().clamp_min(torch.finfo(torch.float64).tiny)
+    luminance = radiance @ torch.tensor(LUMINANCE, dtype=torch.float64)
+    lit = luminance > 0
+    chroma = torch.where(lit[..., None], radiance / torch.where(lit, luminance, 1.0)[..., None], 1.0)
+    angles = solid_angles(rows, cols).reshape(rows, cols)
+    mean = float((luminance * angles).sum() / (4 * pi))
+    intensity = luminance * (ILLUMINATION_MEAN / mean) if mean > 0 else luminance
+    brightest = float(_white_surfaces(intensity, chroma).max())
+    return Illumination(intensity, chroma, WHITE / (brightest or ILLUMINATION_MEAN))
+
+
+def _white_surfaces(intensity: Tensor, chroma: Tensor) -> Tensor:
+    """Radiance [surfaces, 3] of white Lambertian surfaces facing the probe directions."""
+    rows, cols = intensity.shape
+    power = (chroma * intensity[..., None]).reshape(-1, 3) * solid_angles(rows, cols)[:, None]
+    cosines = (directions(*PROBES) @ directions(rows, cols).T).clamp_min(0.0)
+    return cosines @ power / pi

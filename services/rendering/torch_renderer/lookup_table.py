@@ -1,0 +1,123 @@
+"""Radiance tabulated over normals, in the two angles that are the parameters of an attack.
+
+Row i of a table stands at polar angle (i + ½)h, column j at azimuth −π + (j + ½)h, h = π / rows, with twice as many
+columns as rows. A normal is smooth and periodic in its angles, so a table needs no border: past a pole the rows come
+back half a turn further round. Between nodes Catmull-Rom splines run in both angles: once continuously differentiable.
+"""
+
+from functools import lru_cache
+from math import isqrt, pi
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from services.rendering.kernels import compiled
+from services.rendering.torch_renderer.normals import to_vectors
+
+TILE = 4
+"""Nodes a side of the squares in which a table is filled: neighbours, so that they see much the same directions."""
+
+
+def look_up(table: Tensor, angles: Tensor) -> Tensor:
+    """Values [P, 3] of a table [rows · 2 rows, 3] at azimuth and polar angle [P, 2], any finite angles. Differentiable
+    (once) in both."""
+    if compiled.runs(angles):
+        result: Tensor = _LookUp.apply(table, angles.contiguous())  # type: ignore[no-untyped-call]
+        return result
+    nodes, weights = _spots(angles, _rows(table))
+    return (table[nodes] * weights[..., None]).sum(1)
+
+
+def touched(angles: Tensor, rows: int) -> Tensor:
+    """Which tiles the values at `angles` [P, 2] depend on: bool [tiles of the table]."""
+    if compiled.runs(angles):
+        found, plain = torch.zeros(len(tiles(rows)), dtype=torch.bool), angles.detach().contiguous()
+        compiled.call("touch", angles.dtype, len(plain), rows, plain, found, compiled.threads())
+        return found
+    nodes = torch.zeros(2 * rows * rows, dtype=torch.bool)
+    nodes[_spots(angles.detach(), rows)[0].flatten().cpu()] = True
+    return nodes[tiles(rows)].any(1)
+
+
+@lru_cache(maxsize=16)
+def tiles(rows: int) -> Tensor:
+    """The nodes of each tile, int64 [tiles, TILE²], as places in the flattened table. `rows` is a multiple of TILE."""
+    flat = torch.arange(2 * rows * rows).reshape(rows // TILE, TILE, 2 * rows // TILE, TILE)
+    return flat.permute(0, 2, 1, 3).reshape(-1, TILE**2)
+
+
+@lru_cache(maxsize=16)
+def node_vectors(rows: int) -> Tensor:
+    """The normals of a table's nodes, float64 [rows · 2 rows, 3], in the camera's frame."""
+    polar = (torch.arange(rows, dtype=torch.float64) + 0.5) * (pi / rows)
+    azimuth = (torch.arange(2 * rows, dtype=torch.float64) + 0.5) * (pi / rows) - pi
+    grid = torch.stack(torch.meshgrid(polar, azimuth, indexing="ij"), dim=-1).reshape(-1, 2)
+    return to_vectors(grid.flip(-1))
+
+
+PLACES = 2 * 64 * 64
+"""`place` is below it."""
+
+
+def place(angles: Tensor) -> Tensor:
+    """A number [P] for each pair of angles [P, 2], such that normals of near numbers are near: tile by tile of a table
+    of 64 rows."""
+    rows = 64
+    row = (angles[:, 1] * (rows / pi)).long().clamp(0, rows - 1)
+    column = (angles[:, 0] * (rows / pi) + rows).long().clamp(0, 2 * rows - 1)
+    tile = row // TILE * (2 * rows // TILE) + column // TILE
+    return tile * TILE**2 + row % TILE * TILE + column % TILE
+
+
+def _rows(table: Tensor) -> int:
+    return isqrt(len(table) // 2)
+
+
+class _LookUp(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, table: Tensor, angles: Tensor) -> Tensor:
+        table = table.contiguous()
+        ctx.save_for_backward(table, angles)
+        result = angles.new_empty(len(angles), 3)
+        compiled.call("look_up", angles.dtype, len(angles), _rows(table), angles, table, result, compiled.threads())
+        return result
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, slope: Tensor) -> tuple[Tensor | None, Tensor | None]:
+        table, angles = ctx.saved_tensors
+        d_table = torch.empty_like(table) if ctx.needs_input_grad[0] else None
+        d_angles = torch.empty_like(angles) if ctx.needs_input_grad[1] else None
+        into = (slope.contiguous(), d_angles, d_table, compiled.threads())
+        compiled.call("look_up_backward", angles.dtype, len(angles), _rows(table), angles, table, *into)
+        return d_table, d_angles
+
+
+def _spots(angles: Tensor, rows: int) -> tuple[Tensor, Tensor]:
+    """The 16 nodes [P, 16] around each pair of angles and their weights [P, 16], in torch."""
+    places = angles * (rows / pi) + torch.tensor([rows - 0.5, -0.5], dtype=angles.dtype, device=angles.device)
+    corner = places.detach().floor()
+    weights = _catmull_rom(places - corner)
+    around = torch.arange(-1, 3, device=angles.device)
+    column, row = (corner.long()[:, i, None] + around for i in (0, 1))
+    row = row % (2 * rows)
+    past = row >= rows
+    row = torch.where(past, 2 * rows - 1 - row, row)
+    column = (column[:, None, :] + rows * past[:, :, None]) % (2 * rows)
+    nodes = row[:, :, None] * (2 * rows) + column
+    return nodes.flatten(1), (weights[:, 1, :, None] * weights[:, 0, None, :]).flatten(1)
+
+
+def _catmull_rom(f: Tensor) -> Tensor:
+    """Weights [..., 4] of the nodes at −1, 0, 1 and 2 for a place f in [0, 1)."""
+    return 0.5 * torch.stack(
+        (
+            f * (-1 + f * (2 - f)),
+            2 + f * f * (-5 + 3 * f),
+            f * (1 + f * (4 - 3 * f)),
+            f * f * (f - 1),
+        ),
+        dim=-1,
+    )

@@ -1,0 +1,62 @@
+"""Unit normals as the paper's two angles per pixel, and back.
+
+The angles are of the camera's frame: polar angle θ from the camera's up axis (+y), azimuth φ about it from the axis
+towards the viewer (+z) to the camera's right (+x), so n = (sin θ sin φ, cos θ, sin θ cos φ). A surface that is seen has
+n·z > 0, hence φ in (−π/2, π/2), away from the jump at ±π; and the pole, where φ has no meaning, lies on the silhouette:
+only surfaces seen exactly edge-on have a normal straight up. Nothing breaks there: n is smooth in (θ, φ) everywhere and
+its gradient with respect to φ goes to zero at the pole.
+"""
+
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from services.rendering.kernels import compiled
+
+FURTHEST_ANGLE = 100.0
+"""Attacked angles are held within this on both sides, radians: 16 turns, more than 120 steps of the paper's size make,
+and near enough that float32 has 8e-6 radians left. At 1e6 it would have 0.06, and loop and judge see other normals."""
+
+
+def to_angles(vectors: Tensor) -> Tensor:
+    """Azimuth and polar angle [..., 2], radians, of vectors [..., 3] in the camera's frame (of any length > 0).
+
+    Azimuth in [−π, π], 0 at the poles; polar angle in [0, π]. The zero vector gives (0, 0).
+    """
+    x, y, z = vectors.unbind(-1)
+    horizontal = torch.hypot(x, z)
+    azimuth = torch.where(horizontal > 0, torch.atan2(x, z), 0.0)
+    return torch.stack((azimuth, torch.atan2(horizontal, y)), dim=-1)
+
+
+def to_vectors(angles: Tensor) -> Tensor:
+    """Unit vectors [..., 3] in the camera's frame of angles [..., 2] (azimuth, polar), for any finite angles.
+
+    Differentiable; once, in float32 on the CPU, which has loops of its own.
+    """
+    if angles.dtype == torch.float32 and compiled.runs(angles):
+        result: Tensor = _Vectors.apply(angles.contiguous())  # type: ignore[no-untyped-call]
+        return result
+    azimuth, polar = angles.unbind(-1)
+    horizontal = polar.sin()
+    return torch.stack((horizontal * azimuth.sin(), polar.cos(), horizontal * azimuth.cos()), dim=-1)
+
+
+class _Vectors(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, angles: Tensor) -> Tensor:
+        ctx.save_for_backward(angles)
+        found = angles.new_empty(*angles.shape[:-1], 3)
+        compiled.call("vectors", angles.dtype, angles.numel() // 2, angles, found, compiled.threads())
+        return found
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, slope: Tensor) -> Tensor:
+        [angles] = ctx.saved_tensors
+        found = torch.empty_like(angles)
+        of = (angles.numel() // 2, angles, slope.contiguous(), found)
+        compiled.call("vectors_backward", angles.dtype, *of, compiled.threads())
+        return found

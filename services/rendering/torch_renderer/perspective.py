@@ -1,0 +1,99 @@
+"""The shading sum for a viewer at a finite distance: half vectors, and the lobes with them, differ from pixel to pixel.
+
+Nothing of it can be tabulated over normals alone, so it is summed pixel by pixel: in the compiled loops, else in torch
+by chunks whose graph is built again in the backward pass.
+"""
+
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+from torch.nn.functional import normalize
+
+from services.rendering.kernels import compiled
+from services.rendering.torch_renderer import dsbrdf
+
+CHUNK = 2**16
+"""Pixels times directions at once in torch, where each pair keeps some hundred numbers."""
+
+
+def radiance(normals: Tensor, viewers: Tensor, light: Tensor, material: Tensor, towards: Tensor) -> Tensor:
+    """Σ_ω ρ(θ_h, θ_d) · light · max(0, n·ω), [P, 3].
+
+    normals, viewers [P, 3], unit vectors, the second towards the camera; light [3, D]; material [C, LOBES, 2, 6],
+    natural logarithms of κ and γ, C = 1 where the channels are the same; towards [3, D]. Differentiable (once) in
+    normals (along the sphere), light and material.
+    """
+    result: Tensor = _Radiance.apply(normals, viewers, light, material, towards)  # type: ignore[no-untyped-call]
+    return result
+
+
+class _Radiance(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, *inputs: Tensor) -> Tensor:
+        held = tuple(value.contiguous() for value in inputs)
+        ctx.save_for_backward(*held)
+        normals, viewers, light, material, towards = held
+        if compiled.runs(normals):
+            result = torch.empty_like(normals)
+            compiled.call("shade_perspective", normals.dtype, _pack(*held), result, compiled.threads())
+            return result
+        step = max(16, CHUNK // max(1, towards.shape[1]))
+        parts = zip(torch.split(normals, step), torch.split(viewers, step), strict=True)
+        return torch.cat([_chunk(n, v, light, material, towards) for n, v in parts])
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, slope: Tensor) -> tuple[Tensor | None, ...]:
+        normals, viewers, light, material, towards = ctx.saved_tensors
+        slopes = [torch.zeros_like(value) for value in (light, material, normals)]
+        slope = slope.contiguous()
+        if compiled.runs(normals):
+            packed = _pack(normals, viewers, light, material, towards)
+            compiled.call("shade_perspective_backward", normals.dtype, packed, slope, *slopes, compiled.threads())
+        else:
+            step = max(16, CHUNK // max(1, towards.shape[1]))
+            for start in range(0, len(normals), step):
+                some = slice(start, start + step)
+                leaves = [value.detach().requires_grad_() for value in (light, material, normals[some])]
+                with torch.enable_grad():
+                    shaded = _chunk(leaves[2], viewers[some], leaves[0], leaves[1], towards)
+                of_light, of_material, of_normals = torch.autograd.grad(shaded, leaves, slope[some])
+                slopes[0] += of_light
+                slopes[1] += of_material
+                slopes[2][some] = of_normals
+        return slopes[2], None, slopes[0], slopes[1], None
+
+
+def _chunk(normals: Tensor, viewers: Tensor, light: Tensor, material: Tensor, towards: Tensor) -> Tensor:
+    """A few pixels, all pairs at once. Angles in float64, as a lobe of γ = 1e5 looks at 1 − n·h of 1e-5; and of vectors
+    made unit in float64, or the angle between two that nearly meet would be off by 3e-4."""
+    n, v, w = (
+        normalize(normals.double(), dim=-1),
+        normalize(viewers.double(), dim=-1),
+        normalize(towards.double(), dim=0),
+    )
+    between = v @ w  # cosine of 2 θ_d
+    length = (2 + 2 * between).clamp_min(0.0).sqrt()
+    nowhere = length < 1e-7  # light from straight behind: no half vector
+    cosine = n @ w
+    facing = (n * v).sum(-1, keepdim=True)
+    half = torch.where(nowhere, 0.0, (facing + cosine) / torch.where(nowhere, 1.0, length))
+    theta_d = torch.atan2((2 - 2 * between).clamp_min(0.0).sqrt(), length)
+    dtype = normals.dtype
+    curves = dsbrdf.basis(theta_d).to(dtype).flatten(0, 1)
+    log_kappa, gamma = (curve.reshape(*curve.shape[:-1], *cosine.shape) for curve in dsbrdf.lobes(material, curves))
+    log_half = half.clamp(dsbrdf.COSINE_FLOOR, 1.0).log().to(dtype)
+    rho = dsbrdf.reflectance(log_half, log_kappa, gamma).sum(1) * cosine.clamp_min(0.0).to(dtype)
+    return torch.einsum("cpd,cd->pc", rho.expand(3, -1, -1), light)
+
+
+def _pack(
+    normals: Tensor, viewers: Tensor, light: Tensor, material: Tensor, towards: Tensor
+) -> compiled.PerspectiveFloat | compiled.PerspectiveDouble:
+    kind = compiled.PerspectiveDouble if normals.dtype == torch.float64 else compiled.PerspectiveFloat
+    sizes = (len(normals), towards.shape[1], *material.shape[:2])
+    pointers = (value.data_ptr() for value in (normals, viewers, towards, light, material))
+    most = (dsbrdf.LOG_KAPPA_RANGE[1], dsbrdf.LOG_GAMMA_RANGE[1])
+    return kind(*sizes, *pointers, dsbrdf.COSINE_FLOOR, *dsbrdf.LOG_EXPONENT_RANGE, *most)

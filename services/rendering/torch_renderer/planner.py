@@ -1,0 +1,278 @@
+"""Compiling the torch renderer: what one object needs for one set of attacked groups, and the cheapest way to it.
+
+Errors of tables are measured, not derived: at the object's own pixels, for the scene as it is and for draws of the
+attacked groups within an attack's reach, against the sum itself. What cannot be seen there (a highlight narrower than
+the table's mesh) rules a table out beforehand; what changes while the attack runs is checked in every picture (Shader).
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from services.rendering.plan import Item, Plan, Stage, Tolerance
+from services.rendering.torch_renderer import dsbrdf
+from services.rendering.torch_renderer import error_estimates as errors
+from services.rendering.torch_renderer.lookup_table import tiles, touched
+from services.rendering.torch_renderer.normals import to_vectors
+from services.rendering.torch_renderer.shader import CHECKED, Nodes, Recipe, Sky, Surface
+
+ROWS = (24, 32, 48, 64, 96, 128, 192, 256)
+"""Tables that are tried."""
+ORDER = 3
+"""Of Catmull-Rom: with a finer mesh a table's error falls by this power of it at best, so that some need no trial."""
+SHARP = (0, 8, 16, 32, 64, 128)
+"""SceneParameters of directions that are tried beside them, summed at the pixels."""
+ROUGH_AT = 48
+"""Rows of the table for which the directions are put in the order of their roughness."""
+HEADROOM = 3.0
+"""How much worse than at the sampled pixels an error may be elsewhere; the same when a plan is made and when a picture
+is checked."""
+ROUNDING = 2e-5
+"""Displayed error of a sum in float32, at most; measured too, as sharp lobes magnify it."""
+LOBES_SHARE = 0.2
+"""Part of the tolerance that lobes may cost that are left out or straightened."""
+LOOKUP = 100
+"""A lookup costs as much as so many lobe values."""
+CARRY = 1.0
+"""A product with a factor that is kept costs as much as so many lobe values: it waits for memory."""
+WORTH = 0.8
+"""A shortcut is taken where it costs less than this part of the straight way."""
+PICTURES = 50
+"""What is done once is done for so many pictures."""
+TRANSPORT_BYTES = 2**28
+"""Factors that may be kept for one object."""
+
+
+def exact_recipe(sky: Sky) -> Recipe:
+    """Every direction and lobe, pixel by pixel, in float64."""
+    every = torch.ones(dsbrdf.CHANNELS, dsbrdf.LOBES, dtype=torch.bool)
+    texels = torch.arange(sky.power.shape[1])
+    return Recipe(texels, False, every, ~every, "summed", moving=True, dtype=torch.float64)
+
+
+def compile_plan(
+    surfaces: Sequence[Surface],
+    sky: Sky,
+    illumination: Tensor,
+    groups: Sequence[str],
+    tolerance: Tolerance,
+    size: tuple[int, int],
+) -> tuple[list[Recipe], Plan]:
+    """A recipe for each object and the plan that says so. `illumination` [D], the scene's own; deterministic."""
+    recipes, items, stages = [], [], []
+    pixels = sum(len(surface.angles) for surface in surfaces)
+    items.append(Item(what="pixels", kept=pixels, of=size[0] * size[1], why="the others show the ground alone"))
+    seen = [surface for surface in surfaces if len(surface.angles)]
+    if len(seen) < len(surfaces):
+        items.append(Item(what="objects", kept=len(seen), of=len(surfaces), why="the others are seen by no pixel"))
+    why = "the other groups keep their values"
+    items.append(Item(what="gradients", kept=len(groups), of=3, why=why if len(groups) < 3 else "all are attacked"))
+    for surface in surfaces:
+        if tolerance == "exact" or not len(surface.angles):
+            recipe = exact_recipe(sky)
+            if len(surface.angles):
+                stages.append(_nodes_stage(surface, recipe, len(surface.angles), "exact, as asked", 0.0))
+        else:
+            needs = _needs(surface, sky, illumination, groups, tolerance)
+            items += needs.items
+            recipe, chosen = _cheapest(surface, sky, illumination, groups, tolerance, needs)
+            stages += chosen
+        recipes.append(recipe)
+    return recipes, Plan.of("torch", groups, size, tolerance, items, stages)
+
+
+@dataclass(frozen=True)
+class _Needs:
+    """What has to be computed at all, before any method: a recipe to start from, and what was left out of it."""
+
+    recipe: Recipe
+    items: list[Item]
+
+    @property
+    def error(self) -> float:
+        return sum(item.error for item in self.items)
+
+
+def _needs(surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str], tolerance: float) -> _Needs:
+    kept, why = _directions(surface, sky, illumination, groups)
+    items = [_item(surface, "directions", len(kept), sky.power.shape[1], why)]
+    every = torch.ones(dsbrdf.CHANNELS, dsbrdf.LOBES, dtype=torch.bool)
+    varying, straight, gray = every, ~every, False
+    if "material" not in groups and surface.viewers is None:
+        bounds = errors.lobe_bounds(surface, sky, illumination, groups, kept)
+        small = LOBES_SHARE * tolerance / dsbrdf.LOBES
+        dark, straight = bounds.dark <= small, (bounds.straight <= small) & (bounds.dark > small)
+        varying = ~dark & ~straight
+        gray = bool((surface.material == surface.material[:1]).all()) and bool(
+            (varying == varying[:1]).all() and (straight == straight[:1]).all()
+        )
+        error = float((bounds.dark * dark + bounds.straight * straight).sum(1).amax())
+        why = f"{int(dark.sum())} reflect nothing, {int(straight.sum())} are straight lines in log cos θ_h"
+        items.append(_item(surface, "lobes", int(varying.sum()), varying.numel(), why, error))
+        if gray:
+            items.append(_item(surface, "channels", 1, dsbrdf.CHANNELS, "all three have the same lobes"))
+    recipe = Recipe(kept, gray, varying, straight, "summed", moving="normals" in groups)
+    return _Needs(recipe, items)
+
+
+def _directions(surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str]) -> tuple[Tensor, str]:
+    """Texels that can change the picture, and why not the others."""
+    power = sky.power if "illumination" in groups else sky.power * illumination
+    lit = (power > 0).any(0)
+    above = torch.ones_like(lit)
+    if "normals" not in groups:
+        vectors = to_vectors(surface.angles)
+        above = torch.stack([(v @ sky.directions.towards).amax(0) for v in torch.split(vectors, 8192)]).amax(0) > 0
+    dark, below = int((~lit).sum()), int((lit & ~above).sum())
+    words = [f"{dark} carry no light"] * bool(dark) + [f"{below} are below the horizon of every normal"] * bool(below)
+    return (lit & above).nonzero()[:, 0], ", ".join(words) or "all carry light that some normal may see"
+
+
+def _cheapest(
+    surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str], tolerance: float, needs: _Needs
+) -> tuple[Recipe, list[Stage]]:
+    """The cheapest recipe whose estimated error fits into what the items left of the tolerance."""
+    left, pixels = tolerance - needs.error, len(surface.angles)
+    direct = replace(
+        needs.recipe, nodes=_kind(needs.recipe, groups, pixels, looked_up=False, near=surface.viewers is not None)
+    )
+    rounding = ROUNDING + errors.of_float32(surface, sky, illumination, direct)
+    if rounding > left:
+        wide = replace(direct, dtype=torch.float64)
+        return wide, [_nodes_stage(surface, wide, pixels, f"float32 would be off by {rounding:.0e}", 0.0)]
+    if surface.viewers is not None:
+        why = "the viewer is near: radiance depends on the pixel, not on its normal alone"
+        return direct, [_nodes_stage(surface, direct, pixels, why, rounding)]
+    measured = errors.Measured(surface, sky, illumination, groups, needs.recipe)
+    why = "a table would cost more"
+    limit = (left - rounding) / HEADROOM
+    failed: list[tuple[int, int, float]] = []
+    for recipe, count in _tables(surface, sky, illumination, groups, direct, left):
+        rows, sharp = recipe.rows or 0, len(recipe.sharp)
+        if any(sharp <= more and off * min(1, of / rows) ** ORDER >= limit for of, more, off in failed):
+            continue
+        if errors.too_narrow(surface, sky, illumination, groups, recipe, left):
+            failed.append((rows, sharp, limit))
+            why = "highlights are narrower than the mesh of any table that costs less"
+            continue
+        off = measured.error(recipe, limit)
+        error = HEADROOM * off + rounding
+        if off <= limit:
+            return recipe, _table_stages(surface, recipe, count, pixels, error, direct)
+        failed.append((rows, sharp, off))
+        why = f"a table of {rows} rows and {sharp} directions beside it may be off by {error:.1e} or more"
+    return direct, [_nodes_stage(surface, direct, pixels, why, rounding)]
+
+
+def _tables(
+    surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str], direct: Recipe, left: float
+) -> Iterator[tuple[Recipe, int]]:
+    """Recipes with tables that cost less than `direct`, and their numbers of nodes, the cheapest first."""
+    pixels = len(surface.angles)
+    rough = errors.roughness(surface, sky, illumination, groups, ROUGH_AT)
+    order = direct.kept[rough[direct.kept].argsort(descending=True, stable=True)]
+    found = []
+    for rows in ROWS:
+        count = int(touched(surface.angles, rows).sum()) * tiles(rows).shape[1]
+        kind = _kind(direct, groups, count, looked_up=True)
+        for sharp in SHARP:
+            if sharp <= len(order) // 2:
+                recipe = replace(
+                    direct, nodes=kind, rows=rows, sharp=order[:sharp].sort().values, guard=left / HEADROOM
+                )
+                found.append((_cost(recipe, count, pixels), recipe, count))
+    for cost, recipe, count in sorted(found, key=lambda one: one[0]):
+        if cost < WORTH * _cost(direct, 0, pixels):
+            yield recipe, count
+
+
+def _kind(recipe: Recipe, groups: Sequence[str], nodes: int, looked_up: bool, near: bool = False) -> Nodes:
+    if "material" in groups or near:
+        return "summed"
+    if "illumination" in groups:
+        size = 4 * nodes * len(recipe.kept) * recipe.channels
+        return "transported" if "normals" not in groups and size <= TRANSPORT_BYTES else "summed"
+    return "tabulated" if looked_up else "summed"
+
+
+def _cost(recipe: Recipe, nodes: int, pixels: int) -> float:
+    """Of a picture, in lobe values. Without lobes a direction still costs its cosine."""
+    each = recipe.channels * max(recipe.lobes, 0.3)
+    if recipe.rows is None:
+        pairs, others = pixels * len(recipe.kept), 0.0
+        nodes_pairs = 0
+    else:
+        pairs, nodes_pairs = pixels * len(recipe.sharp), nodes * (len(recipe.kept) - len(recipe.sharp))
+        others = LOOKUP * pixels + CHECKED * len(recipe.kept) * each
+    if recipe.nodes == "transported":
+        return CARRY * recipe.channels * (pairs + nodes_pairs) + others
+    return each * (pairs + nodes_pairs / (PICTURES if recipe.nodes == "tabulated" else 1)) + others
+
+
+_METHODS: dict[Nodes, str] = {
+    "summed": "sum over directions and lobes",
+    "transported": "product with the light of factors computed once, as the picture is linear in it",
+    "tabulated": "sum over directions and lobes where a normal first needs it: neither light nor material changes",
+}
+
+
+def _nodes_stage(surface: Surface, recipe: Recipe, count: int, why: str, error: float) -> Stage:
+    pairs = count * (len(recipe.kept) - len(recipe.sharp)) * recipe.channels
+    kind = str(recipe.dtype).removeprefix("torch.")
+    return Stage(
+        part=surface.name,
+        name="radiance",
+        method=f"{_METHODS[recipe.nodes]}, {kind}, at {count} normals",
+        when="once" if recipe.nodes == "tabulated" else "every picture",
+        evaluations=pairs if recipe.nodes == "transported" else pairs * max(recipe.lobes, 1),
+        unit="products" if recipe.nodes == "transported" else "lobe values",
+        why=why,
+        error=error,
+    )
+
+
+def _table_stages(
+    surface: Surface, recipe: Recipe, count: int, pixels: int, error: float, direct: Recipe
+) -> list[Stage]:
+    ratio = _cost(direct, 0, pixels) / _cost(recipe, count, pixels)
+    per_direction = recipe.channels * max(recipe.lobes, 1)
+    stages = [_nodes_stage(surface, recipe, count, "the normals that pixels are looked up between", 0.0)]
+    if len(recipe.sharp):
+        carried = recipe.nodes == "transported"
+        stages.append(
+            Stage(
+                part=surface.name,
+                name="sharp light",
+                method=f"{len(recipe.sharp)} directions summed pixel by pixel",
+                when="every picture",
+                evaluations=pixels * len(recipe.sharp) * (recipe.channels if carried else per_direction),
+                unit="products" if carried else "lobe values",
+                why="their edges at the horizon or their highlights are the sharpest: the table would blur them",
+            )
+        )
+    looked_up = Stage(
+        part=surface.name,
+        name="pixels",
+        method=f"looked up in a table of {recipe.rows} × {2 * (recipe.rows or 0)} normals (Catmull-Rom)",
+        when="every picture",
+        evaluations=pixels,
+        unit="lookups",
+        why=f"{ratio:.0f} times less work in all than pixel by pixel",
+        error=error,
+    )
+    checked = Stage(
+        part=surface.name,
+        name="check",
+        method=f"{min(CHECKED, pixels)} pixels are summed too; past the tolerance the whole picture is",
+        when="every picture",
+        evaluations=min(CHECKED, pixels) * len(recipe.kept) * per_direction,
+        unit="lobe values",
+        why="the attack may take the scene to where the table no longer holds",
+    )
+    return [*stages, looked_up, checked]
+
+
+def _item(surface: Surface, what: str, kept: int, of: int, why: str, error: float = 0.0) -> Item:
+    return Item(part=surface.name, what=what, kept=kept, of=of, why=why, error=error)

@@ -1,0 +1,32 @@
+"""Named materials: DSBRDF coefficients fitted to analytic reference BRDFs by scripts/fit_materials.py."""
+
+import json
+from difflib import get_close_matches
+from functools import lru_cache
+from importlib.resources import files
+
+import torch
+from torch import Tensor
+
+from services.errors import InvalidRequest
+from services.rendering.torch_renderer.dsbrdf import SHAPE
+
+
+@lru_cache(maxsize=1)
+def presets() -> dict[str, Tensor]:
+    """Name to coefficients, float64 [3, 3, 2, 6]: natural logarithms of κ and γ. For a white base colour."""
+    committed = json.loads(files("services.rendering.torch_renderer").joinpath("presets.json").read_text())
+    return {
+        name: torch.tensor(fit["coefficients"], dtype=torch.float64).reshape(SHAPE)
+        for name, fit in committed["presets"].items()
+    }
+
+
+def preset(name: str, field: str = "material") -> Tensor:
+    """The coefficients of one preset. Raises InvalidRequest(field, …) with the nearest names if there is none."""
+    known = presets()
+    if name not in known:
+        close = get_close_matches(name, known, n=2, cutoff=0.4)
+        hint = f"did you mean {' or '.join(close)}?" if close else f"there are {', '.join(known)}"
+        raise InvalidRequest(field, f"no material preset {name!r}; {hint}")
+    return known[name].clone()

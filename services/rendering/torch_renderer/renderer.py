@@ -1,0 +1,196 @@
+"""The differentiable renderer of the paper: a G-buffer shaded by a DSBRDF under an environment map.
+
+Radiance of a pixel with normal n, for a viewer and light far away,
+
+    I = base_color · exposure · Σ_ω ρ(θ_h, θ_d) · chroma(ω) · ℓ(ω) · max(0, n·ω) · ΔΩ(ω),
+
+then the sRGB curve on [0,1], and over the ground by coverage. The viewer is one direction, from the scene's origin to
+the camera: a modelling choice of the paper, under which θ_d belongs to the light direction alone; the camera's `viewer`
+"perspective" gives each pixel its own. How the sum is done
+for the attacked groups is compiled into a plan (shading_plan) when the renderer is made.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from torch import Tensor
+
+from services.rendering.compositing import Canvas
+from services.rendering.kernels import compiled
+from services.rendering.opengl.gbuffer import GBuffer
+from services.rendering.plan import DEFAULT_TOLERANCE, Tolerance
+from services.rendering.protocol import Parameters
+from services.rendering.torch_renderer import dsbrdf, lookup_table
+from services.rendering.torch_renderer.directions import directions, solid_angles
+from services.rendering.torch_renderer.environment_light import Illumination, illumination
+from services.rendering.torch_renderer.normals import FURTHEST_ANGLE, to_angles
+from services.rendering.torch_renderer.planner import compile_plan
+from services.rendering.torch_renderer.presets import preset
+from services.rendering.torch_renderer.shader import Shader, Sky, Surface
+from services.rendering.torch_renderer.shading import Directions
+from services.rendering.torch_renderer.units import MATERIAL_UNIT
+from services.scenes.resolve import ResolvedScene
+
+
+class TorchRenderer:
+    """Groups, each differentiable:
+
+    normals [H, W, 2]: azimuth and polar angle in the camera's frame, radians (see `normals`). 0 and
+    without effect where nothing is covered.
+    illumination [rows, cols]: one intensity per texel of the map, ≥ 0, of mean ILLUMINATION_MEAN; the texel's colour
+    stays.
+    material [objects, 3, 3, 2, 6]: per object and colour channel three lobes' Bernstein coefficients of log κ and log γ
+    (services.rendering.torch_renderer.dsbrdf), times MATERIAL_UNIT.
+    """
+
+    name = "torch"
+    groups = ("normals", "illumination", "material")
+    differentiable = True
+
+    def __init__(
+        self,
+        scene: ResolvedScene,
+        gbuffer: GBuffer,
+        groups: Sequence[str] = groups,
+        tolerance: Tolerance = DEFAULT_TOLERANCE,
+    ) -> None:
+        """Compile `scene`, as rasterised in `gbuffer`, for attacks on `groups` (only these may then be rendered with
+        other values than the scene's own). "exact" computes in float64 throughout, anything else in float32.
+
+        Raises InvalidRequest for an unknown material preset.
+        """
+        dtype = torch.float64 if tolerance == "exact" else torch.float32
+        self._attacked, self._dtype = tuple(groups), dtype
+        height, width = gbuffer.coverage.shape
+        self.size = (height, width)
+        self.backend = (
+            f"torch {torch.__version__} cpu {str(dtype).removeprefix('torch.')} threads {torch.get_num_threads()}, "
+            f"shading {compiled.backend()}; {gbuffer.backend}"
+        )
+        to_camera = torch.as_tensor(scene.view, dtype=torch.float64)[:3, :3]
+        light = illumination(torch.as_tensor(scene.environment))
+        sky = sky_of(light, to_camera)
+        materials = [
+            preset(thing.material, f"scene.objects.{i}.material") for i, thing in enumerate(scene.description.objects)
+        ]
+        coverage = gbuffer.coverage.flatten()
+        normals = gbuffer.normals.to(torch.float64) @ to_camera
+        initial = {
+            "normals": to_angles(normals) * (gbuffer.coverage > 0)[..., None],
+            "illumination": light.intensity,
+            "material": torch.stack(materials) * MATERIAL_UNIT,
+        }
+        # Rounded to float32 whatever the dtype: the exact twin means the same scene.
+        rounded = {group: value.to(torch.float32).to(torch.float64) for group, value in initial.items()}
+        self._initial = {group: value.to(dtype) for group, value in rounded.items()}
+
+        # Pixels in the order of their objects, and within them of their normals, so that neighbours see the same light.
+        angles = rounded["normals"].reshape(-1, 2)
+        owner = torch.where(coverage > 0, gbuffer.object_index.flatten(), -1)
+        order = torch.argsort(owner * lookup_table.PLACES + lookup_table.place(angles), stable=True)
+        pixels = order[owner[order] >= 0]
+        self._counts = torch.bincount(owner[pixels], minlength=len(materials)).tolist()
+        base_color = gbuffer.base_color.reshape(-1, 3)[pixels]
+        ground = torch.tensor(scene.description.ground, dtype=dtype)
+        self._canvas = Canvas(self.size, pixels, base_color.to(dtype), coverage[pixels, None].to(dtype), ground)
+
+        near = scene.description.camera.viewer == "perspective"
+        surfaces = [
+            Surface(f"object {i}", own, color.double(), material, own_viewers if near else None)
+            for i, (own, color, material, own_viewers) in enumerate(
+                zip(
+                    torch.split(angles[pixels], self._counts),
+                    torch.split(base_color, self._counts),
+                    rounded["material"],
+                    torch.split(viewers_of(scene, self.size)[pixels], self._counts),
+                    strict=True,
+                )
+            )
+        ]
+        intensity = rounded["illumination"].flatten()
+        recipes, self.plan = compile_plan(surfaces, sky, intensity, groups, tolerance, self.size)
+        self._shaders = [
+            Shader(recipe, sky, surface, intensity) for recipe, surface in zip(recipes, surfaces, strict=True)
+        ]
+        self._twin = self if tolerance == "exact" else TorchRenderer(scene, gbuffer, tolerance="exact")
+
+    def initial(self) -> Parameters:
+        """The scene's own values, in the renderer's dtype; all are float32 numbers."""
+        return {group: value.clone() for group, value in self._initial.items()}
+
+    def bounds(self) -> Mapping[str, tuple[Tensor, Tensor]]:
+        """Light is not negative; κ and γ stay in the ranges of `dsbrdf`; any angle is a normal, and is held where
+        float32 still tells angles apart (see `normals`)."""
+        furthest = torch.tensor(FURTHEST_ANGLE, dtype=self._dtype)
+        infinity = torch.tensor(torch.inf, dtype=self._dtype)
+        ranges = torch.tensor([dsbrdf.LOG_KAPPA_RANGE, dsbrdf.LOG_GAMMA_RANGE], dtype=self._dtype) * MATERIAL_UNIT
+        return {
+            "normals": (-furthest, furthest),
+            "illumination": (torch.zeros((), dtype=self._dtype), infinity),
+            "material": (ranges[:, :1], ranges[:, 1:]),
+        }
+
+    def names(self, group: str) -> list[str] | None:
+        """Words for the material's coordinates; None for the image-like groups."""
+        if group != "material":
+            return None
+        return [
+            f"object {thing} {channel} lobe {lobe} {curve} {i}"
+            for thing in range(len(self._counts))
+            for channel in ("red", "green", "blue")
+            for lobe in range(dsbrdf.LOBES)
+            for curve in ("kappa", "gamma")
+            for i in range(dsbrdf.DEGREE + 1)
+        ]
+
+    def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
+        """Images [B, H, W, 3] in [0,1], in the renderer's dtype. ValueError for a wrong shape or an unknown group."""
+        batch = {len(value) for value in parameters.values()} or {1}
+        if len(batch) > 1:
+            raise ValueError(f"groups with different batch sizes {sorted(batch)}")
+        for group, value in parameters.items():
+            if group not in self._initial or value.shape[1:] != self._initial[group].shape:
+                wanted = {name: ("B", *initial.shape) for name, initial in self._initial.items()}
+                raise ValueError(f"group {group!r} of shape {tuple(value.shape)}; wanted {wanted}")
+            if group not in self._attacked and self._twin is not self:  # the judge's takes every group
+                raise ValueError(f"group {group!r} is not among {self._attacked}, which this renderer is compiled for")
+        # One image at a time: the same operations on the same shapes whatever else is in the batch, so the same bits.
+        images = [
+            self._image(**self._initial | {group: value[b].to(self._dtype) for group, value in parameters.items()})
+            for b in range(batch.pop())
+        ]
+        return torch.stack(images) if len(images) > 1 else images[0][None]
+
+    def exact(self) -> "TorchRenderer":
+        """The float64 twin."""
+        return self._twin
+
+    def _image(self, normals: Tensor, illumination: Tensor, material: Tensor) -> Tensor:
+        """One picture [H, W, 3]."""
+        angles, intensity = self._canvas.covered(normals), illumination.flatten()
+        shaded = [
+            shader(own, intensity, of_object).to(self._dtype)
+            for shader, own, of_object in zip(self._shaders, torch.split(angles, self._counts), material, strict=True)
+        ]
+        return self._canvas.picture(torch.cat(shaded) if len(shaded) > 1 else shaded[0])
+
+
+def sky_of(light: Illumination, to_camera: Tensor) -> Sky:
+    """A map's directions and powers, seen from the camera: `to_camera` [3, 3] turns world vectors, as rows, into it."""
+    rows, cols = light.intensity.shape
+    towards = directions(rows, cols) @ to_camera
+    half, theta_d = dsbrdf.half_vectors(towards, torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
+    power = (light.exposure * light.chroma).reshape(-1, 3).T * solid_angles(rows, cols)
+    return Sky(Directions.of(towards, half), dsbrdf.basis(theta_d) / MATERIAL_UNIT, power)
+
+
+def viewers_of(scene: ResolvedScene, size: tuple[int, int]) -> Tensor:
+    """Unit vectors [H·W, 3] from what each pixel shows towards the camera, in the camera's frame, float64."""
+    height, width = size
+    across = torch.as_tensor(scene.projection, dtype=torch.float64)
+    x = ((torch.arange(width, dtype=torch.float64) + 0.5) * 2 / width - 1) / across[0, 0]
+    y = (1 - (torch.arange(height, dtype=torch.float64) + 0.5) * 2 / height) / across[1, 1]
+    down, right = torch.meshgrid(y, x, indexing="ij")
+    return torch.nn.functional.normalize(
+        torch.stack((-right, -down, torch.ones_like(right)), -1).reshape(-1, 3), dim=-1
+    )

@@ -1,0 +1,261 @@
+"""The radiance of one object's pixels, by the method its plan names.
+
+Pixels are summed each for itself, or looked up in a table over normals (table.py), whose nodes are summed. A table is
+good where radiance is smooth in the normal, and a few directions spoil that: each light has an edge where it sets
+behind the surface's horizon, steep for a strong one, and a highlight, narrow under a sharp lobe. So these directions
+are summed at the pixels all the same, and the table holds the rest.
+
+Either sum is done in the cheapest way that what is attacked allows:
+
+- tabulated: neither light nor material changes, so the table is a fixed function of the normal, filled where needed;
+- transported: only the light changes, so radiance is linear in it and its factors are computed once;
+- summed: over directions and lobes, every picture, with its gradient.
+"""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from services.rendering.color import to_display
+from services.rendering.kernels import compiled
+from services.rendering.torch_renderer import dsbrdf, perspective
+from services.rendering.torch_renderer.lookup_table import look_up, node_vectors, tiles, touched
+from services.rendering.torch_renderer.normals import to_vectors
+from services.rendering.torch_renderer.shading import Directions, Lobes, radiance, transport
+from services.rendering.torch_renderer.units import MATERIAL_UNIT
+
+CHECKED = 256
+"""Pixels of a looked-up picture that are summed as well, each time, to see whether the table still holds."""
+
+Nodes = Literal["tabulated", "transported", "summed"]
+
+
+@dataclass(frozen=True)
+class Sky:
+    """The light's side of a scene, float64: directions, `curves` [D, 6] (θ_d's Bernstein basis, per unit of material)
+    and `power` [3, D], the radiance times solid angle of one unit of intensity."""
+
+    directions: Directions
+    curves: Tensor
+    power: Tensor
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How one object is shaded: the executable side of its plan.
+
+    kept: texels of the map that are used at all [D]. gray: the three channels have the same lobes. varying, straight:
+    bool [3, LOBES], the lobes that are summed and those that are a straight line in log n·h; the others are left out.
+    rows: of the table over normals, None for none. sharp: the texels among `kept` that are summed at the pixels beside
+    the table [K]. moving: whether normals are attacked. guard: the displayed error at some pixels past which a picture
+    is summed pixel by pixel after all, None for no check.
+    """
+
+    kept: Tensor
+    gray: bool
+    varying: Tensor
+    straight: Tensor
+    nodes: Nodes
+    moving: bool
+    rows: int | None = None
+    sharp: Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.int64))
+    dtype: torch.dtype = torch.float32
+    guard: float | None = None
+
+    @property
+    def channels(self) -> int:
+        """Colour channels whose lobes are evaluated."""
+        return 1 if self.gray else dsbrdf.CHANNELS
+
+    @property
+    def lobes(self) -> int:
+        """Lobes summed in each channel."""
+        return int(self.varying.sum(1).max())
+
+
+@dataclass(frozen=True)
+class Surface:
+    """What one object shows: angles [P, 2] and base_color [P, 3] of its pixels, material [3, 3, 2, 6]; float64.
+
+    `viewers` [P, 3] are unit vectors to the camera where each pixel has its own, None for a viewer far away.
+    """
+
+    name: str
+    angles: Tensor
+    base_color: Tensor
+    material: Tensor
+    viewers: Tensor | None = None
+
+
+class Shader:
+    """Radiance [P, 3] of an object's pixels, by its recipe.
+
+    `summed_after_all` counts the pictures whose check failed.
+    """
+
+    def __init__(self, recipe: Recipe, sky: Sky, surface: Surface, illumination: Tensor) -> None:
+        """`surface` and `illumination` [D of the whole map] are the scene's own, for what does not change."""
+        self.recipe = recipe
+        angles = surface.angles.to(recipe.dtype)
+        pixels = None if recipe.moving else to_vectors(angles)
+        frozen = (surface.material, illumination)
+        still = pixels if recipe.rows is None else None
+        self._whole = _Sum(recipe, recipe.kept, sky, frozen, still, surface.viewers)
+        if recipe.rows is not None:
+            among = torch.isin(recipe.kept, recipe.sharp)
+            self._still_nodes = None if recipe.moving else _of_tiles(touched(angles, recipe.rows), recipe)
+            at_nodes = None if self._still_nodes is None else self._still_nodes.vectors
+            self._smooth = _Sum(recipe, recipe.kept[~among], sky, frozen, at_nodes)
+            self._sharp = _Sum(recipe, recipe.kept[among], sky, frozen, pixels)
+            self._checked = torch.arange(0, len(angles), max(1, len(angles) // CHECKED))
+            self._checked_color = surface.base_color[self._checked]
+            self._truth = (
+                self._whole if pixels is None else _Sum(recipe, recipe.kept, sky, frozen, pixels[self._checked])
+            )
+            self._known = torch.zeros(len(tiles(recipe.rows)), dtype=torch.bool)
+            self._table = torch.zeros(2 * recipe.rows**2, 3, dtype=recipe.dtype)
+        self.summed_after_all = 0
+
+    def __call__(self, angles: Tensor, illumination: Tensor, material: Tensor) -> Tensor:
+        """Radiance [P, 3] for angles [P, 2], all intensities [D of the whole map] and one material [3, 3, 2, 6]."""
+        angles, recipe = angles.to(self.recipe.dtype), self.recipe
+        if recipe.rows is None:
+            return self._whole(to_vectors(angles), illumination, material)
+        shaded = look_up(self._filled(angles, illumination, material), angles)
+        if len(recipe.sharp):
+            shaded = shaded + self._sharp(to_vectors(angles), illumination, material)
+        if recipe.guard is not None and self._misses(shaded, angles, illumination, material) > recipe.guard:
+            self.summed_after_all += 1
+            return self._whole(to_vectors(angles), illumination, material)
+        return shaded
+
+    def _filled(self, angles: Tensor, illumination: Tensor, material: Tensor) -> Tensor:
+        """The table with every node that `angles` need."""
+        recipe = self.recipe
+        assert recipe.rows is not None
+        if recipe.nodes != "tabulated":
+            nodes = self._still_nodes or _of_tiles(touched(angles, recipe.rows), recipe)
+            return self._table.index_copy(0, nodes.places, self._smooth(nodes.vectors, illumination, material))
+        missing = touched(angles, recipe.rows) & ~self._known
+        if bool(missing.any()):
+            if compiled.library() is None:  # in torch a value's last bits depend on its neighbours: all at once
+                missing = torch.ones_like(missing)
+            nodes = _of_tiles(missing, recipe)
+            values = self._smooth(nodes.vectors, illumination, material)
+            self._table = self._table.index_copy(0, nodes.places, values)  # a graph may still hold the old one
+            self._known |= missing
+        return self._table
+
+    @torch.no_grad()
+    def _misses(self, shaded: Tensor, angles: Tensor, illumination: Tensor, material: Tensor) -> float:
+        """The largest displayed error of the looked-up radiance at the checked pixels."""
+        at = self._checked
+        truth = self._truth(to_vectors(angles[at]), illumination, material)
+        return displayed_error(shaded[at], truth, self._checked_color)
+
+
+class _Sum:
+    """The sum over some directions at any normals, or at fixed ones where its factors are kept ("transported")."""
+
+    def __init__(
+        self,
+        recipe: Recipe,
+        kept: Tensor,
+        sky: Sky,
+        frozen: tuple[Tensor, Tensor],
+        normals: Tensor | None,
+        viewers: Tensor | None = None,
+    ) -> None:
+        """`frozen` are the scene's own material and illumination; `normals` [N, 3] where they do not change; `viewers`
+        [N, 3] where each normal has its own."""
+        self._recipe, self._kept = recipe, kept
+        self._viewers = None if viewers is None else viewers.to(recipe.dtype)
+        self._directions = sky.directions.only(kept).to(recipe.dtype)
+        self._curves, self._power = sky.curves[kept].to(recipe.dtype), sky.power[:, kept].to(recipe.dtype)
+        self._plain = bool(recipe.varying.all()) and not bool(recipe.straight.any())
+        self._lobes = self._light = self._factors = None
+        if recipe.nodes != "summed":
+            self._lobes = self._lobes_of(frozen[0].to(recipe.dtype))
+        if recipe.nodes == "tabulated":
+            self._light = self._light_of(frozen[1])
+        if recipe.nodes == "transported" and normals is not None:
+            assert self._lobes is not None
+            self._factors = transport(normals, self._lobes, self._directions)
+
+    def __call__(self, normals: Tensor, illumination: Tensor, material: Tensor) -> Tensor:
+        """Radiance [N, 3]; `normals` are not looked at where factors for them are kept."""
+        if self._factors is None:
+            return self.summed(normals, illumination, material)
+        light = self._light_of(illumination)
+        if len(self._factors) == 1:
+            return (light @ self._factors[0]).T
+        return torch.stack([light[c] @ factors for c, factors in enumerate(self._factors)], dim=-1)
+
+    def summed(self, normals: Tensor, illumination: Tensor, material: Tensor) -> Tensor:
+        """Radiance [N, 3] at any normals."""
+        light = self._light_of(illumination) if self._light is None else self._light
+        if self._viewers is not None:
+            own = material[: 1 if self._alike(material) else dsbrdf.CHANNELS].to(self._recipe.dtype) / MATERIAL_UNIT
+            return perspective.radiance(normals, self._viewers, light, own, self._directions.towards)
+        lobes = self._lobes_of(material.to(self._recipe.dtype)) if self._lobes is None else self._lobes
+        return radiance(normals, light, lobes, self._directions)
+
+    def _light_of(self, illumination: Tensor) -> Tensor:
+        return self._power * illumination[self._kept].to(self._recipe.dtype)
+
+    def _alike(self, material: Tensor) -> bool:
+        """Whether one channel does for all: those that are the same need no gradient to be told apart, and give the
+        same bits."""
+        return self._recipe.gray or (not material.requires_grad and bool((material == material[:1]).all()))
+
+    def _lobes_of(self, material: Tensor) -> Lobes:
+        """The recipe's lobes at the directions, of coefficients [3, 3, 2, 6] in the group's units."""
+        log_kappa, gamma = dsbrdf.lobes(material[: 1 if self._alike(material) else dsbrdf.CHANNELS], self._curves)
+        if not self._plain:
+            return straightened(log_kappa, gamma, self._recipe.varying, self._recipe.straight)
+        flat = log_kappa.new_zeros(len(log_kappa), log_kappa.shape[-1])
+        return Lobes(flat, flat, log_kappa, gamma)
+
+
+@dataclass(frozen=True)
+class _Nodes:
+    """Where nodes stand in the flattened table [N], and their normals [N, 3]."""
+
+    places: Tensor
+    vectors: Tensor
+
+
+def _of_tiles(wanted: Tensor, recipe: Recipe) -> _Nodes:
+    assert recipe.rows is not None
+    places = tiles(recipe.rows)[wanted].flatten()
+    return _Nodes(places, node_vectors(recipe.rows)[places].to(recipe.dtype))
+
+
+def straightened(log_kappa: Tensor, gamma: Tensor, varying: Tensor, straight: Tensor) -> Lobes:
+    """The lobes [C, LOBES, D] chosen by `varying` as they are, those chosen by `straight` as a line.
+
+    With e = exp(log κ), exp(e · exp(γ log n·h)) − 1 ≈ exp(e) − 1 + e exp(e) γ log n·h. All channels keep as many lobes
+    as the one that needs most.
+    """
+    channels, _, count = log_kappa.shape  # 1 where the channels are alike
+    exponent = log_kappa.clamp(*dsbrdf.LOG_EXPONENT_RANGE).exp()
+    chosen = straight[:channels, :, None]
+    base = (torch.expm1(exponent) * chosen).sum(1)
+    tilt = (exponent * exponent.exp() * gamma * chosen).sum(1)
+    most = int(varying[:channels].sum(1).max())
+    kept_kappa = log_kappa.new_full((channels, most, count), dsbrdf.LOG_EXPONENT_RANGE[0])
+    kept_gamma = gamma.new_zeros(channels, most, count)
+    for c in range(channels):
+        which = varying[c].nonzero()[:, 0]
+        kept_kappa[c, : len(which)], kept_gamma[c, : len(which)] = log_kappa[c, which], gamma[c, which]
+    return Lobes(base, tilt, kept_kappa, kept_gamma)
+
+
+def displayed_error(values: Tensor, truth: Tensor, base_color: Tensor) -> float:
+    """The largest difference of displayed colours between two radiances [P, 3], in the dtype of `truth`."""
+    if not len(values):
+        return 0.0
+    color = base_color.to(truth.dtype)
+    return float((to_display(values.to(truth.dtype) * color) - to_display(truth * color)).abs().max())

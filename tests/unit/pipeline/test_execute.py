@@ -1,0 +1,132 @@
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from services.analysis.pictures import load_png
+from services.errors import Cancelled
+from services.pipeline.execute import Progress, execute
+from services.pipeline.prepare import prepare
+from services.pipeline.result import Result
+from services.pipeline.spec import parse
+from tests.unit.jobs.small import LIBRARY, spec
+
+ATTACKS: list[dict[str, Any]] = [
+    {"renderer": "image"},
+    {"renderer": "torch"},
+    {"renderer": "pyrender", "delta": 1e-2, "steps": 2},
+]
+
+
+@pytest.mark.parametrize("attack", ATTACKS, ids=lambda attack: attack["renderer"])
+def test_twice_the_same_bytes_and_again_in_another_process(attack: dict[str, Any], tmp_path: Path) -> None:
+    results = [execute(spec(attack), tmp_path / name, LIBRARY) for name in ("one", "two")]
+    for name in ("perturbation.safetensors", "original.png", "attacked.png", "perturbation.png"):
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes(), name
+    assert results[0].attacked == results[1].attacked
+    code = (
+        "import sys; from pathlib import Path; from services.pipeline.replay import replay;"
+        "from tests.unit.jobs.small import LIBRARY; print(replay(Path(sys.argv[1]), LIBRARY).model_dump_json())"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path / "one")], check=True, capture_output=True, text=True
+    )
+    again = json.loads(done.stdout)
+    assert again["pixels_differing"] == 0
+    assert again["same_backend"]
+    assert again["replayed"] == results[0].attacked.model_dump(mode="json")
+
+
+def test_the_files_say_what_the_result_says(tmp_path: Path) -> None:
+    result = execute(spec({"renderer": "torch"}), tmp_path, LIBRARY)
+    assert Result.model_validate_json((tmp_path / "result.json").read_text()) == result
+    assert json.loads((tmp_path / "trace.json").read_text()) == [row.model_dump() for row in result.trace]
+    perturbation = load_file(tmp_path / "perturbation.safetensors")
+    assert {g: v.dtype for g, v in perturbation.items()} == dict.fromkeys(
+        ("normals", "illumination", "material"), torch.float32
+    )
+    change = load_png(tmp_path / "attacked.png").double() - load_png(tmp_path / "original.png").double()
+    p = float((change / 255).square().sum(-1).mean().sqrt())
+    assert result.perceptibility == pytest.approx(p, rel=1e-12)
+    assert result.spec == parse(result.spec).model_dump(mode="json")  # the echoed spec is a spec, and complete
+    provenance = result.provenance
+    assert "torch" in provenance.backend
+    assert provenance.seed == 0
+    assert len(provenance.scene_sha256) == len(provenance.weights_sha256) == 64
+
+
+def test_the_ends_of_the_subset_table_are_the_pictures_rendered_afresh(tmp_path: Path) -> None:
+    result = execute(spec({"renderer": "torch"}), tmp_path, LIBRARY)
+    prepared = prepare(spec({"renderer": "torch"}), LIBRARY)
+    perturbation = load_file(tmp_path / "perturbation.safetensors")
+    assert torch.equal(prepared.judge.picture({}), load_png(tmp_path / "original.png"))
+    assert torch.equal(prepared.judge.picture(perturbation), load_png(tmp_path / "attacked.png"))
+    assert len(result.subsets) == 8
+    empty, full = result.subsets[0], result.subsets[-1]
+    assert (empty.label, empty.goal_probability) == (result.original.label, result.original.goal_probability)
+    assert (full.label, full.goal_probability) == (result.attacked.label, result.attacked.goal_probability)
+    assert (empty.perceptibility, full.perceptibility) == (0.0, result.perceptibility)
+
+
+def test_progress_tells_every_step_in_order(tmp_path: Path) -> None:
+    seen: list[Progress] = []
+    result = execute(spec({"renderer": "image"}), tmp_path, LIBRARY, progress=seen.append)
+    assert [p.phase for p in seen] == ["loading"] + ["attacking"] * len(result.trace) + ["analysing"]
+    assert [p.row for p in seen[1:-1]] == result.trace
+
+
+def test_cancelled_before_the_next_rendering(tmp_path: Path) -> None:
+    steps: list[int] = []
+    with pytest.raises(Cancelled):
+        execute(
+            spec({"renderer": "image", "steps": 100, "learning_rate": {"image": 0}}),
+            tmp_path / "out",
+            LIBRARY,
+            progress=lambda p: steps.append(p.step),
+            cancelled=lambda: bool(steps) and steps[-1] >= 2,
+        )
+    assert steps[-1] == 2
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_interrupted_job_ends_in_the_same_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.attacks.checkpoint.EVERY", -1.0)
+    job = spec({"renderer": "torch", "steps": 4, "learning_rate": {"normals": 1e-5}, "groups": ["normals"]})
+    whole = execute(job, tmp_path / "whole", LIBRARY)
+    steps: list[int] = []
+    saved = tmp_path / "checkpoint"
+    with pytest.raises(Cancelled):
+        execute(
+            job,
+            tmp_path / "half",
+            LIBRARY,
+            progress=lambda p: steps.append(p.step),
+            cancelled=lambda: bool(steps) and steps[-1] >= 2,
+            checkpoint=saved,
+        )
+    assert saved.exists()
+    resumed = execute(job, tmp_path / "resumed", LIBRARY, checkpoint=saved)
+    assert (tmp_path / "whole/perturbation.safetensors").read_bytes() == (
+        tmp_path / "resumed/perturbation.safetensors"
+    ).read_bytes()
+    timeless = {"seconds": 0.0}
+    assert [row.model_copy(update=timeless) for row in resumed.trace] == [
+        row.model_copy(update=timeless) for row in whole.trace
+    ]
+
+
+def test_a_targeted_goal_is_followed(tmp_path: Path) -> None:
+    result = execute(spec({"renderer": "image", "steps": 2}, goal={"reach": "soccer ball"}), tmp_path, LIBRARY)
+    assert result.leave is None
+    assert result.reach == "soccer ball"
+    assert result.trace[-1].loss < result.trace[0].loss
+    assert result.attacked.goal_probability > result.original.goal_probability
+
+
+def test_a_spec_written_in_another_order_is_the_same_request() -> None:
+    assert spec({"groups": ["material", "normals"]}) == spec({"groups": ["normals", "material"]})

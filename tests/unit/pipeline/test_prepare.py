@@ -1,0 +1,87 @@
+"""Every request that cannot run is refused before it is queued, and the refusal names the field."""
+
+from typing import Any
+
+import pytest
+
+from services.errors import InvalidRequest
+from services.pipeline.prepare import preflight, prepare
+from services.pipeline.spec import parse
+from tests.unit.jobs.small import LIBRARY, SPHERE, spec
+
+SOMEWHERE_ELSE = {"mesh": "primitive/sphere", "translation": [50, 0, 0]}
+
+REFUSED: list[tuple[str, dict[str, Any]]] = [
+    ("scene.objects.0.mesh", {"scene": {"objects": [{"mesh": "furniture/no-such-thing"}]}}),
+    ("scene.objects.0.mesh", {"scene": {"objects": [{"mesh": "sha256:" + "0" * 64}]}}),
+    ("scene.objects.0.mesh", {"scene": {"objects": [{"mesh": "../../etc/passwd"}]}}),
+    ("scene.objects.0.material", {"scene": {"objects": [{"mesh": "primitive/sphere", "material": "gold"}]}}),
+    ("scene.lights.environment.map", {"scene": SPHERE | {"lights": {"environment": {"map": "moon"}}}}),
+    ("scene.objects.0", {"scene": {"objects": [SOMEWHERE_ELSE]}}),
+    ("target.name", {"target": {"name": "alexnet"}}),
+    ("target.question", {"target": {"name": "efficientnet-lite0", "question": "how many?"}}),
+    ("goal.leave", {"goal": {"leave": "grand piano"}}),  # the network says something else of a sphere
+    ("goal.leave", {"goal": {"leave": "gran piano"}}),
+    ("goal.leave", {"goal": {"leave": 1000}}),
+    ("goal.reach", {"goal": {"reach": 1000}}),
+    ("goal.reach", {"goal": {"reach": 3, "leave": 3}}),
+    ("attack.groups", {"attack": {"renderer": "torch", "groups": ["color"]}}),
+    ("attack.method", {"attack": {"renderer": "pyrender", "method": "fgsm"}}),
+    ("attack.renderer", {"attack": {"renderer": "blender"}}),
+    ("attack.steps", {"attack": {"steps": 0}}),
+    ("attack.steps", {"attack": {"steps": 10**9}}),
+    ("attack.queries", {"attack": {"queries": 0}}),
+    ("attack.learning_rate", {"attack": {"learning_rate": {"color": 1.0}}}),
+    ("attack.learning_rate.normals", {"attack": {"learning_rate": {"normals": float("nan")}}}),
+    ("attack.picture", {"attack": {"renderer": "torch", "picture": "pyrender"}}),
+    ("scene.camera.size.0", {"scene": SPHERE | {"camera": {"size": [4096, 64]}}}),
+    ("scene.camera.distance", {"scene": SPHERE | {"camera": {"distance": float("inf")}}}),
+    ("scene.ground.1", {"scene": SPHERE | {"ground": [0, float("nan"), 0]}}),
+    ("scene.objects", {"scene": {"objects": []}}),
+    ("scene.lights.points", {"scene": SPHERE | {"lights": {"points": [{}] * 5}}}),
+    ("seed", {"seed": -1}),
+    ("colour", {"colour": "blue"}),
+]
+
+
+@pytest.mark.parametrize(("field", "changes"), REFUSED, ids=lambda value: value if isinstance(value, str) else "")
+def test_refused_naming_the_field(field: str, changes: dict[str, Any]) -> None:
+    with pytest.raises(InvalidRequest) as refused:
+        preflight(parse({"scene": SPHERE} | changes), LIBRARY)
+    assert refused.value.field == field
+    assert len(refused.value.detail) > 10
+
+
+def test_an_unknown_label_comes_with_near_ones() -> None:
+    with pytest.raises(InvalidRequest, match="did you mean 'grand piano'"):
+        preflight(spec(goal={"leave": "gran piano"}), LIBRARY)
+
+
+def test_a_scene_it_gets_wrong_says_what_the_network_says() -> None:
+    first = preflight(spec(), LIBRARY).goal.leave
+    with pytest.raises(InvalidRequest, match=f"already gets this scene wrong: it says '{first}'"):
+        preflight(spec(goal={"leave": "grand piano"}), LIBRARY)
+
+
+def test_the_first_answer_is_the_label_to_leave_by_default() -> None:
+    prepared = prepare(spec(), LIBRARY)
+    first = int(prepared.logits.argmax())
+    assert prepared.goal.leave == first
+    assert prepared.spec.goal.leave == prepared.target.labels[first]
+    # saying it outright, by name or index, is the same request
+    for label in (first, prepared.target.labels[first]):
+        assert preflight(spec(goal={"leave": label}), LIBRARY) == prepared.spec
+
+
+def test_a_goal_already_reached_is_refused() -> None:
+    first = preflight(spec(), LIBRARY).goal.leave
+    with pytest.raises(InvalidRequest, match="already says") as refused:
+        preflight(spec(goal={"reach": first}), LIBRARY)
+    assert refused.value.field == "goal.reach"
+
+
+def test_a_network_with_one_label_is_refused_beforehand(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.pipeline.prepare.registry.labels", lambda _: ("thing",))
+    with pytest.raises(InvalidRequest, match="one label only") as refused:
+        preflight(spec(), LIBRARY)
+    assert refused.value.field == "target.name"

@@ -1,0 +1,82 @@
+import numpy as np
+import pytest
+
+from services.rendering.pyrender_renderer.batching import Array, alone, shared
+from services.rendering.pyrender_renderer.planner import both_sides
+from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
+from tests.unit.rendering.shapes import PLATFORMS, mesh, on_platform, placed, scene, sphere
+
+
+def sides(objects: int = 1) -> dict[str, Array]:
+    """Both sides of the differences of all coordinates."""
+    renderer = PyrenderRenderer(placed(scene((8, 8), objects), *[mesh(sphere(0.3, 8))] * objects))
+    return {g: v.numpy() for g, v in both_sides(renderer.initial(), renderer.groups).items()}
+
+
+def drawn(batch: dict[str, Array], most: int) -> list[dict[tuple[int, int], bytes]]:
+    """What decides each channel of each row, in the batch and as the passes draw it."""
+    asked = {}
+    for row in range(len(batch["color"])):
+        for channel in range(3):
+            pose = batch["translation"][row].tobytes() + batch["rotation"][row].tobytes()
+            asked[row, channel] = (
+                pose + batch["illumination"][row].tobytes() + batch["color"][row, :, channel].tobytes()
+            )
+    given = {}
+    for one in shared(batch, most):
+        pose = one.translation.tobytes() + one.rotation.tobytes()
+        for row, channel, slot in one.users:
+            assert (row, channel) not in given
+            light = one.illuminations[slot].tobytes()
+            given[row, channel] = pose + light + one.colors[slot][:, channel].tobytes()
+    return [asked, given]
+
+
+@pytest.mark.parametrize("most", [1, 3, 8])
+@pytest.mark.parametrize("objects", [1, 2])
+def test_every_channel_of_every_picture_is_drawn_with_its_own_parameters(objects: int, most: int) -> None:
+    asked, given = drawn(sides(objects), most)
+    assert asked == given
+
+
+def test_the_fourteen_differences_take_fourteen_passes_and_twenty_five_pictures() -> None:
+    """12 poses by themselves; 10 sides of light and 3 for the 6 sides of colour and the picture they are around."""
+    passes = list(shared(sides(), 8))
+    assert len(passes) == 14
+    assert sorted(len(one.colors) for one in passes) == [1] * 12 + [5, 8]
+    assert len(list(alone(sides()))) == 28
+
+
+def test_channels_are_not_shared_between_lights() -> None:
+    batch = {g: v[:2].copy() for g, v in sides().items()}
+    batch["color"][1, 0, 0] = 0.5
+    [one] = shared(batch, 8)
+    assert len(one.colors) == 2  # two lights: nothing to share, though green and blue are the same
+    batch["illumination"][1] = batch["illumination"][0]
+    [one] = shared(batch, 8)
+    assert [slot for row, channel, slot in one.users if channel] == [0] * 4
+    np.testing.assert_array_equal(one.colors[1, 0, 0], 0.5)
+
+
+_BITS = """
+import torch
+from services.rendering.pyrender_renderer.planner import both_sides
+from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
+from services.scenes.description import Lights, PointLight
+from tests.unit.rendering import shapes
+
+lights = Lights(ambient=0.3, points=(PointLight(), PointLight(energy=9.0, position=(-1.0, 0.5, 1.0))))
+glass = shapes.mesh(shapes.sphere(0.3, 24, color=(0.8, 0.5, 0.2, 0.6)))
+scene = shapes.placed(shapes.scene((61, 83), 2, lights, azimuth=0.5, elevation=0.4), shapes.six_parts(), glass)
+renderer = PyrenderRenderer(scene)
+batch = both_sides(renderer.initial(), renderer.groups)
+together, whole = renderer.render(batch), renderer.exact().render(batch)
+alone = torch.cat([renderer.render({g: v[i : i + 1] for g, v in batch.items()}) for i in range(len(together))])
+print(torch.equal(together, alone), torch.equal(together, whole), float(together.std()) > 0.01, len(together))
+"""
+
+
+@pytest.mark.parametrize("platform", PLATFORMS)
+def test_pictures_that_share_have_the_bits_they_have_alone_and_whole(platform: str) -> None:
+    """No tolerance: the same instructions on the same numbers. Two lights, two objects, one of them of glass."""
+    assert on_platform(platform, _BITS).split() == ["True", "True", "True", "54"]

@@ -1,0 +1,136 @@
+"""The rasterising renderer's plan, line by line: without what it keeps the picture is another, with what it leaves out
+it is the same to the bit."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from services.rendering.pyrender_renderer import renderer as pyrender_renderer
+from services.rendering.pyrender_renderer.inactive import REACH
+from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
+from services.scenes.description import Lights, PointLight
+from services.scenes.mesh import Part
+from tests.unit.rendering.shapes import mesh, part, placed, quad, scene, six_parts, sphere
+
+
+def shifted(of: Part, x: float) -> Part:
+    return part(of.vertices + np.array([x, 0, 0]), of.faces, of.normals)
+
+
+def subject() -> PyrenderRenderer:
+    """A ball, which is closed, a sheet seen from behind, a textured cube; one light of two is dark."""
+    ball = sphere(0.2, 24)
+    ball = shifted(part(np.round(ball.vertices, 6), ball.faces, ball.normals), -0.6)
+    sheet = quad(0.2)
+    sheet = shifted(part(sheet.vertices, sheet.faces[:, ::-1], sheet.normals), 0.6)
+    lights = Lights(ambient=0.3, points=(PointLight(), PointLight(energy=0.0, position=(0.5, 0.5, 2.0))))
+    return PyrenderRenderer(placed(scene((48, 64), 3, lights), mesh(ball), mesh(sheet), six_parts()))
+
+
+def picture(renderer: PyrenderRenderer) -> Tensor:
+    return renderer.radiance({})
+
+
+def of_object(renderer: PyrenderRenderer, index: int) -> int:
+    return next(i for i, piece in enumerate(renderer._drawing.pieces) if piece.index == index)
+
+
+def fewer_pixels(renderer: PyrenderRenderer, patch: pytest.MonkeyPatch) -> None:
+    """Three rows and columns less on every side; one is there for rounding."""
+    top, bottom, left, right = renderer.extent(renderer.initial())
+    patch.setattr(PyrenderRenderer, "_extent", lambda *_: (top + 3, bottom - 3, left + 3, right - 3))
+
+
+def fewer_faces(renderer: PyrenderRenderer, patch: pytest.MonkeyPatch) -> None:  # noqa: ARG001
+    """The sheet taken for closed, so that its back is not drawn."""
+    pieces, at = renderer._drawing.pieces, of_object(renderer, 1)
+    pieces[at] = replace(pieces[at], closed=pieces[at].faces)
+
+
+def fewer_textures(renderer: PyrenderRenderer, patch: pytest.MonkeyPatch) -> None:  # noqa: ARG001
+    """The cube without its picture."""
+    renderer._drawing.pieces[:] = [replace(piece, texture=None) for piece in renderer._drawing.pieces]
+
+
+def fewer_that_show(renderer: PyrenderRenderer, patch: pytest.MonkeyPatch) -> None:  # noqa: ARG001
+    """The cube without one of the two faces of the side that faces the camera."""
+    pieces, at = renderer._drawing.pieces, of_object(renderer, 2)
+    pieces[at] = replace(pieces[at], triangles=pieces[at].triangles[:1].copy())
+
+
+def shared_too_much(renderer: PyrenderRenderer, patch: pytest.MonkeyPatch) -> None:  # noqa: ARG001
+    """The second picture of a batch drawn with the pose of the first."""
+    true = pyrender_renderer.shared
+
+    def all_alike(batch, most):
+        return true(batch | {"translation": np.repeat(batch["translation"][:1], len(batch["color"]), 0)}, most)
+
+    patch.setattr(pyrender_renderer, "shared", all_alike)
+
+
+@pytest.mark.parametrize("less", [fewer_pixels, fewer_faces, fewer_textures, fewer_that_show, shared_too_much])
+def test_without_what_is_kept_the_picture_is_another(
+    less: Callable[[PyrenderRenderer, pytest.MonkeyPatch], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    renderer = subject()
+    moved = torch.stack([renderer.initial()["translation"], renderer.initial()["translation"] + 0.05])
+    whole = renderer.radiance({"translation": moved})
+    assert torch.equal(whole, renderer.exact().radiance({"translation": moved}))
+    less(renderer, monkeypatch)
+    assert not torch.equal(renderer.radiance({"translation": moved}), whole)
+
+
+def test_every_coordinate_that_is_kept_changes_the_picture_and_no_other_does() -> None:
+    renderer = subject()
+    [item] = [item for item in renderer.plan.items if item.what == "coordinates"]
+    start, still, changed = picture(renderer), set(), 0
+    for group, value in renderer.initial().items():
+        for index, name in enumerate(renderer.names(group) or []):
+            sides = torch.stack([value, value])
+            for row, sign in enumerate((1, -1)):
+                sides[row].view(-1)[index] += sign * REACH
+            if torch.equal(renderer.radiance({group: sides}), start.expand(2, -1, -1, -1)):
+                still.add(name)
+            else:
+                changed += 1
+    assert still == {"point 1 x", "point 1 y", "point 1 z"}  # of the dark light
+    assert (changed, changed + len(still)) == (item.kept, item.of)
+
+
+def test_a_look_at_a_white_texture_changes_no_bit() -> None:
+    renderer = subject()
+    start, pieces = picture(renderer), renderer._drawing.pieces
+    [textures] = [[item.kept, item.of] for item in renderer.plan.items if item.what.startswith("parts with a look")]
+    assert textures == [6, 8]
+    from services.rendering.opengl.mesh_upload import SrgbTexture
+
+    white = SrgbTexture(source=np.full((2, 2, 4), 255, np.uint8), source_channels="RGBA")
+    white._add_to_context()
+    for at, piece in enumerate(pieces):
+        if piece.texture is None:
+            uv = np.zeros((len(piece.part.vertices), 2), np.float32)
+            pieces[at] = replace(piece, texture=white, part=replace(piece.part, uv=uv))
+    assert torch.equal(picture(renderer), start)
+
+
+def test_opengl_and_faces_that_do_not_show_change_no_bit() -> None:
+    renderer = subject()
+    found = {item.what: (item.kept, item.of) for item in renderer.plan.items}
+    assert found["passes through OpenGL"][0] == 0 < found["passes through OpenGL"][1]
+    assert 0 < found["faces shaded"][0] < found["faces shaded"][1]
+    start = picture(renderer)
+    renderer._shown = None  # OpenGL shades all
+    assert torch.equal(picture(renderer), start)
+
+
+def test_insides_and_the_rest_of_the_frame_change_no_bit() -> None:
+    renderer = subject()
+    [faces] = [[item.kept, item.of] for item in renderer.plan.items if item.what == "faces with two sides"]
+    assert 0 < faces[0] < faces[1]  # the sheet, not the ball
+    exact = renderer.exact()
+    [[frame]] = exact._frames([exact._at_start()])
+    assert torch.equal(torch.from_numpy(frame[::-1].copy())[None], picture(renderer))

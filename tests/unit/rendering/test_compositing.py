@@ -1,0 +1,77 @@
+"""Covered pixels in and out of pictures: against a loop over pixels, and by finite differences."""
+
+import pytest
+import torch
+from torch import Tensor
+
+from services.rendering.color import to_display
+from services.rendering.compositing import Canvas, over_ground
+from services.rendering.kernels import compiled
+
+SIZE = (7, 9)
+
+
+def canvas(count: int = 37, dtype: torch.dtype = torch.float64, seed: int = 0) -> Canvas:
+    """As many covered pixels, in no order, some of them half covered."""
+    random = torch.Generator().manual_seed(seed)
+    pixels = torch.randperm(SIZE[0] * SIZE[1], generator=random)[:count]
+    base_color = torch.rand(count, 3, generator=random, dtype=torch.float64).to(dtype)
+    coverage = (torch.randint(1, 17, (count, 1), generator=random) / 16).to(dtype)
+    return Canvas(SIZE, pixels, base_color, coverage, torch.tensor([0.2, 0.5, 0.9], dtype=dtype))
+
+
+def lit(count: int, dtype: torch.dtype = torch.float64) -> Tensor:
+    """Radiance [P, 3] from black to far too bright."""
+    return 3 * torch.rand(count, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64).to(dtype) ** 4
+
+
+@pytest.mark.parametrize("count", [0, 1, 16, 37, 63])
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.usefixtures("kernel")
+def test_a_picture_is_the_displayed_colour_over_the_ground(dtype: torch.dtype, count: int) -> None:
+    of, radiance = canvas(count, dtype), lit(count, dtype)
+    expected = of.ground.expand(*SIZE, 3).clone()
+    for p, pixel in enumerate(of.pixels.tolist()):
+        shown = to_display(radiance[p] * of.base_color[p])
+        expected[divmod(pixel, SIZE[1])] = of.coverage[p] * shown + (1 - of.coverage[p]) * of.ground
+    # one rounding more or less of the product and the sum, both at most 1
+    close = 2 * torch.finfo(dtype).eps
+    torch.testing.assert_close(of.picture(radiance), expected, rtol=0, atol=close)
+
+
+@pytest.mark.usefixtures("kernel")
+def test_gradcheck_of_a_picture() -> None:
+    of = canvas()
+    assert torch.autograd.gradcheck(of.picture, lit(37).requires_grad_(), eps=1e-8)
+
+
+def test_gradcheck_of_the_covered_pixels() -> None:
+    values = torch.randn(*SIZE, 2, dtype=torch.float64).requires_grad_()
+    of = canvas()
+    assert torch.equal(of.covered(values), values.reshape(-1, 2)[of.pixels])
+    assert torch.autograd.gradcheck(of.covered, values)
+
+
+def test_the_two_kernels_agree(monkeypatch: pytest.MonkeyPatch) -> None:
+    of = canvas(dtype=torch.float32)
+    found = []
+    for library in (compiled.library, lambda: None):
+        monkeypatch.setattr(compiled, "library", library)
+        radiance = lit(37, torch.float32).requires_grad_()
+        picture = of.picture(radiance)
+        found.append((picture.detach(), *torch.autograd.grad(picture.square().sum(), radiance)))
+    torch.testing.assert_close(*[picture for picture, _ in found], rtol=0, atol=3e-7)  # of displayed values up to 1
+    torch.testing.assert_close(*[slope for _, slope in found], rtol=3e-6, atol=1e-6)
+    assert found[0][1].any()
+
+
+@pytest.mark.usefixtures("kernel")
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_radiance_over_the_ground(dtype: torch.dtype) -> None:
+    random = torch.Generator().manual_seed(3)
+    coverage = (torch.randint(0, 5, (2, 5, 9, 1), generator=random) / 4).to(dtype)
+    surface = 3 * torch.rand(2, 5, 9, 3, generator=random, dtype=torch.float64).to(dtype) ** 3
+    ground = torch.tensor([0.2, 0.5, 0.9])
+    shown = over_ground(torch.cat([surface * coverage, coverage], dim=-1), 0.5, ground)
+    expected = coverage * to_display(0.5 * surface) + (1 - coverage) * ground.to(dtype)
+    torch.testing.assert_close(shown, expected, rtol=0, atol=13 * 4 * torch.finfo(dtype).eps)  # 13: the curve's slope

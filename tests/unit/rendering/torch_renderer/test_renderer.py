@@ -1,0 +1,351 @@
+"""The differentiable renderer against its definition in float64, closed forms, and differences."""
+
+import subprocess
+import sys
+from math import log, pi
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from services.errors import InvalidRequest
+from services.rendering.color import to_linear
+from services.rendering.plan import Tolerance
+from services.rendering.protocol import Parameters
+from services.rendering.torch_renderer.environment_light import illumination
+from services.rendering.torch_renderer.presets import presets
+from services.rendering.torch_renderer.renderer import TorchRenderer
+from services.rendering.torch_renderer.units import ILLUMINATION_MEAN, MATERIAL_UNIT
+from tests.unit.rendering.shading import GROUND, lambertian, reference_image, sky, sphere_gbuffer, sphere_scene
+
+GROUPS = ("normals", "illumination", "material")
+TWO = ("plastic", "brushed-metal")
+TIGHT = 1e-4
+"""Pixel by pixel in float32: no table for so few pixels holds this."""
+
+
+def sphere(size=(12, 12), tolerance="exact", environment=None, materials=TWO, albedo=(0.3, 0.25, 0.2)) -> TorchRenderer:
+    """Dark enough (by its albedo) that nothing is clipped."""
+    scene = sphere_scene(size, environment, materials)
+    return TorchRenderer(scene, sphere_gbuffer(scene, albedo=albedo), tolerance=tolerance)
+
+
+def moved(renderer: TorchRenderer, seed: int = 0, batch: int = 1) -> Parameters:
+    """The initial values and something of every group on top, [batch, …]."""
+    rng = torch.Generator().manual_seed(seed)
+    sizes = {"normals": 0.05, "illumination": 0.02 * ILLUMINATION_MEAN, "material": 0.03 * MATERIAL_UNIT}
+    return {
+        group: value + sizes[group] * torch.randn(batch, *value.shape, generator=rng, dtype=torch.float64).to(value)
+        for group, value in renderer.initial().items()
+    }
+
+
+# What a picture is
+
+
+@pytest.mark.parametrize(("tolerance", "rtol"), [("exact", 1e-10), (1e-3, 1e-5)])
+@pytest.mark.parametrize("move", [False, True])
+def test_picture_is_the_sum_it_is_defined_as(tolerance: Tolerance, rtol: float, move: bool) -> None:
+    """So few pixels are summed each for itself, in float32 within the tolerance."""
+    scene = sphere_scene((7, 9), sky(), TWO)
+    gbuffer = sphere_gbuffer(scene, albedo=(0.3, 0.25, 0.2))
+    renderer = TorchRenderer(scene, gbuffer, tolerance=tolerance)
+    parameters = moved(renderer) if move else {g: v[None] for g, v in renderer.initial().items()}
+    found = renderer.render(parameters)[0].double().numpy()
+    wanted = reference_image(scene, gbuffer, {g: v[0] for g, v in parameters.items()})
+    assert 0.1 < wanted[3, 4].max() < wanted.max() < 0.99  # lit, and nothing clipped
+    np.testing.assert_allclose(found, wanted, rtol=rtol)
+
+
+def test_a_lambertian_sphere_under_white_light_is_flat() -> None:
+    """E = πL, so the radiance is albedo · exposure · L, whatever the normal.
+
+    The sum is a midpoint rule: its error is below (π/rows)²/6 and falls with the square of the texel's size.
+    """
+    albedo, errors = (0.9, 0.5, 0.1), []
+    for rows in (8, 16, 32):
+        environment = np.ones((rows, 2 * rows, 3), np.float32)
+        scene = sphere_scene((24, 24), environment, ("matte",))
+        gbuffer = sphere_gbuffer(scene, albedo=albedo)
+        picture = TorchRenderer(scene, gbuffer, tolerance="exact").render({"material": lambertian()[None, None]})[0]
+        unit = illumination(torch.from_numpy(environment)).exposure * ILLUMINATION_MEAN
+        whole = gbuffer.coverage == 1
+        ratio = to_linear(picture)[whole] / (unit * gbuffer.base_color[whole].double())
+        errors.append(float((ratio - 1).abs().max()))
+        assert errors[-1] < (pi / rows) ** 2 / 6
+    assert errors[0] > 3 * errors[1] > 9 * errors[2]
+
+
+def test_one_texel_lights_by_its_cosine() -> None:
+    """A Lambertian sphere under one bright texel: I = albedo/π · exposure · ℓ · max(0, n·ω) · ΔΩ."""
+    environment = np.zeros((4, 8, 3), np.float32)
+    environment[1, 1] = 1
+    scene = sphere_scene((24, 24), environment, ("matte",), azimuth=0.3, elevation=0.2)
+    gbuffer = sphere_gbuffer(scene, albedo=(0.5, 0.5, 0.5))
+    renderer = TorchRenderer(scene, gbuffer, tolerance="exact")
+    picture = to_linear(renderer.render({"material": lambertian()[None, None]})[0])
+    theta, phi = 1.5 * pi / 4, 1.5 * 2 * pi / 8
+    towards = torch.tensor([np.sin(theta) * np.sin(phi), np.cos(theta), np.sin(theta) * np.cos(phi)])
+    cosine = (gbuffer.normals.double() @ towards).clamp_min(0)
+    whole = gbuffer.coverage == 1
+    assert (cosine[whole] == 0).any()  # part of it in the dark
+    scale = float(picture[whole].max() / cosine[whole].max())
+    # normals are float32
+    torch.testing.assert_close(picture[..., 1][whole], scale * cosine[whole], rtol=1e-6, atol=1e-6)
+
+
+def test_coverage_lies_over_the_ground() -> None:
+    scene = sphere_scene((24, 24), sky(), ("matte",))
+    gbuffer = sphere_gbuffer(scene)
+    picture = TorchRenderer(scene, gbuffer).render({})[0]
+    assert (picture[gbuffer.coverage == 0] == torch.tensor(GROUND)).all()
+    part = (gbuffer.coverage > 0) & (gbuffer.coverage < 1)
+    assert part.any()
+    whole = TorchRenderer(scene, type(gbuffer)(**vars(gbuffer) | {"coverage": part.float()})).render({})[0]
+    share = gbuffer.coverage[part][:, None]
+    torch.testing.assert_close(picture[part], share * whole[part] + (1 - share) * torch.tensor(GROUND))
+
+
+def test_nothing_covered_is_ground() -> None:
+    scene = sphere_scene((4, 5), sky(), ("matte",))
+    gbuffer = sphere_gbuffer(scene)
+    empty = type(gbuffer)(**vars(gbuffer) | {"coverage": torch.zeros(4, 5), "object_index": torch.full((4, 5), -1)})
+    assert (TorchRenderer(scene, empty).render({}) == torch.tensor(GROUND)).all()
+
+
+def test_a_material_belongs_to_its_object() -> None:
+    renderer = sphere()
+    owner = sphere_gbuffer(sphere_scene(materials=TWO)).object_index
+    before = renderer.render({})[0]
+    material = renderer.initial()["material"]
+    material[1] += 5
+    changed = (renderer.render({"material": material[None]})[0] != before).any(-1)
+    assert (owner[changed] == 1).all()
+    assert changed.sum() > 0.9 * (owner == 1).sum()
+
+
+def test_the_camera_sees_highlights_move_with_it() -> None:
+    """Under a map turned with the camera the picture stays: shading happens in the camera's frame."""
+    environment = sky(16, 32)
+    step = 2 * pi / 32
+    first = sphere_scene((16, 16), environment, ("glossy-paint",), azimuth=0.0)
+    turned = sphere_scene((16, 16), np.roll(environment, 3, axis=1), ("glossy-paint",), azimuth=3 * step)
+    one, other = (TorchRenderer(s, sphere_gbuffer(s), tolerance="exact").render({}) for s in (first, turned))
+    torch.testing.assert_close(one, other, rtol=0, atol=1e-4)  # the exposure's probes turn with the map, to rounding
+    still = sphere_scene((16, 16), np.roll(environment, 3, axis=1), ("glossy-paint",), azimuth=0.0)
+    assert (TorchRenderer(still, sphere_gbuffer(still), tolerance="exact").render({}) - one).abs().max() > 0.01
+
+
+@pytest.mark.parametrize("name", presets())
+def test_float32_is_near_its_exact_twin(name: str) -> None:
+    """1e-5 of full scale: about a hundred roundings, 1/400 of a step of 8 bits."""
+    renderer = sphere((48, 48), TIGHT, sky(16, 32), (name,), albedo=(1, 1, 1))
+    twin = renderer.exact()
+    assert twin.exact() is twin
+    parameters = moved(renderer)
+    difference = twin.render({g: v.double() for g, v in parameters.items()}) - renderer.render(parameters).double()
+    assert difference.abs().max() < 1e-5
+    for group, value in renderer.initial().items():
+        assert torch.equal(value.double(), twin.initial()[group])
+
+
+# Gradients
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_gradcheck(group: str) -> None:
+    renderer = sphere((4, 5), environment=sky(2, 4))
+    start = moved(renderer)
+    fixed = {g: v for g, v in start.items() if g != group}
+    values = start[group].requires_grad_()
+    assert torch.autograd.gradcheck(
+        lambda v: renderer.render(fixed | {group: v}), values, fast_mode=group == "material"
+    )
+
+
+def slope(renderer: TorchRenderer, group: str, start: Parameters, weights: Tensor) -> Tensor:
+    leaf = start[group].clone().requires_grad_()
+    picture = renderer.render(start | {group: leaf})
+    return torch.autograd.grad((picture * weights).sum(), leaf)[0]
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_gradient_against_a_central_difference(group: str) -> None:
+    renderer = sphere((16, 16), environment=sky(8, 16))
+    start = moved(renderer)
+    rng = torch.Generator().manual_seed(1)
+    weights = torch.randn(1, 16, 16, 3, dtype=torch.float64, generator=rng)
+    direction = torch.randn(start[group].shape, dtype=torch.float64, generator=rng)
+    h = 1e-5
+    up, down = (
+        (renderer.render(start | {group: start[group] + sign * h * direction}) * weights).sum() for sign in (1, -1)
+    )
+    # the difference's own error: h² in its curvature, 1e-16 / h in rounding
+    assert float((slope(renderer, group, start, weights) * direction).sum()) == pytest.approx(
+        float((up - down) / (2 * h)), rel=1e-6
+    )
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_float32_gradient_is_near_the_exact_one(group: str) -> None:
+    renderer = sphere((16, 16), TIGHT, sky(8, 16))
+    start = moved(renderer)
+    weights = torch.randn(1, 16, 16, 3, generator=torch.Generator().manual_seed(1))
+    exact = slope(renderer.exact(), group, {g: v.double() for g, v in start.items()}, weights.double())
+    found = slope(renderer, group, start, weights).double()
+    assert (found - exact).norm() < 1e-4 * exact.norm()
+
+
+def test_uncovered_normals_have_no_effect() -> None:
+    renderer = sphere()
+    outside = sphere_gbuffer(sphere_scene(materials=TWO)).coverage == 0
+    start = moved(renderer)
+    assert (renderer.initial()["normals"][outside] == 0).all()
+    assert (slope(renderer, "normals", start, torch.ones(1, 12, 12, 3))[0][outside] == 0).all()
+    other = start["normals"].clone()
+    other[0, outside] += 1
+    assert torch.equal(renderer.render(start), renderer.render(start | {"normals": other}))
+
+
+# Stiff and extreme
+
+
+@pytest.mark.parametrize("tolerance", [TIGHT, "exact"])
+@pytest.mark.parametrize("case", ["mirror", "bright", "dark lobes", "back", "pole", "black map", "far", "sun"])
+def test_extremes_stay_finite(tolerance: Tolerance, case: str) -> None:
+    environment = sky(8, 16)
+    if case == "black map":
+        environment[:] = 0
+    if case == "sun":
+        environment[2, 3] = 1e6
+    renderer = sphere((12, 12), tolerance, environment)
+    start = {g: v[None] for g, v in renderer.initial().items()}
+    log_kappa, log_gamma = start["material"][..., 0, :], start["material"][..., 1, :]
+    if case == "mirror":
+        log_kappa[:], log_gamma[:] = log(1e4) * MATERIAL_UNIT, log(1e5) * MATERIAL_UNIT
+    elif case == "bright":
+        log_kappa[:], log_gamma[:] = log(1e4) * MATERIAL_UNIT, log(1e-3) * MATERIAL_UNIT
+    elif case == "dark lobes":
+        log_kappa[:], log_gamma[:] = -1e4, 0
+    elif case == "back":
+        start["normals"][..., 0] += pi
+    elif case == "pole":
+        start["normals"][..., 1] = 0
+    elif case == "far":
+        log_kappa[:], log_gamma[:] = 1e6, 1e6
+    leaves = {g: v.clone().requires_grad_() for g, v in start.items()}
+    picture = renderer.render(leaves)
+    assert picture.isfinite().all()
+    assert ((picture >= 0) & (picture <= 1)).all()
+    for gradient in torch.autograd.grad(picture.sum(), list(leaves.values())):
+        assert gradient.isfinite().all()
+
+
+def test_grazing_normals_stay_finite() -> None:
+    renderer = sphere(tolerance=TIGHT)
+    start = renderer.initial()
+    for azimuth in (pi / 2, -pi / 2, pi / 2 + 1e-7, pi / 2 - 1e-7):
+        start["normals"][..., 0] = azimuth
+        leaf = start["normals"][None].clone().requires_grad_()
+        picture = renderer.render({"normals": leaf})
+        assert picture.isfinite().all()
+        assert torch.autograd.grad(picture.sum(), leaf)[0].isfinite().all()
+
+
+# The protocol
+
+
+def test_images_of_a_batch_do_not_meet() -> None:
+    """To the last bit, pictures and gradients."""
+    renderer = sphere((20, 20), TIGHT, sky(16, 32))
+    batch = {g: v.requires_grad_() for g, v in moved(renderer, batch=3).items()}
+    pictures = renderer.render(batch)
+    together = torch.autograd.grad(pictures.square().sum(), list(batch.values()))
+    for b in (2, 0, 1):
+        alone = {g: v[b : b + 1].detach().clone().requires_grad_() for g, v in batch.items()}
+        picture = renderer.render(alone)
+        assert torch.equal(picture[0], pictures[b])
+        for one, all_ in zip(torch.autograd.grad(picture.square().sum(), list(alone.values())), together, strict=True):
+            assert torch.equal(one[0], all_[b])
+
+
+def test_groups_left_out_keep_their_values() -> None:
+    renderer = sphere()
+    start = {g: v[None] for g, v in renderer.initial().items()}
+    whole = renderer.render(start)
+    assert whole.shape == (1, 12, 12, 3)
+    assert torch.equal(renderer.render({}), whole)
+    for group in GROUPS:
+        assert torch.equal(renderer.render({group: start[group]}), whole)
+
+
+def test_wrong_shapes_are_refused() -> None:
+    renderer = sphere()
+    start = renderer.initial()
+    with pytest.raises(ValueError, match="normals"):
+        renderer.render({"normals": start["normals"]})
+    with pytest.raises(ValueError, match="colour"):
+        renderer.render({"colour": torch.zeros(1, 3)})
+    with pytest.raises(ValueError, match="batch"):
+        renderer.render({g: v.expand(k + 1, *v.shape) for k, (g, v) in enumerate(start.items())})
+
+
+def test_description_of_the_groups() -> None:
+    renderer = sphere(tolerance=TIGHT)
+    initial, bounds = renderer.initial(), renderer.bounds()
+    assert tuple(initial) == renderer.groups == GROUPS
+    assert {g: tuple(v.shape) for g, v in initial.items()} == {
+        "normals": (12, 12, 2),
+        "illumination": (4, 8),
+        "material": (2, 3, 3, 2, 6),
+    }
+    for group, value in initial.items():
+        low, high = bounds[group]
+        assert ((value >= low) & (value <= high)).all(), group
+        assert (low + torch.zeros_like(value)).shape == value.shape
+    assert bounds["illumination"][0] == 0
+    names = renderer.names("material")
+    assert names is not None
+    assert len(set(names)) == initial["material"].numel()
+    flat = initial["material"].flatten()
+    assert float(flat[names.index("object 1 blue lobe 0 gamma 5")]) == float(initial["material"][1, 2, 0, 1, 5])
+    assert renderer.names("normals") is renderer.names("illumination") is None
+    assert all(word in renderer.backend for word in ("torch", "float32", "threads", "closed form"))
+
+
+def test_initial_values_are_copies() -> None:
+    renderer = sphere()
+    renderer.initial()["illumination"].zero_()
+    assert renderer.initial()["illumination"].sum() > 0
+
+
+def test_unknown_preset_names_its_field() -> None:
+    with pytest.raises(InvalidRequest) as refused:
+        sphere(materials=("matte", "velvet"))
+    assert refused.value.field == "scene.objects.1.material"
+
+
+MEMORY = """
+import services  # sets up OpenMP before torch
+import resource, torch
+torch.set_num_threads(2)
+from services.rendering.torch_renderer.renderer import TorchRenderer
+from tests.unit.rendering.shading import sky, sphere_gbuffer, sphere_scene
+scene = sphere_scene((448, 448), sky(16, 32), ("plastic",))
+gbuffer = sphere_gbuffer(scene, radius=0.62)
+assert 55_000 < int((gbuffer.coverage > 0).sum()) < 65_000
+renderer = TorchRenderer(scene, gbuffer)
+leaves = {g: v[None].clone().requires_grad_() for g, v in renderer.initial().items()}
+renderer.render(leaves).sum().backward()
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
+"""
+
+
+def test_memory() -> None:
+    """60k pixels, 512 directions, forward and backward: 1.5 GB, where one shot takes over 4."""
+    root = Path(__file__).parents[4]
+    done = subprocess.run([sys.executable, "-c", MEMORY], cwd=root, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) < 1.5e9
