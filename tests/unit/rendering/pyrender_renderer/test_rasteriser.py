@@ -184,7 +184,7 @@ def test_no_bit_differs_on_either_platform(platform: str) -> None:
     code = """if True:
         from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
         from tests.unit.rendering.shapes import mesh, placed, scene
-        from tests.unit.rendering.test_raster import GLASS, differ, moved, soup, texels, wrinkled
+        from tests.unit.rendering.pyrender_renderer.test_rasteriser import GLASS, differ, moved, soup, texels, wrinkled
         thing = mesh(soup(1, 60, 0.1, GLASS), soup(2, 99, 0.1, texture=texels(0, 8, 8, True)), wrinkled(0, 20))
         renderer = PyrenderRenderer(placed(scene(distance=3.2), thing))
         print(renderer._shown is not None, differ(renderer, moved(renderer, 0)))
