@@ -1,4 +1,4 @@
-"""SceneParameters, times and reasons as a person reads them."""
+"""Numbers, times and reasons as a person reads them."""
 
 import json
 from datetime import datetime

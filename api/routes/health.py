@@ -5,7 +5,7 @@ from redis.exceptions import RedisError
 from sqlalchemy.exc import SQLAlchemyError
 
 from api.schemas import Health, Readiness
-from api.state import Has
+from api.state import ServicesDependency
 
 router = APIRouter(tags=["health"])
 
@@ -17,16 +17,16 @@ async def healthz() -> Health:
 
 
 @router.get("/readyz", responses={503: {"model": Readiness, "description": "something is missing"}})
-def readyz(has: Has, response: Response) -> Readiness:
+def readyz(services: ServicesDependency, response: Response) -> Readiness:
     """Whether database and Redis answer and a worker lives; 503 if not, saying what is missing."""
     database = redis = True
     workers = 0
     try:
-        has.repository.ping()
+        services.repository.ping()
     except SQLAlchemyError:
         database = False
     try:
-        workers = has.queue.live_workers()
+        workers = services.queue.live_workers()
     except RedisError:
         redis = False
     ready = database and redis and workers > 0

@@ -10,7 +10,7 @@ from services.settings import Settings
 from services.targets import registry
 
 
-def warm(values: Settings) -> str:
+def warm_up(values: Settings) -> str:
     """Bound the memory, set torch's threads, load the default network, open the OpenGL context. Returns its backend."""
     resource.setrlimit(resource.RLIMIT_AS, (values.job_memory_bytes, values.job_memory_bytes))
     torch.set_num_threads(values.threads)

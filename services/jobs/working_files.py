@@ -8,7 +8,7 @@ from pathlib import Path
 from services.jobs.repository import Attempt, Repository
 
 
-class Workplace:
+class WorkingFiles:
     """`data_dir/checkpoints/<job id>` and `data_dir/running/<job id>-<attempt>/`."""
 
     def __init__(self, data_dir: Path) -> None:
@@ -21,7 +21,7 @@ class Workplace:
         return self._checkpoints / job_id
 
     @contextmanager
-    def desk(self, attempt: Attempt) -> Iterator[Path]:
+    def attempt_directory(self, attempt: Attempt) -> Iterator[Path]:
         """An empty directory for one attempt, gone afterwards."""
         out = self._running / f"{attempt.job_id}-{attempt.number}"
         out.mkdir(parents=True)

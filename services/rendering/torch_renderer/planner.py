@@ -23,7 +23,7 @@ ROWS = (24, 32, 48, 64, 96, 128, 192, 256)
 ORDER = 3
 """Of Catmull-Rom: with a finer mesh a table's error falls by this power of it at best, so that some need no trial."""
 SHARP = (0, 8, 16, 32, 64, 128)
-"""SceneParameters of directions that are tried beside them, summed at the pixels."""
+"""Numbers of directions that are tried beside them, summed at the pixels."""
 ROUGH_AT = 48
 """Rows of the table for which the directions are put in the order of their roughness."""
 HEADROOM = 3.0

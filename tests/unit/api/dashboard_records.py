@@ -50,7 +50,13 @@ def result(spec: JobSpec = SPEC, **changed: Any) -> dict[str, Any]:
     """A result that a job of this spec could have."""
 
     def answer(label: str, confidence: float) -> dict[str, Any]:
-        top = [[label, confidence], ["upright", 0.1], ["accordion", 0.05], ["desk", 0.002], ["harp", 0.0000213]]
+        top = [
+            [label, confidence],
+            ["upright", 0.1],
+            ["accordion", 0.05],
+            ["desk", 0.002],
+            ["harp", 0.0000213],
+        ]
         return {"label": label, "index": 1, "confidence": confidence, "goal_probability": 0.2, "top": top}
 
     def subset(groups: list[str], fooled: bool) -> dict[str, Any]:
