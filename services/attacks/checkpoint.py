@@ -1,13 +1,13 @@
 """A running attack on disk: one safetensors file, replaced atomically."""
 
 import json
-import os
 from dataclasses import fields
 from pathlib import Path
 
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
+from services import atomic_write
 from services.attacks.method import Method
 from services.attacks.problem import AttackProblem
 from services.attacks.state import AttackState
@@ -27,11 +27,8 @@ def save(path: Path, run: AttackState, problem: AttackProblem, method: Method, j
     words = {name: getattr(run, name) for name in _PLAIN}
     words["trace"] = [row.model_dump() for row in run.trace]
     words["counts"] = [problem.queries, problem.renders, judge.queries, judge.renders]
-    part = path.with_suffix(".part")
-    save_file({name: value.contiguous() for name, value in tensors.items()}, part, {"run": json.dumps(words)})
-    with part.open("rb+") as file:
-        os.fsync(file.fileno())
-    part.replace(path)
+    with atomic_write.replacing(path) as part:
+        save_file({name: value.contiguous() for name, value in tensors.items()}, part, {"run": json.dumps(words)})
 
 
 def load(path: Path | None, problem: AttackProblem, method: Method, judge: Verifier) -> AttackState | None:

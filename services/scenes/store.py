@@ -1,33 +1,16 @@
 """Processed meshes on disk, so that the second time is fast. Safe to delete at any moment."""
 
-import os
-import tempfile
 import zipfile
 from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 
+from services import atomic_write
 from services.scenes.mesh import Part
 
 FORMAT = 1
 """Part of every file's name: raise it when anything that decides a processed mesh changes."""
-
-
-def write_atomically(path: Path, data: bytes) -> None:
-    """Write a file so that a reader sees all of it or the old one, whatever happens to the writer."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        Path(temporary).chmod(0o644)
-        Path(temporary).replace(path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
 
 
 def mesh_path(directory: Path, key: str) -> Path:
@@ -42,7 +25,7 @@ def save_parts(path: Path, parts: tuple[Part, ...]) -> None:
     }
     buffer = BytesIO()
     np.savez(buffer, allow_pickle=False, **arrays)
-    write_atomically(path, buffer.getvalue())
+    atomic_write.write(path, buffer.getvalue())
 
 
 def load_parts(path: Path) -> tuple[Part, ...] | None:

@@ -16,7 +16,7 @@ def test_sweeping_removes_what_is_over_and_keeps_what_is_not(repository: Reposit
     kept = tmp_path / "running" / f"{running.id}-2"
     for out in (kept, kept.with_name(f"{running.id}-1"), kept.with_name(f"{over.id}-1")):
         out.mkdir(parents=True)
-    working_files.checkpoint(over.id).with_suffix(".part").write_bytes(b"half")
+    working_files.checkpoint(over.id).with_suffix(".0123.part").write_bytes(b"half")
 
     working_files.sweep(repository)
 
