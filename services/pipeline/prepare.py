@@ -1,6 +1,5 @@
 """Everything of a job that can go wrong before it begins: assets, target, goal, and the network's first answer."""
 
-import difflib
 from dataclasses import dataclass
 
 from torch import Tensor
@@ -15,6 +14,7 @@ from services.rendering.protocol import Renderer
 from services.rendering.torch_renderer.presets import preset
 from services.scenes.library import Library
 from services.scenes.resolve import ResolvedScene, resolve
+from services.suggestions import did_you_mean
 from services.targets import registry
 from services.targets.protocol import Target
 from services.targets.scores import probability
@@ -103,9 +103,7 @@ def _label(wanted: str | int | None, labels: tuple[str, ...], field: str, target
             raise InvalidRequest(field, f"{target} has labels 0 to {len(labels) - 1}, not {wanted}")
         return wanted
     if wanted not in labels:
-        near = difflib.get_close_matches(wanted, labels, n=3)
-        hint = f"; did you mean {' or '.join(map(repr, near))}?" if near else ""
-        raise InvalidRequest(field, f"{target} has no label {wanted!r}{hint}")
+        raise InvalidRequest(field, f"{target} has no label {wanted!r}{did_you_mean(wanted, labels)}")
     return labels.index(wanted)
 
 
