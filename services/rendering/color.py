@@ -48,12 +48,6 @@ class _Display(torch.autograd.Function):
         return slope * display_slope(*ctx.saved_tensors)
 
 
-def to_linear(display: Tensor) -> Tensor:
-    """The inverse of `to_display` on [0,1]."""
-    low = display <= 0.04045
-    return torch.where(low, display / 12.92, ((display.clamp_min(0.04045) + 0.055) / 1.055) ** 2.4)
-
-
 def to_bytes(images: Tensor) -> Tensor:
     """Images in [0,1] as they are saved: uint8, rounded to nearest (ties to even)."""
     # A product with 255 in a type of eight bits would be rounded twice.

@@ -10,6 +10,7 @@ from PIL import Image
 
 from services.scenes.mesh import Bytes, Doubles, Floats, Longs, Part, fitted
 from services.scenes.normals import CREASE_ANGLE, smooth_normals
+from services.scenes.srgb import to_linear
 
 MAX_TEXTURE = 1024
 """Textures are reduced to this many pixels a side; a frame has no more."""
@@ -172,7 +173,7 @@ def _diffuse(material: Any, textured: bool, opacity: Mapping[str, float]) -> Dou
     """Linear RGBA of an MTL material, whose colours are meant for the screen."""
     stated = "kd" in material.kwargs
     rgba = np.asarray(material.diffuse if stated else PLAIN, np.float64) / 255
-    color = np.append(_linear(rgba[:3]), opacity.get(material.name, 1.0))
+    color = np.append(to_linear(rgba[:3]), opacity.get(material.name, 1.0))
     if textured and (not stated or rgba[:3].max() < 0.05):
         # Exporters write no Kd, or Kd 0, under a texture that is meant to be seen.
         color[:3] = 1.0
@@ -181,9 +182,4 @@ def _diffuse(material: Any, textured: bool, opacity: Mapping[str, float]) -> Dou
 
 def _display_color(rgba: Any) -> Floats:
     values = np.asarray(rgba, np.float64) / 255
-    return np.append(_linear(values[:3]), values[3]).astype(np.float32)
-
-
-def _linear(display: Doubles) -> Doubles:
-    """The inverse sRGB curve (IEC 61966-2-1)."""
-    return np.where(display <= 0.04045, display / 12.92, ((display + 0.055) / 1.055) ** 2.4)
+    return np.append(to_linear(values[:3]), values[3]).astype(np.float32)

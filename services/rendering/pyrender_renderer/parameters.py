@@ -13,7 +13,7 @@ from services.rendering.opengl.camera import RenderPass
 from services.rendering.opengl.screen_bounds import Rectangle
 from services.rendering.protocol import Parameters
 from services.scenes.description import Scene
-from services.scenes.view import rotation_matrix
+from services.scenes.view import model_matrices
 
 GROUPS = ("illumination", "color", "translation", "rotation")
 
@@ -97,7 +97,4 @@ class SceneParameters:
 
     def poses(self, translations: NDArray[np.float64], rotations: NDArray[np.float64]) -> NDArray[np.float64]:
         """World from object [objects, 4, 4]: scaled, turned, moved; of translations and rotations [objects, 3]."""
-        poses = np.tile(np.eye(4), (len(self._scales), 1, 1))
-        poses[:, :3, :3] = rotation_matrix(rotations) * self._scales[:, None, None]
-        poses[:, :3, 3] = translations
-        return poses
+        return model_matrices(translations, rotations, self._scales)

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 import torch
 
-from services.rendering.color import display_slope, from_bytes, saved, to_bytes, to_display, to_linear
+from services.rendering.color import display_slope, from_bytes, saved, to_bytes, to_display
+from services.scenes.srgb import to_linear
 
 pytestmark = pytest.mark.usefixtures("kernel")
 
@@ -23,7 +24,7 @@ def test_the_curve_is_that_of_the_standard() -> None:
     # float32: a few units in the last place at 1
     np.testing.assert_allclose(to_display(torch.from_numpy(linear).float()).numpy(), expected, atol=3e-7)
     # the standard's two constants meet to about 1e-5
-    np.testing.assert_allclose(to_linear(shown).numpy(), linear, atol=1e-5)
+    np.testing.assert_allclose(to_linear(shown.numpy()), linear, atol=1e-5)
 
 
 def test_what_is_out_of_range_is_clipped_and_what_is_no_number_stays_none() -> None:

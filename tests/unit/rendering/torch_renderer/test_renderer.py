@@ -11,13 +11,13 @@ import torch
 from torch import Tensor
 
 from services.errors import InvalidRequest
-from services.rendering.color import to_linear
 from services.rendering.plan import Tolerance
 from services.rendering.protocol import Parameters
 from services.rendering.torch_renderer.environment_light import illumination
 from services.rendering.torch_renderer.presets import presets
 from services.rendering.torch_renderer.renderer import TorchRenderer
 from services.rendering.torch_renderer.units import ILLUMINATION_MEAN, MATERIAL_UNIT
+from services.scenes.srgb import to_linear
 from tests.unit.rendering.shading import GROUND, lambertian, reference_image, sky, sphere_gbuffer, sphere_scene
 
 GROUPS = ("normals", "illumination", "material")
@@ -72,7 +72,7 @@ def test_a_lambertian_sphere_under_white_light_is_flat() -> None:
         picture = TorchRenderer(scene, gbuffer, tolerance="exact").render({"material": lambertian()[None, None]})[0]
         unit = illumination(torch.from_numpy(environment)).exposure * ILLUMINATION_MEAN
         whole = gbuffer.coverage == 1
-        ratio = to_linear(picture)[whole] / (unit * gbuffer.base_color[whole].double())
+        ratio = torch.from_numpy(to_linear(picture.numpy()))[whole] / (unit * gbuffer.base_color[whole].double())
         errors.append(float((ratio - 1).abs().max()))
         assert errors[-1] < (pi / rows) ** 2 / 6
     assert errors[0] > 3 * errors[1] > 9 * errors[2]
@@ -85,7 +85,8 @@ def test_one_texel_lights_by_its_cosine() -> None:
     scene = sphere_scene((24, 24), environment, ("matte",), azimuth=0.3, elevation=0.2)
     gbuffer = sphere_gbuffer(scene, albedo=(0.5, 0.5, 0.5))
     renderer = TorchRenderer(scene, gbuffer, tolerance="exact")
-    picture = to_linear(renderer.render({"material": lambertian()[None, None]})[0])
+    shown = renderer.render({"material": lambertian()[None, None]})[0]
+    picture = torch.from_numpy(to_linear(shown.numpy()))
     theta, phi = 1.5 * pi / 4, 1.5 * 2 * pi / 8
     towards = torch.tensor([np.sin(theta) * np.sin(phi), np.cos(theta), np.sin(theta) * np.cos(phi)])
     cosine = (gbuffer.normals.double() @ towards).clamp_min(0)
@@ -332,6 +333,7 @@ import services  # sets up OpenMP before torch
 import resource, torch
 torch.set_num_threads(2)
 from services.rendering.torch_renderer.renderer import TorchRenderer
+from services.scenes.srgb import to_linear
 from tests.unit.rendering.shading import sky, sphere_gbuffer, sphere_scene
 scene = sphere_scene((448, 448), sky(16, 32), ("plastic",))
 gbuffer = sphere_gbuffer(scene, radius=0.62)
