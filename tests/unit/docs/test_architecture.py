@@ -11,8 +11,8 @@ ROOT = Path(__file__).parents[3]
 PAGE = (ROOT / "docs" / "architecture.md").read_text("utf-8")
 DRAWN_ROOMS = dict(re.findall(r'^    (\w+)\["([\w/]+):', PAGE, re.MULTILINE))
 DRAWN_ARROWS = set(re.findall(r"^    (\w+) --> (\w+)$", PAGE, re.MULTILINE))
-GROUND_FLOOR = {"errors", "extensions", "finite", "logs", "settings", "versions"}
-"""Modules that every room may import; the page says so in words."""
+GROUND_FLOOR = {path.stem for path in (ROOT / "services").glob("*.py")}
+"""Modules that every room may import; the page names them in words."""
 
 
 def room(module: str) -> str | None:
@@ -51,6 +51,11 @@ def test_every_room_is_drawn_and_every_drawn_room_is_there(imports: networkx.DiG
 def test_the_arrows_are_the_imports_without_those_that_follow(imports: networkx.DiGraph) -> None:
     assert networkx.is_directed_acyclic_graph(imports)
     assert set(networkx.transitive_reduction(imports).edges) == DRAWN_ARROWS
+
+
+def test_the_ground_floor_is_named() -> None:
+    for module in GROUND_FLOOR - {"__init__"}:
+        assert f"`{module}`" in PAGE, module
 
 
 def test_every_path_on_the_page_exists() -> None:
