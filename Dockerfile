@@ -10,7 +10,7 @@ RUN useradd --system --create-home --uid 10001 scene-attack \
 
 WORKDIR /app
 # Packages, meshes and environment maps change seldom: they are layers of their own.
-COPY requirements.txt pyproject.toml README.md ./
+COPY requirements.txt pyproject.toml README.md LICENSE NOTICE ./
 COPY scripts/setup scripts/assets.sha256 scripts/
 COPY services/__init__.py services/
 COPY api/__init__.py api/
