@@ -15,10 +15,11 @@ import torch
 
 from services.errors import Cancelled, InvalidRequest, JobFailure
 from services.jobs.artifacts import ArtifactStore, media_type
+from services.jobs.attempts import Attempt, Standing
 from services.jobs.child import connect, reply, requests
 from services.jobs.database import connect as connect_database
 from services.jobs.models import Artifact
-from services.jobs.repository import Attempt, Repository, Standing
+from services.jobs.repository import Repository
 from services.jobs.warm_up import warm_up
 from services.jobs.working_files import WorkingFiles
 from services.logs import configure, logger

@@ -8,8 +8,9 @@ from collections.abc import Callable
 
 from sqlalchemy.exc import OperationalError
 
+from services.jobs.attempts import Attempt, Standing
 from services.jobs.child import Child, ChildDied
-from services.jobs.repository import Attempt, Repository, Standing
+from services.jobs.repository import Repository
 from services.logs import logger
 from services.settings import Settings
 

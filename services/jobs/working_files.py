@@ -5,7 +5,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from services.jobs.repository import Attempt, Repository
+from services.jobs.attempts import Attempt
+from services.jobs.repository import Repository
 
 
 class WorkingFiles:

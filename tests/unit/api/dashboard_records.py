@@ -9,9 +9,10 @@ from fastapi import FastAPI
 
 from api import dashboard
 from api.state import Services
+from services.jobs.attempts import Attempt
 from services.jobs.database import connect, migrate
 from services.jobs.models import Artifact, Job
-from services.jobs.repository import Attempt, Repository
+from services.jobs.repository import Repository
 from services.pipeline.outcome import outcome
 from services.pipeline.result import Result
 from services.pipeline.spec import JobSpec, parse
