@@ -23,8 +23,15 @@ class Settings(BaseSettings):
     threads: int = Field(2, ge=1, le=256, description="torch threads of a job process; part of the backend string")
     gl: Literal["auto", "egl", "osmesa"] = Field("auto", description="OpenGL platform; auto tries EGL, then OSMesa")
     kernel: Literal["auto", "native", "torch"] = Field(
-        "auto", description="inner loops of shading; auto compiles them where there is a C++ compiler, else torch"
+        "auto",
+        description="what runs inner loops on a CPU; auto takes compiled kernels, torch where there are none",
     )
+    kernel_arch: str = Field(
+        "native",
+        pattern=r"^[a-z0-9][a-z0-9+._-]*$",
+        description="processor the kernels are compiled for: native, portable, or a name that g++ -march knows",
+    )
+    kernel_dir: Path | None = Field(None, description="folder of the compiled kernels; default: native in the cache")
     max_upload_bytes: int = Field(32 * 2**20, ge=1, description="largest mesh upload")
     max_faces: int = Field(300_000, ge=1, description="largest mesh, in triangles")
     max_queued: int = Field(1000, ge=1, description="queued jobs beyond which new ones get 503")
@@ -39,6 +46,11 @@ class Settings(BaseSettings):
     def cache_dir(self) -> Path:
         """The cache directory, absolute."""
         return self.cache.expanduser().resolve()
+
+    @property
+    def kernel_folder(self) -> Path:
+        """The folder of the compiled kernels, absolute."""
+        return self.cache_dir / "native" if self.kernel_dir is None else self.kernel_dir.expanduser().resolve()
 
     @property
     def data_dir(self) -> Path:

@@ -21,6 +21,8 @@ constexpr int SMALL = 64;  // pixels a side, up to which edges fit 32 bits
 constexpr int32_t NONE = -1;
 
 struct Piece {
+    static std::string layout_name() { return "Piece"; }
+
     int64_t corners, faces;
     const float *positions, *normals, *uv;  // [corners, 3], [corners, 3], [corners, 2]
     const int32_t *triangles;  // [faces, 3]
@@ -30,6 +32,8 @@ struct Piece {
 };
 
 struct Frame {
+    static std::string layout_name() { return "Frame"; }
+
     int64_t width, height, pieces;
     const Piece *piece;
     double x[SAMPLES], y[SAMPLES];  // where in a pixel its samples are, from the lower left
@@ -37,6 +41,8 @@ struct Frame {
 };
 
 struct Pass {
+    static std::string layout_name() { return "Pass"; }
+
     const float *clip, *world, *normal;  // [pieces, 16], [pieces, 16], [pieces, 9], from the object
     const int64_t *order, *closed;  // [pieces], as drawn; of each piece's faces the first so many have no inside
     int64_t part[4];  // rows from the bottom from, to, columns from, to

@@ -3,10 +3,13 @@
 #pragma once
 
 #include "fuse.h"
+#include "layout.h"
 
 namespace {
 
 struct Texture {
+    static std::string layout_name() { return "Texture"; }
+
     int64_t levels;  // 0: there is none
     const uint8_t *const *texels;  // [levels], each [height, width, 4]
     const int64_t *sizes;  // [levels, 2], height and width

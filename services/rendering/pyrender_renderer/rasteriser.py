@@ -45,7 +45,7 @@ class _Piece(ctypes.Structure):
 class _Frame(ctypes.Structure):
     _fields_ = (
         *((name, c_int64) for name in ("width", "height", "pieces")),
-        ("piece", c_void_p),
+        ("piece", ctypes.POINTER(_Piece)),
         ("x", c_double * SAMPLES),
         ("y", c_double * SAMPLES),
         ("eye", c_double * 3),
@@ -88,7 +88,7 @@ def draw(
         size[1],
         size[0],
         len(pieces),
-        ctypes.addressof(table),
+        table,
         (c_double * SAMPLES)(*samples[:, 0]),
         (c_double * SAMPLES)(*samples[:, 1]),
         (c_double * 3)(*view.eye.astype(np.float32)),

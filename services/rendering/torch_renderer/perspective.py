@@ -12,6 +12,7 @@ from torch.autograd.function import once_differentiable
 from torch.nn.functional import normalize
 
 from services.rendering.kernels import compiled
+from services.rendering.kernels.structures import PerspectiveDouble, PerspectiveFloat
 from services.rendering.torch_renderer import dsbrdf
 
 CHUNK = 2**16
@@ -91,8 +92,8 @@ def _chunk(normals: Tensor, viewers: Tensor, light: Tensor, material: Tensor, to
 
 def _pack(
     normals: Tensor, viewers: Tensor, light: Tensor, material: Tensor, towards: Tensor
-) -> compiled.PerspectiveFloat | compiled.PerspectiveDouble:
-    kind = compiled.PerspectiveDouble if normals.dtype == torch.float64 else compiled.PerspectiveFloat
+) -> PerspectiveFloat | PerspectiveDouble:
+    kind = PerspectiveDouble if normals.dtype == torch.float64 else PerspectiveFloat
     sizes = (len(normals), towards.shape[1], *material.shape[:2])
     pointers = (value.data_ptr() for value in (normals, viewers, towards, light, material))
     most = (dsbrdf.LOG_KAPPA_RANGE[1], dsbrdf.LOG_GAMMA_RANGE[1])

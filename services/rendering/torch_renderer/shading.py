@@ -15,6 +15,7 @@ from torch.autograd.function import once_differentiable
 from torch.nn.functional import normalize
 
 from services.rendering.kernels import compiled
+from services.rendering.kernels.structures import SceneDouble, SceneFloat
 from services.rendering.torch_renderer.dsbrdf import COSINE_FLOOR, LOG_EXPONENT_RANGE
 
 CHUNK = 2**18
@@ -207,7 +208,7 @@ def _log_half(normals: Tensor, half: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class _Packed:
-    scene: compiled.SceneFloat | compiled.SceneDouble
+    scene: SceneFloat | SceneDouble
     tensors: tuple[Tensor | None, ...]
     """Kept alive as long as the pointers to them."""
 
@@ -223,7 +224,7 @@ def _pack(
     half: Tensor,
 ) -> _Packed:
     held = [t if t is None else t.contiguous() for t in (normals, towards, half, light, base, tilt, log_kappa, gamma)]
-    kind = compiled.SceneDouble if normals.dtype == torch.float64 else compiled.SceneFloat
+    kind = SceneDouble if normals.dtype == torch.float64 else SceneFloat
     pointers = (None if t is None else t.data_ptr() for t in held)
     sizes = (len(normals), towards.shape[1], len(base), log_kappa.shape[1])
     return _Packed(kind(*sizes, *pointers, COSINE_FLOOR, *LOG_EXPONENT_RANGE), tuple(held))
