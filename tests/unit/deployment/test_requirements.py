@@ -16,11 +16,13 @@ DIRECT = {"requirements.txt": PROJECT["dependencies"], "requirements-dev.txt": P
 
 
 def pins(path: str) -> dict[str, Version]:
-    """The exact versions in a requirements file, by canonical name; files that it includes are left out."""
+    """The exact versions in a requirements file for this Python, by canonical name; included files are left out."""
     lines = [line for line in (ROOT / path).read_text().splitlines() if line and not line.startswith(("#", "-r"))]
-    names = [canonicalize_name(line.partition("==")[0]) for line in lines]
+    found = [one for one in map(Requirement, lines) if one.marker is None or one.marker.evaluate()]
+    assert all(str(one.specifier).startswith("==") for one in found)
+    names = [canonicalize_name(one.name) for one in found]
     assert len(names) == len(set(names))
-    return {name: Version(line.partition("==")[2]) for name, line in zip(names, lines, strict=True)}
+    return {name: Version(str(one.specifier)[2:]) for name, one in zip(names, found, strict=True)}
 
 
 def pulled_in(names: list[str]) -> set[str]:
