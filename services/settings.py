@@ -1,5 +1,6 @@
 """Settings from the environment (prefix SCENE_ATTACK_), with defaults that work on a laptop."""
 
+import os
 from functools import lru_cache
 from pathlib import Path
 from typing import Literal
@@ -21,6 +22,11 @@ class Settings(BaseSettings):
     port: int = Field(8008, ge=0, le=65535, description="port the API listens on; 0 picks a free one")
     workers: int = Field(1, ge=1, le=64, description="job processes")
     threads: int = Field(2, ge=1, le=256, description="torch threads of a job process; part of the backend string")
+    extensions: str | None = Field(
+        None,
+        description="files, or folders of .py files, with attacks, renderers and targets of your own; separated as in "
+        "`PATH`",
+    )
     gl: Literal["auto", "egl", "osmesa"] = Field("auto", description="OpenGL platform; auto tries EGL, then OSMesa")
     kernel: Literal["auto", "native", "torch"] = Field(
         "auto",
@@ -56,6 +62,11 @@ class Settings(BaseSettings):
     def data_dir(self) -> Path:
         """The data directory, absolute."""
         return self.data.expanduser().resolve()
+
+    @property
+    def extension_paths(self) -> list[Path]:
+        """The files and folders of `extensions`."""
+        return [Path(part).expanduser() for part in (self.extensions or "").split(os.pathsep) if part]
 
     def environ(self) -> dict[str, str]:
         """The environment variables that give a child process these settings."""

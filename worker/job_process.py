@@ -26,7 +26,7 @@ from services.logs import configure, logger
 from services.pipeline.execute import Progress, execute
 from services.pipeline.outcome import outcome
 from services.pipeline.result import Result
-from services.pipeline.spec import JobSpec
+from services.pipeline.spec import parse
 from services.scenes.library import Library
 from services.settings import Settings, settings
 
@@ -98,7 +98,7 @@ class Jobs:
         try:
             with self._working_files.attempt_directory(attempt) as out:
                 result = execute(
-                    JobSpec.model_validate(job.spec),
+                    parse(job.spec),
                     out,
                     self._library,
                     progress=reporter.progress,

@@ -15,6 +15,7 @@ from api.schemas import cursor_after, read_cursor
 from api.state import Services, ServicesDependency
 from services.errors import InvalidRequest
 from services.jobs.models import Event, State
+from services.pipeline.names import group_words
 
 PAGE = 30
 """Jobs on one page of the list."""
@@ -38,7 +39,7 @@ router = APIRouter(include_in_schema=False)
 _templates = Environment(
     loader=PackageLoader(__package__), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
 )
-_templates.globals |= {"version": _VERSION, "words": words, "states": list(State)}
+_templates.globals |= {"version": _VERSION, "words": words, "group_words": group_words, "states": list(State)}
 
 
 @router.get("/")

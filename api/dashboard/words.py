@@ -19,16 +19,6 @@ STOPPED = {
     "seconds": "its time was used up",
 }
 
-GROUPS = {
-    "image": "pixels",
-    "normals": "surface normals",
-    "illumination": "illumination",
-    "material": "material",
-    "color": "colour",
-    "translation": "position",
-    "rotation": "rotation",
-}
-
 
 def written(value: object) -> str:
     """Any part of a request or result as indented JSON."""

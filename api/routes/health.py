@@ -4,8 +4,9 @@ from fastapi import APIRouter, Response
 from redis.exceptions import RedisError
 from sqlalchemy.exc import SQLAlchemyError
 
-from api.schemas import Health, Readiness
+from api.schemas import ExtensionView, Health, Readiness
 from api.state import ServicesDependency
+from services.pipeline.extensions import EXTENSIONS
 
 router = APIRouter(tags=["health"])
 
@@ -31,4 +32,5 @@ def readyz(services: ServicesDependency, response: Response) -> Readiness:
         redis = False
     ready = database and redis and workers > 0
     response.status_code = 200 if ready else 503
-    return Readiness(ready=ready, database=database, redis=redis, workers=workers)
+    extensions = [ExtensionView.of(extension) for extension in EXTENSIONS]
+    return Readiness(ready=ready, database=database, redis=redis, workers=workers, extensions=extensions)

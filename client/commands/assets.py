@@ -108,9 +108,10 @@ def environments(as_json: JsonOption = False) -> None:
 
 def targets(as_json: JsonOption = False) -> None:
     """List the networks that can be attacked."""
-    from client.console import out, print_json, table, yes
+    from client.console import out, print_json, report_extensions, table, yes
     from services.targets.info import available
 
+    report_extensions()
     found = available()
     if as_json:
         print_json([info.model_dump(mode="json") for info in found])

@@ -26,9 +26,10 @@ def plan(
     """
     gc.disable()  # looking for garbage while all is imported takes longer than this process leaves any
     from client import spec_input
-    from client.console import print_json
+    from client.console import print_json, report_extensions
     from services.pipeline.spec import parse
 
+    report_extensions()
     job = parse(spec_input.read(spec))
     from client.commands.run import library
 

@@ -16,11 +16,11 @@ Judged = tuple[Tensor, Tensor]
 
 
 def subsets(
-    judge: Verifier, goal: ResolvedGoal, perturbation: Parameters, original: Judged, attacked: Judged
+    verifier: Verifier, goal: ResolvedGoal, perturbation: Parameters, original: Judged, attacked: Judged
 ) -> list[Subset]:
     """All 2^k subsets, the empty one first and the full one last.
 
-    The empty and the full set are what was judged already, so that the table agrees with the result to the bit.
+    The empty and the full set were rendered and asked about already: the table agrees with the result to the bit.
     """
     rows = []
     for size in range(len(perturbation) + 1):
@@ -30,9 +30,9 @@ def subsets(
             elif len(groups) == len(perturbation):
                 picture, logits = attacked
             else:
-                picture = judge.picture({g: perturbation[g] for g in groups})
-                logits = judge.logits(picture)
-            said = answer(logits, judge.target.labels, goal)
+                picture = verifier.picture({g: perturbation[g] for g in groups})
+                logits = verifier.logits(picture)
+            said = answer(logits, verifier.target.labels, goal)
             rows.append(
                 Subset(
                     groups=list(groups),

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from services.attacks.goal import ResolvedGoal
+from services.attacks.layout import Layout
 from services.errors import JobFailure
 from services.finite import finite
 from services.rendering import color
@@ -20,16 +21,16 @@ ROUNDING = 1e-6
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What the loop sees at one perturbation."""
+    """One perturbation, its image, and its gradients."""
 
     perturbation: Parameters
     """The perturbation seen; leaves of the graph of `images` if a gradient was asked for."""
     images: Tensor
-    """The float picture [1, H, W, 3], truncated where U asks."""
+    """The float image [1, H, W, 3], truncated where U asks."""
     truncated: Tensor
     """Pixels held back, bool [H, W]."""
-    slopes: Parameters = field(default_factory=dict)
-    """∂objective/∂perturbation by group, for a method that needs it; see `slopes`."""
+    gradients: Parameters = field(default_factory=dict)
+    """∂objective/∂perturbation by group, for a method that needs it; see `gradients`."""
 
 
 @dataclass
@@ -53,12 +54,15 @@ class AttackProblem:
     renders: int = 0
     initial: Parameters = field(init=False)
     original: Tensor = field(init=False)
+    layout: Layout = field(init=False)
+    """The attacked groups as one vector."""
     bounds: dict[str, tuple[Tensor, Tensor]] = field(init=False)
     """Lowest and highest perturbation of the groups that have physical bounds."""
 
     def __post_init__(self) -> None:
         start, bounds = self.renderer.initial(), self.renderer.bounds()
         self.initial = {group: start[group] for group in self.groups}
+        self.layout = Layout.of(self.initial)
         self.bounds = {
             group: (bounds[group][0] - value, bounds[group][1] - value)
             for group, value in self.initial.items()
@@ -111,30 +115,30 @@ def ask(problems: Sequence[AttackProblem], images: Tensor) -> Tensor:
     return logits
 
 
-def saved(images: Tensor) -> tuple[Tensor, Tensor]:
-    """Pictures in [0,1], of any shape, as they are saved (uint8) and as a reader of the file sees them (float32).
+def quantize(images: Tensor) -> tuple[Tensor, Tensor]:
+    """Images in [0,1], of any shape, as they are saved (uint8) and as a reader of the file sees them (float32).
 
     The latter is differentiable as if nothing were rounded (a straight-through derivative): one pass of the network
     gives the verdict on the saved picture and the gradient. benchmarks/rounded_gradient.py compares it with the
     float picture's gradient.
     """
-    result: tuple[Tensor, Tensor] = _Saved.apply(images)  # type: ignore[no-untyped-call]
+    result: tuple[Tensor, Tensor] = _Quantize.apply(images)  # type: ignore[no-untyped-call]
     return result
 
 
-class _Saved(torch.autograd.Function):
+class _Quantize(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, images: Tensor) -> tuple[Tensor, Tensor]:
-        pictures, seen = color.saved(images)
+        pictures, seen = color.quantize(images)
         ctx.mark_non_differentiable(pictures)
         return pictures, seen
 
     @staticmethod
-    def backward(ctx: Any, none: None, slope: Tensor) -> Tensor:  # noqa: ARG004 - autograd's signature
-        return slope
+    def backward(ctx: Any, none: None, gradient: Tensor) -> Tensor:  # noqa: ARG004 - autograd's signature
+        return gradient
 
 
-def slopes(problems: Sequence[AttackProblem], views: Sequence[Evaluation], logits: Tensor) -> list[Parameters]:
+def gradients(problems: Sequence[AttackProblem], views: Sequence[Evaluation], logits: Tensor) -> list[Parameters]:
     """∂objective/∂perturbation of each problem at its view, by group, in one backward pass.
 
     `logits` [B, K], one row a problem, with a graph that leads to the views. Raises JobFailure("non-finite") naming the
@@ -143,8 +147,8 @@ def slopes(problems: Sequence[AttackProblem], views: Sequence[Evaluation], logit
     objective = torch.stack([p.goal.objective(of) for p, of in zip(problems, logits, strict=True)]).sum()
     leaves = [view.perturbation[group] for p, view in zip(problems, views, strict=True) for group in p.groups]
     # zeros where every pixel is held back, or out of the parameter's reach
-    gradients = iter(torch.autograd.grad(objective, leaves, materialize_grads=True))
-    found = [{group: next(gradients) for group in p.groups} for p in problems]
+    by_leaf = iter(torch.autograd.grad(objective, leaves, materialize_grads=True))
+    found = [{group: next(by_leaf) for group in p.groups} for p in problems]
     for group, gradient in (item for of in found for item in of.items()):
         if not finite(gradient):
             raise JobFailure("non-finite", f"the gradient of group {group!r} has values that are not finite")

@@ -1,4 +1,4 @@
-"""What a running attack has gathered so far."""
+"""The state of a running attack: trace, verdicts and the perturbation that counts."""
 
 from dataclasses import dataclass, field
 
@@ -18,7 +18,8 @@ class AttackState:
     settings: dict[str, object] = field(default_factory=dict)
     ever: Tensor = field(default_factory=lambda: torch.zeros(0, 0, dtype=torch.bool))
     """Pixels that were ever truncated, bool [H, W]."""
-    flat: int = 0
+    below_noise: int = 0
+    """What `Method.advance` returned last."""
     seconds: float = 0.0
     stopped: str = ""
     fooled: bool = False

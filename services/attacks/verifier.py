@@ -1,4 +1,4 @@
-"""The judge: a perturbation rendered afresh by the exact path, rounded to 8 bits, and put to the network."""
+"""The verifier renders a perturbation afresh by the exact path, rounds it to 8 bits, and asks the network."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -30,7 +30,7 @@ class Prepared:
     renderer: Renderer
     target: Target
     goal: ResolvedGoal
-    judge: Verifier
+    verifier: Verifier
     original: Tensor
     """The exact picture of the scene as saved, uint8 [H, W, 3]."""
     logits: Tensor
@@ -70,9 +70,9 @@ def prepare(spec: JobSpec, library: Library) -> Prepared:
     if spec.target.question is not None and not target.takes_question:
         raise InvalidRequest("target.question", f"{target.name} answers no questions; leave it out")
     renderer = _renderer(spec, scene)
-    judge = Verifier(renderer, target, spec.target.question)
-    original = judge.picture({})
-    logits = judge.logits(original)
+    verifier = Verifier(renderer, target, spec.target.question)
+    original = verifier.picture({})
+    logits = verifier.logits(original)
     leave = _first_answer(logits, leave, reach, labels)
     goal = spec.goal.model_copy(
         update={
@@ -81,7 +81,7 @@ def prepare(spec: JobSpec, library: Library) -> Prepared:
         }
     )
     spec = spec.model_copy(update={"goal": goal})
-    return Prepared(spec, scene, renderer, target, ResolvedGoal(leave, reach), judge, original, logits)
+    return Prepared(spec, scene, renderer, target, ResolvedGoal(leave, reach), verifier, original, logits)
 
 
 def _scene(spec: JobSpec, library: Library) -> ResolvedScene:
@@ -92,7 +92,7 @@ def _scene(spec: JobSpec, library: Library) -> ResolvedScene:
 
 def _renderer(spec: JobSpec, scene: ResolvedScene) -> Renderer:
     attack = spec.attack
-    return build(scene, attack.renderer, attack.picture, attack.groups, spec.tolerance)
+    return build(scene, attack.renderer, attack.base_renderer, attack.groups, spec.tolerance)
 
 
 def _label(wanted: str | int | None, labels: tuple[str, ...], field: str, target: str) -> int | None:

@@ -21,6 +21,9 @@ class Provenance(_Record):
     weights_sha256: str
     meshes: dict[str, str] = Field(description="mesh name to sha256 of its file")
     credits: list[str] = Field(description="creators and licences of the models and maps shown")
+    extensions: dict[str, str] = Field(
+        default_factory=dict, description="extension files the method, renderer or target came from, with their sha256"
+    )
 
 
 class Result(_Record):

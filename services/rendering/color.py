@@ -55,7 +55,7 @@ def to_bytes(images: Tensor) -> Tensor:
     return (wide.clamp(0.0, 1.0) * 255).round().to(torch.uint8)
 
 
-def saved(images: Tensor) -> tuple[Tensor, Tensor]:
+def quantize(images: Tensor) -> tuple[Tensor, Tensor]:
     """Images in [0,1], of any shape, as they are saved (uint8) and as a reader of the file sees them (float32)."""
     if images.dtype == torch.float32 and compiled.runs(images):
         plain = images.detach().contiguous()
@@ -73,4 +73,4 @@ def from_bytes(images: Tensor) -> Tensor:
 
 def as_saved(images: Tensor) -> Tensor:
     """What a reader of the saved file sees: rounded to 8 bits, float32."""
-    return saved(images)[1]
+    return quantize(images)[1]

@@ -6,11 +6,10 @@ from torch import Tensor
 from services.accuracy.placing import placed
 from services.accuracy.stability.case import Case, Measured, need
 from services.accuracy.stability.linear import SIDE, linear_problem, linear_slopes, pixels
-from services.attacks.differences import estimate, layout, measure_noise
+from services.attacks.differences import estimate, measure_noise
 from services.attacks.loop import Budget, run
-from services.attacks.spec import Zoo
 from services.attacks.verifier import Verifier
-from services.attacks.zoo import ZooMethod
+from services.attacks.zoo import Zoo, ZooMethod
 from services.rendering.factory import build
 from services.rendering.protocol import Renderer
 
@@ -18,14 +17,13 @@ from services.rendering.protocol import Renderer
 def _too_small(renderer: Renderer, group: str) -> Measured:
     """Differences that round to nothing are called flat, and their slope is 0."""
     problem = linear_problem(renderer, (group,), lead=0.0)
-    where = layout(problem)
-    count = min(where.total, 24)
+    count = min(problem.layout.total, 24)
     deltas = torch.full((count,), 1e-12, dtype=torch.float64)
-    nothing = torch.zeros(where.total)
+    nothing = problem.layout.zeros()
     found = estimate(problem, nothing, torch.arange(count), deltas, measure_noise(problem, nothing))
-    need(bool(found.flat.all()), f"{int((~found.flat).sum())} of {count} differences are not called flat")
+    need(bool(found.below_noise.all()), f"{int((~found.below_noise).sum())} of {count} differences are not called flat")
     return Measured(
-        float(found.slopes.abs().max()), 0.0, f"largest slope; {count} of {count} differences reported flat"
+        float(found.gradients.abs().max()), 0.0, f"largest slope; {count} of {count} differences reported flat"
     )
 
 
@@ -35,7 +33,8 @@ def _zoo_flat() -> Measured:
     problem = linear_problem(renderer)
     method = ZooMethod(Zoo(method="zoo", renderer="image", delta=1e-12, coordinates=50, steps=3), problem)
     found = run(problem, method, Verifier(renderer, problem.target), Budget(3))
-    need([row.flat for row in found.trace] == [0, 50, 50, 50], f"reported flat: {[row.flat for row in found.trace]}")
+    reported = [row.below_noise for row in found.trace]
+    need(reported == [0, 50, 50, 50], f"reported below the noise: {reported}")
     need(not any(bool(v.any()) for n, v in method.state().items() if n in ("first", "second", "moves")), "Adam moved")
     return Measured(
         float(found.stored["image"].abs().max()), 0.0, "largest perturbation; all differences reported flat"
@@ -49,7 +48,7 @@ def _slopes(delta: float, at: float = 0.0) -> tuple[Tensor, Tensor, Tensor, floa
     noise = measure_noise(problem, start)
     deltas = torch.full((len(start),), delta, dtype=torch.float64)
     found = estimate(problem, start, torch.arange(len(start)), deltas, noise)
-    return found.slopes, linear_slopes().flatten(), found.flat, noise
+    return found.gradients, linear_slopes().flatten(), found.below_noise, noise
 
 
 def _too_large() -> Measured:

@@ -7,11 +7,10 @@ from services.accuracy.placing import placed, sky
 from services.accuracy.stability.case import Case, Measured, need
 from services.accuracy.stability.linear import linear_network
 from services.accuracy.stability.shading import EXACT, LOOP, Shading
-from services.attacks.fgsm import FgsmMethod
+from services.attacks.fgsm import Fgsm, FgsmMethod
 from services.attacks.goal import ResolvedGoal
 from services.attacks.loop import Budget, run
 from services.attacks.problem import AttackProblem
-from services.attacks.spec import Fgsm
 from services.attacks.verifier import Verifier
 from services.rendering.factory import build
 

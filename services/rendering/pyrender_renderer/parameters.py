@@ -15,14 +15,12 @@ from services.rendering.protocol import Parameters
 from services.scenes.description import Scene
 from services.scenes.view import model_matrices
 
-GROUPS = ("illumination", "color", "translation", "rotation")
-
 ENERGY = 30.0
 """Unit of a point light's energy in the group `illumination`, so that all its coordinates are near 1."""
 
 
 class SceneParameters:
-    """Values, bounds, names and meaning of the groups; `PyrenderRenderer` has their shapes and units."""
+    """Values, bounds and meaning of the groups; `PyrenderRenderer` has their shapes and units."""
 
     def __init__(self, scene: Scene) -> None:
         self._scales = np.array([o.scale for o in scene.objects])
@@ -52,14 +50,6 @@ class SceneParameters:
             "rotation": (-free, free),
         }
 
-    def names(self, group: str) -> list[str]:
-        """A word for each number of a group, in order."""
-        if group == "illumination":
-            points = range(self._points)
-            return ["ambient"] + [f"point {i} {word}" for i in points for word in ("energy", "x", "y", "z")]
-        words = ("red", "green", "blue") if group == "color" else ("x", "y", "z")
-        return [f"object {i} {group} {word}" for i in range(len(self._scales)) for word in words]
-
     def checked(self, parameters: Mapping[str, Tensor]) -> dict[str, NDArray[np.float64]]:
         """All groups [B, ...] as float64 arrays, those left out with the scene's values.
 
@@ -71,7 +61,7 @@ class SceneParameters:
         count = sizes.pop() if sizes else 1
         for group, value in parameters.items():
             if group not in self._initial:
-                raise ValueError(f"parameters: no group {group!r}; there are {', '.join(GROUPS)}")
+                raise ValueError(f"parameters: no group {group!r}; there are {', '.join(self._initial)}")
             if value.shape[1:] != self._initial[group].shape:
                 shape = list(self._initial[group].shape)
                 raise ValueError(f"parameters: {group} is {list(value.shape)}, not [B, *{shape}]")

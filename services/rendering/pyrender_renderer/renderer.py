@@ -13,15 +13,17 @@ from torch import Tensor
 from services.errors import JobFailure
 from services.finite import finite
 from services.rendering.compositing import over_ground
+from services.rendering.declaration import BuildRequest, DeclaredRenderer
 from services.rendering.opengl import context
 from services.rendering.opengl.camera import CameraMatrices, RenderPass
 from services.rendering.opengl.screen_bounds import Rectangle, beyond, rectangle
 from services.rendering.plan import DEFAULT_TOLERANCE, Plan, Tolerance
-from services.rendering.protocol import Parameters
+from services.rendering.protocol import InactiveCoordinate, Parameters
 from services.rendering.pyrender_renderer import rasteriser
 from services.rendering.pyrender_renderer.batching import SharedPass, alone, shared
-from services.rendering.pyrender_renderer.inactive import InactiveCoordinate, idle
-from services.rendering.pyrender_renderer.parameters import GROUPS, SceneParameters
+from services.rendering.pyrender_renderer.declaration import PYRENDER
+from services.rendering.pyrender_renderer.inactive import inactive_coordinates
+from services.rendering.pyrender_renderer.parameters import SceneParameters
 from services.rendering.pyrender_renderer.planner import compile_plan
 from services.scenes.resolve import ResolvedScene
 
@@ -44,7 +46,7 @@ ROUNDING = 1e-3
 """Scene units, and share, that an object must be further out of the frame than it could move, for it to be sure."""
 
 
-class PyrenderRenderer:
+class PyrenderRenderer(DeclaredRenderer):
     """Images of a scene as a function of its lights, colours and poses.
 
     Groups, all float tensors: `illumination` [1 + 4 points] (ambient; then per point light its energy / 30 and x, y,
@@ -61,9 +63,7 @@ class PyrenderRenderer:
     costs no accuracy: a picture has the bits that `exact`, which has OpenGL draw each by itself and whole, gives it.
     """
 
-    name = "pyrender"
-    groups = GROUPS
-    differentiable = False
+    declaration = PYRENDER
 
     def __init__(
         self, scene: ResolvedScene, groups: Sequence[str] | None = None, tolerance: Tolerance = DEFAULT_TOLERANCE
@@ -88,6 +88,11 @@ class PyrenderRenderer:
         self._attacked = tuple(groups or self.groups)
         self._tolerance = tolerance
 
+    @classmethod
+    def build(cls, request: BuildRequest) -> "PyrenderRenderer":
+        """The renderer of a scene."""
+        return cls(request.scene, request.groups, request.tolerance)
+
     @property
     def plan(self) -> Plan:
         """What is drawn, shared and left out for the attacked groups. Made when first asked for: it draws proofs."""
@@ -101,7 +106,7 @@ class PyrenderRenderer:
                 closed=self._closed,
                 shown=self._shown,
                 most=self._most,
-                idle=[] if self._plain else self.idle(self.initial(), {}),
+                idle=[] if self._plain else self.inactive(self.initial(), {}),
             )
         return self._plan
 
@@ -112,10 +117,6 @@ class PyrenderRenderer:
     def bounds(self) -> Mapping[str, tuple[Tensor, Tensor]]:
         """Light is not negative, colours lie in [0,1]; positions and rotations are free."""
         return self._numbers.bounds()
-
-    def names(self, group: str) -> list[str] | None:
-        """A word for each number of a group, in order."""
-        return self._numbers.names(group)
 
     def exact(self) -> "PyrenderRenderer":
         """The twin that draws every picture by itself, whole, with the insides of closed surfaces."""
@@ -164,9 +165,10 @@ class PyrenderRenderer:
             corners = centre[:, None]
         return beyond(corners, self._view.clip_from_world, margin * (1 + ROUNDING) + ROUNDING)
 
-    def idle(self, parameters: Mapping[str, Tensor], reach: Mapping[str, float]) -> list[InactiveCoordinate]:
-        """The coordinates that change no pixel at `parameters` {group: [...]}, moved by at most `reach`; see `idle`."""
-        return idle(self, parameters, reach)
+    def inactive(self, parameters: Mapping[str, Tensor], reach: Mapping[str, float]) -> list[InactiveCoordinate]:
+        """The coordinates that change no pixel at `parameters` {group: [...]}, moved by at most `reach`; see
+        `inactive_coordinates`."""
+        return inactive_coordinates(self, parameters, reach)
 
     def _draw(self, parameters: Mapping[str, Tensor], empty: Tensor, finish: Callable[[Tensor], Tensor]) -> Tensor:
         """Pictures [B, H, W, C]: `empty` [C] where no object is, and `finish` of radiance [..., 4] elsewhere.

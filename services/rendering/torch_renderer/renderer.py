@@ -16,11 +16,13 @@ import torch
 from torch import Tensor
 
 from services.rendering.compositing import Canvas
+from services.rendering.declaration import BuildRequest, DeclaredRenderer
 from services.rendering.kernels import compiled
-from services.rendering.opengl.gbuffer import GBuffer
+from services.rendering.opengl.gbuffer import GBuffer, rasterise
 from services.rendering.plan import DEFAULT_TOLERANCE, Tolerance
 from services.rendering.protocol import Parameters
 from services.rendering.torch_renderer import dsbrdf, lookup_table
+from services.rendering.torch_renderer.declaration import TORCH
 from services.rendering.torch_renderer.directions import directions, solid_angles
 from services.rendering.torch_renderer.environment_light import Illumination, illumination
 from services.rendering.torch_renderer.normals import FURTHEST_ANGLE, to_angles
@@ -32,7 +34,7 @@ from services.rendering.torch_renderer.units import MATERIAL_UNIT
 from services.scenes.resolve import ResolvedScene
 
 
-class TorchRenderer:
+class TorchRenderer(DeclaredRenderer):
     """Groups, each differentiable:
 
     normals [H, W, 2]: azimuth and polar angle in the camera's frame, radians (see `normals`). 0 and
@@ -43,15 +45,13 @@ class TorchRenderer:
     (services.rendering.torch_renderer.dsbrdf), times MATERIAL_UNIT.
     """
 
-    name = "torch"
-    groups = ("normals", "illumination", "material")
-    differentiable = True
+    declaration = TORCH
 
     def __init__(
         self,
         scene: ResolvedScene,
         gbuffer: GBuffer,
-        groups: Sequence[str] = groups,
+        groups: Sequence[str] = TORCH.group_names,
         tolerance: Tolerance = DEFAULT_TOLERANCE,
     ) -> None:
         """Compile `scene`, as rasterised in `gbuffer`, for attacks on `groups` (only these may then be rendered with
@@ -114,6 +114,11 @@ class TorchRenderer:
         ]
         self._twin = self if tolerance == "exact" else TorchRenderer(scene, gbuffer, tolerance="exact")
 
+    @classmethod
+    def build(cls, request: BuildRequest) -> "TorchRenderer":
+        """The renderer of a rasterised scene."""
+        return cls(request.scene, rasterise(request.scene), request.groups, request.tolerance)
+
     def initial(self) -> Parameters:
         """The scene's own values, in the renderer's dtype; all are float32 numbers."""
         return {group: value.clone() for group, value in self._initial.items()}
@@ -129,19 +134,6 @@ class TorchRenderer:
             "illumination": (torch.zeros((), dtype=self._dtype), infinity),
             "material": (ranges[:, :1], ranges[:, 1:]),
         }
-
-    def names(self, group: str) -> list[str] | None:
-        """Words for the material's coordinates; None for the image-like groups."""
-        if group != "material":
-            return None
-        return [
-            f"object {thing} {channel} lobe {lobe} {curve} {i}"
-            for thing in range(len(self._counts))
-            for channel in ("red", "green", "blue")
-            for lobe in range(dsbrdf.LOBES)
-            for curve in ("kappa", "gamma")
-            for i in range(dsbrdf.DEGREE + 1)
-        ]
 
     def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
         """Images [B, H, W, 3] in [0,1], in the renderer's dtype. ValueError for a wrong shape or an unknown group."""

@@ -3,7 +3,7 @@
 import torch
 
 from services.accuracy.stability import differences, precision
-from services.attacks import goal, problem, zoo
+from services.attacks import goal, problem
 from services.attacks.differences import Estimate
 from services.attacks.fgsm import FgsmMethod
 from services.rendering import color
@@ -55,10 +55,9 @@ def never_flat(patch) -> None:
 
     def estimate(*given):
         found = true(*given[:-1], -1.0)
-        return Estimate(1.3 * found.slopes + 1e-3, torch.zeros_like(found.flat))
+        return Estimate(1.3 * found.gradients + 1e-3, torch.zeros_like(found.below_noise))
 
     patch.setattr(differences, "estimate", estimate)
-    patch.setattr(zoo, "estimate", estimate)
 
 
 def no_bounds(patch) -> None:

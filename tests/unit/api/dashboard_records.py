@@ -40,7 +40,7 @@ def row(step: int, **changed: Any) -> dict[str, Any]:
         "distance": 2.0 * step,
         "perceptibility": 0.003 * step,
         "truncated": 0,
-        "flat": 0,
+        "below_noise": 0,
         "queries": 2 * step + 2,
         "renders": 2 * step + 2,
         "seconds": 0.25 * step,

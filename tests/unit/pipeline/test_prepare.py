@@ -33,7 +33,7 @@ REFUSED: list[tuple[str, dict[str, Any]]] = [
     ("attack.queries", {"attack": {"queries": 0}}),
     ("attack.learning_rate", {"attack": {"learning_rate": {"color": 1.0}}}),
     ("attack.learning_rate.normals", {"attack": {"learning_rate": {"normals": float("nan")}}}),
-    ("attack.picture", {"attack": {"renderer": "torch", "picture": "pyrender"}}),
+    ("attack.base_renderer", {"attack": {"renderer": "torch", "base_renderer": "pyrender"}}),
     ("scene.camera.size.0", {"scene": SPHERE | {"camera": {"size": [4096, 64]}}}),
     ("scene.camera.distance", {"scene": SPHERE | {"camera": {"distance": float("inf")}}}),
     ("scene.ground.1", {"scene": SPHERE | {"ground": [0, float("nan"), 0]}}),

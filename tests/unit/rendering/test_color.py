@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from services.rendering.color import display_slope, from_bytes, saved, to_bytes, to_display
+from services.rendering.color import display_slope, from_bytes, quantize, to_bytes, to_display
 from services.scenes.srgb import to_linear
 
 pytestmark = pytest.mark.usefixtures("kernel")
@@ -49,7 +49,7 @@ def test_saving_rounds_to_nearest_and_ties_to_even() -> None:
     values = torch.cat(
         [middles, torch.rand(4099, generator=torch.Generator().manual_seed(0)), torch.tensor([-1.0, 2.0])]
     )
-    pictures, seen = saved(values)
+    pictures, seen = quantize(values)
     assert torch.equal(pictures, to_bytes(values))
     assert torch.equal(seen, from_bytes(pictures))
     rounded = np.rint(np.clip(values.numpy(), 0, 1) * np.float32(255))
