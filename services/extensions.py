@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from hashlib import sha256
 from importlib import import_module
 from importlib.resources import files
+from itertools import count
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Generic, TypeVar
@@ -19,6 +20,7 @@ from typing import Any, Generic, TypeVar
 Entry = TypeVar("Entry")
 
 NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
+_NUMBERS = count()
 _REGISTERS = re.compile(r"^@?register\(", re.MULTILINE)
 
 
@@ -107,7 +109,7 @@ def _load(path: Path, registries: Sequence[Registry[Any]]) -> Extension:
     except OSError as error:
         return Extension(path, None, error=f"it cannot be read: {error.strerror}")
     digest = sha256(data).hexdigest()
-    module = ModuleType(f"scene_attack_extension_{digest[:16]}")
+    module = ModuleType(f"scene_attack_extension_{next(_NUMBERS)}_{path.stem}")
     module.__file__ = str(path)
     sys.modules[module.__name__] = module  # pydantic and dataclasses look their module up
     try:

@@ -172,14 +172,20 @@ MethodClass = TypeVar("MethodClass", bound=type[Any])
 def register(settings: type[AttackSettings]) -> Callable[[MethodClass], MethodClass]:
     """Decorator of a method's class that makes it known under the name that its settings' field `method` has.
 
-    Raises ValueError if that field is no `Literal` of one name, or if the name is taken.
+    Raises ValueError if that field is no `Literal` of one name, if the name is taken, or if the class lacks a part of
+    the protocol; pydantic's errors if the settings make no schema.
     """
+    settings.model_json_schema()
     annotation = settings.model_fields["method"].annotation
     if get_origin(annotation) is not Literal or len(get_args(annotation)) != 1:
         raise ValueError(f'{settings.__name__} needs a field method: Literal["its-name"] = "its-name"')
     (name,) = get_args(annotation)
 
     def decorate(method: MethodClass) -> MethodClass:
+        parts = ("needs_gradient", "start", "advance", "state", "load")
+        missing = [part for part in parts if not hasattr(method, part)]
+        if missing:
+            raise ValueError(f"{method.__name__} has no {' and no '.join(missing)}")
         ATTACKS.add(name, Attack(settings, method, method.needs_gradient))
         return method
 

@@ -40,7 +40,7 @@ def labelled(*axes: str | tuple[str, ...]) -> Labels:
 
 @dataclass(frozen=True, kw_only=True)
 class Group:
-    """One parameter group of a renderer. Raises ValueError if it declares no shape."""
+    """One parameter group of a renderer. Raises ValueError if it declares no shape, or more vector axes than axes."""
 
     name: str
     shape: tuple[str, ...] = ()
@@ -59,6 +59,8 @@ class Group:
     def __post_init__(self) -> None:
         if not self.shape:
             raise ValueError(f"group {self.name!r} declares no shape: name its axes, as in ('H', 'W', '3')")
+        if not 0 <= self.vector_axes <= len(self.shape):
+            raise ValueError(f"group {self.name!r} has {len(self.shape)} axes, not vectors of {self.vector_axes}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,6 +168,9 @@ def register(declaration: Declaration) -> Callable[[Class], Class]:
         RENDERERS.add(declaration.name, declaration)
 
     def decorate(renderer: Class) -> Class:
+        missing = [name for name in ("build", "initial", "bounds", "render", "exact") if not hasattr(renderer, name)]
+        if missing:
+            raise ValueError(f"{renderer.__name__} has no {' and no '.join(missing)}")
         renderer.declaration = replace(declaration, renderer=renderer)
         RENDERERS.add(declaration.name, renderer.declaration)
         return renderer
