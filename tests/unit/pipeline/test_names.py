@@ -2,6 +2,8 @@ import pytest
 
 from services.pipeline.names import attack_name, group_words
 
+TORCH = ("normals", "illumination", "material")
+
 
 @pytest.mark.parametrize(
     ("attack", "name"),
