@@ -17,7 +17,7 @@ from rich.progress import track
 from benchmarks.report import RESULTS, save
 from benchmarks.views import right
 from services.analysis.perceptibility import of_pictures
-from services.attacks.fgsm import Fgsm, FgsmMethod
+from services.attacks.fgsm import FgsmMethod
 from services.attacks.loop import Budget, run
 from services.attacks.problem import AttackProblem, Evaluation, ask, gradients
 from services.pipeline.prepare import Prepared, prepare
@@ -77,7 +77,6 @@ def _spec(mesh: str, label: str, attack: str) -> JobSpec:
 
 def _run(prepared: Prepared, method: type[FgsmMethod], steps: int) -> Row:
     attack = prepared.spec.attack
-    assert isinstance(attack, Fgsm)
     assert attack.truncation is not None
     problem = AttackProblem(
         prepared.renderer, prepared.target, prepared.goal, attack.groups, truncation=attack.truncation / 255

@@ -1,4 +1,4 @@
-"""How much of a change can be seen: the paper's p, for pictures and for every parameter group (section 3.3)."""
+"""How much of a change can be seen: the paper's p, for images and for every parameter group (section 3.3)."""
 
 import torch
 from torch import Tensor
@@ -19,7 +19,7 @@ def perceptibility(change: Tensor, vector_axes: int = 1) -> float:
 
 
 def of_pictures(original: Tensor, attacked: Tensor) -> float:
-    """p(ΔY) between two saved pictures, uint8 [H, W, 3]."""
+    """p(ΔY) between two saved images, uint8 [H, W, 3]."""
     return perceptibility((attacked.double() - original.double()) / 255)
 
 

@@ -12,7 +12,7 @@ from services.attacks.verifier import Verifier
 from services.rendering.protocol import Parameters
 
 Judged = tuple[Tensor, Tensor]
-"""A saved picture, uint8 [H, W, 3], and the network's scores of it [K]."""
+"""A saved image, uint8 [H, W, 3], and the network's scores of it [K]."""
 
 
 def subsets(
@@ -26,12 +26,12 @@ def subsets(
     for size in range(len(perturbation) + 1):
         for groups in combinations(perturbation, size):
             if not groups:
-                picture, logits = original
+                image, logits = original
             elif len(groups) == len(perturbation):
-                picture, logits = attacked
+                image, logits = attacked
             else:
-                picture = verifier.picture({g: perturbation[g] for g in groups})
-                logits = verifier.logits(picture)
+                image = verifier.picture({g: perturbation[g] for g in groups})
+                logits = verifier.logits(image)
             said = answer(logits, verifier.target.labels, goal)
             rows.append(
                 Subset(
@@ -39,7 +39,7 @@ def subsets(
                     label=said.label,
                     confidence=said.confidence,
                     goal_probability=said.goal_probability,
-                    perceptibility=of_pictures(original[0], picture),
+                    perceptibility=of_pictures(original[0], image),
                     fooled=bool(goal.fooled(logits)),
                 )
             )

@@ -23,7 +23,7 @@ CANDIDATES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4)
 def objective(problem: AttackProblem, images: Tensor) -> Tensor:
     """The hinge-free objective of ZOO, [B] float64: log-probability advantage + λ·‖ΔY‖².
 
-    Each picture is scored alone: the sums run over its own pixels, never over the batch.
+    Each image is scored alone: the sums run over its own pixels, never over the batch.
     """
     advantage = problem.goal.advantage(problem.logits(images)).double()
     if problem.weight == 0:
@@ -91,11 +91,11 @@ def measure_noise(problem: AttackProblem, delta: Tensor, samples: int = 8) -> fl
     layout = problem.layout
     random = generator(problem.seed, "noise")
     with torch.no_grad():
-        picture = problem.render(layout.unflatten((layout.flatten(problem.initial) + delta)[None]))
+        image = problem.render(layout.unflatten((layout.flatten(problem.initial) + delta)[None]))
         scores = []
         for _ in range(samples):
-            jitter = torch.rand(picture.shape, generator=random, dtype=picture.dtype) - 0.5
-            scores.append(objective(problem, picture + 2 * torch.finfo(picture.dtype).eps * jitter))
+            jitter = torch.rand(image.shape, generator=random, dtype=image.dtype) - 0.5
+            scores.append(objective(problem, image + 2 * torch.finfo(image.dtype).eps * jitter))
     values = torch.cat(scores)
     return 2 * float(values.max() - values.min())
 

@@ -21,7 +21,7 @@ from services.targets.scores import probability
 
 @dataclass(frozen=True)
 class Budget:
-    """When to stop without success. Queries count every picture put to the network, verification included."""
+    """When to stop without success. Queries count every image put to the network, verification included."""
 
     steps: int
     queries: int | None = None
@@ -51,9 +51,9 @@ def run(
 ) -> AttackState:
     """Attacks until an adversary is verified or the budget is spent.
 
-    At every step the picture, as it would be saved, is put to the network. If that fools it, the perturbation is
+    At every step the image, as it would be saved, is put to the network. If that fools it, the perturbation is
     rendered afresh by the exact path; the loop ends when that fools the network too, and goes on otherwise (truncation
-    makes picture and parameters disagree).
+    makes image and parameters disagree).
     """
     [found] = run_together([AttackRun(problem, method, verifier, budget, checkpoint_path, on_row)])
     return found
@@ -62,7 +62,7 @@ def run(
 def run_together(attacks: Sequence[AttackRun]) -> list[AttackState]:
     """Several attacks in lockstep, one pass of the network a step for all; each ends when it ends. Results in order.
 
-    They share the network, the question, the size of the pictures and whether the method needs gradients (ValueError
+    They share the network, the question, the size of the images and whether the method needs gradients (ValueError
     otherwise). Each ends as it would alone, but for the rounding of the network's sums, which depends on the size of a
     batch. An error in one ends all.
     """
@@ -70,7 +70,7 @@ def run_together(attacks: Sequence[AttackRun]) -> list[AttackState]:
         (id(a.problem.target), a.problem.question, a.problem.renderer.size, a.method.needs_gradient) for a in attacks
     }
     if len(shared) > 1:
-        raise ValueError("attacks that run together share network, question, size of picture and need of gradients")
+        raise ValueError("attacks that run together share network, question, size of image and need of gradients")
     running = [_Running(attack) for attack in attacks]
     while active := [one for one in running if not one.run.stopped]:
         _step(active)
@@ -96,7 +96,7 @@ class _Running:
         method = self.attack.method
         return self.attack.problem.view(method.perturbation, gradient=method.needs_gradient)
 
-    def record(self, view: Evaluation, picture: Tensor, logits: Tensor) -> None:
+    def record(self, view: Evaluation, image: Tensor, logits: Tensor) -> None:
         """Records an evaluation, its image as saved (uint8 [H, W, 3]) and the scores [K]; verifies; may stop."""
         attack, state = self.attack, self.run
         problem, verifier = attack.problem, attack.verifier
@@ -106,7 +106,7 @@ class _Running:
         if fooled or not state.fooled:
             state.stored = {g: v.detach().clone() for g, v in view.perturbation.items()}
             state.stored_step = state.step
-            state.picture, state.scores = picture.clone(), logits.clone()
+            state.picture, state.scores = image.clone(), logits.clone()
         if fooled:
             state.fooled = True
             state.verified = verifier.fooled(state.stored, problem.goal)
@@ -129,10 +129,10 @@ def _step(active: list[_Running]) -> None:
     needs_gradient = active[0].attack.method.needs_gradient
     problems, views = [one.attack.problem for one in active], [one.view() for one in active]
     with torch.set_grad_enabled(needs_gradient):
-        pictures, shown = quantize(torch.cat([view.images for view in views]) if len(views) > 1 else views[0].images)
+        images, shown = quantize(torch.cat([view.images for view in views]) if len(views) > 1 else views[0].images)
         logits = ask(problems, shown)
-    for one, view, picture, scores in zip(active, views, pictures, logits.detach(), strict=True):
-        one.record(view, picture, scores)
+    for one, view, image, scores in zip(active, views, images, logits.detach(), strict=True):
+        one.record(view, image, scores)
     going = [i for i, one in enumerate(active) if not one.run.stopped]
     found: list[Parameters] = [{}] * len(going)
     if needs_gradient and going:

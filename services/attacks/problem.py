@@ -35,9 +35,9 @@ class Evaluation:
 
 @dataclass
 class AttackProblem:
-    """Renders perturbations and puts pictures to the network, counting both.
+    """Renders perturbations and puts images to the network, counting both.
 
-    `truncation` is U in [0,1] or None; `weight` is λ of the summed squares of the picture's change (zoo).
+    `truncation` is U in [0,1] or None; `weight` is λ of the summed squares of the image's change (zoo).
     """
 
     renderer: Renderer
@@ -83,16 +83,16 @@ class AttackProblem:
         }
 
     def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
-        """Pictures [B, H, W, 3]. Raises JobFailure("non-finite") rather than hand on a picture that is not numbers."""
+        """Images [B, H, W, 3]. Raises JobFailure("non-finite") rather than hand on an image that is not numbers."""
         self.interrupt()
         images = self.renderer.render(parameters)
         self.renders += images.shape[0]
         if not finite(images):
-            raise JobFailure("non-finite", "the renderer returned a picture with values that are not finite")
+            raise JobFailure("non-finite", "the renderer returned an image with values that are not finite")
         return images
 
     def view(self, perturbation: Mapping[str, Tensor], gradient: bool = False) -> Evaluation:
-        """The picture of one perturbation, truncated to U around the original; with a graph if `gradient`."""
+        """The image of one perturbation, truncated to U around the original; with a graph if `gradient`."""
         leaves = {g: value.detach().requires_grad_(gradient) for g, value in perturbation.items()}
         with torch.set_grad_enabled(gradient):
             images = self.render({g: (self.initial[g] + value)[None] for g, value in leaves.items()})
@@ -104,7 +104,7 @@ class AttackProblem:
 
 
 def ask(problems: Sequence[AttackProblem], images: Tensor) -> Tensor:
-    """Scores [B, K] of pictures [B, H, W, 3] by one pass of the network the problems share; picture b is counted for
+    """Scores [B, K] of images [B, H, W, 3] by one pass of the network the problems share; image b is counted for
     problem b. Raises JobFailure("non-finite").
     """
     for problem in problems:
@@ -119,8 +119,8 @@ def quantize(images: Tensor) -> tuple[Tensor, Tensor]:
     """Images in [0,1], of any shape, as they are saved (uint8) and as a reader of the file sees them (float32).
 
     The latter is differentiable as if nothing were rounded (a straight-through derivative): one pass of the network
-    gives the verdict on the saved picture and the gradient. benchmarks/rounded_gradient.py compares it with the
-    float picture's gradient.
+    gives the verdict on the saved image and the gradient. benchmarks/rounded_gradient.py compares it with the
+    float image's gradient.
     """
     result: tuple[Tensor, Tensor] = _Quantize.apply(images)  # type: ignore[no-untyped-call]
     return result
@@ -129,9 +129,9 @@ def quantize(images: Tensor) -> tuple[Tensor, Tensor]:
 class _Quantize(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, images: Tensor) -> tuple[Tensor, Tensor]:
-        pictures, seen = color.quantize(images)
-        ctx.mark_non_differentiable(pictures)
-        return pictures, seen
+        saved, seen = color.quantize(images)
+        ctx.mark_non_differentiable(saved)
+        return saved, seen
 
     @staticmethod
     def backward(ctx: Any, none: None, gradient: Tensor) -> Tensor:  # noqa: ARG004 - autograd's signature
@@ -156,9 +156,9 @@ def gradients(problems: Sequence[AttackProblem], views: Sequence[Evaluation], lo
 
 
 def distances(images: Tensor, original: Tensor) -> Tensor:
-    """‖ΔY‖ of each picture [B, H, W, 3] from the original [1, H, W, 3], [B] float64.
+    """‖ΔY‖ of each image [B, H, W, 3] from the original [1, H, W, 3], [B] float64.
 
-    Differences and their sums along a row are of the pictures' type, which costs a few last places; the sum over rows,
+    Differences and their sums along a row are of the images' type, which costs a few last places; the sum over rows,
     which is long, is not.
     """
     rows = torch.linalg.vector_norm((images - original).flatten(2), dim=2)

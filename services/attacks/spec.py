@@ -14,6 +14,7 @@ from pydantic import Field, field_validator, model_validator
 from services.extensions import Registry
 from services.rendering.declaration import RENDERERS
 from services.scenes.description import Model
+from services.suggestions import did_you_mean
 
 Rate = Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)]
 Label = Annotated[str, Field(min_length=1, max_length=200)] | Annotated[int, Field(ge=0)]
@@ -128,7 +129,7 @@ class AttackSettings(Model):
 
 def _one_of(names: list[str], value: str) -> str:
     if value not in names:
-        raise ValueError(f"there is no {value!r} here; choose {', '.join(names)}")
+        raise ValueError(f"there is no {value!r}{did_you_mean(value, names)}; there are {', '.join(names)}")
     return value
 
 

@@ -28,6 +28,6 @@ class AttackState:
     stored: Parameters = field(default_factory=dict)
     """The perturbation that counts: the verified one, else the last that fooled the loop, else the last."""
     picture: Tensor = field(default_factory=lambda: torch.zeros(0, 0, 3, dtype=torch.uint8))
-    """The loop's own picture of it, uint8 [H, W, 3]."""
+    """The loop's own image of it, uint8 [H, W, 3]."""
     scores: Tensor = field(default_factory=lambda: torch.zeros(0))
-    """The network's scores of that picture, [K]."""
+    """The network's scores of that image, [K]."""

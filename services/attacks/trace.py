@@ -13,8 +13,8 @@ class TraceRow(BaseModel):
     label: str = Field(description="first answer")
     confidence: float = Field(description="probability of the first answer")
     advantage: float = Field(description="log p_leave − max other log p, <0 is fooled (targeted: sign turned)")
-    distance: float = Field(description="‖ΔY‖₂ of the float picture over all pixels and channels, RGB in [0,1]")
-    perceptibility: float = Field(description="p(ΔY) of the float picture")
+    distance: float = Field(description="‖ΔY‖₂ of the float image over all pixels and channels, RGB in [0,1]")
+    perceptibility: float = Field(description="p(ΔY) of the float image")
     truncated: int = Field(description="pixels held back by U in this step")
     below_noise: int = Field(
         0,

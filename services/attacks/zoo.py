@@ -46,7 +46,7 @@ class Zoo(AttackSettings):
     )
     learning_rate: Rate | dict[str, Rate] = Field(2e-3, description="Adam's, in the group's units, one or per group")
     weight: Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)] = Field(
-        0.1, description="λ: weight of the summed squares of the picture's change"
+        0.1, description="λ: weight of the summed squares of the image's change"
     )
     truncation: Annotated[int, Field(ge=1, le=255)] | None = Field(
         None, description="U as for fgsm; the paper keeps changes small by λ alone"

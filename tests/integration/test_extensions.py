@@ -110,7 +110,7 @@ def test_an_adversary_of_the_target_is_verified(extended: Stack) -> None:
 
 def test_what_they_add_is_known_everywhere(extended: Stack) -> None:
     targets = extended.client.get("/v1/targets").json()["items"]
-    assert {target["name"] for target in targets} == {"efficientnet-lite0", "brightest-channel"}
+    assert {target["name"] for target in targets} >= {"efficientnet-lite0", "brightest-channel"}
     schemas = extended.client.get("/openapi.json").json()["components"]["schemas"]
     assert schemas["RandomSearch"]["properties"]["spread"]["description"]
     assert "tint" in schemas["Fgsm"]["properties"]["renderer"]["enum"]
@@ -147,7 +147,7 @@ def test_what_a_file_registered_before_it_failed_is_taken_back(extended: Stack) 
     answer = extended.client.post("/v1/jobs", json={"scene": scene(), "attack": {"renderer": "late"}})
     assert answer.status_code == 422
     assert answer.json()["errors"][0]["field"] == "attack.renderer"
-    assert "late" not in answer.json()["errors"][0]["detail"].partition("choose")[2]
+    assert "late" not in answer.json()["errors"][0]["detail"].partition("there are")[2]
     assert extended.ended(extended.submit(QUICK))["state"] == "succeeded"  # fgsm is still the built-in one
 
 

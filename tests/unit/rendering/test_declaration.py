@@ -10,11 +10,9 @@ FOG = Group(name="fog", shape=("H", "W"), unit="1/m", words="fog")
 
 
 def test_the_built_in_renderers_are_found() -> None:
-    assert {name: one.group_names for name, one in RENDERERS.items()} == {
-        "image": ("image",),
-        "pyrender": ("illumination", "color", "translation", "rotation"),
-        "torch": ("normals", "illumination", "material"),
-    }
+    assert RENDERERS["image"].group_names == ("image",)
+    assert RENDERERS["pyrender"].group_names == ("illumination", "color", "translation", "rotation")
+    assert RENDERERS["torch"].group_names == ("normals", "illumination", "material")
 
 
 def test_labels_follow_the_axes() -> None:
