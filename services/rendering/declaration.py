@@ -116,24 +116,29 @@ class BuildRequest:
 
 
 class DeclaredRenderer:
-    """Base of a renderer class: what of the protocol follows from its declaration."""
+    """Base of a renderer class: what of the protocol follows from its declaration.
+
+    A class sets `declaration` itself, where that has its address, or gets it from `@register(declaration)`.
+    """
 
     declaration: Declaration
+    name: str
+    """The word of the request."""
+    groups: tuple[str, ...]
+    """Parameter groups, in the order of every table."""
+    differentiable: bool
+    """Whether gradients reach the input."""
 
-    @property
-    def name(self) -> str:
-        """The word of the request."""
-        return self.declaration.name
+    def __init_subclass__(cls) -> None:
+        if "declaration" in cls.__dict__:
+            cls.declare(cls.declaration)
 
-    @property
-    def groups(self) -> tuple[str, ...]:
-        """Parameter groups, in the order of every table."""
-        return self.declaration.group_names
-
-    @property
-    def differentiable(self) -> bool:
-        """Whether gradients reach the input."""
-        return self.declaration.differentiable
+    @classmethod
+    def declare(cls, declaration: Declaration) -> None:
+        """Takes name, groups and differentiability from a declaration."""
+        cls.declaration = declaration
+        cls.name, cls.groups = declaration.name, declaration.group_names
+        cls.differentiable = declaration.differentiable
 
     def initial(self) -> "Parameters":
         """The scene's own values; every renderer has its own."""
@@ -171,8 +176,9 @@ def register(declaration: Declaration) -> Callable[[Class], Class]:
         missing = [name for name in ("build", "initial", "bounds", "render", "exact") if not hasattr(renderer, name)]
         if missing:
             raise ValueError(f"{renderer.__name__} has no {' and no '.join(missing)}")
-        renderer.declaration = replace(declaration, renderer=renderer)
-        RENDERERS.add(declaration.name, renderer.declaration)
+        declared = replace(declaration, renderer=renderer)
+        RENDERERS.add(declaration.name, declared)
+        renderer.declare(declared)
         return renderer
 
     return decorate
