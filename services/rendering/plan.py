@@ -44,6 +44,17 @@ class Stage(_Record):
     error: float = Field(0.0, description="estimated error of a displayed value that the method costs")
 
 
+class GradientError(_Record):
+    """How far the gradient of one group is from the exact one, measured at some pixels when the plan was made."""
+
+    part: str = Field(description='part of the image it is about: "object 0"')
+    group: str
+    relative: float = Field(description="length of the difference over the length of the exact gradient")
+    wrong_signs: float = Field(
+        description="share of the coordinates with a gradient whose sign differs; fgsm steps by signs"
+    )
+
+
 class Plan(_Record):
     """What is kept, what is left out, why, by which method, at which estimated cost and error."""
 
@@ -57,6 +68,14 @@ class Plan(_Record):
     error: float = Field(
         description="estimated largest error of any displayed value: the errors that meet in a part add up at worst"
     )
+    gradients: tuple[GradientError, ...] = Field(
+        (), description="errors of the gradients; empty where nothing is shortened or nothing is differentiated"
+    )
+    environment_map_error: float | None = Field(
+        None,
+        description="environment map's resolution: largest difference of a displayed value, at some pixels, to the "
+        "same scene under the finest map, 64×128; not part of `error`. Null where no map is used or none is finer",
+    )
 
     @classmethod
     def of(
@@ -67,6 +86,7 @@ class Plan(_Record):
         tolerance: Tolerance,
         items: Sequence[Item],
         stages: Sequence[Stage] = (),
+        gradients: Sequence[GradientError] = (),
     ) -> "Plan":
         """The plan of these items and stages, with the error they add up to."""
         errors: dict[str, float] = {}
@@ -80,5 +100,6 @@ class Plan(_Record):
             tolerance=tolerance,
             items=tuple(items),
             stages=tuple(stages),
+            gradients=tuple(gradients),
             error=errors.pop("", 0.0) + max(errors.values(), default=0.0),
         )

@@ -95,8 +95,22 @@ def too_narrow(
 
 
 def of_float32(surface: Surface, sky: Sky, illumination: Tensor, recipe: Recipe) -> float:
-    """Error of the sum in float32, four times that measured against float64."""
-    some = _some(surface, SAMPLED_WIDE)
+    """Error of the sum in float32, four times that measured against float64.
+
+    It is largest in narrow highlights. Where normals are attacked they may turn into any, so as many again are measured
+    that point anywhere.
+    """
+    some = subset(surface, SAMPLED_WIDE)
+    if recipe.moving:
+        random = torch.Generator().manual_seed(1)
+        anywhere = torch.rand(some.angles.shape, generator=random, dtype=torch.float64)
+        anywhere = anywhere * torch.tensor([2 * pi, pi]) - torch.tensor([pi, 0.0])
+        some = replace(
+            some,
+            angles=torch.cat([some.angles, anywhere]),
+            base_color=some.base_color.repeat(2, 1),
+            viewers=None if some.viewers is None else some.viewers.repeat(2, 1),
+        )
     values = [
         Shader(replace(recipe, nodes="summed", rows=None, moving=True, dtype=dtype), sky, some, illumination)(
             some.angles, illumination, some.material
@@ -112,7 +126,7 @@ class Measured:
     def __init__(self, surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str], recipe: Recipe) -> None:
         random = torch.Generator().manual_seed(0)
         moving = "normals" in groups
-        self._surface = _spread(_some(surface, SAMPLED if moving else STILL), moving, random)
+        self._surface = spread(subset(surface, SAMPLED if moving else STILL), moving, random)
         self._sky, self._illumination = sky, illumination
         self._draws = [(illumination, surface.material)]
         for _ in range(DRAWS if "illumination" in groups or "material" in groups else 0):
@@ -122,6 +136,8 @@ class Measured:
             if "material" in groups:
                 material = material + REACH["material"] * _signs(material, random)
             self._draws.append((light, material))
+        self.angles = self._surface.angles
+        """The normals [N, 2] at which errors are measured, as angles."""
         self._truth = list(self._values(recipe))
 
     def error(self, recipe: Recipe, limit: float) -> float:
@@ -145,7 +161,7 @@ class Measured:
             yield shader(some.angles, light, material)
 
 
-def _spread(surface: Surface, moving: bool, random: torch.Generator) -> Surface:
+def spread(surface: Surface, moving: bool, random: torch.Generator) -> Surface:
     """The surface at its own normals and, where they are attacked, moved within reach besides."""
     angles, again = surface.angles, 1
     if moving:
@@ -159,7 +175,7 @@ def _signs(like: Tensor, random: torch.Generator) -> Tensor:
     return (torch.rand(like.shape, generator=random, dtype=torch.float64) - 0.5).sign()
 
 
-def _some(surface: Surface, most: int) -> Surface:
+def subset(surface: Surface, most: int) -> Surface:
     """The surface at so many of its pixels at most, evenly spaced."""
     return _every(surface, -(-len(surface.angles) // most))
 

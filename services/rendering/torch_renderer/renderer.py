@@ -157,6 +157,11 @@ class TorchRenderer(DeclaredRenderer):
         """The float64 twin."""
         return self._twin
 
+    @property
+    def failed_checks(self) -> int:
+        """Times that an object's sampled check failed, so that its pixels were summed directly."""
+        return sum(shader.summed_after_all for shader in self._shaders)
+
     def _image(self, normals: Tensor, illumination: Tensor, material: Tensor) -> Tensor:
         """One picture [H, W, 3]."""
         angles, intensity = self._canvas.covered(normals), illumination.flatten()

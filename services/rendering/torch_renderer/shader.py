@@ -21,13 +21,17 @@ from torch import Tensor
 from services.rendering.color import to_display
 from services.rendering.kernels import compiled
 from services.rendering.torch_renderer import dsbrdf, perspective
-from services.rendering.torch_renderer.lookup_table import look_up, node_vectors, tiles, touched
+from services.rendering.torch_renderer.lookup_table import TILE, look_up, node_vectors, tiles, touched
 from services.rendering.torch_renderer.normals import to_vectors
+from services.rendering.torch_renderer.sampled_check import chosen_pixels
 from services.rendering.torch_renderer.shading import Directions, Lobes, radiance, transport
 from services.rendering.torch_renderer.units import MATERIAL_UNIT
 
 CHECKED = 256
-"""Pixels of a looked-up picture that are summed as well, each time, to see whether the table still holds."""
+"""Pixels of a looked-up image that are summed as well, at most, to see whether the table still holds."""
+
+CHECKED_AT_FIXED_NORMALS = 2 * CHECKED
+"""Pixels that are checked where only the light changes: their factors are kept, so that a check is a product."""
 
 Nodes = Literal["tabulated", "transported", "summed"]
 
@@ -92,7 +96,7 @@ class Surface:
 class Shader:
     """Radiance [P, 3] of an object's pixels, by its recipe.
 
-    `summed_after_all` counts the pictures whose check failed.
+    `summed_after_all` counts the images whose sampled check failed.
     """
 
     def __init__(self, recipe: Recipe, sky: Sky, surface: Surface, illumination: Tensor) -> None:
@@ -105,15 +109,16 @@ class Shader:
         self._whole = _Sum(recipe, recipe.kept, sky, frozen, still, surface.viewers)
         if recipe.rows is not None:
             among = torch.isin(recipe.kept, recipe.sharp)
-            self._still_nodes = None if recipe.moving else _of_tiles(touched(angles, recipe.rows), recipe)
+            self._still_tiles = None if recipe.moving else touched(angles, recipe.rows)
+            self._still_nodes = None if self._still_tiles is None else _of_tiles(self._still_tiles, recipe)
             at_nodes = None if self._still_nodes is None else self._still_nodes.vectors
             self._smooth = _Sum(recipe, recipe.kept[~among], sky, frozen, at_nodes)
             self._sharp = _Sum(recipe, recipe.kept[among], sky, frozen, pixels)
-            self._checked = torch.arange(0, len(angles), max(1, len(angles) // CHECKED))
-            self._checked_color = surface.base_color[self._checked]
-            self._truth = (
-                self._whole if pixels is None else _Sum(recipe, recipe.kept, sky, frozen, pixels[self._checked])
-            )
+            self._color = surface.base_color.to(recipe.dtype)
+            self._fixed_check = None
+            if recipe.nodes == "transported" and pixels is not None:  # their factors are kept, so they cannot change
+                self._fixed_check = torch.arange(0, len(angles), max(1, len(angles) // CHECKED_AT_FIXED_NORMALS))
+                self._checked_sum = _Sum(recipe, recipe.kept, sky, frozen, pixels[self._fixed_check])
             self._known = torch.zeros(len(tiles(recipe.rows)), dtype=torch.bool)
             self._table = torch.zeros(2 * recipe.rows**2, 3, dtype=recipe.dtype)
         self.summed_after_all = 0
@@ -123,22 +128,36 @@ class Shader:
         angles, recipe = angles.to(self.recipe.dtype), self.recipe
         if recipe.rows is None:
             return self._whole(to_vectors(angles), illumination, material)
-        shaded = look_up(self._filled(angles, illumination, material), angles)
+        filled = touched(angles, recipe.rows) if self._still_tiles is None else self._still_tiles
+        if recipe.moving and recipe.nodes == "summed" and int(filled.sum()) * TILE**2 >= len(angles):
+            return self._whole(to_vectors(angles), illumination, material)  # the table would be the longer sum
+        table = self._filled(filled, illumination, material)
+        shaded = look_up(table, angles)
         if len(recipe.sharp):
             shaded = shaded + self._sharp(to_vectors(angles), illumination, material)
-        if recipe.guard is not None and self._misses(shaded, angles, illumination, material) > recipe.guard:
-            self.summed_after_all += 1
-            return self._whole(to_vectors(angles), illumination, material)
-        return shaded
+        if recipe.guard is None:
+            return shaded
+        with torch.no_grad():
+            if self._fixed_check is None:
+                at = chosen_pixels(CHECKED, table, filled, recipe.rows, angles, shaded, self._color)
+                truth = self._whole(to_vectors(angles[at]), illumination, material)
+            else:
+                at = self._fixed_check
+                truth = self._checked_sum(to_vectors(angles[at]), illumination, material)
+            held = displayed_error(shaded[at], truth, self._color[at]) <= recipe.guard
+        if held:
+            return shaded
+        self.summed_after_all += 1
+        return self._whole(to_vectors(angles), illumination, material)
 
-    def _filled(self, angles: Tensor, illumination: Tensor, material: Tensor) -> Tensor:
-        """The table with every node that `angles` need."""
+    def _filled(self, wanted: Tensor, illumination: Tensor, material: Tensor) -> Tensor:
+        """The table with every node of the `wanted` tiles."""
         recipe = self.recipe
         assert recipe.rows is not None
         if recipe.nodes != "tabulated":
-            nodes = self._still_nodes or _of_tiles(touched(angles, recipe.rows), recipe)
+            nodes = self._still_nodes or _of_tiles(wanted, recipe)
             return self._table.index_copy(0, nodes.places, self._smooth(nodes.vectors, illumination, material))
-        missing = touched(angles, recipe.rows) & ~self._known
+        missing = wanted & ~self._known
         if bool(missing.any()):
             if compiled.library() is None:  # in torch a value's last bits depend on its neighbours: all at once
                 missing = torch.ones_like(missing)
@@ -148,12 +167,10 @@ class Shader:
             self._known |= missing
         return self._table
 
-    @torch.no_grad()
-    def _misses(self, shaded: Tensor, angles: Tensor, illumination: Tensor, material: Tensor) -> float:
-        """The largest displayed error of the looked-up radiance at the checked pixels."""
-        at = self._checked
-        truth = self._truth(to_vectors(angles[at]), illumination, material)
-        return displayed_error(shaded[at], truth, self._checked_color)
+
+def checked_pixels(recipe: Recipe) -> int:
+    """Pixels of a looked-up image that are summed as well, at most."""
+    return CHECKED_AT_FIXED_NORMALS if recipe.nodes == "transported" else CHECKED
 
 
 class _Sum:
