@@ -11,7 +11,9 @@ from services.pipeline.spec import JobSpec
 from services.rendering.factory import build
 from services.rendering.plan import Plan
 from services.rendering.protocol import Renderer
+from services.rendering.torch_renderer.map_size import smallest_map
 from services.rendering.torch_renderer.presets import preset
+from services.scenes.description import Environment
 from services.scenes.library import Library
 from services.scenes.resolve import ResolvedScene, resolve
 from services.suggestions import did_you_mean
@@ -66,6 +68,7 @@ def prepare(spec: JobSpec, library: Library) -> Prepared:
     if leave is not None and leave == reach:
         raise InvalidRequest("goal.reach", f"is the label to leave ({labels[leave]!r}); name another one")
     scene = _scene(spec, library)
+    spec = spec.model_copy(update={"scene": scene.description})
     target = registry.load(spec.target.name)
     if spec.target.question is not None and not target.takes_question:
         raise InvalidRequest("target.question", f"{target.name} answers no questions; leave it out")
@@ -87,7 +90,17 @@ def prepare(spec: JobSpec, library: Library) -> Prepared:
 def _scene(spec: JobSpec, library: Library) -> ResolvedScene:
     for index, thing in enumerate(spec.scene.objects):
         preset(thing.material, f"scene.objects.{index}.material")
-    return resolve(spec.scene, library)
+    scene = resolve(spec.scene, library)
+    return scene if spec.scene.lights.environment.size != "auto" else _with_chosen_map(spec, scene, library)
+
+
+def _with_chosen_map(spec: JobSpec, scene: ResolvedScene, library: Library) -> ResolvedScene:
+    """The scene with the smallest map that the job's tolerance allows; of the default size if no map lights it."""
+    lit_by_map = "torch" in (spec.attack.renderer, spec.attack.picture)
+    size = smallest_map(scene, spec.tolerance) if lit_by_map else Environment().size
+    lights = spec.scene.lights
+    chosen = lights.model_copy(update={"environment": lights.environment.model_copy(update={"size": size})})
+    return resolve(spec.scene.model_copy(update={"lights": chosen}), library)
 
 
 def _renderer(spec: JobSpec, scene: ResolvedScene) -> Renderer:

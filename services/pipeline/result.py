@@ -50,6 +50,12 @@ class Result(_Record):
         description="the error it did cost: largest difference of a displayed value, in [0,1], between the stored "
         "perturbation rendered by the plan and exactly"
     )
+    environment_map_error: float | None = Field(
+        None,
+        description="what the environment map's resolution costs beside: largest difference of a displayed value, at "
+        "some pixels of the original, to the same scene under a map of 64×128; null where the renderer uses no map or "
+        "one of that size",
+    )
     subsets: list[Subset]
     settings: dict[str, object] = Field(description="settings found while running, e.g. measured difference steps")
     steps: int

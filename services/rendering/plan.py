@@ -74,7 +74,7 @@ class Plan(_Record):
     environment_map_error: float | None = Field(
         None,
         description="environment map's resolution: largest difference of a displayed value, at some pixels, to the "
-        "same scene under the finest map, 64×128; not part of `error`. Null where no map is used or none is finer",
+        "same scene under the largest map, 64×128; not part of `error`. Null where no map is used or it is the largest",
     )
 
     @classmethod

@@ -25,6 +25,8 @@ DISTANCE = 1.8
 FIELD_OF_VIEW = 0.8575
 """49.1°, vertical: Blender's default lens, which the paper's views were taken with."""
 GROUND = 128 / 255
+MAP_SIZES = ((4, 8), (8, 16), (16, 32), (32, 64), (64, 128))
+"""Sizes of environment maps that "auto" chooses from, the smallest first; the last is the largest there is."""
 
 
 class Model(BaseModel):
@@ -84,10 +86,17 @@ class Environment(Model):
     """A high-dynamic-range environment map: the light of the torch renderer."""
 
     map: str = Field("studio", min_length=1, max_length=200, description="name of a built-in map")
-    size: tuple[Annotated[int, Field(ge=1, le=64)], Annotated[int, Field(ge=1, le=128)]] = Field(
-        (16, 32), description="rows (polar angle) and columns (azimuth) it is averaged down to"
+    size: tuple[Annotated[int, Field(ge=1, le=64)], Annotated[int, Field(ge=1, le=128)]] | Literal["auto"] = Field(
+        (16, 32),
+        description="rows (polar angle) and columns (azimuth) it is averaged down to; `auto`: the smallest of 4×8, "
+        "8×16, 16×32, 32×64 and 64×128 whose error against 64×128 is within the job's tolerance",
     )
     rotation: Angle = Field(0.0, description="turn about +y, radians")
+
+    @property
+    def texels(self) -> tuple[int, int]:
+        """Rows and columns; the largest there are as long as "auto" has not been decided."""
+        return MAP_SIZES[-1] if self.size == "auto" else self.size
 
 
 class Lights(Model):

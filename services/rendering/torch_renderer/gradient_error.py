@@ -11,10 +11,8 @@ from services.rendering.plan import GradientError
 from services.rendering.torch_renderer.error_estimates import spread, subset
 from services.rendering.torch_renderer.shader import Recipe, Shader, Sky, Surface
 
-PIXELS = 256
-"""Pixels whose gradient is measured, at most; where normals are attacked, so many again for each move of `spread`."""
-MOVED = 512
-"""Pixels and their moved copies, at most."""
+PAIRS = 2**18
+"""Pixels times directions whose gradient is measured, at most: 512 pixels under a map of 16×32."""
 
 
 @torch.enable_grad()
@@ -27,10 +25,10 @@ def gradient_errors(
     weights are smooth, so that neighbours' errors do not cancel there.
     """
     random = torch.Generator().manual_seed(2)
-    moving = "normals" in groups
-    some = subset(surface, PIXELS)
+    most = max(16, PAIRS // sky.power.shape[1])
+    some = subset(surface, most)
     if surface.viewers is None:
-        some = subset(spread(some, moving, random), MOVED)
+        some = subset(spread(some, "normals" in groups, random), most)
     weights = torch.randn(len(some.angles), 3, generator=random, dtype=torch.float64)
     values = {"normals": some.angles, "illumination": illumination, "material": some.material}
     found = []

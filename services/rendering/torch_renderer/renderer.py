@@ -19,12 +19,13 @@ from services.rendering.compositing import Canvas
 from services.rendering.declaration import BuildRequest, DeclaredRenderer
 from services.rendering.kernels import compiled
 from services.rendering.opengl.gbuffer import GBuffer, rasterise
-from services.rendering.plan import DEFAULT_TOLERANCE, Tolerance
+from services.rendering.plan import DEFAULT_TOLERANCE, Plan, Tolerance
 from services.rendering.protocol import Parameters
 from services.rendering.torch_renderer import dsbrdf, lookup_table
 from services.rendering.torch_renderer.declaration import TORCH
 from services.rendering.torch_renderer.directions import directions, solid_angles
 from services.rendering.torch_renderer.environment_light import Illumination, illumination
+from services.rendering.torch_renderer.map_error import map_error
 from services.rendering.torch_renderer.normals import FURTHEST_ANGLE, to_angles
 from services.rendering.torch_renderer.planner import compile_plan
 from services.rendering.torch_renderer.presets import preset
@@ -108,11 +109,16 @@ class TorchRenderer(DeclaredRenderer):
             )
         ]
         intensity = rounded["illumination"].flatten()
-        recipes, self.plan = compile_plan(surfaces, sky, intensity, groups, tolerance, self.size)
+        recipes, plan = compile_plan(surfaces, sky, intensity, groups, tolerance, self.size)
         self._shaders = [
             Shader(recipe, sky, surface, intensity) for recipe, surface in zip(recipes, surfaces, strict=True)
         ]
         self._twin = self if tolerance == "exact" else TorchRenderer(scene, gbuffer, tolerance="exact")
+        if self._twin is self:
+            map_error = _map_error(scene, surfaces, (sky, intensity), to_camera)
+        else:
+            map_error = self._twin.plan.environment_map_error
+        self.plan: Plan = plan.model_copy(update={"environment_map_error": map_error})
 
     @classmethod
     def build(cls, request: BuildRequest) -> "TorchRenderer":
@@ -179,6 +185,16 @@ def sky_of(light: Illumination, to_camera: Tensor) -> Sky:
     half, theta_d = dsbrdf.half_vectors(towards, torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
     power = (light.exposure * light.chroma).reshape(-1, 3).T * solid_angles(rows, cols)
     return Sky(Directions.of(towards, half), dsbrdf.basis(theta_d) / MATERIAL_UNIT, power)
+
+
+def _map_error(
+    scene: ResolvedScene, surfaces: Sequence[Surface], own: tuple[Sky, Tensor], to_camera: Tensor
+) -> float | None:
+    """What the environment map's size costs a displayed value; None under the largest."""
+    if scene.finest_environment is None:
+        return None
+    finest = illumination(torch.as_tensor(scene.finest_environment))
+    return map_error(surfaces, own, (sky_of(finest, to_camera), finest.intensity.flatten()))
 
 
 def viewers_of(scene: ResolvedScene, size: tuple[int, int]) -> Tensor:
