@@ -128,11 +128,11 @@ class _LookUp(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, slope: Tensor) -> tuple[Tensor | None, Tensor | None]:
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, Tensor | None]:
         table, angles = ctx.saved_tensors
         d_table = torch.empty_like(table) if ctx.needs_input_grad[0] else None
         d_angles = torch.empty_like(angles) if ctx.needs_input_grad[1] else None
-        into = (slope.contiguous(), d_angles, d_table, compiled.threads())
+        into = (gradient.contiguous(), d_angles, d_table, compiled.threads())
         compiled.call("look_up_backward", angles.dtype, len(angles), _rows(table), angles, table, *into)
         return d_table, d_angles
 

@@ -1,4 +1,4 @@
-"""Compiling the torch renderer: what one object needs for one set of attacked groups, and the cheapest way to it.
+"""Compiles the torch renderer: finds what one object needs for a set of attacked groups, and the cheapest method.
 
 Errors of tables are measured, not derived: at the object's own pixels, for the scene as it is and for draws of the
 attacked groups within an attack's reach, against the sum itself. What cannot be seen there (a highlight narrower than
@@ -19,38 +19,39 @@ from services.rendering.torch_renderer.gradient_error import gradient_errors
 from services.rendering.torch_renderer.lookup_table import tiles, touched
 from services.rendering.torch_renderer.normals import to_vectors
 from services.rendering.torch_renderer.plan_stages import HEADROOM, radiance_stage, table_stages
-from services.rendering.torch_renderer.shader import Nodes, Recipe, Sky, Surface, checked_pixels
+from services.rendering.torch_renderer.shader import Method, Recipe, Sky, Surface, checked_pixels
 
 ROWS = (24, 32, 48, 64, 96, 128, 192, 256)
 """Tables that are tried."""
 ORDER = 3
-"""Of Catmull-Rom: with a finer mesh a table's error falls by this power of it at best, so that some need no trial."""
+"""Order of Catmull-Rom interpolation: a table's error falls by this power of its mesh at best, so that some tables need
+no trial."""
 SHARP = (0, 8, 16, 32, 64, 128)
 """Numbers of directions that are tried beside them, summed at the pixels."""
 ROUGH_AT = 48
 """Rows of the table for which the directions are put in the order of their roughness."""
 LEEWAY = 2.0
-"""An image may be off at a checked pixel by this many times what was measured when the plan was made, and ..."""
+"""The sampled check allows this many times the error that was measured when the plan was made."""
 LEAST_LEEWAY = 0.5
-"""... by this part of what the tolerance allows in any case, before it is summed pixel by pixel."""
+"""The sampled check allows at least this part of what the tolerance leaves for it."""
 ROUNDING = 2e-5
-"""Displayed error of a sum in float32, at most; measured too, as sharp lobes magnify it."""
+"""Largest displayed error of a sum in float32 under smooth lobes. Sharp lobes magnify it, so it is measured too."""
 LOBES_SHARE = 0.2
-"""Part of the tolerance that lobes may cost that are left out or straightened."""
+"""Share of the tolerance that leaving out and straightening lobes may cost."""
 LOOKUP = 100
-"""A lookup costs as much as so many lobe values."""
+"""Cost of a lookup, in lobe values."""
 CARRY = 1.0
-"""A product with a factor that is kept costs as much as so many lobe values: it waits for memory."""
+"""Cost of a product with a stored factor, in lobe values: it waits for memory."""
 WORTH = 0.8
-"""A shortcut is taken where it costs less than this part of the straight way."""
-PICTURES = 50
-"""What is done once is done for so many pictures."""
+"""A table is used where it costs less than this part of the direct sum."""
+IMAGES = 50
+"""Images over which work that is done once is spread."""
 TRANSPORT_BYTES = 2**28
-"""Factors that may be kept for one object."""
+"""Largest memory of one object's stored factors."""
 
 
 def exact_recipe(sky: Sky) -> Recipe:
-    """Every direction and lobe, pixel by pixel, in float64."""
+    """A recipe that sums every direction and lobe at every pixel in float64."""
     every = torch.ones(dsbrdf.CHANNELS, dsbrdf.LOBES, dtype=torch.bool)
     texels = torch.arange(sky.power.shape[1])
     return Recipe(texels, False, every, ~every, "summed", moving=True, dtype=torch.float64)
@@ -90,7 +91,7 @@ def compile_plan(
 
 @dataclass(frozen=True)
 class _Needs:
-    """What has to be computed at all, before any method: a recipe to start from, and what was left out of it."""
+    """What any method has to compute: a recipe to start from, and the plan's items for what it leaves out."""
 
     recipe: Recipe
     items: list[Item]
@@ -123,7 +124,7 @@ def _needs(surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[st
 
 
 def _directions(surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str]) -> tuple[Tensor, str]:
-    """Texels that can change the picture, and why not the others."""
+    """The texels that can change the image, and the reason why the others cannot."""
     power = sky.power if "illumination" in groups else sky.power * illumination
     lit = (power > 0).any(0)
     above = torch.ones_like(lit)
@@ -138,10 +139,10 @@ def _directions(surface: Surface, sky: Sky, illumination: Tensor, groups: Sequen
 def _cheapest(
     surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str], tolerance: float, needs: _Needs
 ) -> tuple[Recipe, list[Stage]]:
-    """The cheapest recipe whose estimated error fits into what the items left of the tolerance."""
+    """The cheapest recipe whose estimated error fits into what the items leave of the tolerance, and its stages."""
     left, pixels = tolerance - needs.error, len(surface.angles)
     direct = replace(
-        needs.recipe, nodes=_kind(needs.recipe, groups, pixels, looked_up=False, near=surface.viewers is not None)
+        needs.recipe, method=_method(needs.recipe, groups, pixels, looked_up=False, near=surface.viewers is not None)
     )
     rounding = ROUNDING + errors.of_float32(surface, sky, illumination, direct)
     if rounding > left:
@@ -155,7 +156,7 @@ def _cheapest(
     limit = (left - rounding) / HEADROOM
     failed: list[tuple[int, int, float]] = []
     for recipe, count in _tables(surface, sky, illumination, groups, direct, measured.angles):
-        rows, sharp = recipe.rows or 0, len(recipe.sharp)
+        rows, sharp = recipe.rows or 0, len(recipe.per_pixel_texels)
         if any(sharp <= more and off * min(1, of / rows) ** ORDER >= limit for of, more, off in failed):
             continue
         if errors.too_narrow(surface, sky, illumination, groups, recipe, left):
@@ -188,38 +189,42 @@ def _tables(
     """
     pixels = len(surface.angles)
     rough = errors.roughness(surface, sky, illumination, groups, ROUGH_AT)
-    order = direct.kept[rough[direct.kept].argsort(descending=True, stable=True)]
+    order = direct.active_texels[rough[direct.active_texels].argsort(descending=True, stable=True)]
     found = []
     for rows in ROWS:
         begun = touched(surface.angles, rows)
         count = int(begun.sum() + (begun | touched(reached, rows)).sum()) * tiles(rows).shape[1] // 2
-        kind = _kind(direct, groups, count, looked_up=True)
+        kind = _method(direct, groups, count, looked_up=True)
         for sharp in SHARP:
             if sharp <= len(order) // 2:
-                recipe = replace(direct, nodes=kind, rows=rows, sharp=order[:sharp].sort().values)
+                recipe = replace(direct, method=kind, rows=rows, per_pixel_texels=order[:sharp].sort().values)
                 found.append((_cost(recipe, count, pixels), recipe, count))
     for cost, recipe, count in sorted(found, key=lambda one: one[0]):
         if cost < WORTH * _cost(direct, 0, pixels):
             yield recipe, count
 
 
-def _kind(recipe: Recipe, groups: Sequence[str], nodes: int, looked_up: bool, near: bool = False) -> Nodes:
+def _method(recipe: Recipe, groups: Sequence[str], nodes: int, looked_up: bool, near: bool = False) -> Method:
     if "material" in groups or near:
         return "summed"
     if "illumination" in groups:
-        size = 4 * nodes * len(recipe.kept) * recipe.channels
-        return "transported" if "normals" not in groups and size <= TRANSPORT_BYTES else "summed"
-    return "tabulated" if looked_up else "summed"
+        size = 4 * nodes * len(recipe.active_texels) * recipe.channels
+        return "precomputed_transport" if "normals" not in groups and size <= TRANSPORT_BYTES else "summed"
+    return "cached_table" if looked_up else "summed"
 
 
 def _cost(recipe: Recipe, nodes: int, pixels: int) -> float:
-    """Of an image, in lobe values. Without lobes a direction still costs its cosine."""
-    carried = recipe.nodes == "transported"
+    """The cost of one image, in lobe values. Without lobes a direction still costs its cosine."""
+    carried = recipe.method == "precomputed_transport"
     each = recipe.channels * (CARRY if carried else max(recipe.lobes, 0.3))
     if recipe.rows is None:
-        return each * pixels * len(recipe.kept)
-    at_pixels = pixels * len(recipe.sharp) + min(checked_pixels(recipe), pixels) * len(recipe.kept)
-    at_nodes = nodes * (len(recipe.kept) - len(recipe.sharp)) / (PICTURES if recipe.nodes == "tabulated" else 1)
+        return each * pixels * len(recipe.active_texels)
+    at_pixels = pixels * len(recipe.per_pixel_texels) + min(checked_pixels(recipe), pixels) * len(recipe.active_texels)
+    at_nodes = (
+        nodes
+        * (len(recipe.active_texels) - len(recipe.per_pixel_texels))
+        / (IMAGES if recipe.method == "cached_table" else 1)
+    )
     return LOOKUP * pixels + each * (at_pixels + at_nodes)
 
 

@@ -110,7 +110,7 @@ class TorchRenderer(DeclaredRenderer):
         ]
         intensity = rounded["illumination"].flatten()
         recipes, plan = compile_plan(surfaces, sky, intensity, groups, tolerance, self.size)
-        self._shaders = [
+        self.shaders = [
             Shader(recipe, sky, surface, intensity) for recipe, surface in zip(recipes, surfaces, strict=True)
         ]
         self._twin = self if tolerance == "exact" else TorchRenderer(scene, gbuffer, tolerance="exact")
@@ -150,7 +150,7 @@ class TorchRenderer(DeclaredRenderer):
             if group not in self._initial or value.shape[1:] != self._initial[group].shape:
                 wanted = {name: ("B", *initial.shape) for name, initial in self._initial.items()}
                 raise ValueError(f"group {group!r} of shape {tuple(value.shape)}; wanted {wanted}")
-            if group not in self._attacked and self._twin is not self:  # the judge's takes every group
+            if group not in self._attacked and self._twin is not self:  # the exact renderer takes every group
                 raise ValueError(f"group {group!r} is not among {self._attacked}, which this renderer is compiled for")
         # One image at a time: the same operations on the same shapes whatever else is in the batch, so the same bits.
         images = [
@@ -166,14 +166,14 @@ class TorchRenderer(DeclaredRenderer):
     @property
     def failed_checks(self) -> int:
         """Times that an object's sampled check failed, so that its pixels were summed directly."""
-        return sum(shader.summed_after_all for shader in self._shaders)
+        return sum(shader.summed_after_all for shader in self.shaders)
 
     def _image(self, normals: Tensor, illumination: Tensor, material: Tensor) -> Tensor:
-        """One picture [H, W, 3]."""
+        """One image [H, W, 3]."""
         angles, intensity = self._canvas.covered(normals), illumination.flatten()
         shaded = [
             shader(own, intensity, of_object).to(self._dtype)
-            for shader, own, of_object in zip(self._shaders, torch.split(angles, self._counts), material, strict=True)
+            for shader, own, of_object in zip(self.shaders, torch.split(angles, self._counts), material, strict=True)
         ]
         return self._canvas.picture(torch.cat(shaded) if len(shaded) > 1 else shaded[0])
 
