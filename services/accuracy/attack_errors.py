@@ -10,12 +10,12 @@ from typing import Any
 import torch
 from pydantic import BaseModel, ConfigDict, Field
 
-from services.attacks.fgsm import FgsmMethod
+from services.attacks.fgsm import Fgsm, FgsmMethod
 from services.attacks.goal import ResolvedGoal
-from services.attacks.problem import AttackProblem, saved, slopes
-from services.attacks.spec import Fgsm
+from services.attacks.problem import AttackProblem, gradients, quantize
 from services.rendering.opengl.gbuffer import rasterise
 from services.rendering.plan import GradientError
+from services.rendering.torch_renderer.declaration import TORCH
 from services.rendering.torch_renderer.renderer import TorchRenderer
 from services.scenes.description import Scene
 from services.scenes.library import Library
@@ -36,7 +36,7 @@ ROUND = (
 )
 MATERIALS = ("matte", "plastic", "glossy-paint", "brushed-metal")
 MAPS = ("city", "courtyard", "forest", "interior", "night", "studio", "sunrise", "sunset")
-GROUPS = tuple(c for n in (1, 2, 3) for c in combinations(TorchRenderer.groups, n))
+GROUPS = tuple(c for n in (1, 2, 3) for c in combinations(TORCH.group_names, n))
 STEPS = 120
 TARGET = "efficientnet-lite0"
 
@@ -156,15 +156,15 @@ def _errors(renderer: TorchRenderer, groups: tuple[str, ...], steps: int) -> Ite
     target = registry.load(TARGET)
     settings = Fgsm(groups=groups, truncation=None)
     start = renderer.exact().render({group: renderer.initial()[group][None].double() for group in groups})
-    first = int(target.logits(saved(start.float())[1])[0].argmax())
+    first = int(target.logits(quantize(start.float())[1])[0].argmax())
     problem = AttackProblem(renderer, target, ResolvedGoal(leave=first, reach=None), settings.groups)
     method = FgsmMethod(settings, problem)
     for step in range(steps + 1):
         view = problem.view(method.perturbation, gradient=True)
         yield _error(renderer, problem, view.images.detach(), method)
         if step < steps:
-            [gradients] = slopes([problem], [view], problem.logits(saved(view.images)[1]))
-            method.advance(problem, replace(view, slopes=gradients), step)
+            [found] = gradients([problem], [view], problem.logits(quantize(view.images)[1]))
+            method.advance(problem, replace(view, gradients=found), step)
 
 
 @torch.no_grad()

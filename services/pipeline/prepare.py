@@ -11,6 +11,7 @@ from services.pipeline.spec import JobSpec
 from services.rendering.factory import build
 from services.rendering.plan import Plan
 from services.rendering.protocol import Renderer
+from services.rendering.torch_renderer.declaration import TORCH
 from services.rendering.torch_renderer.map_size import smallest_map
 from services.rendering.torch_renderer.presets import preset
 from services.scenes.description import Environment
@@ -96,7 +97,7 @@ def _scene(spec: JobSpec, library: Library) -> ResolvedScene:
 
 def _with_chosen_map(spec: JobSpec, scene: ResolvedScene, library: Library) -> ResolvedScene:
     """The scene with the smallest map that the job's tolerance allows; of the default size if no map lights it."""
-    lit_by_map = "torch" in (spec.attack.renderer, spec.attack.picture)
+    lit_by_map = TORCH.name in (spec.attack.renderer, spec.attack.base_renderer)
     size = smallest_map(scene, spec.tolerance) if lit_by_map else Environment().size
     lights = spec.scene.lights
     chosen = lights.model_copy(update={"environment": lights.environment.model_copy(update={"size": size})})
