@@ -11,6 +11,7 @@ from services.accuracy.stability import (
     meshes,
     normals,
     plans,
+    poses,
     precision,
     sizes,
     steps,
@@ -18,7 +19,21 @@ from services.accuracy.stability import (
 )
 from services.accuracy.stability.case import Case, Observation, observe
 
-FAMILIES = (lobes, normals, environments, plans, views, meshes, lights, logits, differences, steps, sizes, precision)
+FAMILIES = (
+    lobes,
+    normals,
+    environments,
+    plans,
+    views,
+    poses,
+    meshes,
+    lights,
+    logits,
+    differences,
+    steps,
+    sizes,
+    precision,
+)
 
 
 def cases(quick: bool = False) -> list[Case]:

@@ -5,7 +5,7 @@ from torch import Tensor
 
 from services.accuracy.placing import placed
 from services.accuracy.stability.case import Case, Measured, need
-from services.accuracy.stability.linear import SIDE, linear_problem, linear_slopes, pixels
+from services.accuracy.stability.linear import SIDE, linear_gradient, linear_problem, pixels
 from services.attacks.differences import estimate, measure_noise
 from services.attacks.loop import Budget, run
 from services.attacks.verifier import Verifier
@@ -15,7 +15,7 @@ from services.rendering.protocol import Renderer
 
 
 def _too_small(renderer: Renderer, group: str) -> Measured:
-    """Differences that round to nothing are called flat, and their slope is 0."""
+    """Differences that round to nothing are called flat, and their gradient is 0."""
     problem = linear_problem(renderer, (group,), lead=0.0)
     count = min(problem.layout.total, 24)
     deltas = torch.full((count,), 1e-12, dtype=torch.float64)
@@ -23,7 +23,7 @@ def _too_small(renderer: Renderer, group: str) -> Measured:
     found = estimate(problem, nothing, torch.arange(count), deltas, measure_noise(problem, nothing))
     need(bool(found.below_noise.all()), f"{int((~found.below_noise).sum())} of {count} differences are not called flat")
     return Measured(
-        float(found.gradients.abs().max()), 0.0, f"largest slope; {count} of {count} differences reported flat"
+        float(found.gradients.abs().max()), 0.0, f"largest gradient; {count} of {count} differences reported flat"
     )
 
 
@@ -41,41 +41,41 @@ def _zoo_flat() -> Measured:
     )
 
 
-def _slopes(delta: float, at: float = 0.0) -> tuple[Tensor, Tensor, Tensor, float]:
-    """Slopes, their closed form, which are flat, and the noise, of differences of pixels."""
+def _gradients(delta: float, at: float = 0.0) -> tuple[Tensor, Tensor, Tensor, float]:
+    """Gradients, their closed form, which are flat, and the noise, of differences of pixels."""
     problem = linear_problem(pixels(), lead=0.0)
     start = torch.full((3 * SIDE * SIDE,), at)
     noise = measure_noise(problem, start)
     deltas = torch.full((len(start),), delta, dtype=torch.float64)
     found = estimate(problem, start, torch.arange(len(start)), deltas, noise)
-    return found.gradients, linear_slopes().flatten(), found.below_noise, noise
+    return found.gradients, linear_gradient().flatten(), found.below_noise, noise
 
 
 def _too_large() -> Measured:
     """A step of 1 leaves [0,1] on both sides: it is held at the bounds, and the way between them divides."""
-    slopes, wanted, flat, _ = _slopes(1.0)
+    gradients, wanted, flat, _ = _gradients(1.0)
     need(not bool(flat.any()), "a difference is called flat")
     return Measured(
-        float((slopes - wanted).abs().max() / wanted.abs().max()), 1e-5, "relative error of a slope, closed form"
+        float((gradients - wanted).abs().max() / wanted.abs().max()), 1e-5, "relative error of a gradient, closed form"
     )
 
 
 def _sweep() -> Measured:
-    """At every step from 1e-1 to 1e-12 a slope is right to the noise over the step, or called flat."""
+    """At every step from 1e-1 to 1e-12 a gradient is right to the noise over the step, or called flat."""
     worst = 0.0
     for exponent in range(1, 13):
         delta = 10.0**-exponent
-        slopes, wanted, flat, noise = _slopes(delta, at=0.1)
+        gradients, wanted, flat, noise = _gradients(delta, at=0.1)
         need(exponent > 3 or not bool(flat.all()), f"all differences of {delta:g} are flat")
-        error = (slopes - wanted).abs()[~flat]
+        error = (gradients - wanted).abs()[~flat]
         if len(error):
             worst = max(worst, float(error.max()) * 2 * delta / (noise + 1e-5 * 2 * delta * float(wanted.abs().max())))
-    return Measured(worst, 1.0, "error of a slope that is not flat, in units of the noise over the step")
+    return Measured(worst, 1.0, "error of a gradient that is not flat, in units of the noise over the step")
 
 
 def cases() -> list[Case]:
     """The cases of this family."""
-    family, flat = "differences", "called flat, slope 0"
+    family, flat = "differences", "called flat, gradient 0"
     return [
         Case(
             "δ = 1e-12, pixels",
@@ -88,7 +88,7 @@ def cases() -> list[Case]:
         Case(
             "δ = 1e-12, pyrender",
             family,
-            "float64 parameters, float32 pictures",
+            "float64 parameters, float32 images",
             flat,
             lambda: _too_small(build(placed(size=(16, 16)), "pyrender"), "illumination"),
             "flat",
@@ -102,6 +102,6 @@ def cases() -> list[Case]:
             "flat",
         ),
         Case("ZOO with δ = 1e-12", family, "nothing to go by", "goes nowhere, and says so", _zoo_flat, "flat"),
-        Case("δ = 1", family, "beyond both bounds", "the slope is right", _too_large, "clipped"),
+        Case("δ = 1", family, "beyond both bounds", "the gradient is right", _too_large, "clipped"),
         Case("δ from 1e-1 to 1e-12", family, "differences drown in rounding", "right to the noise, or flat", _sweep),
     ]

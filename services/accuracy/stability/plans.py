@@ -5,17 +5,19 @@ from functools import partial
 import numpy as np
 import torch
 
-from services.accuracy.placing import TABLES, placed, sky
+from services.accuracy.placing import TABLES, placed, sky, sun
 from services.accuracy.stability.case import Case, Measured, need
-from services.accuracy.stability.environments import sun
 from services.accuracy.stability.lobes import of_one_lobe
-from services.accuracy.stability.shading import EXACT, SLOPE, Shading
+from services.accuracy.stability.shading import EXACT, GRADIENT, Shading
 from services.rendering.plan import DEFAULT_TOLERANCE, Tolerance
 from services.rendering.protocol import Parameters
 from services.scenes.mesh import Floats
 
 SHARPEST = "brushed-metal"
 """The preset with the narrowest highlight."""
+
+LOST = 1e-2
+"""Share of a signed step's gain that a table may lose."""
 
 
 def _compiled(radiance: Floats, group: str, tolerance: Tolerance = DEFAULT_TOLERANCE) -> Shading:
@@ -34,12 +36,12 @@ def _attacked(shading: Shading, group: str) -> Parameters:
     return {group: of_one_lobe(1e4, 1e5)}
 
 
-def _picture(radiance: Floats, group: str, moved: bool, tolerance: Tolerance = DEFAULT_TOLERANCE) -> Measured:
+def _image(radiance: Floats, group: str, moved: bool, tolerance: Tolerance = DEFAULT_TOLERANCE) -> Measured:
     shading = _compiled(radiance, group, tolerance)
     plan = shading.renderer.plan
     need(plan.groups == (group,), f"the plan is for {plan.groups}")
     found = shading.errors(_attacked(shading, group) if moved else {})
-    need(found.exact <= EXACT, f"the judge's picture is off by {found.exact:.1e}")
+    need(found.exact <= EXACT, f"the exact image is off by {found.exact:.1e}")
     need(
         moved or found.loop <= plan.error + EXACT, f"an error of {found.loop:.1e} where the plan says {plan.error:.1e}"
     )
@@ -49,28 +51,28 @@ def _picture(radiance: Floats, group: str, moved: bool, tolerance: Tolerance = D
     )
 
 
-def _slope(group: str) -> Measured:
-    error = _compiled(0.3 * sky(), group).slope_error({}, group, 1e-2)
-    return Measured(error, SLOPE, "relative error of the gradient, against differences of the definition")
+def _gradient(group: str) -> Measured:
+    error = _compiled(0.3 * sky(), group).gradient_error({}, group, 1e-2)
+    return Measured(error, GRADIENT, "relative error of the gradient, against differences of the definition")
 
 
 def _signs() -> Measured:
     """Each texel of the map has an edge where it sets behind the horizon, and a smooth table rounds these off.
 
-    So the table's gradient is a few per cent off where the picture is right to its tolerance; FGSM goes by its signs.
+    So the table's gradient is a few per cent off where the image is right to its tolerance; FGSM goes by its signs.
     """
     scene = placed(radiance=0.3 * sky(), size=TABLES, thing={"material": "plastic"})
     loop, exact = (Shading.of(scene, ("normals",), tolerance) for tolerance in (DEFAULT_TOLERANCE, "exact"))
     need("table" in " ".join(stage.method for stage in loop.renderer.plan.stages), "there is no table to look at")
     covered = (exact.gbuffer.coverage > 0)[..., None].expand(-1, -1, 2)
-    error = exact.slope_error({}, "normals", 1e-5, covered)
+    error = exact.gradient_error({}, "normals", 1e-5, covered)
     need(error <= EXACT, f"the exact gradient is off by {error:.1e} from differences of the definition")
     found, wanted = (shading.gradient({}, "normals")[0] for shading in (loop, exact))
     aligned = float(torch.cosine_similarity(found.flatten(), wanted.flatten(), dim=0))
     need(aligned > 0.99, f"the cosine of the gradient to the exact one is {aligned:.4f}")
-    # A step by signs gains Σ|slope| where all are right, and loses 2|slope| for each that is wrong.
+    # A step by signs gains Σ|gradient| where all are right, and loses 2|gradient| for each that is wrong.
     lost = float(2 * wanted[found.sign() != wanted.sign()].abs().sum() / wanted.abs().sum())
-    return Measured(lost, SLOPE, f"share of a signed step's gain lost to wrong signs; the cosine is {aligned:.4f}")
+    return Measured(lost, LOST, f"share of a signed step's gain lost to wrong signs; the cosine is {aligned:.4f}")
 
 
 def _dark(radiance: Floats) -> Measured:
@@ -78,28 +80,28 @@ def _dark(radiance: Floats) -> Measured:
     shading = _compiled(radiance, "illumination")
     off = {"illumination": torch.zeros_like(shading.renderer.initial()["illumination"])}
     with torch.no_grad():
-        picture = shading.renderer.render({g: v[None] for g, v in off.items()})[0]
-    slope, _ = shading.gradient(off, "illumination")
-    need(bool((slope[np.asarray(radiance).sum(axis=2) > 0] != 0).any()), "light cannot come back")
+        image = shading.renderer.render({g: v[None] for g, v in off.items()})[0]
+    gradient, _ = shading.gradient(off, "illumination")
+    need(bool((gradient[np.asarray(radiance).sum(axis=2) > 0] != 0).any()), "light cannot come back")
     full = shading.gbuffer.coverage == 1
-    return Measured(float(picture[full].abs().max()), 0.0, "brightest displayed value of a covered pixel")
+    return Measured(float(image[full].abs().max()), 0.0, "brightest displayed value of a covered pixel")
 
 
 def cases() -> list[Case]:
     """The cases of this family."""
     family, same = "plans", "within the tolerance; at the start within the plan's estimate"
-    slope = "the gradient is that of the definition"
+    gradient = "the gradient is that of the definition"
     strong = sun(1e6, 1.0)
     found = []
     for group in ("normals", "illumination", "material"):
-        own, far = partial(_picture, strong, group, False), partial(_picture, strong, group, True)
+        own, far = partial(_image, strong, group, False), partial(_image, strong, group, True)
         found.append(Case(f"{group} only, sun of 1e6", family, "one texel of 512 on metal", same, own))
         found.append(Case(f"{group} only, moved far", family, "what the plan was not made for", same, far))
     return [
         *found,
-        Case("normals only, slope", family, "128 edges under a smooth table", "the signs that FGSM goes by", _signs),
-        Case("illumination only, slope", family, "128 texels at once", slope, lambda: _slope("illumination")),
-        Case("material only, slope", family, "108 numbers at once", slope, lambda: _slope("material")),
+        Case("normals only, gradient", family, "128 edges under a smooth table", "the signs that FGSM goes by", _signs),
+        Case("illumination only, gradient", family, "128 texels at once", gradient, lambda: _gradient("illumination")),
+        Case("material only, gradient", family, "108 numbers at once", gradient, lambda: _gradient("material")),
         Case(
             "illumination only, off",
             family,
@@ -113,7 +115,7 @@ def cases() -> list[Case]:
                 family,
                 "normals attacked, on metal",
                 same,
-                partial(_picture, sky(), "normals", True, tolerance),
+                partial(_image, sky(), "normals", True, tolerance),
             )
             for tolerance in ("exact", 1e-6, 1e-5, 1e-2, 0.1)
         ),

@@ -19,24 +19,24 @@ from services.rendering.image_renderer import ImageRenderer
 
 
 def _parameters() -> Measured:
-    """Parameters in bfloat16 are those numbers, no worse: the picture is computed in the renderer's own type."""
+    """Parameters in bfloat16 are those numbers, no worse: the image is computed in the renderer's own type."""
     renderer = build(placed(radiance=sky()), "torch")
     short = {g: v.to(torch.bfloat16)[None] for g, v in renderer.initial().items()}
     with torch.no_grad():
         first, second = renderer.render(short), renderer.render({g: v.float() for g, v in short.items()})
-    need(first.dtype == torch.float32, f"the picture is {first.dtype}")
-    need(float(first.std()) > 0.01, "the picture shows nothing")
+    need(first.dtype == torch.float32, f"the image is {first.dtype}")
+    need(float(first.std()) > 0.01, "the image shows nothing")
     return Measured(
-        float((first - second).abs().max()), 0.0, "difference from the picture of the same numbers in float32"
+        float((first - second).abs().max()), 0.0, "difference from the image of the same numbers in float32"
     )
 
 
-def _picture() -> Measured:
-    """A picture in bfloat16 is saved as the 8 bits nearest to what it holds."""
+def _image() -> Measured:
+    """An image in bfloat16 is saved as the 8 bits nearest to what it holds."""
     values = torch.linspace(0, 1, 4096).to(torch.bfloat16)
     wanted = torch.from_numpy(np.rint(values.double().numpy() * 255) / 255)
     shown = ImageRenderer(values.reshape(64, 64, 1).expand(-1, -1, 3), "numbers").initial()["image"]
-    need(shown.dtype == torch.float32, f"the picture is {shown.dtype}")
+    need(shown.dtype == torch.float32, f"the image is {shown.dtype}")
     return Measured(
         float((as_saved(values).double() - wanted).abs().max()), 1e-7, "difference from rounding in float64"
     )
@@ -56,8 +56,8 @@ def _scores() -> Measured:
 
 def _network() -> Measured:
     """A network in bfloat16 hands out float32 scores, as close as its own type allows."""
-    pictures = torch.rand(8, SIDE, SIDE, 3, generator=torch.Generator().manual_seed(6))
-    short, long = (linear_network(dtype=t).logits(pictures) for t in (torch.bfloat16, torch.float64))
+    images = torch.rand(8, SIDE, SIDE, 3, generator=torch.Generator().manual_seed(6))
+    short, long = (linear_network(dtype=t).logits(images) for t in (torch.bfloat16, torch.float64))
     need(short.dtype == torch.float32, f"the scores are {short.dtype}")
     error = float((short.double() - long.double()).abs().max() / long.abs().max())
     # Weights and pixels rounded to 8 bits of mantissa, 192 products that err at random, and the score itself.
@@ -89,7 +89,7 @@ def cases() -> list[Case]:
     family, refused = "precision", "a clear error names the field"
     return [
         Case("bf16 parameters", family, "8 bits of mantissa", "shaded in float32", _parameters),
-        Case("bf16 picture", family, "8 bits of mantissa", "the nearest of 256 values", _picture),
+        Case("bf16 image", family, "8 bits of mantissa", "the nearest of 256 values", _image),
         Case("bf16 scores", family, "a sum of 1,000 exponentials", "log-odds as of float64", _scores),
         Case("bf16 network", family, "8 bits of mantissa", "float32 scores, as close as bf16 allows", _network),
         Case("seeds 0 and 2⁶³ − 1", family, "the ends of the range", "reproducible, and all different", _seeds),

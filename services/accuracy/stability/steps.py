@@ -33,14 +33,14 @@ def _no_step(renderer: Renderer, group: str) -> Measured:
     """η = 0 moves nothing, however often."""
     found = _fgsm(renderer, group, 120, learning_rate={group: 0.0})
     need(not bool(found.stored[group].any()), "the perturbation is not zero")
-    # Pictures with a gradient may be computed in another order than the original, to float32's rounding.
+    # Images with a gradient may be computed in another order than the original, to float32's rounding.
     moved = max(row.perceptibility for row in found.trace)
-    need(len({row.perceptibility for row in found.trace}) == 1, "the picture changes from step to step")
+    need(len({row.perceptibility for row in found.trace}) == 1, "the image changes from step to step")
     return Measured(moved, 2e-7, "largest perceptibility in 120 steps, all alike; the perturbation is exactly 0")
 
 
 def _giant_step(group: str) -> Measured:
-    """η = 1e3: whatever the parameters become, they are within bounds, and the loop's picture is that of the judge."""
+    """η = 1e3: the parameters stay within bounds, and the loop's image is that of the exact renderer."""
     scene = placed(radiance=sky(), size=(16, 16))
     renderer = build(scene, "torch")
     found = _fgsm(renderer, group, 120, learning_rate={group: 1e3})
@@ -50,16 +50,16 @@ def _giant_step(group: str) -> Measured:
     need(float(found.stored[group].abs().max()) > 1.0, "it does not move")
     rounding = 1e-6 * (1 + value.abs())
     need(bool((value >= low - rounding).all() and (value <= high + rounding).all()), "a parameter is out of bounds")
-    pictures = []
+    images = []
     for one in (renderer, renderer.exact()):
         start = one.initial()[group]
         with torch.no_grad():
-            pictures.append(one.render({group: (start + found.stored[group].to(start.dtype))[None]})[0].double())
-        need(bool(torch.isfinite(pictures[-1]).all()), "a picture has values that are not finite")
+            images.append(one.render({group: (start + found.stored[group].to(start.dtype))[None]})[0].double())
+        need(bool(torch.isfinite(images[-1]).all()), "an image has values that are not finite")
     return Measured(
-        float((pictures[0] - pictures[1]).abs().max()),
+        float((images[0] - images[1]).abs().max()),
         LOOP,
-        "largest difference of the loop's picture from the judge's",
+        "largest difference of the loop's image from the exact one",
     )
 
 
@@ -74,15 +74,15 @@ def _far_angles() -> Measured:
     exact = renderer.exact()
     start = exact.initial()["normals"]
     wanted = exact.render({"normals": (start + perturbation["normals"].to(start.dtype))[None]})[0]
-    need(bool(torch.isfinite(seen).all()), "the picture has values that are not finite")
+    need(bool(torch.isfinite(seen).all()), "the image has values that are not finite")
     need(float((seen - problem.original[0]).abs().max()) > 0.01, "it does not move")
     return Measured(
-        float((seen.double() - wanted).abs().max()), LOOP, "largest difference of the loop's picture from the judge's"
+        float((seen.double() - wanted).abs().max()), LOOP, "largest difference of the loop's image from the exact one"
     )
 
 
 def _giant_zoo() -> Measured:
-    """η = 1e3 through pyrender: out of the picture and beyond every light, within bounds and finite."""
+    """η = 1e3 through pyrender: out of the image and beyond every light, within bounds and finite."""
     renderer = build(placed(size=(16, 16)), "pyrender")
     problem = linear_problem(renderer)
     method = ZooMethod(Zoo(method="zoo", renderer="pyrender", delta=1e-2, learning_rate=1e3, steps=20), problem)
@@ -106,7 +106,7 @@ def _giant_decay() -> Measured:
     return Measured(float(torch.maximum(-shown, shown - 1).max()), 1e-7, "how far any pixel is out of [0,1]")
 
 
-def _no_slope() -> Measured:
+def _no_gradient() -> Measured:
     """A black object shows no light, material or normals: 120 steps with zero gradients, all reported flat."""
     renderer = build(placed(thing={"color": (0, 0, 0)}, size=(16, 16)), "torch")
     problem = linear_problem(renderer)
@@ -167,7 +167,7 @@ def cases() -> list[Case]:
                 f"η = 1e3, {group}",
                 family,
                 "120 steps of 1,000 and more",
-                "in bounds; loop and judge agree",
+                "in bounds; loop and exact image agree",
                 partial(_giant_step, group),
                 "clipped",
             )
@@ -177,7 +177,7 @@ def cases() -> list[Case]:
             "normals + 1e6",
             family,
             "float32 has 0.06 radians left there",
-            "held where it has 1e-5; loop and judge agree",
+            "held where it has 1e-5; loop and exact image agree",
             _far_angles,
             "clipped",
         ),
@@ -188,7 +188,7 @@ def cases() -> list[Case]:
             family,
             "a black object",
             "stays, and every step is reported flat",
-            _no_slope,
+            _no_gradient,
             "flat",
         ),
         Case("momentum, no gradient", family, "120 steps after one push", "the closed form", _coasting),

@@ -50,7 +50,7 @@ def any_number_of_labels(patch) -> None:
 
 
 def never_flat(patch) -> None:
-    """Differences of rounding are taken for slopes; the way between the sides is always said to be 2δ and more."""
+    """Differences of rounding are taken for gradients; the way between the sides is always said to be 2δ and more."""
     true = differences.estimate
 
     def estimate(*given):
@@ -110,7 +110,7 @@ def no_limit(patch) -> None:
 
 
 def narrow_rounding(patch) -> None:
-    """Pictures are rounded to 8 bits in their own type."""
+    """Images are rounded to 8 bits in their own type."""
 
     def as_saved(images):
         return color.from_bytes((images.clamp(0, 1) * 255).round().to(torch.uint8))
