@@ -85,7 +85,7 @@ def _from_file(row: int, column: int) -> Measured:
         worst = max(worst, float(np.abs(shown - wanted[:, None])[wanted > 0.1].max()))
         need(float(shown[wanted == 0].max()) < 0.1, "what faces away is lit")
     # γ = 1e-3 takes up to 1 % of the radiance, which is half of that on display; and a pixel's normals are averaged.
-    return Measured(worst, 0.02, "largest error of a displayed value where it is above 0.1, closed form")
+    return Measured(worst, 5e-3, "largest error of a displayed value where it is above 0.1, closed form")
 
 
 def _cleaned(texel: float) -> Measured:
@@ -205,7 +205,7 @@ def cases() -> list[Case]:
                 "the sphere is lit from there",
                 partial(_from_file, row, column),
             )
-            for row, column in ((2, 15), (5, 21), (8, 31), (12, 30))
+            for row, column in ((2, 15), (5, 2), (8, 31), (12, 30))
         ),
         Case("1×1 map", family, "one direction", same, _one_texel),
         Case("light opposite the viewer", family, "a half vector without direction", same, _opposite),

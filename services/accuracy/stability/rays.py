@@ -75,14 +75,15 @@ def cast(scene: ResolvedScene, samples: int, pixels: Longs | None = None) -> Hit
                 planes[seen] = np.cross(b - a, c - a)
     planes = _unit(planes * _sign(-planes, rays))
     positions = eye + np.where(np.isfinite(depth), depth, 0.0)[:, None] * rays
+    normals = _facing(normals, planes, _unit(-rays))
     shape = (len(pixels), samples**2)
-    found = (positions, _facing(normals, planes, _unit(-rays)), colors, planes)
-    return Hits(*(values.reshape(*shape, 3) for values in found), depth.reshape(shape))
+    vectors = [values.reshape(*shape, 3) for values in (positions, normals, colors, planes)]
+    return Hits(vectors[0], vectors[1], vectors[2], vectors[3], depth.reshape(shape))
 
 
 def of_sphere(scene: ResolvedScene, radius: float) -> tuple[Doubles, Bools]:
-    """Normals [P, 3] of a sphere about the origin where the middle rays of some pixels meet it, and which pixels of all,
-    bool [H·W]: those well inside its outline."""
+    """Normals [P, 3] of a sphere about the origin where pixels' middle rays meet it, and which pixels, bool [H·W]:
+    those well inside its outline."""
     eye, rays = scene.view[:3, 3], _unit(_rays(scene, 1, np.arange(np.prod(scene.description.camera.size))))
     nearest = -rays @ eye
     miss = np.linalg.norm(eye + nearest[:, None] * rays, axis=1)
