@@ -61,3 +61,11 @@ def sun(radiance: float, around: float, rows: int = 16, cols: int = 32) -> Float
     found = np.full((rows, cols, 3), around, np.float32)
     found[rows // 4, cols // 4] = radiance
     return found
+
+
+def broad_sun() -> Floats:
+    """A smooth bright region of some hundred texels in a dim sky, [16, 32, 3]: no few texels hold most of its light."""
+    theta, phi = np.meshgrid((np.arange(16) + 0.5) * np.pi / 16, (np.arange(32) + 0.5) * np.pi / 16, indexing="ij")
+    towards = np.stack([np.sin(theta) * np.sin(phi), np.cos(theta), np.sin(theta) * np.cos(phi)], axis=-1)
+    bright = np.exp(6 * (towards @ (0.77, 0.45, 0.45)))
+    return (bright[..., None] * (1.0, 0.9, 0.7) + 0.5).astype(np.float32)

@@ -16,6 +16,7 @@ from services.accuracy.stability import (
     recurrences,
     sizes,
     steps,
+    textures,
     views,
 )
 from services.accuracy.stability.case import Case, Observation, observe
@@ -28,6 +29,7 @@ FAMILIES = (
     views,
     poses,
     meshes,
+    textures,
     lights,
     logits,
     differences,

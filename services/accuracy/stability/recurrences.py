@@ -130,9 +130,7 @@ def _adam(steps: int, weight: float) -> Measured:
     # A difference has 1e-4, and Adam's quotient the relative error of its gradients: those that pass 0 are left out.
     large = np.abs(w) > 2.5 * weight * rate * steps + 0.01
     need(large.mean() > 0.5, f"only {large.mean():.0%} of the gradients are large")
-    return Measured(
-        float(np.abs(found - delta)[large].max()) / rate, 0.02 * steps, "error of the perturbation, in steps"
-    )
+    return Measured(float(np.abs(found - delta)[large].max()) / rate, 1e-2, "error of the perturbation, in steps")
 
 
 def cases() -> list[Case]:
