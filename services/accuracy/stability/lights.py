@@ -10,6 +10,7 @@ from torch import Tensor
 from services.accuracy.placing import placed
 from services.accuracy.stability.case import Case, Measured, need
 from services.accuracy.stability.point_lights import Lamps, expected
+from services.accuracy.stability.shapes import ball
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.scenes.mesh import FIT_RADIUS
 
@@ -175,6 +176,13 @@ def cases() -> list[Case]:
             "body, coat, sky and fall-off together",
             formula,
             lambda: _against_formula("primitive/cube", Lamps(0.25, np.array(four)), glossy),
+        ),
+        Case(
+            "smooth normals on large faces",
+            family,
+            "interpolated normals of length 0.9",
+            formula,
+            lambda: _against_formula(ball(0.6), Lamps(0.25, np.array(four)), {"color": (0.8, 0.35, 0.05)}, 5.0),
         ),
         Case(
             "grazing light",

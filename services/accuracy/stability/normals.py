@@ -91,7 +91,7 @@ def _edge_on() -> Measured:
     wanted = np.array([np.sin(pi / 2 - 0.01), 0.0, np.cos(pi / 2 - 0.01)])
     off = np.minimum(np.linalg.norm(normals - wanted, axis=1), np.linalg.norm(normals + wanted, axis=1))
     return Measured(
-        float(off.max()), 2e-2, "distance to the square's own normal; a normal beyond the horizon is put on it"
+        float(off.max()), 1e-5, "distance to the square's own normal; a normal beyond the horizon is put on it"
     )
 
 

@@ -1,6 +1,7 @@
 """Objects of a few triangles whose every corner is known."""
 
 import numpy as np
+import trimesh
 
 from services.scenes.mesh import Bytes, Doubles, Part
 
@@ -24,6 +25,13 @@ def box(centre: tuple[float, float, float], side: float) -> tuple[Part, ...]:
             corners = corners if sign > 0 else corners[::-1]
             parts.append(_part(np.asarray(centre) + side / 2 * corners, tuple(out), corners[:, :2], None, 1.0))
     return tuple(parts)
+
+
+def ball(radius: float) -> tuple[Part, ...]:
+    """A white sphere of 80 large faces and smooth normals: between its corners these are much shorter than 1."""
+    mesh = trimesh.creation.icosphere(subdivisions=1)
+    corners = np.asarray(mesh.vertices, np.float32)
+    return (Part(radius * corners, corners, np.asarray(mesh.faces, np.int32), None, np.ones(4, np.float32), None),)
 
 
 def _part(
