@@ -58,7 +58,8 @@ def show(mesh: Annotated[str, typer.Argument(help="A name from `assets list`.")]
         "parts": len(loaded.parts),
         "faces": sum(len(part.faces) for part in loaded.parts),
         "vertices": sum(len(part.vertices) for part in loaded.parts),
-        "textured parts": sum(part.texture is not None for part in loaded.parts),
+        "textured parts": sum(part.textured for part in loaded.parts),
+        "metallic-roughness parts": sum(part.metallic_roughness is not None for part in loaded.parts),
         "credit": loaded.credit,
     }
     if as_json:

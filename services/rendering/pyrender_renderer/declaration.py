@@ -1,14 +1,9 @@
-"""The pyrender renderer's groups: point lights, colours and poses.
+"""The pyrender renderer's groups: lights, colours and poses.
 
-With one object and one light they are the paper's 14 numbers.
+With one object and one point light they are the paper's 14 numbers.
 """
 
 from services.rendering.declaration import Declaration, Group, labelled, register
-
-
-def _lights(shape: tuple[int, ...]) -> list[str]:
-    """Labels of [1 + 4 points] values."""
-    return ["ambient", *labelled("point {}", ("energy", "x", "y", "z"))((shape[0] // 4, 4))]
 
 
 PYRENDER = Declaration(
@@ -16,10 +11,11 @@ PYRENDER = Declaration(
     groups=(
         Group(
             name="illumination",
-            shape=("1 + 4 points",),
-            unit="ambient radiance; then per point light its energy / 30 and its position in scene units",
+            shape=("1 + 4 points + 4 directional + 7 spots",),
+            unit="ambient radiance; then per point light its energy / 30 and its position in scene units, per "
+            "directional light its energy / 3 and its direction, per spot light its energy / 30, position and direction",
             words="illumination",
-            labels=_lights,
+            # The labels depend on the kinds of the lights, not on their number alone: see `PyrenderRenderer.names`.
         ),
         Group(
             name="color",

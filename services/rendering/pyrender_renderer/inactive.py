@@ -57,27 +57,37 @@ def inactive_coordinates(renderer: Linear, parameters: Values, reach: Mapping[st
 
 
 def _lights(renderer: Linear, at: Values, reach: float) -> list[InactiveCoordinate]:
-    """The ambient light, and each point light where it is and around it, with one unit of it alone."""
+    """The ambient light, and each other light where it is and around it, with one unit of it alone.
+
+    The directions from which a directional light reaches no pixel are a convex cone, so that the same six points prove
+    them. Those of a spot light, and its positions, are no convex set: they are idle only where it has no energy.
+    """
     lights = at["illumination"]
     alone = torch.zeros_like(lights)
     alone[0] = 1.0
     found = []
     if _dark(renderer, at, alone):
         found.append(_inactive(renderer, "illumination", 0, "no object is in the picture"))
-    for i in range((len(lights) - 1) // 4):
-        energy, places = 1 + 4 * i, [2 + 4 * i, 3 + 4 * i, 4 + 4 * i]
+    for kind, energy, others in _coordinates(renderer.names("illumination") or [], len(lights)):
         alone = torch.zeros_like(lights)
         alone[energy] = 1.0
-        alone[places] = lights[places]
+        alone[others] = lights[others]
         behind = _dark(renderer, at, alone)
         if behind:
             found.append(_inactive(renderer, "illumination", energy, "the light is behind all that is seen"))
         if lights[energy] == 0:
-            found += [_inactive(renderer, "illumination", place, "the light has no energy") for place in places]
-        elif behind and all(_dark(renderer, at, moved) for moved in _around(alone, places, reach)):
+            found += [_inactive(renderer, "illumination", place, "the light has no energy") for place in others]
+        elif behind and kind != "spot" and all(_dark(renderer, at, moved) for moved in _around(alone, others, reach)):
             why = f"the light is behind all that is seen, and would be from anywhere within {reach:g}"
-            found += [_inactive(renderer, "illumination", place, why) for place in places]
+            found += [_inactive(renderer, "illumination", place, why) for place in others]
     return found
+
+
+def _coordinates(names: list[str], count: int) -> Iterator[tuple[str, int, list[int]]]:
+    """For each light of the group `illumination` its kind, the index of its energy, and of its other coordinates."""
+    energies = [index for index, name in enumerate(names) if name.endswith(" energy")]
+    for energy, following in zip(energies, [*energies[1:], count], strict=True):
+        yield names[energy].split()[0], energy, list(range(energy + 1, following))
 
 
 def _around(lights: Tensor, places: list[int], reach: float) -> Iterator[Tensor]:

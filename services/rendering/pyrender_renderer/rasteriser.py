@@ -76,12 +76,17 @@ def draw(
     closed: bool,
 ) -> list[tuple[Image, int] | None]:
     """Of each pass the radiance [pictures, rows, columns, 4] of its part, the bottom row first, and how many faces
-    show; None where something is cut by the frame or the near plane, and the driver would draw other faces.
+    show; None where something is cut by the frame or the near plane, and the driver would draw other faces, and for
+    glTF materials and lights other than point lights.
 
     `size` (height, width) of the whole picture; samples [4, 2], x and y in a pixel from its lower left corner;
     `closed`: of closed surfaces only the outside is drawn. OpenGL must have drawn the drawing before: its textures are
     asked back.
     """
+    if any(piece.metallic_roughness is not None for piece in drawing.pieces) or any(
+        any(lit.light_counts[1:]) for lit in passes
+    ):
+        return [None] * len(passes)  # it knows neither glTF materials nor directional and spot lights
     pieces = [_of_piece(piece) for piece in drawing.pieces]
     table = (_Piece * len(pieces))(*(piece for piece, _ in pieces))
     frame = _Frame(

@@ -114,8 +114,12 @@ class PyrenderRenderer(DeclaredRenderer):
         """The scene's own values, float64."""
         return self._numbers.initial()
 
+    def names(self, group: str) -> list[str] | None:
+        """A label for each coordinate of a group, in flat order."""
+        return self._numbers.light_names() if group == "illumination" else super().names(group)
+
     def bounds(self) -> Mapping[str, tuple[Tensor, Tensor]]:
-        """Light is not negative, colours lie in [0,1]; positions and rotations are free."""
+        """Light is not negative, colours lie in [0,1]; positions, directions and rotations are free."""
         return self._numbers.bounds()
 
     def exact(self) -> "PyrenderRenderer":
@@ -233,7 +237,7 @@ class PyrenderRenderer(DeclaredRenderer):
             samples=rasteriser.SAMPLES,
             outputs=len(lit.colors),
             blend=True,
-            lights=lit.points.shape[1],
+            lights=lit.light_counts,
             rectangle=lit.part,
             insides="like outsides" if not self._closed else "behind" if self._plain else "left out",
         )
