@@ -28,6 +28,7 @@ class UploadedMaterial:
     """A material, its textures and the constants of `Program` that draw it."""
 
     material: MetallicRoughness
+    opacity: float
     textures: Mapping[MapName, LinearTexture]
 
     @property
@@ -41,6 +42,7 @@ class UploadedMaterial:
         """Set the uniforms that the program uses, and bind the textures."""
         m = self.material
         values = {
+            "opacity": self.opacity,
             "metallic": m.metallic,
             "roughness": m.roughness,
             "emissive": np.array(m.emissive),
@@ -81,7 +83,7 @@ def upload_material(
             emissiveTexture=held.get("emissive"),
         ),
     )
-    return primitive, UploadedMaterial(material, held)
+    return primitive, UploadedMaterial(material, float(part.color[3]), held)
 
 
 def _texture(name: MapName, one: TextureMap, textures: Textures) -> LinearTexture:

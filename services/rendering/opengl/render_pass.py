@@ -147,11 +147,12 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
                     program.set(name, values[piece.index])
             ready[program] = piece.index
             program.set("base_colors[0]", piece.part.color[:3] * colors[:, piece.index])
-            program.set("opacity", float(piece.part.color[3]))
             if piece.texture is not None:
                 program.set("base_color_texture", 0)
                 piece.texture._bind()
-            if piece.material is not None:
+            if piece.material is None:
+                program.set("opacity", float(piece.part.color[3]))
+            else:
                 piece.material.bind(program)
             see_through = blend and not piece.solid
             (GL.glEnable if see_through else GL.glDisable)(GL.GL_BLEND)
