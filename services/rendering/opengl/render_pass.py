@@ -139,7 +139,8 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
             program._bind()
             if program not in ready:
                 for name, value in ({"eye": view.eye} | dict(uniforms)).items():
-                    program.set(name, value)
+                    if piece.material is None or program.has(name):  # opaque materials need no opacity thresholds
+                        program.set(name, value)
             if ready.get(program) != piece.index:
                 for name, value in of_objects[piece.index].items():
                     program.set(name, value)
