@@ -18,10 +18,10 @@ REASONS = {
     "two UV sets": "Stock pyrender looks every texture up at the first set of texture coordinates.",
 }
 """Why a model's difference may reach the limit."""
-REST = """What remains elsewhere: texels at the edges of squares (stock pyrender filters sRGB before it decodes it), normals
-bent beyond the light (it lights them with a cosine of 0.001, we with 0), and the edges of a mask (cut by texels here, by
-faces where stock pyrender is put right). With ambient light the two differ by design: stock pyrender adds ambient light
-times base colour, for metals too."""
+REST = """What remains elsewhere: texels at the edges of squares (stock pyrender filters sRGB before it decodes it),
+normals bent beyond the light (it lights them with a cosine of 0.001, we with 0), and the edges of a mask (cut by texels
+here, by faces where stock pyrender is put right). With ambient light the two differ by design: stock pyrender adds
+ambient light times base colour, for metals too."""
 _HEAD = ("model", "point", "directional", "spot", "with the reason put right", "reason")
 
 

@@ -5,15 +5,15 @@ With one object and one point light they are the paper's 14 numbers.
 
 from services.rendering.declaration import Declaration, Group, labelled, register
 
-
 PYRENDER = Declaration(
     name="pyrender",
     groups=(
         Group(
             name="illumination",
             shape=("1 + 4 points + 4 directional + 7 spots",),
-            unit="ambient radiance; then per point light its energy / 30 and its position in scene units, per "
-            "directional light its energy / 3 and its direction, per spot light its energy / 30, position and direction",
+            unit="ambient radiance; then per point light its energy / 30 and its position in scene units; per "
+            "directional light its energy / 3 and its direction; per spot light its energy / 30, its position and its "
+            "direction",
             words="illumination",
             # The labels depend on the kinds of the lights, not on their number alone: see `PyrenderRenderer.names`.
         ),

@@ -49,14 +49,16 @@ ROUNDING = 1e-3
 class PyrenderRenderer(DeclaredRenderer):
     """Images of a scene as a function of its lights, colours and poses.
 
-    Groups, all float tensors: `illumination` [1 + 4 points] (ambient; then per point light its energy / 30 and x, y,
-    z), `color` [objects, 3] (linear factor on the mesh's own colours), `translation` [objects, 3] (scene units),
-    `rotation` [objects, 3] (rotation vectors, radians). With one object and one light these are the paper's 14 numbers.
+    Groups, all float tensors: `illumination` [1 + 4 points + 4 directional + 7 spots] (ambient; then per point light
+    its energy / 30 and x, y, z; per directional light its energy / 3 and the direction it travels in; per spot light
+    its energy / 30, position and direction), `color` [objects, 3] (linear factor on the mesh's own colours),
+    `translation` [objects, 3] (scene units), `rotation` [objects, 3] (rotation vectors, radians). With one object and
+    one point light these are the paper's 14 numbers.
 
-    A Lambertian body under a thin glossy coat, lit without shadows or bounces: `shaders/radiance.frag` has the
-    formula. Silhouettes are multisampled; the ground is composited as displayed, by coverage. Of closed surfaces only
-    the outside is seen. Everything is drawn in the process's one OpenGL context, so only the thread that used it first
-    may render.
+    A Lambertian body under a thin glossy coat, or the metallic-roughness material of a glTF file, lit without shadows
+    or bounces: `shaders/radiance.frag` has the formulas. Silhouettes are multisampled; the ground is composited as
+    displayed, by coverage. Of closed surfaces only the outside is seen. Everything is drawn in the process's one OpenGL
+    context, so only the thread that used it first may render.
 
     The pictures of a batch share what they can (`sharing`), nothing is drawn where no object is, and loops draw what
     they can instead of OpenGL (`raster`), if they give the start's picture its bits. `plan` says how much that is. It
@@ -147,7 +149,8 @@ class PyrenderRenderer(DeclaredRenderer):
     def radiance(self, parameters: Mapping[str, Tensor]) -> Tensor:
         """Linear, unclamped radiance times coverage, and coverage: float32 [B, H, W, 4]. Before exposure and display.
 
-        Strictly linear in the ambient light and in each light's energy. Raises as `render` does.
+        Strictly linear in the ambient light and in each light's energy, but for what glTF materials emit. Raises as
+        `render` does.
         """
         return self._draw(parameters, torch.zeros(4), lambda radiance: radiance)
 

@@ -64,14 +64,20 @@ def compile_plan(
     groups: Sequence[str],
     tolerance: Tolerance,
     size: tuple[int, int],
+    file_materials: int = 0,
 ) -> tuple[list[Recipe], Plan]:
-    """A recipe for each object and the plan that says so. `illumination` [D], the scene's own; deterministic."""
+    """A recipe for each object and the plan that says so. `illumination` [D], the scene's own; `file_materials`: how
+    many of the meshes' parts bring a material of their own, of which only the base colour and the normals are drawn.
+    Deterministic."""
     recipes, items, stages, gradients = [], [], [], []
     pixels = sum(len(surface.angles) for surface in surfaces)
     items.append(Item(what="pixels", kept=pixels, of=size[0] * size[1], why="the others show the ground alone"))
     seen = [surface for surface in surfaces if len(surface.angles)]
     if len(seen) < len(surfaces):
         items.append(Item(what="objects", kept=len(seen), of=len(surfaces), why="the others are seen by no pixel"))
+    if file_materials:
+        why = "metallic, roughness, emission and occlusion are ignored: the torch renderer has materials of its own"
+        items.append(Item(what="materials of the file", kept=0, of=file_materials, why=why))
     why = "the other groups keep their values"
     items.append(Item(what="gradients", kept=len(groups), of=3, why=why if len(groups) < 3 else "all are attacked"))
     for surface in surfaces:

@@ -109,7 +109,8 @@ class TorchRenderer(DeclaredRenderer):
             )
         ]
         intensity = rounded["illumination"].flatten()
-        recipes, plan = compile_plan(surfaces, sky, intensity, groups, tolerance, self.size)
+        own = sum(part.metallic_roughness is not None for mesh in scene.meshes for part in mesh.parts)
+        recipes, plan = compile_plan(surfaces, sky, intensity, groups, tolerance, self.size, own)
         self.shaders = [
             Shader(recipe, sky, surface, intensity) for recipe, surface in zip(recipes, surfaces, strict=True)
         ]

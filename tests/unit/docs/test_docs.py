@@ -10,7 +10,15 @@ from api.main import create_app
 from services.attacks.spec import Goal
 from services.pipeline import field_tables
 from services.rendering.torch_renderer.presets import presets
-from services.scenes.description import Camera, Environment, Lights, PointLight, SceneObject
+from services.scenes.description import (
+    Camera,
+    DirectionalLight,
+    Environment,
+    Lights,
+    PointLight,
+    SceneObject,
+    SpotLight,
+)
 from services.settings import Settings
 from tests.unit.client.test_cli import COMMANDS
 
@@ -35,7 +43,9 @@ def test_operations_has_every_setting_and_its_default() -> None:
         assert f"| `SCENE_ATTACK_{name.upper()}` | {default} | {field.description} |" in text("operations.md")
 
 
-@pytest.mark.parametrize("model", [Camera, SceneObject, Lights, PointLight, Environment, Goal])
+@pytest.mark.parametrize(
+    "model", [Camera, SceneObject, Lights, PointLight, DirectionalLight, SpotLight, Environment, Goal]
+)
 def test_scene_page_has_every_field_as_it_is_described(model: type[BaseModel]) -> None:
     page = text("scene.md")
     for name, field in model.model_fields.items():
