@@ -120,8 +120,8 @@ def _adam(steps: int, weight: float) -> Measured:
     w = linear_gradient().numpy().ravel()
     delta, first, second = (np.zeros_like(w) for _ in range(3))
     for step in range(1, steps + 1):
-        flat = method.advance(problem, problem.view(method.perturbation), step)
-        need(flat <= 2, f"{flat} differences are below the noise")
+        below = method.advance(problem, problem.view(method.perturbation), step)
+        need(below <= 2, f"{below} differences are below the noise")
         gradient = w + 2 * weight * delta
         first, second = 0.9 * first + 0.1 * gradient, 0.999 * second + 0.001 * gradient**2
         delta = delta - rate * (first / (1 - 0.9**step)) / (np.sqrt(second / (1 - 0.999**step)) + 1e-8)

@@ -165,9 +165,12 @@ def files_upside_down(patch) -> None:
 
 
 def unchecked_tables(patch) -> None:
-    """What is looked up is 1 % too bright, and the pixels that are summed beside it are not compared."""
+    """What is looked up for a whole image is 1 % too bright, and the pixels that are summed beside it are not compared.
+
+    The plan, which looks up a few normals, takes the table for good.
+    """
     true = shader.look_up
-    patch.setattr(shader, "look_up", lambda table, angles: 1.01 * true(table, angles))
+    patch.setattr(shader, "look_up", lambda table, at: true(table, at) * (1.01 if len(at) > 5000 else 1.0))
     patch.setattr(shader, "displayed_error", lambda *_: 0.0)
 
 

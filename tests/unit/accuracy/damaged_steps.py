@@ -24,13 +24,13 @@ def estimates(change):
     return apply
 
 
-def _one_sided(_, problem, at, coordinates, deltas, noise):
+def _one_sided(_, problem, at, coordinates, half_steps, noise):
     moved = at.repeat(len(coordinates) + 1, 1)
-    moved[torch.arange(len(coordinates)), coordinates] += deltas.to(moved.dtype)
+    moved[torch.arange(len(coordinates)), coordinates] += half_steps.to(moved.dtype)
     scores = evaluate(problem, moved)
     change = scores[:-1] - scores[-1]
-    flat = change.abs() <= noise
-    return Estimate(torch.where(flat, 0.0, change / deltas), flat)
+    below_noise = change.abs() <= noise
+    return Estimate(torch.where(below_noise, 0.0, change / half_steps), below_noise)
 
 
 def _scaled(true, *given):
