@@ -47,8 +47,7 @@ MUTANTS = [
     (scenes.other_inverse_gamma, {"precision": ["display curve"]}),
     (scenes.squared_coverage, {"poses": ["silhouette of a square"]}),
     (scenes.squared_coverage_over_ground, {"poses": ["silhouette of a square"]}),
-    (scenes.turned_back, {"poses": ["turned object"]}),
-    (scenes.turned_back_by_attacks, {"poses": ["object turned by an attack"]}),
+    (scenes.turned_back, {"poses": ["turned object", "object turned by an attack"]}),
     (scenes.mirrored_camera, {"poses": ["turned object"]}),
     # attacks
     (steps.one_sided_differences, {"recurrences": [*DIFFERENCES, "ZOO, 8 steps, λ 0.5"], "differences": ["δ = 1"]}),
