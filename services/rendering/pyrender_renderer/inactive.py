@@ -3,8 +3,8 @@
 Radiance is linear in the ambient light and in each energy, but for what glTF materials emit. So what two values of
 one of these do, all values do: a light that adds nothing at energy 1 adds nothing at any. In a colour factor it is
 linear or, for a glTF material that is part metal, quadratic: what three values do, all do. A light's position is not
-linear, but the positions from which it reaches no pixel are a convex set: for every pixel the half-space behind its surface. If they
-hold six points around a position, they hold all between.
+linear, but the positions from which it reaches no pixel are a convex set: for every pixel the half-space behind its
+surface. If they hold six points around a position, they hold all between.
 """
 
 from collections.abc import Iterator, Mapping

@@ -23,11 +23,12 @@ def test_labels_follow_the_axes() -> None:
 
 
 def test_labels_of_the_built_in_groups() -> None:
-    color = PYRENDER.group("color").labels
+    colors = PYRENDER.group("color").labels
     material = TORCH.group("material").labels
-    assert color is not None
+    assert colors is not None
     assert material is not None
-    assert color((2, 3))[-1] == "object 1 color blue"
+    assert colors((2, 3))[::5] == ["object 0 color red", "object 1 color blue"]
+    assert len(colors((2, 3))) == 6
     assert material((2, 3, 3, 2, 6))[-1] == "object 1 blue lobe 2 gamma 5"
     assert len(material((2, 3, 3, 2, 6))) == 2 * 3 * 3 * 2 * 6
 
