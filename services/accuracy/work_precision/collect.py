@@ -5,7 +5,13 @@ from dataclasses import dataclass, field
 from functools import cache, partial
 
 from services.accuracy.provenance import PACKAGES, backend
-from services.accuracy.work_precision import attack_runs, gradients_pyrender, gradients_torch, network_signs
+from services.accuracy.work_precision import (
+    attack_runs,
+    gradients_pyrender,
+    gradients_torch,
+    map_resolution,
+    network_signs,
+)
 from services.accuracy.work_precision.attack_runs import AttackRow
 from services.accuracy.work_precision.convergence import OrderRow, shading_orders, smooth_orders
 from services.accuracy.work_precision.gradients import (
@@ -16,6 +22,7 @@ from services.accuracy.work_precision.gradients import (
     differences,
 )
 from services.accuracy.work_precision.independent_check import IndependentRow, comparisons
+from services.accuracy.work_precision.map_resolution import MapRow
 from services.accuracy.work_precision.network_signs import SignRow
 from services.accuracy.work_precision.progress import Progress
 from services.accuracy.work_precision.shading_methods import TOO_MANY, ShadingMethod, methods
@@ -90,6 +97,7 @@ class Found:
     independent: list[IndependentRow] = field(default_factory=list)
     shading: list[ShadingRow] = field(default_factory=list)
     cannot_run: list[CannotRunRow] = field(default_factory=list)
+    maps: list[MapRow] = field(default_factory=list)
     orders: list[OrderRow] = field(default_factory=list)
     signs: list[SignRow] = field(default_factory=list)
     references: list[Reference] = field(default_factory=list)
@@ -110,6 +118,7 @@ def collect(extent: Extent, progress: Progress | None = None) -> Found:
         lambda: list(smooth_orders(subject(mesh, material, size, maps[0]).surface.angles)),
     )
     found.orders.extend([*smooth, *shading_orders(found.shading)])
+    found.maps.extend(progress.rows("maps", MapRow, lambda: list(map_resolution.rows(mesh, size))))
     found.signs.extend(progress.rows("signs", SignRow, lambda: list(network_signs.rows(*extent.gradients))))
     estimates(extent, progress, found)
     found.attacks.extend(attacks(extent, progress))

@@ -14,6 +14,7 @@ from services.accuracy.work_precision.collect import Found
 from services.accuracy.work_precision.convergence import OrderRow
 from services.accuracy.work_precision.gradients import GradientRow, Reference
 from services.accuracy.work_precision.independent_check import IndependentRow
+from services.accuracy.work_precision.map_resolution import MapRow
 from services.accuracy.work_precision.network_signs import SignRow
 from services.accuracy.work_precision.shading_rows import CannotRunRow, ShadingRow
 from services.accuracy.work_precision.success import SuccessRow
@@ -35,6 +36,7 @@ class Report(BaseModel):
     load: str = Field(description="load of the machine when the report was written")
     success: list[SuccessRow]
     independent: list[IndependentRow]
+    maps: list[MapRow]
     orders: list[OrderRow]
     signs: list[SignRow]
     shading: list[ShadingRow]
@@ -92,7 +94,7 @@ def markdown(made: Report) -> str:
     lines += [f"- {words}" for words in conclusions(made)]
     lines += ["", f"![Error against seconds, evaluations and steps]({NAME}.png)", ""]
     lines += [*tables.success(made.success), "", *tables.independent(made.independent), ""]
-    lines += [*tables.orders(made.orders), "", *tables.signs(made.signs), ""]
+    lines += [*tables.maps(made.maps), "", *tables.orders(made.orders), "", *tables.signs(made.signs), ""]
     lines += [*tables.shading(made.shading, made.cannot_run), "", *tables.gradients(made.gradients, made.references)]
     lines += ["", *tables.attacks(made.attacks), "", "## What is left out", "", *(f"- {words}" for words in OMISSIONS)]
     return "\n".join([*lines, "", *_provenance(made)]) + "\n"

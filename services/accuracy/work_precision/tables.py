@@ -6,6 +6,7 @@ from services.accuracy.work_precision.attack_runs import AttackRow
 from services.accuracy.work_precision.convergence import OrderRow
 from services.accuracy.work_precision.gradients import DELTAS, GradientRow, Reference
 from services.accuracy.work_precision.independent_check import IndependentRow
+from services.accuracy.work_precision.map_resolution import MapRow
 from services.accuracy.work_precision.network_signs import SignRow
 from services.accuracy.work_precision.shading_rows import CannotRunRow, ShadingRow
 from services.accuracy.work_precision.success import SuccessRow
@@ -58,6 +59,24 @@ def independent(rows: Sequence[IndependentRow]) -> Iterator[str]:
         [
             [
                 *(row.mesh, row.material, _map(row.map), row.what, str(row.pixels)),
+                *(_small(row.largest), _small(row.rms)),
+            ]
+            for row in rows
+        ],
+    )
+
+
+def maps(rows: Sequence[MapRow]) -> Iterator[str]:
+    """What averaging the map down costs."""
+    yield from ("## Resolution of the environment map", "")
+    yield "A scene's light is its map averaged down to a grid; every other error here is for that grid as it is given."
+    yield "Differences of displayed values between exact images, at the scene's own values:"
+    yield ""
+    yield from _table(
+        ("mesh", "material", "map", "beside", "pixels>", "largest>", "rms>"),
+        [
+            [
+                *(row.mesh, row.material, _map(row.map), _map(row.reference), f"{row.pixels:,}"),
                 *(_small(row.largest), _small(row.rms)),
             ]
             for row in rows

@@ -14,6 +14,7 @@ EXACTLY = 1e-12
 """Largest error of a plan that estimates none: its sum is the reference's."""
 DEFAULT = 1e-3
 """The tolerance of a job that names none."""
+DEFAULT_MAP = (16, 32)
 PAPER_STEP = 1e-4
 
 OMISSIONS = (
@@ -29,8 +30,6 @@ OMISSIONS = (
     "The independent program takes base colours and coverage from the rasterised geometry.",
     "Mitsuba has no material of this model, so it cannot be a second reference; docs/benchmarks.md compares its speed "
     "on a problem of the same size.",
-    "Errors are those of the renderer for the map as it is given. What averaging a map down to 16×32 texels costs is "
-    "not in them.",
     "The viewer is far away, as is the default; one at the camera (`viewer: perspective`) is summed pixel by pixel.",
     "The renderers draw no shadows, so a moved light or object changes no shadow.",
 )
@@ -40,6 +39,7 @@ def conclusions(made: "Report") -> Iterator[str]:
     """What the rows come to, most important first."""
     yield from _of_success(made.success)
     yield from _of_plans(made)
+    yield from _of_maps(made)
     yield from _of_signs(made)
     yield from _of_references(made)
     yield from _of_orders(made)
@@ -119,6 +119,16 @@ def _of_signs(made: "Report") -> Iterator[str]:
                 f"{row.coordinates:,} signs of {row.group} wrong; they hold {row.wrong_weight:.2%} of the gradient's "
                 f"absolute sum, so FGSM's step keeps {1 - 2 * row.wrong_weight:.1%} of its gain."
             )
+
+
+def _of_maps(made: "Report") -> Iterator[str]:
+    own = [row for row in made.maps if row.map == DEFAULT_MAP]
+    if own:
+        words = ", ".join(f"{row.largest:.2g} ({row.material})" for row in own)
+        yield (
+            f"The largest error of all is the map's: averaged to {own[0].map[0]}×{own[0].map[1]} texels instead of "
+            f"{own[0].reference[0]}×{own[0].reference[1]}, exact images differ by up to {words}."
+        )
 
 
 def _of_references(made: "Report") -> Iterator[str]:

@@ -9,15 +9,14 @@ import torch
 from torch import Tensor
 
 from services.accuracy.placing import placed
-from services.accuracy.work_precision import independent_check, network_signs, shading_rows
+from services.accuracy.work_precision import shading_rows
 from services.accuracy.work_precision.collect import QUICK, Found, collect, shading
-from services.accuracy.work_precision.convergence import slope, smooth_orders
+from services.accuracy.work_precision.map_resolution import MapRow
 from services.accuracy.work_precision.progress import Progress
 from services.accuracy.work_precision.report import report, write
 from services.accuracy.work_precision.shading_methods import kernel, methods
 from services.accuracy.work_precision.shading_rows import ShadingRow, truth
 from services.accuracy.work_precision.shading_subject import GROUPS, Subject, subject
-from services.accuracy.work_precision.signs import wrong_signs
 from services.accuracy.work_precision.timing import repeated
 from services.rendering.factory import build
 from services.rendering.kernels import compiled
@@ -149,87 +148,6 @@ def test_a_wrong_gradient_is_seen(small: Subject, monkeypatch: pytest.MonkeyPatc
     assert all(error == pytest.approx(0.5) for error in row.gradient.values())
 
 
-# The reference
-
-
-@pytest.mark.parametrize("texels", [(8, 16), (16, 32)])
-def test_the_reference_is_an_independent_programs(texels: tuple[int, int]) -> None:
-    """Float64 has 1e-16: a sum of 512 texels rounds to 1e-14 at the very most. Normals are rasterised in float32."""
-    found = {row.what: row for row in independent_check.comparisons(subject(*SMALL[:3], texels))}
-    assert len(found) == 6
-    for what, row in found.items():
-        assert row.largest < (1e-5 if "rays" in what else 1e-14), what
-
-
-@pytest.mark.parametrize("factor", [1 + 1e-9, -1])
-def test_a_reference_that_is_wrong_is_seen(small: Subject, factor: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A sum off by 1e-9, and one whose image is right and whose gradient has the other sign."""
-    honest = Shader.__call__
-
-    def wrong(self: Shader, angles: Tensor, illumination: Tensor, material: Tensor) -> Tensor:
-        whole = honest(self, angles, illumination, material)
-        return whole * factor if factor > 0 else 2 * whole.detach() - whole
-
-    monkeypatch.setattr(Shader, "__call__", wrong)
-    found = {row.what: row.largest for row in independent_check.comparisons(small)}
-    assert (found["image at the moved values"] > 1e-11) == (factor > 0)
-    assert max(value for what, value in found.items() if "derivative" in what) > 1e-11
-
-
-# Orders
-
-
-def test_the_order_of_a_power_is_its_exponent() -> None:
-    rows = [48, 64, 96, 128]
-    order, error = slope(rows, [7 * r**-2.5 for r in rows])
-    assert order == pytest.approx(2.5)
-    assert error == pytest.approx(0, abs=1e-12)
-    bent = slope(rows, [r**-2.5 * factor for r, factor in zip(rows, (1, 1.1, 1, 1.1), strict=True)])
-    assert bent[1] > 0.05
-
-
-def test_lookups_of_smooth_functions_have_the_stated_orders(small: Subject) -> None:
-    """Within a tenth of 3 for values and of 2 for derivatives."""
-    for row in smooth_orders(small.surface.angles):
-        assert row.order == pytest.approx(row.stated, rel=0.1), row.error
-        assert row.standard_error < 0.15
-
-
-def test_a_lookup_of_lower_order_is_seen(small: Subject, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Linear interpolation is of order 2."""
-
-    def linear(f: Tensor) -> Tensor:
-        return torch.stack((0 * f, 1 - f, f, 0 * f), dim=-1)
-
-    monkeypatch.setenv("SCENE_ATTACK_KERNEL", "torch")
-    monkeypatch.setattr(lookup_table, "_catmull_rom", linear)
-    with kernel("torch"):
-        found = {row.error: row.order for row in smooth_orders(small.surface.angles)}
-    assert found["rms"] == pytest.approx(2, rel=0.1)
-
-
-# Signs
-
-
-def test_wrong_signs_are_counted_and_weighed() -> None:
-    wanted = torch.tensor([4.0, -3.0, 2.0, -1.0, 0.0, 0.0])
-    found = torch.tensor([1.0, 3.0, 0.0, -9.0, 5.0, 0.0])
-    wrong = wrong_signs(found, wanted)
-    assert wrong.share == 3 / 5  # the second, the third (estimated as 0) and the fifth; the sixth is 0 in both
-    assert wrong.weight == pytest.approx(0.5)
-
-
-def test_signs_through_the_network_get_better_with_the_tolerance() -> None:
-    """Exactly and without rounding only the network's float32 is left; the loop's signs lose next to nothing."""
-    found = list(network_signs.rows(*QUICK.gradients))
-    assert {row.group for row in found} == set(GROUPS)
-    for group in GROUPS:
-        own = [row for row in found if row.group == group]
-        assert own[0].image == "unrounded"
-        assert own[0].wrong_weight < 1e-3
-        assert own[0].wrong_weight <= min(row.wrong_weight for row in own)
-
-
 # The report
 
 
@@ -256,8 +174,16 @@ def test_the_report_says_everything(tmp_path: Path) -> None:
     assert page.count("| sum |") + page.count("| sum, in torch |") == 4
     assert page.count("\n| furniture/soccer-ball | fgsm | ") + page.count("\n| furniture/soccer-ball | zoo | ") == 9
     for heading in (
-        *("Work to a verified adversary", "The reference", "Orders of convergence", "Signs that FGSM takes"),
-        *("Methods of shading", "Estimates of gradients", "Whole attacks", "What is left out", "again"),
+        *("Work to a verified adversary", "The reference", "Resolution of the environment map"),
+        *(
+            "Orders of convergence",
+            "Signs that FGSM takes",
+            "Methods of shading",
+            "Estimates of gradients",
+            "Whole attacks",
+            "What is left out",
+            "again",
+        ),
     ):
         assert heading in page
     assert page.count("methods cannot run here") == 1
@@ -270,11 +196,11 @@ def test_the_report_says_everything(tmp_path: Path) -> None:
 
 def test_progress_is_kept_and_a_cut_line_is_measured_again(tmp_path: Path) -> None:
     path = tmp_path / "partial"
-    [row] = [row for row in smooth_orders(torch.tensor([[0.1, 1.0], [0.5, 1.5]])) if row.error == "rms"]
+    row = MapRow(mesh="m", material="matte", map=(4, 8), reference=(64, 128), pixels=1, largest=0.5, rms=0.5)
     calls: list[str] = []
     for _ in range(2):
         progress = Progress(path, "this", calls.append)
-        assert progress.rows("a", type(row), lambda: [row]) == [row]
+        assert progress.rows("a", MapRow, lambda: [row]) == [row]
     assert calls == ["a"]
     with path.open("a") as file:
         file.write('{"key": "b", "ro')
