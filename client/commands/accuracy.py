@@ -107,6 +107,6 @@ def work_precision(
     if as_json:
         print_json(made.model_dump(mode="json"))
     else:
-        for words in conclusions(made):
+        for words in conclusions(found):
             stdout().print(words, markup=False, highlight=False)
     err().print(f"Report in {out}", markup=False, highlight=False)

@@ -1,6 +1,7 @@
 """Signs that FGSM takes from the gradient of a network's log-odds within each tolerance, against the exact ones."""
 
 from collections.abc import Iterator
+from itertools import product
 
 import torch
 from pydantic import BaseModel, ConfigDict, Field
@@ -40,17 +41,15 @@ class SignRow(BaseModel):
 
 
 def rows(mesh: str, label: str, size: tuple[int, int], texels: tuple[int, int]) -> Iterator[SignRow]:
-    """The log-odds of `label` through plans for all groups at each tolerance; the reference is float64 throughout, on
-    the unrounded image."""
+    """The log-odds of `label` through plans for all groups at each tolerance, with the network's gradient at the
+    image and at its 8 bits, as the attack's loop takes it; the reference is float64 throughout, at the image."""
     scene = placed(
         mesh, size=size, thing={"material": "glossy-paint"}, lights={"environment": {"map": "studio", "size": texels}}
     )
     number = load(NETWORK).labels.index(label)
     wanted = _gradients(_renderer(scene, "exact"), number, torch.float64, rounded=False)
-    cases: list[tuple[Tolerance, torch.dtype, bool]] = [("exact", torch.float32, False)]
-    cases += [(tolerance, torch.float32, True) for tolerance in TOLERANCES]
-    for tolerance, dtype, rounded in cases:
-        found = _gradients(_renderer(scene, tolerance), number, dtype, rounded)
+    for tolerance, rounded in product(TOLERANCES, (False, True)):
+        found = _gradients(_renderer(scene, tolerance), number, torch.float32, rounded)
         for group in GROUPS:
             wrong = wrong_signs(found[group], wanted[group])
             yield SignRow(
@@ -58,7 +57,7 @@ def rows(mesh: str, label: str, size: tuple[int, int], texels: tuple[int, int]) 
                 map=texels,
                 group=group,
                 tolerance=tolerance,
-                network=str(dtype).removeprefix("torch."),
+                network="float32",
                 image="8 bit" if rounded else "unrounded",
                 coordinates=int((wanted[group] != 0).sum()),
                 wrong_signs=wrong.share,

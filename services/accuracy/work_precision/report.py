@@ -3,6 +3,7 @@
 import json
 import os
 from collections.abc import Iterator
+from dataclasses import fields
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -91,7 +92,8 @@ def _json(made: Report) -> str:
 def markdown(made: Report) -> str:
     """The page: conclusions, then the figure, then every number."""
     lines = ["# Error against run time", "", "## Conclusions", ""]
-    lines += [f"- {words}" for words in conclusions(made)]
+    found = Found(**{part.name: getattr(made, part.name) for part in fields(Found)})
+    lines += [f"- {words}" for words in conclusions(found)]
     lines += ["", f"![Error against seconds, evaluations and steps]({NAME}.png)", ""]
     lines += [*tables.success(made.success), "", *tables.independent(made.independent), ""]
     lines += [*tables.maps(made.maps), "", *tables.orders(made.orders), "", *tables.signs(made.signs), ""]

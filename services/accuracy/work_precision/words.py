@@ -1,14 +1,11 @@
 """Conclusions drawn from the rows of the work-precision report, and what it does not measure."""
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
+from services.accuracy.work_precision.collect import Found
 from services.accuracy.work_precision.gradients import IMAGE, GradientRow
 from services.accuracy.work_precision.shading_rows import ShadingRow
 from services.accuracy.work_precision.success import Interval, SuccessRow
-
-if TYPE_CHECKING:
-    from services.accuracy.work_precision.report import Report
 
 EXACTLY = 1e-12
 """Largest error of a plan that estimates none: its sum is the reference's."""
@@ -35,15 +32,15 @@ OMISSIONS = (
 )
 
 
-def conclusions(made: "Report") -> Iterator[str]:
+def conclusions(found: Found) -> Iterator[str]:
     """What the rows come to, most important first."""
-    yield from _of_success(made.success)
-    yield from _of_plans(made)
-    yield from _of_maps(made)
-    yield from _of_signs(made)
-    yield from _of_references(made)
-    yield from _of_orders(made)
-    yield from _of_gradients(made.gradients)
+    yield from _of_success(found.success)
+    yield from _of_plans(found)
+    yield from _of_maps(found)
+    yield from _of_signs(found)
+    yield from _of_references(found)
+    yield from _of_orders(found)
+    yield from _of_gradients(found.gradients)
 
 
 def named(groups: tuple[str, ...]) -> str:
@@ -79,9 +76,9 @@ def _of_success(rows: list[SuccessRow]) -> Iterator[str]:
         )
 
 
-def _of_plans(made: "Report") -> Iterator[str]:
-    for subject in dict.fromkeys((row.mesh, row.map) for row in made.shading):
-        own = [row for row in made.shading if (row.mesh, row.map) == subject and row.both is not None]
+def _of_plans(found: Found) -> Iterator[str]:
+    for subject in dict.fromkeys((row.mesh, row.map) for row in found.shading):
+        own = [row for row in found.shading if (row.mesh, row.map) == subject and row.both is not None]
         sums = {(row.dtype, row.kernel): row for row in own if row.method == "sum"}
         plain, plans = sums["float32", "native"], {row.groups: row for row in own if row.tolerance == DEFAULT}
         whole = max(plans, key=len)
@@ -91,7 +88,7 @@ def _of_plans(made: "Report") -> Iterator[str]:
             f"{plans[whole].largest:.1e}. The float32 sum, off by {plain.largest:.1e}, takes longer by a factor of "
             f"{times} (medians)."
         )
-    promised = [(r, r.largest, r.estimate) for r in made.shading if r.largest is not None and r.estimate is not None]
+    promised = [(r, r.largest, r.estimate) for r in found.shading if r.largest is not None and r.estimate is not None]
     beyond = [one for one in promised if one[1] > max(one[2], EXACTLY)]
     lost = sum(row.note.startswith("misses") for row, _, _ in promised)
     yield (
@@ -111,18 +108,20 @@ def _ratio(slow: ShadingRow, fast: ShadingRow) -> float:
     return slow.both.median / fast.both.median
 
 
-def _of_signs(made: "Report") -> Iterator[str]:
-    for row in made.signs:
-        if row.tolerance == DEFAULT:
-            yield (
-                f"Through the network, a plan within {DEFAULT:g} gives {row.wrong_signs:.1%} of the "
-                f"{row.coordinates:,} signs of {row.group} wrong; they hold {row.wrong_weight:.2%} of the gradient's "
-                f"absolute sum, so FGSM's step keeps {1 - 2 * row.wrong_weight:.1%} of its gain."
-            )
+def _of_signs(found: Found) -> Iterator[str]:
+    for group in dict.fromkeys(row.group for row in found.signs):
+        own = {(row.tolerance, row.image): row for row in found.signs if row.group == group}
+        plan, rounded = own[DEFAULT, "unrounded"], own["exact", "8 bit"]
+        yield (
+            f"Of the {plan.coordinates:,} signs that FGSM takes of {group} through the network, a plan within "
+            f"{DEFAULT:g} gives {plan.wrong_signs:.1%} wrong, which hold {plan.wrong_weight:.2%} of the gradient's absolute sum; "
+            f"taking the network's gradient at the 8-bit image, as the loop does, {rounded.wrong_signs:.1%} and "
+            f"{rounded.wrong_weight:.2%} even with exact shading."
+        )
 
 
-def _of_maps(made: "Report") -> Iterator[str]:
-    own = [row for row in made.maps if row.map == DEFAULT_MAP]
+def _of_maps(found: Found) -> Iterator[str]:
+    own = [row for row in found.maps if row.map == DEFAULT_MAP]
     if own:
         words = ", ".join(f"{row.largest:.2g} ({row.material})" for row in own)
         yield (
@@ -131,11 +130,11 @@ def _of_maps(made: "Report") -> Iterator[str]:
         )
 
 
-def _of_references(made: "Report") -> Iterator[str]:
+def _of_references(found: Found) -> Iterator[str]:
     def worst(words: str) -> float:
-        return max(row.largest for row in made.independent if words in row.what)
+        return max(row.largest for row in found.independent if words in row.what)
 
-    if made.independent:
+    if found.independent:
         yield (
             "The float64 shader, which is the reference of all shading errors here, differs from an independent "
             f"program in 80 bits by at most {worst('moved'):.1e} in images and {worst('derivative'):.1e} in "
@@ -143,9 +142,9 @@ def _of_references(made: "Report") -> Iterator[str]:
         )
 
 
-def _of_orders(made: "Report") -> Iterator[str]:
-    smooth = [row for row in made.orders if row.map is None and row.error == "rms"]
-    real = [row for row in made.orders if row.map is not None and row.error == "rms"]
+def _of_orders(found: Found) -> Iterator[str]:
+    smooth = [row for row in found.orders if row.map is None and row.error == "rms"]
+    real = [row for row in found.orders if row.map is not None and row.error == "rms"]
     for row in smooth:
         yield (
             f"Table lookup of a smooth function converges with order {row.order:.2f} ± {row.standard_error:.2f} "

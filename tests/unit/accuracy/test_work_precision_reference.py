@@ -102,12 +102,12 @@ def test_wrong_signs_are_counted_and_weighed() -> None:
     assert wrong.weight == pytest.approx(0.5)
 
 
-def test_signs_through_the_network_get_better_with_the_tolerance() -> None:
-    """Exactly and without rounding only the network's float32 is left; the loop's signs lose next to nothing."""
+def test_signs_through_the_network_are_lost_by_rounding_not_by_the_plan() -> None:
+    """Exactly and without rounding only the network's float32 is left. Within 1e-3, a quarter of a step of 8 bits, the
+    plan loses less than the 8 bits do."""
     found = list(network_signs.rows(*QUICK.gradients))
-    assert {row.group for row in found} == set(GROUPS)
+    weight = {(row.group, row.tolerance, row.image): row.wrong_weight for row in found}
+    assert len(weight) == len(found) == 3 * 4 * 2
     for group in GROUPS:
-        own = [row for row in found if row.group == group]
-        assert own[0].image == "unrounded"
-        assert own[0].wrong_weight < 1e-3
-        assert own[0].wrong_weight <= min(row.wrong_weight for row in own)
+        assert weight[group, "exact", "unrounded"] < 1e-3
+        assert weight[group, 1e-3, "unrounded"] < weight[group, "exact", "8 bit"] < 0.5
