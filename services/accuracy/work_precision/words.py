@@ -114,9 +114,9 @@ def _of_signs(found: Found) -> Iterator[str]:
         plan, rounded = own[DEFAULT, "unrounded"], own["exact", "8 bit"]
         yield (
             f"Of the {plan.coordinates:,} signs that FGSM takes of {group} through the network, a plan within "
-            f"{DEFAULT:g} gives {plan.wrong_signs:.1%} wrong, which hold {plan.wrong_weight:.2%} of the gradient's absolute sum; "
-            f"taking the network's gradient at the 8-bit image, as the loop does, {rounded.wrong_signs:.1%} and "
-            f"{rounded.wrong_weight:.2%} even with exact shading."
+            f"{DEFAULT:g} gives {plan.wrong_signs:.1%} wrong ({plan.wrong_weight:.2%} of the gradient's absolute sum). "
+            f"Taking the network's gradient at the 8-bit image, as the loop does, gives {rounded.wrong_signs:.1%} "
+            f"wrong ({rounded.wrong_weight:.2%}) even with exact shading."
         )
 
 
