@@ -7,7 +7,7 @@ import torch
 from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
-from services.accuracy.work_precision.shading_rows import ShadingRow
+from services.accuracy.work_precision.shading_rows import TOO_FINE, ShadingRow
 from services.rendering.torch_renderer.lookup_table import look_up, node_vectors
 from services.rendering.torch_renderer.normals import to_vectors
 from services.rendering.torch_renderer.planner import ROWS
@@ -74,7 +74,7 @@ def smooth_orders(angles: Tensor) -> Iterator[OrderRow]:
 
 def shading_orders(shading: Sequence[ShadingRow]) -> Iterator[OrderRow]:
     """Orders of the tables of the report, for each subject, map and number of texels summed per pixel."""
-    tables = [row for row in shading if row.method == "table" and row.rms is not None]
+    tables = [row for row in shading if row.method == "table" and row.rms and TOO_FINE not in row.note]
     for kind in dict.fromkeys((r.mesh, r.dtype, r.map, r.per_pixel_texels) for r in tables):
         own = [r for r in tables if (r.mesh, r.dtype, r.map, r.per_pixel_texels) == kind]
         mesh, dtype, texels, per_pixel = kind

@@ -51,9 +51,14 @@ def methods(quick: bool) -> list[ShadingMethod]:
     for texels in PER_PIXEL_TEXELS:
         found += [ShadingMethod("table", GROUPS, _table(r, texels), rows=r, per_pixel_texels=texels) for r in sizes]
     wide = torch.float64
-    found += [ShadingMethod("table", GROUPS, _table(r, 32, wide), "float64", rows=r, per_pixel_texels=32) for r in sizes]
+    found += [
+        ShadingMethod("table", GROUPS, _table(r, 32, wide), "float64", rows=r, per_pixel_texels=32) for r in sizes
+    ]
     only = ("normals",)
-    found += [ShadingMethod("fixed table", only, _table(r, 32, method="cached_table"), rows=r, per_pixel_texels=32) for r in sizes]
+    found += [
+        ShadingMethod("fixed table", only, _table(r, 32, method="cached_table"), rows=r, per_pixel_texels=32)
+        for r in sizes
+    ]
     found.append(ShadingMethod("transport", ("illumination",), _transport))
     for groups in (GROUPS, *((group,) for group in GROUPS)):
         found += [ShadingMethod("plan", groups, _planned(groups, t), tolerance=t) for t in TOLERANCES]
@@ -74,7 +79,9 @@ def _table(
     def made(of: Subject) -> tuple[Recipe, None]:
         plain = exact_recipe(of.sky)
         order = roughness(of.surface, of.sky, of.intensity, GROUPS, ROUGH_AT).argsort(descending=True, stable=True)
-        return replace(plain, dtype=dtype, method=method, rows=rows, per_pixel_texels=order[:texels].sort().values), None
+        return replace(
+            plain, dtype=dtype, method=method, rows=rows, per_pixel_texels=order[:texels].sort().values
+        ), None
 
     return made
 

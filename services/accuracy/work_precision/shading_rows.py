@@ -13,8 +13,9 @@ from services.accuracy.work_precision.timing import Times, repeated
 from services.rendering.plan import Tolerance
 from services.rendering.torch_renderer.lookup_table import TILE, touched
 from services.rendering.torch_renderer.planner import exact_recipe
-from services.rendering.torch_renderer.shader import CHECKED, Recipe, Shader
+from services.rendering.torch_renderer.shader import Recipe, Shader, checked_pixels
 
+TOO_FINE = "summed, as the table has no fewer nodes than the object pixels"
 WANTED = 1e-3
 """A method misses if its image is off by more than this: the default tolerance of a job."""
 
@@ -141,6 +142,8 @@ def _measured(method: ShadingMethod, of: Subject, reference: Truth, recipe: Reci
     largest = float(off.max())
     limit = method.tolerance if isinstance(method.tolerance, float) else WANTED
     note = "" if largest <= limit else f"misses {limit:.0e}"
+    if too_fine(recipe, values["normals"]):
+        note = f"{note}; {TOO_FINE}".removeprefix("; ")
     if shader.summed_after_all:
         note = f"{note}; checked, and summed pixel by pixel after all".removeprefix("; ")
     signs = {g: wrong_signs(gradients[g].flatten(), reference.gradients[g].flatten()) for g in method.groups}
@@ -162,11 +165,18 @@ def evaluations(recipe: Recipe, angles: Tensor) -> int:
     nor the values of a table that is filled once."""
     each = recipe.channels * (1 if recipe.method == "precomputed_transport" else max(recipe.lobes, 1))
     kept, sharp = len(recipe.active_texels), len(recipe.per_pixel_texels)
-    if recipe.rows is None:
+    if recipe.rows is None or too_fine(recipe, angles):
         return len(angles) * kept * each
     nodes = 0 if recipe.method == "cached_table" else int(touched(angles, recipe.rows).sum()) * TILE**2
-    checked = 0 if recipe.guard is None else min(CHECKED, len(angles)) * kept
+    checked = 0 if recipe.guard is None else min(checked_pixels(recipe), len(angles)) * kept
     return (nodes * (kept - sharp) + len(angles) * sharp + checked) * each
+
+
+def too_fine(recipe: Recipe, angles: Tensor) -> bool:
+    """Whether the shader sums at the pixels, as the table that is filled anew for each image has no fewer nodes."""
+    if recipe.rows is None or not recipe.moving or recipe.method != "summed":
+        return False
+    return int(touched(angles, recipe.rows).sum()) * TILE**2 >= len(angles)
 
 
 def relative(found: Tensor, wanted: Tensor) -> float:

@@ -16,7 +16,7 @@ from services.accuracy.work_precision.map_resolution import MapRow
 from services.accuracy.work_precision.progress import Progress
 from services.accuracy.work_precision.report import report, write
 from services.accuracy.work_precision.shading_methods import kernel, methods
-from services.accuracy.work_precision.shading_rows import ShadingRow, truth
+from services.accuracy.work_precision.shading_rows import TOO_FINE, ShadingRow, truth
 from services.accuracy.work_precision.shading_subject import GROUPS, Subject, subject
 from services.accuracy.work_precision.timing import repeated
 from services.rendering.factory import build
@@ -103,7 +103,7 @@ def test_plans_hold_what_they_promise(rows: list[ShadingRow]) -> None:
         assert row.largest is not None
         assert limit is not None
         assert row.largest <= limit
-        assert row.note in ("", "checked, and summed pixel by pixel after all")
+        assert row.note in ("", TOO_FINE, "checked, and summed pixel by pixel after all")
 
 
 def test_methods_that_make_no_sense_are_counted() -> None:
@@ -126,11 +126,22 @@ def test_a_kernel_is_chosen_and_the_former_comes_back() -> None:
     assert compiled.backend() == before != "torch"
 
 
-def test_a_wrong_table_is_seen(small: Subject, monkeypatch: pytest.MonkeyPatch) -> None:
-    good = one("table", small, rows=96, per_pixel_texels=8, dtype="float32")
+def test_a_wrong_table_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On an image that is large enough for the shader to use the table."""
+    large = subject(*SMALL[:2], (128, 128), SMALL[3])
+    good = one("table", large, rows=64, per_pixel_texels=8, dtype="float32")
     assert good.note == ""
     monkeypatch.setattr(shader, "look_up", lambda values, angles: lookup_table.look_up(values, angles + 0.02))
-    assert one("table", small, rows=96, per_pixel_texels=8, dtype="float32").note.startswith("misses")
+    assert one("table", large, rows=64, per_pixel_texels=8, dtype="float32").note.startswith("misses")
+
+
+def test_tables_that_are_not_used_say_so(small: Subject) -> None:
+    """With more nodes than pixels the shader sums: to rounding, and with the evaluations of a sum."""
+    row, plain = one("table", small, rows=256, per_pixel_texels=8, dtype="float32"), one("sum", small, dtype="float64")
+    assert row.note == TOO_FINE
+    assert row.largest is not None
+    assert row.largest < 1e-5
+    assert row.evaluations == plain.evaluations
 
 
 def test_a_wrong_gradient_is_seen(small: Subject, monkeypatch: pytest.MonkeyPatch) -> None:
