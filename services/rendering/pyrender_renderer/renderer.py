@@ -1,5 +1,6 @@
 """Point lights, colours and poses, rendered by pyrender: the non-differentiable renderer (paper, section 4.1)."""
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
@@ -184,14 +185,16 @@ class PyrenderRenderer:
                 why = "the picture has values that are not finite: light or colour is too strong"
                 raise JobFailure("non-finite", why)
             shown = finish(radiance).numpy()[:, ::-1]  # OpenGL's first row is the bottom one
-            whole: dict[int, int] = {}
+            channels = Counter((row, slot) for row, _, slot in drawn.users)
             for row, channel, slot in drawn.users:
                 part = pictures[row, top:bottom, left:right]
-                if channel == 0:  # coverage is the same in all
-                    part[:] = shown[slot]
-                    whole[row] = slot
-                elif whole.get(row) != slot:
+                if channels[row, slot] == 3:
+                    if channel == 0:  # all at once
+                        part[:] = shown[slot]
+                else:  # the others may be of another pass
                     part[..., channel] = shown[slot, ..., channel]
+                    if channel == 0:  # coverage is the same in all
+                        part[..., 3:] = shown[slot, ..., 3:]
         return torch.from_numpy(pictures)
 
     def _extent(self, poses: NDArray[np.float64]) -> Rectangle:

@@ -1,10 +1,15 @@
 import numpy as np
 import pytest
+import torch
 
+from services.attacks.differences import estimate, layout
+from services.attacks.goal import ResolvedGoal
+from services.attacks.problem import AttackProblem
 from services.rendering.pyrender_renderer.batching import Array, alone, shared
 from services.rendering.pyrender_renderer.planner import both_sides
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
-from tests.unit.rendering.shapes import PLATFORMS, mesh, on_platform, placed, scene, sphere
+from services.scenes.description import Lights, PointLight, SceneObject
+from tests.unit.rendering.shapes import PLATFORMS, mesh, on_platform, placed, scene, six_parts, sphere
 
 
 def sides(objects: int = 1) -> dict[str, Array]:
@@ -80,3 +85,62 @@ print(torch.equal(together, alone), torch.equal(together, whole), float(together
 def test_pictures_that_share_have_the_bits_they_have_alone_and_whole(platform: str) -> None:
     """No tolerance: the same instructions on the same numbers. Two lights, two objects, one of them of glass."""
     assert on_platform(platform, _BITS).split() == ["True", "True", "True", "54"]
+
+
+def colored(seed: int, objects: int, lamps: int) -> PyrenderRenderer:
+    """Balls and a textured cube side by side, of colours below 1."""
+    random = np.random.default_rng(seed)
+    lights = Lights(
+        ambient=0.4, points=tuple(PointLight(energy=15.0, position=(x, 1.0, 1.5)) for x in np.linspace(-1, 1, lamps))
+    )
+    things = tuple(
+        SceneObject(
+            mesh="primitive/sphere",
+            color=tuple(random.uniform(0.2, 0.9, 3)),
+            translation=(0.45 * (i - (objects - 1) / 2), 0.1 * (i % 2), 0.0),
+        )
+        for i in range(objects)
+    )
+    description = scene((40, 64), lights=lights, distance=2.6).model_copy(update={"objects": things})
+    meshes = [mesh(sphere(0.2, 12)) if i % 3 else six_parts() for i in range(objects)]
+    return PyrenderRenderer(placed(description, *meshes))
+
+
+@pytest.mark.parametrize(("objects", "lamps"), [(1, 1), (2, 2), (3, 1), (4, 3), (5, 1)])
+@pytest.mark.parametrize("groups", [("color",), ("illumination", "color"), ("illumination", "color", "rotation")])
+def test_images_whose_channels_come_from_several_passes_are_whole(
+    objects: int, lamps: int, groups: tuple[str, ...]
+) -> None:
+    """A family of colours that spans passes: red of one, green and blue of another. White objects would hide it."""
+    renderer = colored(objects, objects, lamps)
+    sides = both_sides(renderer.initial(), groups)
+    # In another order the channels of an image are further apart.
+    order = torch.randperm(len(sides["color"]), generator=torch.Generator().manual_seed(objects))
+    batch = {group: value[order] for group, value in sides.items()}
+    together = renderer.render(batch)
+    assert float((together - renderer.exact().render(batch)).abs().max()) < 1e-5
+    assert len({image.numpy().tobytes() for image in together}) > len(together) // 2  # the differences can be seen
+
+
+@pytest.mark.parametrize("coordinates", [8, 128])
+def test_gradients_of_zoo_are_differences_of_exact_images(coordinates: int) -> None:
+    renderer = colored(3, 3, 1)
+    random = torch.Generator().manual_seed(0)
+    weights = torch.randn(2, 40 * 64 * 3, generator=random) / 50
+
+    class Linear:
+        def logits(self, images: torch.Tensor, question: str | None = None) -> torch.Tensor:
+            return images.flatten(1).float() @ weights.T
+
+    def gradients(of: PyrenderRenderer, chosen: torch.Tensor) -> torch.Tensor:
+        case = AttackProblem(of, Linear(), ResolvedGoal(0, None), of.groups)  # type: ignore[arg-type]
+        total = layout(case).total
+        deltas = torch.full((len(chosen),), 0.01, dtype=torch.float64)
+        return estimate(case, torch.zeros(total), chosen, deltas, 0.0).slopes
+
+    total = sum(value.numel() for value in renderer.initial().values())
+    for seed in range(3 if coordinates < total else 1):
+        drawn = torch.randperm(total, generator=random.manual_seed(seed))[:coordinates].sort().values
+        ours, exact = gradients(renderer, drawn), gradients(renderer.exact(), drawn)
+        assert exact.abs().max() > 0.1
+        assert (ours - exact).abs().max() < 1e-3 * exact.abs().max()
