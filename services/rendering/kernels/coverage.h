@@ -33,8 +33,8 @@ struct Piece {
 struct Frame {
     int64_t width, height, pieces;
     const Piece *piece;
-    double x[SAMPLES], y[SAMPLES];  // where in a pixel its samples are, from the lower left
-    double eye[3];
+    float x[SAMPLES], y[SAMPLES];  // where in a pixel its samples are, from the lower left
+    float eye[3];
 };
 
 struct Pass {

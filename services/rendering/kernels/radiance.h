@@ -6,8 +6,7 @@
 
 namespace {
 
-inline Floats at_least(Floats a, float b) { return choose(a > b, a, Floats{} + b); }
-inline Floats at_most(Floats a, float b) { return choose(a < b, a, Floats{} + b); }
+inline Floats at_least(Floats a, float b) { return most<float>(a, Floats{} + b); }
 inline Floats root(Floats a) {
     Floats r;
     for (int i = 0; i < WIDTH; ++i) r[i] = std::sqrt(a[i]);
@@ -27,23 +26,14 @@ inline Vector choose(Ints mask, Vector a, Vector b) {
 }
 inline Floats dot(Vector a, Vector b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
 inline Vector unit(Vector a) { return a * (1.0f / root(dot(a, a))); }
-template <class T> inline Vector all(const T *v) {
-    return {Floats{} + float(v[0]), Floats{} + float(v[1]), Floats{} + float(v[2])};
-}
-
-// The light of an image: see the shader's uniforms.
-struct Light {
-    float ambient;
-    const float *points;  // [lights, 4]: intensity, position
-    int64_t lights;
-};
+inline Vector all(const float *v) { return {Floats{} + v[0], Floats{} + v[1], Floats{} + v[2]}; }
 
 constexpr float PI = 3.14159265358979f, ROUGHNESS = 0.45f, NORMAL_REFLECTANCE = 0.04f;
 constexpr float A2 = ROUGHNESS * ROUGHNESS * ROUGHNESS * ROUGHNESS;
 
 inline Floats fresnel(float grazing, Floats cosine) {
-    const Floats x = 1.0f - at_most(at_least(cosine, 0.0f), 1.0f), square = x * x;
-    return NORMAL_REFLECTANCE + (grazing - NORMAL_REFLECTANCE) * (square * square * x);
+    const Floats x = at_least(1.0f - at_least(cosine, 0.0f), 0.0f);
+    return NORMAL_REFLECTANCE + (grazing - NORMAL_REFLECTANCE) * (x * x * x * x * x);
 }
 
 inline Vector surface_normal(Vector n, Vector flat, Vector to_eye) {
@@ -67,10 +57,10 @@ struct BrdfTerms {
     Floats body, coat;
 };
 
-inline BrdfTerms radiance(const Light &light, Vector position, Vector v, Vector n) {
-    BrdfTerms sum{light.ambient * (1.0f + n.y / 3.0f), light.ambient * fresnel(1.0f - ROUGHNESS, dot(n, v))};
-    for (int64_t i = 0; i < light.lights; ++i) {
-        const float *point = light.points + 4 * i;
+// `points` [lights, 4]: intensity, position.
+inline BrdfTerms radiance(float ambient, const float *points, int64_t lights, Vector position, Vector v, Vector n) {
+    BrdfTerms sum{ambient * (1.0f + n.y / 3.0f), ambient * fresnel(1.0f - ROUGHNESS, dot(n, v))};
+    for (const float *point = points; point < points + 4 * lights; point += 4) {
         const Vector to_light = all(point + 1) - position;
         const Floats distance2 = at_least(dot(to_light, to_light), 1e-6f);
         const Vector l = to_light * (1.0f / root(distance2));

@@ -15,18 +15,17 @@ enum { POSITION = 0, NORMAL = 3, UV = 6 };
 
 // What a face is shaded by, at any place of the image.
 struct Surface {
-    int32_t piece;
     Weights weights;
     float w[3], flat[3];  // 1 / w of the corners; a normal of the plane, on the viewer's side
     Attributes corners[3];
 
-    Surface(int32_t index, const Piece &piece, const Corners &of, const int32_t *t, const Pass &pass)
-        : piece(index), weights(of, t) {
+    Surface(const Piece &piece, const Corners &of, const int32_t *t, const float *world, const float *turn)
+        : weights(of, t) {
         for (int i = 0; i < 3; ++i) {
             const float *p = piece.positions + 3 * t[i], *n = piece.normals + 3 * t[i];
             w[i] = of.w[t[i]];
             for (int k = 0; k < 3; ++k) {
-                const float *a = pass.world + 16 * index + 4 * k, *b = pass.normal + 9 * index + 3 * k;
+                const float *a = world + 4 * k, *b = turn + 3 * k;
                 corners[i][POSITION + k] = a[0] * p[0] + a[1] * p[1] + a[2] * p[2] + a[3];
                 corners[i][NORMAL + k] = b[0] * n[0] + b[1] * n[1] + b[2] * n[2];
             }
@@ -53,7 +52,7 @@ struct Face {
 // A face in a pixel, and its share of the pixel's light.
 struct Fragment {
     Coverage of;
-    int32_t pixel, surface;
+    int32_t pixel;
     float weight;
 };
 
@@ -75,7 +74,8 @@ struct Drawing {
     Drawing(const Frame &frame, const Pass &pass) : frame(frame), pass(pass), seen(frame, pass.part) {}
 
     Surface surface(const Face &face) const {
-        return {face.piece, frame.piece[face.piece], corners[face.piece], face.corners, pass};
+        const int64_t i = face.piece;
+        return {frame.piece[i], corners[i], face.corners, pass.world + 16 * i, pass.normal + 9 * i};
     }
 
     // The attributes of a face at a place in a pixel.
@@ -85,8 +85,7 @@ struct Drawing {
     }
 
     // The texture of a face in a pixel; its changes from pixel to pixel are those of the block's first.
-    Texel texel(const Surface &surface, const Coverage &of, int pixel) const {
-        const Texture &texture = frame.piece[surface.piece].texture;
+    Texel texel(const Texture &texture, const Surface &surface, const Coverage &of, int pixel) const {
         if (!texture.levels) return {1, 1, 1, 1};
         float u[PIXELS], v[PIXELS];
         for (int p = 0; p < PIXELS; ++p) {
@@ -109,7 +108,7 @@ struct Drawing {
                 const int32_t *t = piece.triangles + 3 * f;
                 Face face{int32_t(i), {t[0], t[1], t[2]}};
                 auto is_hole = [&](const Coverage &of, int pixel) {
-                    return piece.holes && texel(surface(face), of, pixel).c[3] < 0.5f;
+                    return piece.holes && texel(piece.texture, surface(face), of, pixel).c[3] < 0.5f;
                 };
                 if (seen.draw(corners[i], face.corners, f < pass.closed[i], faces.size(), piece.opacity < 1, is_hole))
                     faces.push_back(face);
@@ -121,9 +120,11 @@ struct Drawing {
     void add(const Coverage &of, int pixel, float weight) {
         const int32_t x = of.x(pixel), y = of.y(pixel);
         if (y < pass.part[0] || y >= pass.part[1] || x < pass.part[2] || x >= pass.part[3]) return;
-        int32_t &own = surface_of[of.face];
-        if (own == NONE) own = surfaces.size(), surfaces.push_back(surface(faces[of.face]));
-        fragments.push_back({of, pixel, own, weight});
+        if (surface_of[of.face] == NONE) {
+            surface_of[of.face] = surfaces.size();
+            surfaces.push_back(surface(faces[of.face]));
+        }
+        fragments.push_back({of, pixel, weight});
     }
 
     // Each face in a pixel once, with the part of the pixel's light that reaches the eye from its samples.
@@ -155,12 +156,10 @@ struct Drawing {
         }
     }
 
-    void look(const Fragment &fragment, int i, FragmentInputs &inputs) const {
-        const Surface &surface = surfaces[fragment.surface];
-        const Coverage &of = fragment.of;
-        const Attributes centre = at(surface, of, fragment.pixel, CENTRE);
-        const Attributes there = at(surface, of, fragment.pixel, of.place(fragment.pixel));
-        const Texel texel = this->texel(surface, of, fragment.pixel);
+    void look(const Fragment &f, int i, FragmentInputs &inputs) const {
+        const Surface &surface = surfaces[surface_of[f.of.face]];
+        const Attributes centre = at(surface, f.of, f.pixel, CENTRE), there = at(surface, f.of, f.pixel, f.of.place(f.pixel));
+        const Texel texel = this->texel(frame.piece[faces[f.of.face].piece].texture, surface, f.of, f.pixel);
         for (int k = 0; k < 3; ++k) {
             inputs.position[k][i] = centre[POSITION + k], inputs.normal[k][i] = there[NORMAL + k];
             inputs.flat[k][i] = surface.flat[k], inputs.texel[k][i] = texel.c[k];
@@ -177,15 +176,13 @@ struct Drawing {
             const Vector position = vector(inputs.position), v = unit(all(frame.eye) - position);
             const Vector n = surface_normal(vector(inputs.normal), vector(inputs.flat), v);
             for (int64_t k = 0; k < pass.pictures; ++k) {
-                const Light light{pass.ambients[k], pass.points + 4 * pass.lights * k, pass.lights};
-                const BrdfTerms terms = radiance(light, position, v, n);
+                const float *points = pass.points + 4 * pass.lights * k;
+                const BrdfTerms terms = radiance(pass.ambients[k], points, pass.lights, position, v, n);
                 for (int i = 0; i < together; ++i) {
                     const Fragment &f = fragments[first + i];
-                    const int32_t piece = surfaces[f.surface].piece;
-                    const int64_t row = f.of.y(f.pixel) - pass.part[0], column = f.of.x(f.pixel) - pass.part[2];
-                    const float *base = pass.colors + 3 * (k * frame.pieces + piece);
-                    float *out = pass.images + ((k * high + row) * wide + column) * 4;
-                    const float opacity = float(frame.piece[piece].opacity);
+                    const int64_t piece = faces[f.of.face].piece, row = f.of.y(f.pixel) - pass.part[0];
+                    const float *base = pass.colors + 3 * (k * frame.pieces + piece), opacity = frame.piece[piece].opacity;
+                    float *out = pass.images + ((k * high + row) * wide + f.of.x(f.pixel) - pass.part[2]) * 4;
                     for (int c = 0; c < 3; ++c)
                         out[c] += f.weight * (base[c] * inputs.texel[c][i] * opacity * terms.body[i] + terms.coat[i]);
                     out[3] += f.weight * opacity;

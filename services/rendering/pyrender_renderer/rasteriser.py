@@ -8,7 +8,7 @@ is measured when a plan is made (errors.py). The image that is judged is OpenGL'
 
 import ctypes
 from collections.abc import Sequence
-from ctypes import POINTER, c_double, c_int64, c_void_p
+from ctypes import POINTER, c_double, c_float, c_int64, c_void_p
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -48,8 +48,8 @@ class _Frame(ctypes.Structure):
     _fields_ = (
         *_fields(c_int64, "width height pieces"),
         ("piece", POINTER(_Piece)),
-        *_fields(c_double * SAMPLES, "x y"),
-        ("eye", c_double * 3),
+        *_fields(c_float * SAMPLES, "x y"),
+        ("eye", c_float * 3),
     )
 
 
@@ -85,8 +85,8 @@ def draw(
     pieces = [_piece(piece) for piece in drawing.pieces]
     frame = _Frame(
         *(size[1], size[0], len(pieces), (_Piece * len(pieces))(*(piece for piece, _ in pieces))),
-        *((c_double * SAMPLES)(*samples[:, axis]) for axis in (0, 1)),
-        (c_double * 3)(*view.eye),
+        *((c_float * SAMPLES)(*samples[:, axis]) for axis in (0, 1)),
+        (c_float * 3)(*view.eye),
     )
     made = [_pass(drawing, view, lit, size, closed) for lit in passes]
     work = (_Pass * len(made))(*(one for one, *_ in made))
