@@ -1,23 +1,42 @@
-# The API and the workers are this one image, started as `scene-attack api` and `scene-attack worker`.
-FROM debian:12-slim
+# The API and the workers are this one image, started as `scene-attack api` and `scene-attack worker`. It is made in two
+# stages: the first has a compiler and whatever installing takes, the second is what runs.
+FROM debian:12-slim AS build
 
 RUN apt-get update \
     && apt-get install -y --no-install-recommends python3 python3-venv ca-certificates g++ libosmesa6 libegl1 libgl1 libgl1-mesa-dri \
     && rm -rf /var/lib/apt/lists/*
 
-RUN useradd --system --create-home --uid 10001 scene-attack \
-    && mkdir /data && chown scene-attack /data
-
 WORKDIR /app
 # Packages, meshes and environment maps change seldom: they are layers of their own.
-COPY requirements.txt pyproject.toml README.md ./
+COPY requirements.txt pyproject.toml README.md LICENSE NOTICE ./
 COPY scripts/setup scripts/assets.sha256 scripts/
 COPY services/__init__.py services/
 COPY api/__init__.py api/
 COPY worker/__init__.py worker/
 COPY client/__init__.py client/
 ENV SCENE_ATTACK_CACHE=/assets
-RUN scripts/setup && chmod -R a+rX /assets && chown scene-attack /assets
+RUN scripts/setup && chmod -R a+rX /assets
+# The kernels, for other machines than the one that builds. They lie outside of the cache, which is a volume: a new image
+# brings its own.
+COPY services services
+ENV SCENE_ATTACK_KERNEL_ARCH=portable \
+    SCENE_ATTACK_KERNEL_DIR=/kernels
+RUN .venv/bin/python -m services.rendering.kernels.build
+
+FROM debian:12-slim AS production
+
+RUN apt-get update \
+    && apt-get install -y --no-install-recommends python3 ca-certificates libgomp1 libosmesa6 libegl1 libgl1 libgl1-mesa-dri \
+    && rm -rf /var/lib/apt/lists/*
+
+RUN useradd --system --create-home --uid 10001 scene-attack \
+    && mkdir /data && chown scene-attack /data
+
+WORKDIR /app
+COPY --from=build --chown=scene-attack /assets /assets
+COPY --from=build /app/.venv .venv
+COPY --from=build /kernels /kernels
+COPY pyproject.toml README.md ./
 COPY services services
 COPY api api
 COPY worker worker
@@ -25,7 +44,10 @@ COPY client client
 
 ENV PATH=/app/.venv/bin:$PATH \
     PYTHONDONTWRITEBYTECODE=1 \
-    SCENE_ATTACK_DATA=/data
+    SCENE_ATTACK_CACHE=/assets \
+    SCENE_ATTACK_DATA=/data \
+    SCENE_ATTACK_KERNEL_ARCH=portable \
+    SCENE_ATTACK_KERNEL_DIR=/kernels
 USER scene-attack
 EXPOSE 8008
 CMD ["scene-attack", "serve", "--host", "0.0.0.0"]

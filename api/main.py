@@ -26,6 +26,7 @@ from services.jobs.queue import connect as connect_redis
 from services.jobs.repository import Repository
 from services.jobs.service import Submissions
 from services.logs import configure, logger
+from services.pipeline.extensions import log_extensions
 from services.scenes.library import Library
 from services.settings import Settings, settings
 
@@ -86,6 +87,7 @@ def run(listener: socket.socket | None = None) -> int:
     values = settings()
     listener = listener or socket.create_server((values.host, values.port))
     log.info("listening", address=listener.getsockname())
+    log_extensions()
     config = uvicorn.Config(
         create_app(values),
         log_config=None,

@@ -3,11 +3,12 @@
 import base64
 import binascii
 from datetime import datetime
-from typing import Self
+from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, Field
 
 from services.errors import InvalidRequest
+from services.extensions import Extension
 from services.jobs.models import Artifact, Job, State
 from services.pipeline.outcome import Outcome
 from services.pipeline.result import Result
@@ -42,7 +43,10 @@ class JobSummary(BaseModel):
     attempt: int = Field(description="times it was started")
     seed: int
     progress: ProgressView | None
-    spec: JobSpec = Field(description="the request with everything it left out filled in")
+    spec: Annotated[JobSpec | dict[str, Any], Field(union_mode="left_to_right")] = Field(
+        description="the request with everything it left out filled in; as it was stored, where its attack or renderer "
+        "is not installed any more"
+    )
     outcome: Outcome | None = Field(description="the result in one line, once it succeeded")
     failure: FailureView | None
 
@@ -130,6 +134,21 @@ class Health(BaseModel):
     status: str
 
 
+class ExtensionView(BaseModel):
+    """A file of SCENE_ATTACK_EXTENSIONS, as the service loaded it."""
+
+    file: str = Field(description="its name, without the folder")
+    sha256: str | None = Field(description="of its bytes; null where it cannot be read")
+    adds: list[str] = Field(description='kind and name of what it registers, e.g. "renderer tint"')
+    error: str | None = Field(description="why it was left out; null if it was loaded")
+
+    @classmethod
+    def of(cls, extension: Extension) -> Self:
+        """The view of a loaded file."""
+        adds = sorted(f"{kind} {name}" for kind, name in extension.adds)
+        return cls(file=extension.path.name, sha256=extension.sha256, adds=adds, error=extension.error)
+
+
 class Readiness(BaseModel):
     """Whether the service can take jobs and run them."""
 
@@ -137,6 +156,9 @@ class Readiness(BaseModel):
     database: bool
     redis: bool
     workers: int = Field(description="workers that gave a sign of life in the last seconds")
+    extensions: list[ExtensionView] = Field(
+        description="as this process loaded them; the service is ready without those that were left out"
+    )
 
 
 def cursor_after(job: Job) -> str:

@@ -33,12 +33,12 @@ def services(request: Request) -> Services:
     return found
 
 
-Has = Annotated[Services, Depends(services)]
+ServicesDependency = Annotated[Services, Depends(services)]
 
 
-def known_job(job_id: str, has: Has) -> Job:
+def known_job(job_id: str, services: ServicesDependency) -> Job:
     """The job of the path, without its result; 404 if there is none."""
-    job = has.repository.get(job_id)
+    job = services.repository.get(job_id)
     if job is None:
         raise no_such("job")
     return job

@@ -23,11 +23,10 @@ from benchmarks.peers import Lite0, reach
 from benchmarks.report import RESULTS, save
 from benchmarks.views import right
 from services.analysis.perceptibility import of_pictures
-from services.attacks.fgsm import FgsmMethod
+from services.attacks.fgsm import Fgsm, FgsmMethod
 from services.attacks.goal import ResolvedGoal
 from services.attacks.loop import AttackRun, Budget, run_together
 from services.attacks.problem import AttackProblem
-from services.attacks.spec import Fgsm
 from services.attacks.verifier import Verifier
 from services.pipeline.prepare import prepare
 from services.pipeline.spec import parse

@@ -28,7 +28,7 @@ from benchmarks.peers import Lite0
 from benchmarks.report import RESULTS, save, shortest
 from benchmarks.rounded_gradient import ATTACKS
 from services.jobs.child import ALLOCATOR
-from services.jobs.warm_up import warm
+from services.jobs.warm_up import warm_up
 from services.pipeline.execute import Progress, execute
 from services.pipeline.prepare import prepare
 from services.pipeline.spec import JobSpec, parse
@@ -76,7 +76,7 @@ def _in_a_process(attack: str, size: int, steps: int, repeats: int) -> dict[str,
 
 def _measure(attack: str, size: int, steps: int, repeats: int) -> dict[str, Any]:
     """Of `repeats` jobs beside as many passes of the network; with 0, of one job and its memory only."""
-    warm(settings())
+    warm_up(settings())
     library = Library(settings().cache_dir, settings().data_dir)
     chosen = ATTACKS[attack]
     groups = chosen.get("groups", ["image"])

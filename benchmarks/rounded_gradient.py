@@ -19,8 +19,7 @@ from benchmarks.views import right
 from services.analysis.perceptibility import of_pictures
 from services.attacks.fgsm import FgsmMethod
 from services.attacks.loop import Budget, run
-from services.attacks.problem import AttackProblem, Evaluation, ask, slopes
-from services.attacks.spec import Fgsm
+from services.attacks.problem import AttackProblem, Evaluation, ask, gradients
 from services.pipeline.prepare import Prepared, prepare
 from services.pipeline.spec import JobSpec, parse
 from services.scenes.library import Library
@@ -39,10 +38,10 @@ class FloatPictureFgsm(FgsmMethod):
     """FGSM with the gradient at the picture before rounding, which takes a pass of its own."""
 
     def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:
-        """One step along the float picture's slopes."""
+        """One step along the float picture's gradients."""
         again = problem.view(self.perturbation, gradient=True)
-        [found] = slopes([problem], [again], ask([problem], again.images))
-        return super().advance(problem, replace(view, slopes=found), step)
+        [found] = gradients([problem], [again], ask([problem], again.images))
+        return super().advance(problem, replace(view, gradients=found), step)
 
 
 Row = dict[str, Any]
@@ -78,14 +77,13 @@ def _spec(mesh: str, label: str, attack: str) -> JobSpec:
 
 def _run(prepared: Prepared, method: type[FgsmMethod], steps: int) -> Row:
     attack = prepared.spec.attack
-    assert isinstance(attack, Fgsm)
     assert attack.truncation is not None
     problem = AttackProblem(
         prepared.renderer, prepared.target, prepared.goal, attack.groups, truncation=attack.truncation / 255
     )
-    prepared.judge.queries = prepared.judge.renders = 0
-    found = run(problem, method(attack, problem), prepared.judge, Budget(steps))
-    p = of_pictures(prepared.original, prepared.judge.picture(found.stored))
+    prepared.verifier.queries = prepared.verifier.renders = 0
+    found = run(problem, method(attack, problem), prepared.verifier, Budget(steps))
+    p = of_pictures(prepared.original, prepared.verifier.picture(found.stored))
     return {"verified": found.verified, "steps": found.step, "p": p, "advantage": found.trace[-1].advantage}
 
 

@@ -16,10 +16,10 @@ from pathlib import Path
 from rich.progress import track
 
 from benchmarks.views import right
-from services.attacks.spec import FGSM_RATES
 from services.pipeline.execute import execute
 from services.pipeline.result import Result
 from services.pipeline.spec import JobSpec, parse
+from services.rendering.torch_renderer.declaration import TORCH
 from services.rendering.torch_renderer.units import ILLUMINATION_MEAN, MATERIAL_UNIT
 from services.scenes.library import Library
 from services.settings import settings
@@ -64,7 +64,9 @@ def main() -> None:
 
 
 def _spec(mesh: str, label: str, group: str, factor: float) -> JobSpec:
-    attack = {"groups": [group], "learning_rate": {group: FGSM_RATES[group] * factor}}
+    rate = TORCH.group(group).suggested_step
+    assert rate is not None
+    attack = {"groups": [group], "learning_rate": {group: rate * factor}}
     return parse({"scene": {"objects": [{"mesh": mesh}]}, "goal": {"leave": label}, "attack": attack})
 
 

@@ -67,7 +67,6 @@ def _measure(library: Library, mesh: str, label: str, repeats: int) -> dict[str,
     spec = parse({"scene": {"objects": [{"mesh": mesh}]}, "goal": {"leave": label}, "attack": attack, "seed": SEED})
     ready = prepare(spec, library)
     renderer = ready.renderer
-    assert isinstance(renderer, PyrenderRenderer)
     problem = AttackProblem(renderer, ready.target, ready.goal, renderer.groups, seed=SEED, weight=0.001)
     method = ZooMethod(spec.attack, problem)  # type: ignore[arg-type]
     method.start(problem)

@@ -10,6 +10,8 @@ from typing import Any, Self
 import httpx
 from httpx_sse import connect_sse
 
+from services import atomic_write
+
 TERMINAL = ("succeeded", "failed", "cancelled")
 _PATIENCE = 30.0
 """Seconds without a byte after which an event stream is taken for dead; the service sends a comment more often."""
@@ -110,15 +112,13 @@ class ApiClient:
 
     def download(self, job_id: str, name: str, to: Path) -> None:
         """Writes one artifact to the file `to`, which appears only when it is whole."""
-        part = to.with_name(to.name + ".part")
         with self._http.stream("GET", f"/v1/jobs/{job_id}/artifacts/{name}") as response:
             if response.status_code != httpx.codes.OK:
                 response.read()
                 raise _refusal(response)
-            with part.open("wb") as file:
+            with atomic_write.replacing(to) as part, part.open("wb") as file:
                 for chunk in response.iter_bytes():
                     file.write(chunk)
-        part.replace(to)
 
     def add_asset(self, path: Path, kind: str) -> dict[str, Any]:
         """Uploads a mesh; `kind` is obj, ply, stl, glb or off."""

@@ -20,6 +20,15 @@ def err() -> Console:
     return Console(stderr=True, width=None if sys.stderr.isatty() else 200)
 
 
+def report_extensions() -> None:
+    """Says on stderr which extensions were left out, and why."""
+    from services.pipeline.extensions import EXTENSIONS
+
+    for one in EXTENSIONS:
+        if one.error is not None:
+            err().print(f"extension left out: {one.path}: {one.error}", markup=False, highlight=False)
+
+
 def print_json(data: Any) -> None:
     """One JSON document on stdout."""
     print(json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False))

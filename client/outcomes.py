@@ -15,8 +15,8 @@ def cells(scene: str, attack: str, outcome: Mapping[str, Any]) -> list[str | Tex
     return [
         scene,
         attack,
-        said(outcome, "before"),
-        said(outcome, "after"),
+        answer_cell(outcome, "before"),
+        answer_cell(outcome, "after"),
         verdict(outcome["fooled"]),
         yes(outcome["verified"]),
         f"{outcome['perceptibility'] * 1000:.2f}",
@@ -25,7 +25,7 @@ def cells(scene: str, attack: str, outcome: Mapping[str, Any]) -> list[str | Tex
     ]
 
 
-def said(outcome: Mapping[str, Any], when: str) -> str:
+def answer_cell(outcome: Mapping[str, Any], when: str) -> str:
     """The network's answer "before" or "after", with its confidence: "grand piano 0.77"."""
     return f"{outcome[when]} {outcome[when + '_confidence']:.2f}"
 

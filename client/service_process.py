@@ -18,10 +18,13 @@ STOP_SECONDS = 30.0
 def running_service(data: Path, environ: dict[str, str]) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
     """Starts `scene-attack serve` on the data directory with these settings; gives its address once it takes jobs.
 
-    Its log is `data`/service.log. It is stopped on leaving, SIGTERM included. Raises JobFailure("internal") if it ends
-    before it is ready.
+    Its log is `data`/service.log. It is stopped on leaving, also when that is by SIGTERM or SIGINT. Raises
+    JobFailure("internal") if it ends before it is ready.
     """
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    # A shell without job control starts what runs in the background with SIGINT ignored, and Python then leaves it
+    # ignored. We own a service that has to be stopped in order, so we take the signal as `serve` does.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     data.mkdir(parents=True, exist_ok=True)
     log = data / "service.log"
     with log.open("ab") as errors:

@@ -1,5 +1,6 @@
 """Settings from the environment (prefix SCENE_ATTACK_), with defaults that work on a laptop."""
 
+import os
 from functools import lru_cache
 from pathlib import Path
 from typing import Literal
@@ -20,11 +21,28 @@ class Settings(BaseSettings):
     host: str = Field("127.0.0.1", description="address the API listens on")
     port: int = Field(8008, ge=0, le=65535, description="port the API listens on; 0 picks a free one")
     workers: int = Field(1, ge=1, le=64, description="job processes")
+    device: str = Field(
+        "auto",
+        pattern=r"^(auto|cpu|cuda(:[0-9]{1,2})?)$",
+        description="where networks and the torch renderer compute: auto (CUDA if there is one), cpu, cuda, cuda:N",
+    )
     threads: int = Field(2, ge=1, le=256, description="torch threads of a job process; part of the backend string")
+    extensions: str | None = Field(
+        None,
+        description="files, or folders of .py files, with attacks, renderers and targets of your own; separated as in "
+        "`PATH`",
+    )
     gl: Literal["auto", "egl", "osmesa"] = Field("auto", description="OpenGL platform; auto tries EGL, then OSMesa")
     kernel: Literal["auto", "native", "torch"] = Field(
-        "auto", description="inner loops of shading; auto compiles them where there is a C++ compiler, else torch"
+        "auto",
+        description="what runs inner loops on a CPU; auto takes compiled kernels, torch where there are none",
     )
+    kernel_arch: str = Field(
+        "native",
+        pattern=r"^[a-z0-9][a-z0-9+._-]*$",
+        description="processor the kernels are compiled for: native, portable, or a name that g++ -march knows",
+    )
+    kernel_dir: Path | None = Field(None, description="folder of the compiled kernels; default: native in the cache")
     max_upload_bytes: int = Field(32 * 2**20, ge=1, description="largest mesh upload")
     max_faces: int = Field(300_000, ge=1, description="largest mesh, in triangles")
     max_queued: int = Field(1000, ge=1, description="queued jobs beyond which new ones get 503")
@@ -41,9 +59,19 @@ class Settings(BaseSettings):
         return self.cache.expanduser().resolve()
 
     @property
+    def kernel_folder(self) -> Path:
+        """The folder of the compiled kernels, absolute."""
+        return self.cache_dir / "native" if self.kernel_dir is None else self.kernel_dir.expanduser().resolve()
+
+    @property
     def data_dir(self) -> Path:
         """The data directory, absolute."""
         return self.data.expanduser().resolve()
+
+    @property
+    def extension_paths(self) -> list[Path]:
+        """The files and folders of `extensions`."""
+        return [Path(part).expanduser() for part in (self.extensions or "").split(os.pathsep) if part]
 
     def environ(self) -> dict[str, str]:
         """The environment variables that give a child process these settings."""

@@ -15,23 +15,24 @@ import torch
 
 from services.errors import Cancelled, InvalidRequest, JobFailure
 from services.jobs.artifacts import ArtifactStore, media_type
+from services.jobs.attempts import Attempt, Standing
 from services.jobs.child import connect, reply, requests
 from services.jobs.database import connect as connect_database
 from services.jobs.models import Artifact
-from services.jobs.repository import Attempt, Repository, Standing
-from services.jobs.warm_up import warm
-from services.jobs.working_files import Workplace
+from services.jobs.repository import Repository
+from services.jobs.warm_up import warm_up
+from services.jobs.working_files import WorkingFiles
 from services.logs import configure, logger
 from services.pipeline.execute import Progress, execute
 from services.pipeline.outcome import outcome
 from services.pipeline.result import Result
-from services.pipeline.spec import JobSpec
+from services.pipeline.spec import parse
 from services.scenes.library import Library
 from services.settings import Settings, settings
 
 REPORT_SECONDS = 0.25
 """Progress is written at most so often; the trace rows in between go along with the next report."""
-LOOK_SECONDS = 0.02
+POLL_SECONDS = 0.02
 """The record is asked whether to stop before every rendering, but at most so often: far less than a step takes."""
 
 log = logger(__name__)
@@ -46,7 +47,7 @@ class Reporter:
         self._clock = clock
         self._rows: list[dict[str, Any]] = []
         self._phase: str | None = None
-        self._told = self._looked = float("-inf")
+        self._reported_at = self._checked_at = float("-inf")
         self._stop = False
 
     def progress(self, progress: Progress) -> None:
@@ -54,17 +55,17 @@ class Reporter:
         if progress.row is not None:
             self._rows.append(finite(progress.row.model_dump(mode="json")))
         now = self._clock()
-        if progress.phase == self._phase and now - self._told < REPORT_SECONDS:
+        if progress.phase == self._phase and now - self._reported_at < REPORT_SECONDS:
             return
-        self._phase, self._told = progress.phase, now
+        self._phase, self._reported_at = progress.phase, now
         self._repository.progress(self._attempt, progress.phase, progress.step, progress.steps, self._rows)
         self._rows = []
 
     def stop(self) -> bool:
         """Whether the job was cancelled, or belongs to somebody else by now."""
         now = self._clock()
-        if not self._stop and now - self._looked >= LOOK_SECONDS:
-            self._looked = now
+        if not self._stop and now - self._checked_at >= POLL_SECONDS:
+            self._checked_at = now
             self._stop = self._repository.standing(self._attempt) is not Standing.GO_ON
         return self._stop
 
@@ -85,7 +86,7 @@ class Jobs:
         self._repository = Repository(connect_database(settings))
         self._store = ArtifactStore(settings.data_dir / "artifacts")
         self._library = Library(settings.cache_dir, settings.data_dir)
-        self._workplace = Workplace(settings.data_dir)
+        self._working_files = WorkingFiles(settings.data_dir)
 
     def run(self, attempt: Attempt) -> None:
         """Run one attempt and record how it ended."""
@@ -95,14 +96,14 @@ class Jobs:
             return
         reporter = Reporter(repository, attempt)
         try:
-            with self._workplace.desk(attempt) as out:
+            with self._working_files.attempt_directory(attempt) as out:
                 result = execute(
-                    JobSpec.model_validate(job.spec),
+                    parse(job.spec),
                     out,
                     self._library,
                     progress=reporter.progress,
                     cancelled=reporter.stop,
-                    checkpoint=self._workplace.checkpoint(attempt.job_id),
+                    checkpoint=self._working_files.checkpoint(attempt.job_id),
                 )
                 self._keep(attempt, result, out)
         except Cancelled:
@@ -111,7 +112,7 @@ class Jobs:
             failure = classify(error)
             log.warning("job failed", job=attempt.job_id, kind=failure.kind, exc_info=error)
             repository.fail(attempt, failure.kind, failure.detail)
-        self._workplace.forget(repository, attempt.job_id)
+        self._working_files.forget(repository, attempt.job_id)
 
     def _keep(self, attempt: Attempt, result: Result, out: Path) -> None:
         record = finite(result.model_dump(mode="json"))
@@ -148,7 +149,7 @@ def main() -> None:
     values = settings()
     connection = connect()
     inbox = requests(connection)
-    log.info("warm", gl=warm(values))
+    log.info("warm", gl=warm_up(values))
     jobs = Jobs(values)
     reply(connection, {"ready": os.getpid()})
     for request, _ in inbox:

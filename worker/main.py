@@ -15,7 +15,7 @@ from services.jobs.database import migrate
 from services.jobs.queue import Queue, reconcile
 from services.jobs.queue import connect as connect_redis
 from services.jobs.repository import Repository
-from services.jobs.working_files import Workplace
+from services.jobs.working_files import WorkingFiles
 from services.logs import configure, logger
 from services.settings import Settings, settings
 from worker.supervisor import Program, Supervisor
@@ -73,7 +73,7 @@ def housekeeping(values: Settings, repository: Repository) -> Callable[[], None]
     """
     assert values.redis_url is not None
     queue = Queue(connect_redis(values.redis_url))
-    workplace = Workplace(values.data_dir)
+    working_files = WorkingFiles(values.data_dir)
     swept = float("-inf")
 
     def tick() -> None:
@@ -83,7 +83,7 @@ def housekeeping(values: Settings, repository: Repository) -> Callable[[], None]
                 log.warning("job taken back, its lease had lapsed", job=job_id)
             if time.monotonic() - swept > SWEEP_SECONDS:
                 swept = time.monotonic()
-                workplace.sweep(repository)
+                working_files.sweep(repository)
             reconcile(repository, queue)
         except (SQLAlchemyError, RedisError) as error:
             log.warning("housekeeping put off", error=str(error))

@@ -8,14 +8,15 @@ from collections.abc import Callable
 
 from sqlalchemy.exc import OperationalError
 
+from services.jobs.attempts import Attempt, Standing
 from services.jobs.child import Child, ChildDied
-from services.jobs.repository import Attempt, Repository, Standing
+from services.jobs.repository import Repository
 from services.logs import logger
 from services.settings import Settings
 
 START_SECONDS = 180.0
 """Longest a job process may take to load."""
-LOOK_SECONDS = 0.1
+POLL_SECONDS = 0.1
 """How often the watch looks whether the worker is to stop."""
 STOP_SECONDS = 10.0
 """A job process that has not stopped by itself so long after its job was cancelled or taken back is killed."""
@@ -50,20 +51,20 @@ class Runner:
 
     def ensure_ready(self) -> None:
         """Have a warm job process. Raises ChildDied if none can be had."""
-        if self._child is not None and (not self._child.alive() or self._worn()):
+        if self._child is not None and (not self._child.alive() or self._needs_replacement()):
             self.close()
         if self._child is not None:
             return
         started = time.monotonic()
         child = self._child = Child("worker.job_process", self._settings)
-        while child.receive(LOOK_SECONDS) is None:
+        while child.receive(POLL_SECONDS) is None:
             if self._stopping or time.monotonic() - started > START_SECONDS:
                 self.close()
                 raise ChildDied
         self._jobs, self._memory = 0, child.memory()
         log.info("job process ready", pid=child.pid, seconds=round(time.monotonic() - started, 2))
 
-    def _worn(self) -> bool:
+    def _needs_replacement(self) -> bool:
         assert self._child is not None
         return self._jobs >= MAX_JOBS or self._child.memory() - self._memory > MAX_GROWTH
 
@@ -87,9 +88,9 @@ class Runner:
         child = self._child
         assert child is not None
         started = renewed = time.monotonic()
-        told_to_stop: float | None = None
+        stop_requested_at: float | None = None
         child.send({"job": attempt.job_id, "attempt": attempt.number})
-        while child.receive(LOOK_SECONDS) is None:
+        while child.receive(POLL_SECONDS) is None:
             now = time.monotonic()
             if self._stopping:
                 self.close()
@@ -100,7 +101,7 @@ class Runner:
                 self.close()
                 self._repository.fail(attempt, "timeout", f"it ran longer than {self._settings.job_seconds:g} seconds")
                 return
-            if told_to_stop is not None and now - told_to_stop > STOP_SECONDS:
+            if stop_requested_at is not None and now - stop_requested_at > STOP_SECONDS:
                 self.close()
                 self._repository.cancelled(attempt)  # changes nothing if the attempt was lost
                 return
@@ -108,8 +109,8 @@ class Runner:
                 continue
             renewed = now
             beat()
-            if self._renew(attempt) is not Standing.GO_ON and told_to_stop is None:
-                told_to_stop = now
+            if self._renew(attempt) is not Standing.GO_ON and stop_requested_at is None:
+                stop_requested_at = now
 
     def _renew(self, attempt: Attempt) -> Standing:
         try:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from services.jobs.parent_death import die_with_parent
 from services.logs import logger
 
-LOOK_SECONDS = 0.1
+POLL_SECONDS = 0.1
 TICK_SECONDS = 1.0
 """How often the supervisor's duty is called."""
 STEADY_SECONDS = 10.0
@@ -40,7 +40,7 @@ class Program:
     _started: float = field(default=0.0, init=False)
     _wait: float = field(default=0.0, init=False)
 
-    def look(self) -> None:
+    def keep_running(self) -> None:
         """Start it if it does not run and its time has come."""
         if self.process is not None:
             status = self.process.poll()
@@ -85,11 +85,11 @@ class Supervisor:
         try:
             while not self._stop.is_set():
                 for program in self._programs:
-                    program.look()
+                    program.keep_running()
                 if time.monotonic() >= due:
                     due = time.monotonic() + TICK_SECONDS
                     self._duty()
-                self._stop.wait(LOOK_SECONDS)
+                self._stop.wait(POLL_SECONDS)
         finally:
             self._end([program for program in self._programs if not program.last])
             self._end([program for program in self._programs if program.last])

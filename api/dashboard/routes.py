@@ -12,9 +12,10 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from api.dashboard import views, words
 from api.schemas import cursor_after, read_cursor
-from api.state import Has, Services
+from api.state import Services, ServicesDependency
 from services.errors import InvalidRequest
 from services.jobs.models import Event, State
+from services.pipeline.names import group_words
 
 PAGE = 30
 """Jobs on one page of the list."""
@@ -38,39 +39,45 @@ router = APIRouter(include_in_schema=False)
 _templates = Environment(
     loader=PackageLoader(__package__), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
 )
-_templates.globals |= {"version": _VERSION, "words": words, "states": list(State)}
+_templates.globals |= {"version": _VERSION, "words": words, "group_words": group_words, "states": list(State)}
 
 
 @router.get("/")
-def jobs(has: Has, state: State | None = None, cursor: Annotated[str | None, Query(max_length=200)] = None) -> Response:
+def jobs(
+    services: ServicesDependency,
+    state: State | None = None,
+    cursor: Annotated[str | None, Query(max_length=200)] = None,
+) -> Response:
     """The list of jobs, newest first."""
-    return _list("jobs.html", has, state, cursor)
+    return _list("jobs.html", services, state, cursor)
 
 
 @router.get("/parts/jobs")
 def jobs_part(
-    has: Has, state: State | None = None, cursor: Annotated[str | None, Query(max_length=200)] = None
+    services: ServicesDependency,
+    state: State | None = None,
+    cursor: Annotated[str | None, Query(max_length=200)] = None,
 ) -> Response:
     """The part of the list that changes."""
-    return _list("_jobs.html", has, state, cursor)
+    return _list("_jobs.html", services, state, cursor)
 
 
 @router.get("/jobs/{job_id}")
-def job(job_id: str, has: Has) -> Response:
+def job(job_id: str, services: ServicesDependency) -> Response:
     """One job."""
-    return _job("job.html", job_id, has)
+    return _job("job.html", job_id, services)
 
 
 @router.get("/parts/jobs/{job_id}")
-def job_part(job_id: str, has: Has) -> Response:
+def job_part(job_id: str, services: ServicesDependency) -> Response:
     """The part of a job's page that changes."""
-    return _job("_job.html", job_id, has)
+    return _job("_job.html", job_id, services)
 
 
 @router.post("/jobs/{job_id}/cancel")
-def cancel(job_id: str, has: Has) -> Response:
+def cancel(job_id: str, services: ServicesDependency) -> Response:
     """The cancel button."""
-    if has.repository.request_cancel(job_id) is None:
+    if services.repository.request_cancel(job_id) is None:
         return _missing()
     return RedirectResponse(f"/jobs/{job_id}", 303, HEADERS)
 
@@ -85,28 +92,28 @@ def static(name: str, request: Request) -> Response:
     return Response(data, headers=HEADERS | {"Cache-Control": kept}, media_type=_KINDS[name.rpartition(".")[2]])
 
 
-def _list(template: str, has: Services, state: State | None, cursor: str | None) -> Response:
+def _list(template: str, services: Services, state: State | None, cursor: str | None) -> Response:
     try:
         before = None if cursor is None else read_cursor(cursor)
     except InvalidRequest:
         before = None
-    found = has.repository.page(state, PAGE + 1, before)
+    found = services.repository.page(state, PAGE + 1, before)
     older = cursor_after(found[PAGE - 1]) if len(found) > PAGE else None
     lines = [views.line(one) for one in found[:PAGE]]
     return _html(template, lines=lines, state=state, cursor=cursor, older=older)
 
 
-def _job(template: str, job_id: str, has: Services) -> Response:
-    found = has.repository.get(job_id, with_result=True)
+def _job(template: str, job_id: str, services: Services) -> Response:
+    found = services.repository.get(job_id, with_result=True)
     if found is None:
         return _missing()
-    events = [] if found.result else _all_events(has, job_id)
-    return _html(template, page=views.page(found, events, has.repository.artifacts(job_id)))
+    events = [] if found.result else _all_events(services, job_id)
+    return _html(template, page=views.page(found, events, services.repository.artifacts(job_id)))
 
 
-def _all_events(has: Services, job_id: str) -> Iterator[Event]:
+def _all_events(services: Services, job_id: str) -> Iterator[Event]:
     after = 0
-    while page := has.repository.events(job_id, after):
+    while page := services.repository.events(job_id, after):
         yield from page
         after = page[-1].number
 

@@ -65,7 +65,7 @@ def line(job: Job) -> Line:
 
 def page(job: Job, events: Iterable[Event], artifacts: Sequence[Artifact]) -> Page:
     """A job as its page shows it. The trace is the result's, or, without one, what its events tell so far."""
-    trace = job.result["trace"] if job.result else told(events)
+    trace = job.result["trace"] if job.result else trace_of_events(events)
     return Page(
         line=line(job),
         spec=job.spec,
@@ -81,7 +81,7 @@ def page(job: Job, events: Iterable[Event], artifacts: Sequence[Artifact]) -> Pa
     )
 
 
-def told(events: Iterable[Event]) -> list[dict[str, Any]]:
+def trace_of_events(events: Iterable[Event]) -> list[dict[str, Any]]:
     """The trace so far. An attempt that took up an older checkpoint tells some steps again: the later word counts."""
     rows: list[dict[str, Any]] = []
     for event in events:

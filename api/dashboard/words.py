@@ -1,4 +1,4 @@
-"""SceneParameters, times and reasons as a person reads them."""
+"""Numbers, times and reasons as a person reads them."""
 
 import json
 from datetime import datetime
@@ -17,16 +17,6 @@ STOPPED = {
     "steps": "its steps were used up",
     "queries": "its queries were used up",
     "seconds": "its time was used up",
-}
-
-GROUPS = {
-    "image": "pixels",
-    "normals": "surface normals",
-    "illumination": "illumination",
-    "material": "material",
-    "color": "colour",
-    "translation": "position",
-    "rotation": "rotation",
 }
 
 

@@ -7,15 +7,15 @@ from fastapi import APIRouter, Header, HTTPException, Response
 from fastapi.responses import FileResponse
 
 from api.schemas import ArtifactList, ArtifactView
-from api.state import Has, KnownJob, no_such
+from api.state import KnownJob, ServicesDependency, no_such
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
 
 @router.get("/{job_id}/artifacts")
-def listing(job: KnownJob, has: Has) -> ArtifactList:
+def listing(job: KnownJob, services: ServicesDependency) -> ArtifactList:
     """The files of a job; none until it succeeded."""
-    return ArtifactList(items=[ArtifactView.of(artifact) for artifact in has.repository.artifacts(job.id)])
+    return ArtifactList(items=[ArtifactView.of(artifact) for artifact in services.repository.artifacts(job.id)])
 
 
 @router.get(
@@ -27,9 +27,11 @@ def listing(job: KnownJob, has: Has) -> ArtifactList:
         304: {"description": "the client has it already"},
     },
 )
-def download(job: KnownJob, name: str, has: Has, if_none_match: Annotated[str | None, Header()] = None) -> Response:
+def download(
+    job: KnownJob, name: str, services: ServicesDependency, if_none_match: Annotated[str | None, Header()] = None
+) -> Response:
     """One file. Its ETag is the hash of its bytes; it never changes, and parts of it can be had by Range."""
-    artifact = has.repository.artifact(job.id, name)
+    artifact = services.repository.artifact(job.id, name)
     if artifact is None:
         raise no_such("artifact")
     headers = {
@@ -40,7 +42,7 @@ def download(job: KnownJob, name: str, has: Has, if_none_match: Annotated[str | 
     }
     if if_none_match is not None and _matches(if_none_match, artifact.sha256):
         return Response(status_code=304, headers=headers)
-    path = has.store.path(artifact.sha256)
+    path = services.store.path(artifact.sha256)
     if not path.exists():
         raise HTTPException(410, "its bytes are gone from the data directory")
     return FileResponse(path, media_type=artifact.media_type, headers=headers)

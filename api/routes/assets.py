@@ -5,7 +5,7 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, File, Form, HTTPException, Request, UploadFile
 
 from api.schemas import AssetList
-from api.state import Has
+from api.state import ServicesDependency
 from services.scenes.library import Entry
 
 PATH = "/v1/assets"
@@ -20,15 +20,15 @@ def form_body(request: Request) -> None:
 
 @router.post("", status_code=201, dependencies=[Depends(form_body)])
 async def upload(
-    has: Has,
+    services: ServicesDependency,
     file: Annotated[UploadFile, File(description="the mesh; files it refers to are not looked at")],
     kind: Annotated[str, Form(max_length=16, description="obj, ply, stl, glb or off")],
 ) -> Entry:
     """Check a mesh and keep it by the hash of its bytes; scenes name it by the `name` in the answer."""
-    return await has.preflight.add_mesh(file.file, kind)
+    return await services.preflight.add_mesh(file.file, kind)
 
 
 @router.get("")
-def listing(has: Has) -> AssetList:
+def listing(services: ServicesDependency) -> AssetList:
     """The meshes that were uploaded."""
-    return AssetList(items=has.library.entries(category="upload"))
+    return AssetList(items=services.library.entries(category="upload"))

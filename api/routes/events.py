@@ -7,7 +7,7 @@ from fastapi import APIRouter, Depends, Header, HTTPException
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from api.routes.following import events
-from api.state import Has, KnownJob
+from api.state import KnownJob, ServicesDependency
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
@@ -27,12 +27,12 @@ def resume_after(
 
 @router.get("/{job_id}/events", response_class=EventSourceResponse)
 async def stream(
-    job: KnownJob, has: Has, after: Annotated[int, Depends(resume_after)]
+    job: KnownJob, services: ServicesDependency, after: Annotated[int, Depends(resume_after)]
 ) -> AsyncIterator[ServerSentEvent]:
     """A job's events from the first, or from the one after `Last-Event-ID`, until the job is over.
 
     `state`: {"state", "attempt"}, with "outcome" or "failure" at the end. `progress`: {"phase", "step", "steps",
     "rows"}, rows being the trace's rows since the event before. A job that was interrupted repeats some of its steps.
     """
-    async for event in events(has.repository, job.id, after):
+    async for event in events(services.repository, job.id, after):
         yield ServerSentEvent(data=event.data, event=event.kind, id=str(event.number))

@@ -9,7 +9,7 @@ from starlette.concurrency import run_in_threadpool
 from services.jobs.models import Event, Job
 from services.jobs.repository import Repository
 
-LOOK_SECONDS = 0.2
+POLL_SECONDS = 0.2
 """How often the record is asked for news."""
 
 
@@ -22,7 +22,7 @@ async def until_over(repository: Repository, job_id: str, seconds: float) -> Job
             return await run_in_threadpool(lambda: repository.get(job_id, with_result=True))
         if time.monotonic() >= deadline:
             return None
-        await asyncio.sleep(LOOK_SECONDS)
+        await asyncio.sleep(POLL_SECONDS)
 
 
 async def events(repository: Repository, job_id: str, after: int) -> AsyncIterator[Event]:
@@ -35,4 +35,4 @@ async def events(repository: Repository, job_id: str, after: int) -> AsyncIterat
         if job is None or (job.state.terminal and after >= job.events):
             return
         if after >= job.events:
-            await asyncio.sleep(LOOK_SECONDS)
+            await asyncio.sleep(POLL_SECONDS)

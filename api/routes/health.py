@@ -4,8 +4,9 @@ from fastapi import APIRouter, Response
 from redis.exceptions import RedisError
 from sqlalchemy.exc import SQLAlchemyError
 
-from api.schemas import Health, Readiness
-from api.state import Has
+from api.schemas import ExtensionView, Health, Readiness
+from api.state import ServicesDependency
+from services.pipeline.extensions import EXTENSIONS
 
 router = APIRouter(tags=["health"])
 
@@ -17,18 +18,19 @@ async def healthz() -> Health:
 
 
 @router.get("/readyz", responses={503: {"model": Readiness, "description": "something is missing"}})
-def readyz(has: Has, response: Response) -> Readiness:
+def readyz(services: ServicesDependency, response: Response) -> Readiness:
     """Whether database and Redis answer and a worker lives; 503 if not, saying what is missing."""
     database = redis = True
     workers = 0
     try:
-        has.repository.ping()
+        services.repository.ping()
     except SQLAlchemyError:
         database = False
     try:
-        workers = has.queue.live_workers()
+        workers = services.queue.live_workers()
     except RedisError:
         redis = False
     ready = database and redis and workers > 0
     response.status_code = 200 if ready else 503
-    return Readiness(ready=ready, database=database, redis=redis, workers=workers)
+    extensions = [ExtensionView.of(extension) for extension in EXTENSIONS]
+    return Readiness(ready=ready, database=database, redis=redis, workers=workers, extensions=extensions)

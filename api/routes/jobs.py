@@ -8,7 +8,7 @@ from starlette.concurrency import run_in_threadpool
 
 from api.routes.following import until_over
 from api.schemas import JobPage, JobSummary, JobView, cursor_after, read_cursor
-from api.state import Has, KnownJob, no_such
+from api.state import KnownJob, ServicesDependency, no_such
 from services.jobs.models import Job, State
 from services.jobs.repository import Key
 from services.jobs.service import digest
@@ -36,7 +36,7 @@ def wait_preferred(prefer: Annotated[str | None, Header()] = None) -> float | No
 @router.post("", status_code=202, response_model=JobView, dependencies=[Depends(json_body)])
 async def submit(
     spec: JobSpec,
-    has: Has,
+    services: ServicesDependency,
     response: Response,
     wait: Annotated[float | None, Depends(wait_preferred)],
     idempotency_key: Annotated[
@@ -50,18 +50,18 @@ async def submit(
     `Prefer: wait=N` the answer comes when the job is over (200) or after N seconds, at most 30 (202).
     """
     key = None if idempotency_key is None else Key(idempotency_key, digest(spec))
-    said = None if key is None else await run_in_threadpool(has.repository.first_answer, key)
-    if said is None:
-        spec = await has.preflight.check(spec)
-        said = await run_in_threadpool(has.submissions.submit, spec, key, _answer)
-    response.headers["Location"] = f"/v1/jobs/{said['id']}"
+    body = None if key is None else await run_in_threadpool(services.repository.first_answer, key)
+    if body is None:
+        spec = await services.preflight.check(spec)
+        body = await run_in_threadpool(services.submissions.submit, spec, key, _answer)
+    response.headers["Location"] = f"/v1/jobs/{body['id']}"
     if wait is not None:
-        job = await until_over(has.repository, said["id"], wait)
+        job = await until_over(services.repository, body["id"], wait)
         response.headers["Preference-Applied"] = f"wait={wait:g}"
         if job is not None:
             response.status_code = 200
             return JobView.of(job, with_result=True)
-    return said
+    return body
 
 
 def _answer(job: Job) -> dict[str, Any]:
@@ -70,34 +70,34 @@ def _answer(job: Job) -> dict[str, Any]:
 
 @router.get("")
 def page(
-    has: Has,
+    services: ServicesDependency,
     state: State | None = None,
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
     cursor: Annotated[str | None, Query(max_length=200, description="`next` of the page before")] = None,
 ) -> JobPage:
     """Jobs, newest first."""
     before = None if cursor is None else read_cursor(cursor)
-    jobs = has.repository.page(state, limit + 1, before)
+    jobs = services.repository.page(state, limit + 1, before)
     more = cursor_after(jobs[limit - 1]) if len(jobs) > limit else None
     return JobPage(items=[JobSummary.of(job) for job in jobs[:limit]], next=more)
 
 
 @router.get("/{job_id}")
-def get(job_id: str, has: Has) -> JobView:
+def get(job_id: str, services: ServicesDependency) -> JobView:
     """One job, with its result once it succeeded."""
-    job = has.repository.get(job_id, with_result=True)
+    job = services.repository.get(job_id, with_result=True)
     if job is None:
         raise no_such("job")
     return JobView.of(job, with_result=True)
 
 
 @router.post("/{job_id}/cancel", status_code=202)
-def cancel(job: KnownJob, has: Has) -> JobView:
+def cancel(job: KnownJob, services: ServicesDependency) -> JobView:
     """Ask a job to stop: a queued one is cancelled at once, a running one stops within a step.
 
     A job that is over stays as it is; asking twice is the same as asking once.
     """
-    asked = has.repository.request_cancel(job.id)
+    asked = services.repository.request_cancel(job.id)
     if asked is None:
         raise no_such("job")
     return JobView.of(asked)

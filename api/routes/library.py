@@ -6,7 +6,7 @@ from fastapi import APIRouter, Query
 from pydantic import BaseModel
 
 from api.schemas import SceneLibrary
-from api.state import Has
+from api.state import ServicesDependency
 from services.targets.info import TargetInfo, available
 
 router = APIRouter(prefix="/v1", tags=["scenes"])
@@ -22,11 +22,15 @@ class TargetList(BaseModel):
 
 @router.get("/scenes")
 def scenes(
-    has: Has, category: Filter = None, creator: Filter = None, licence: Filter = None, search: Filter = None
+    services: ServicesDependency,
+    category: Filter = None,
+    creator: Filter = None,
+    licence: Filter = None,
+    search: Filter = None,
 ) -> SceneLibrary:
     """Meshes that match every filter given, environment maps, and whom to credit for them."""
-    meshes = has.library.entries(category=category, creator=creator, licence=licence, search=search)
-    environments = has.library.environments()
+    meshes = services.library.entries(category=category, creator=creator, licence=licence, search=search)
+    environments = services.library.environments()
     credits_ = {entry.credit for entry in [*meshes, *environments] if entry.credit is not None}
     return SceneLibrary(meshes=meshes, environments=environments, credits=sorted(credits_))
 

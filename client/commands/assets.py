@@ -58,7 +58,8 @@ def show(mesh: Annotated[str, typer.Argument(help="A name from `assets list`.")]
         "parts": len(loaded.parts),
         "faces": sum(len(part.faces) for part in loaded.parts),
         "vertices": sum(len(part.vertices) for part in loaded.parts),
-        "textured parts": sum(part.texture is not None for part in loaded.parts),
+        "textured parts": sum(part.textured for part in loaded.parts),
+        "metallic-roughness parts": sum(part.metallic_roughness is not None for part in loaded.parts),
         "credit": loaded.credit,
     }
     if as_json:
@@ -108,9 +109,10 @@ def environments(as_json: JsonOption = False) -> None:
 
 def targets(as_json: JsonOption = False) -> None:
     """List the networks that can be attacked."""
-    from client.console import out, print_json, table, yes
+    from client.console import out, print_json, report_extensions, table, yes
     from services.targets.info import available
 
+    report_extensions()
     found = available()
     if as_json:
         print_json([info.model_dump(mode="json") for info in found])

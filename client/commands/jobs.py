@@ -26,7 +26,7 @@ def list_jobs(
     """List jobs, newest first."""
     from client.api_client import ApiClient
     from client.console import out, print_json, state_text, table, yes
-    from client.outcomes import said, verdict
+    from client.outcomes import answer_cell, verdict
     from services.pipeline.names import attack_name, scene_name
 
     with ApiClient(url) as client:
@@ -43,7 +43,7 @@ def list_jobs(
                 state_text(job["state"]),
                 scene_name(job["spec"]),
                 attack_name(job["spec"]),
-                "" if done is None else f"{said(done, 'before')} → {said(done, 'after')}",
+                "" if done is None else f"{answer_cell(done, 'before')} → {answer_cell(done, 'after')}",
                 "" if done is None else verdict(done["fooled"]),
                 yes(None if done is None else done["verified"]),
             ]

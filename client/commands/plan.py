@@ -26,9 +26,10 @@ def plan(
     """
     gc.disable()  # looking for garbage while all is imported takes longer than this process leaves any
     from client import spec_input
-    from client.console import print_json
+    from client.console import print_json, report_extensions
     from services.pipeline.spec import parse
 
+    report_extensions()
     job = parse(spec_input.read(spec))
     from client.commands.run import library
 
@@ -59,3 +60,12 @@ def _print(found: "Plan") -> None:
     ]
     if done:
         out().print(table(("stage", "method", "when", "work>", "why", "error>"), done))
+    if found.gradients:
+        rows = [[f"{g.part} {g.group}", small(g.relative), f"{100 * g.wrong_signs:.2g} %"] for g in found.gradients]
+        out().print(table(("gradient", "relative error>", "wrong signs>"), rows))
+    if found.environment_map_error is not None:
+        out().print(
+            f"environment map's resolution: error {small(found.environment_map_error)} against 64×128 texels, not part "
+            "of the estimated error",
+            highlight=False,
+        )

@@ -38,7 +38,7 @@ def run(
     whether the network was fooled or held.
     """
     from client import spec_input
-    from client.console import err, print_json, table
+    from client.console import err, print_json, report_extensions, table
     from client.console import out as stdout
     from client.live import JobLine
     from client.outcomes import COLUMNS, cells
@@ -46,6 +46,7 @@ def run(
     from services.pipeline.spec import parse
 
     _keep_memory()
+    report_extensions()
     data = spec_input.read(spec, seed)
     job = parse(data)
     _prepare_folder(out)

@@ -36,9 +36,10 @@ def serve(
     Prints "ready URL" once it takes jobs. Ctrl-C stops everything; a running job goes on from its checkpoint next time.
     """
     from services.errors import InvalidRequest
-    from worker.stack import serve as run
 
     values = _settings(host=host, port=port, workers=workers, data=data)
+    from worker.stack import serve as run
+
     try:
         code = run(values)
     except OSError as error:
@@ -50,22 +51,25 @@ def serve(
 
 def api(host: HostOption = None, port: PortOption = None, data: DataOption = None) -> None:
     """Run only the API with the dashboard. Needs SCENE_ATTACK_REDIS_URL, as its workers run elsewhere."""
+    _settings(host=host, port=port, data=data)
     from api.main import run
 
-    _settings(host=host, port=port, data=data)
     raise typer.Exit(run())
 
 
 def worker(workers: WorkersOption = None, data: DataOption = None) -> None:
     """Run only workers. Needs SCENE_ATTACK_REDIS_URL, and the database and data directory of the API."""
+    _settings(workers=workers, data=data)
     from worker.main import run
 
-    _settings(workers=workers, data=data)
     raise typer.Exit(run())
 
 
 def _settings(**given: str | int | Path | None) -> "Settings":
-    """The settings with these put over the environment's, here and for child processes."""
+    """The settings with these put over the environment's, here and for child processes.
+
+    Comes before the imports of the service, which read the settings once.
+    """
     from pydantic import ValidationError
 
     from services.errors import InvalidRequest

@@ -13,7 +13,7 @@ from services.scenes.resolve import ResolvedScene, resolve
 from services.settings import settings
 
 TABLES = (128, 128)
-"""Height and width of a picture with so many pixels that a plan prefers tables to sums."""
+"""Height and width of an image with so many pixels that a plan prefers tables to sums."""
 
 
 @lru_cache(maxsize=1)
@@ -30,8 +30,9 @@ def placed(
     camera: dict[str, Any] | None = None,
     thing: dict[str, Any] | None = None,
     lights: dict[str, Any] | None = None,
+    ground: tuple[float, float, float] | None = None,
 ) -> ResolvedScene:
-    """A scene of one object: a mesh by name or by its parts, described by `camera`, `thing` and `lights`.
+    """A scene of one object: a mesh by name or by its parts, described by `camera`, `thing`, `lights` and `ground`.
 
     `radiance` [rows, cols, 3] takes the place of the environment map as it is. Raises as `resolve` does.
     """
@@ -41,6 +42,7 @@ def placed(
             "objects": [{"mesh": mesh if isinstance(mesh, str) else "primitive/sphere"} | (thing or {})],
             "lights": {"environment": {"map": "uniform", "size": (8, 16)}} | (lights or {}),
         }
+        | ({} if ground is None else {"ground": ground})
     )
     scene = resolve(description, library())
     if not isinstance(mesh, str):
@@ -52,3 +54,18 @@ def sky(rows: int = 8, cols: int = 16) -> Floats:
     """A coloured map of high contrast, [rows, cols, 3]; the same every time."""
     random = np.random.default_rng(20)
     return np.exp(random.normal(size=(rows, cols, 3))).astype(np.float32)
+
+
+def sun(radiance: float, around: float, rows: int = 16, cols: int = 32) -> Floats:
+    """One texel of `radiance`, above and to the right of the default camera, in a sky of `around`."""
+    found = np.full((rows, cols, 3), around, np.float32)
+    found[rows // 4, cols // 4] = radiance
+    return found
+
+
+def broad_sun() -> Floats:
+    """A smooth bright region of some hundred texels in a dim sky, [16, 32, 3]: no few texels hold most of its light."""
+    theta, phi = np.meshgrid((np.arange(16) + 0.5) * np.pi / 16, (np.arange(32) + 0.5) * np.pi / 16, indexing="ij")
+    towards = np.stack([np.sin(theta) * np.sin(phi), np.cos(theta), np.sin(theta) * np.cos(phi)], axis=-1)
+    bright = np.exp(6 * (towards @ (0.77, 0.45, 0.45)))
+    return (bright[..., None] * (1.0, 0.9, 0.7) + 0.5).astype(np.float32)

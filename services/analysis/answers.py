@@ -1,4 +1,4 @@
-"""The network's answer to a picture, in numbers a person reads."""
+"""The network's answer to an image, in numbers a person reads."""
 
 from torch import Tensor
 

@@ -16,13 +16,13 @@ def magnified(original: Tensor, attacked: Tensor) -> Tensor:
     return (change * MAGNIFICATION + 128).clamp(0, 255).to(torch.uint8)
 
 
-def save_png(picture: Tensor, path: Path) -> None:
-    """Writes a uint8 picture [H, W, 3]; the same picture gives the same bytes."""
-    Image.fromarray(picture.numpy()).save(path, format="PNG", optimize=False)
+def save_png(image: Tensor, path: Path) -> None:
+    """Writes a uint8 image [H, W, 3]; the same image gives the same bytes."""
+    Image.fromarray(image.numpy()).save(path, format="PNG", optimize=False)
 
 
 def load_png(path: Path) -> Tensor:
-    """A saved picture, uint8 [H, W, 3]."""
+    """A saved image, uint8 [H, W, 3]."""
     with Image.open(path) as image:
         return torch.frombuffer(bytearray(image.convert("RGB").tobytes()), dtype=torch.uint8).reshape(
             image.height, image.width, 3

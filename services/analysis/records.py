@@ -4,7 +4,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 
 class Answer(BaseModel):
-    """The network's answer to one picture, as saved (8 bits)."""
+    """The network's answer to one image, as saved (8 bits)."""
 
     model_config = ConfigDict(extra="forbid")
 

@@ -12,34 +12,34 @@ from services.attacks.verifier import Verifier
 from services.rendering.protocol import Parameters
 
 Judged = tuple[Tensor, Tensor]
-"""A saved picture, uint8 [H, W, 3], and the network's scores of it [K]."""
+"""A saved image, uint8 [H, W, 3], and the network's scores of it [K]."""
 
 
 def subsets(
-    judge: Verifier, goal: ResolvedGoal, perturbation: Parameters, original: Judged, attacked: Judged
+    verifier: Verifier, goal: ResolvedGoal, perturbation: Parameters, original: Judged, attacked: Judged
 ) -> list[Subset]:
     """All 2^k subsets, the empty one first and the full one last.
 
-    The empty and the full set are what was judged already, so that the table agrees with the result to the bit.
+    The empty and the full set were rendered and asked about already: the table agrees with the result to the bit.
     """
     rows = []
     for size in range(len(perturbation) + 1):
         for groups in combinations(perturbation, size):
             if not groups:
-                picture, logits = original
+                image, logits = original
             elif len(groups) == len(perturbation):
-                picture, logits = attacked
+                image, logits = attacked
             else:
-                picture = judge.picture({g: perturbation[g] for g in groups})
-                logits = judge.logits(picture)
-            said = answer(logits, judge.target.labels, goal)
+                image = verifier.picture({g: perturbation[g] for g in groups})
+                logits = verifier.logits(image)
+            said = answer(logits, verifier.target.labels, goal)
             rows.append(
                 Subset(
                     groups=list(groups),
                     label=said.label,
                     confidence=said.confidence,
                     goal_probability=said.goal_probability,
-                    perceptibility=of_pictures(original[0], picture),
+                    perceptibility=of_pictures(original[0], image),
                     fooled=bool(goal.fooled(logits)),
                 )
             )

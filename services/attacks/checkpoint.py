@@ -1,13 +1,13 @@
 """A running attack on disk: one safetensors file, replaced atomically."""
 
 import json
-import os
 from dataclasses import fields
 from pathlib import Path
 
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
+from services import atomic_write
 from services.attacks.method import Method
 from services.attacks.problem import AttackProblem
 from services.attacks.state import AttackState
@@ -16,26 +16,23 @@ from services.attacks.verifier import Verifier
 
 EVERY = 2.0
 """Seconds between checkpoints."""
-_PLAIN = ("step", "settings", "flat", "seconds", "stopped", "fooled", "verified", "stored_step")
+_PLAIN = ("step", "settings", "below_noise", "seconds", "stopped", "fooled", "verified", "stored_step")
 
 
-def save(path: Path, run: AttackState, problem: AttackProblem, method: Method, judge: Verifier) -> None:
+def save(path: Path, run: AttackState, problem: AttackProblem, method: Method, verifier: Verifier) -> None:
     """Writes the run and the method's state."""
     tensors = {f"method.{name}": value for name, value in method.state().items()}
     tensors |= {f"stored.{group}": value for group, value in run.stored.items()}
     tensors |= {"ever": run.ever, "picture": run.picture, "scores": run.scores}
     words = {name: getattr(run, name) for name in _PLAIN}
     words["trace"] = [row.model_dump() for row in run.trace]
-    words["counts"] = [problem.queries, problem.renders, judge.queries, judge.renders]
-    part = path.with_suffix(".part")
-    save_file({name: value.contiguous() for name, value in tensors.items()}, part, {"run": json.dumps(words)})
-    with part.open("rb+") as file:
-        os.fsync(file.fileno())
-    part.replace(path)
+    words["counts"] = [problem.queries, problem.renders, verifier.queries, verifier.renders]
+    with atomic_write.replacing(path) as part:
+        save_file({name: value.contiguous() for name, value in tensors.items()}, part, {"run": json.dumps(words)})
 
 
-def load(path: Path | None, problem: AttackProblem, method: Method, judge: Verifier) -> AttackState | None:
-    """The saved run, with its state put into the method and the counts into problem and judge; None if there is none.
+def load(path: Path | None, problem: AttackProblem, method: Method, verifier: Verifier) -> AttackState | None:
+    """The saved run, or None if there is none. The method gets its state, problem and verifier their counts.
 
     A file that cannot be read is as good as none: the attack starts again and ends in the same result.
     """
@@ -47,11 +44,13 @@ def load(path: Path | None, problem: AttackProblem, method: Method, judge: Verif
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
     except (SafetensorError, KeyError, ValueError, OSError):
         return None
+    if not words.keys() >= set(_PLAIN):  # an earlier version's
+        return None
     run = AttackState(**{name: words[name] for name in _PLAIN})
     assert {field.name for field in fields(run)} == {*_PLAIN, "trace", "ever", "stored", "picture", "scores"}
     run.trace = [TraceRow(**row) for row in words["trace"]]
     run.ever, run.picture, run.scores = tensors["ever"], tensors["picture"], tensors["scores"]
     run.stored = {n.removeprefix("stored."): v for n, v in tensors.items() if n.startswith("stored.")}
     method.load({n.removeprefix("method."): v for n, v in tensors.items() if n.startswith("method.")})
-    problem.queries, problem.renders, judge.queries, judge.renders = words["counts"]
+    problem.queries, problem.renders, verifier.queries, verifier.renders = words["counts"]
     return run

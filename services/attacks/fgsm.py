@@ -1,13 +1,52 @@
 """Iterative FGSM through the renderer (paper, section 3.2): the sign of the gradient, with momentum."""
 
-import torch
-from torch import Tensor
+from __future__ import annotations
 
-from services.attacks.problem import AttackProblem, Evaluation
-from services.attacks.spec import Fgsm
-from services.rendering.protocol import Parameters
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from services.attacks.spec import AttackSettings, Rate, register
+from services.rendering.declaration import RENDERERS
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from services.attacks.problem import AttackProblem, Evaluation
+    from services.rendering.protocol import Parameters
 
 
+class Fgsm(AttackSettings):
+    """Iterative FGSM: the sign of the gradient, momentum, weight decay on the perturbation (paper, section 3.2)."""
+
+    method: Literal["fgsm"] = "fgsm"
+    steps: Annotated[int, Field(ge=1, le=10_000)] = Field(120, description="most steps")
+    learning_rate: dict[str, Rate] = Field(
+        default_factory=dict, description="per group, in the group's units; default: the paper's"
+    )
+    momentum: Annotated[float, Field(ge=0, lt=1)] = Field(0.9, description="of the signed gradients")
+    weight_decay: Annotated[float, Field(ge=0, le=1)] = Field(1e-4, description="pull of the perturbation towards 0")
+    truncation: Annotated[int, Field(ge=1, le=255)] | None = Field(
+        18, description="U: most an RGB value may move from the original inside the loop, in 1/255; null: no limit"
+    )
+
+    @classmethod
+    def complete(cls, data: dict[str, Any]) -> dict[str, Any]:
+        """Fills in the learning rates that the renderer suggests for its groups."""
+        renderer = RENDERERS.get(str(data.get("renderer", "torch")))
+        given = data.get("learning_rate") or {}
+        if renderer is None or not isinstance(given, dict):
+            return data
+        suggested = {group.name: group.suggested_step for group in renderer.groups if group.name in data["groups"]}
+        return data | {"learning_rate": {g: step for g, step in suggested.items() if step is not None} | given}
+
+    @model_validator(mode="after")
+    def _a_rate_for_each_group(self) -> Self:
+        self.check_groups("learning_rate", self.learning_rate)
+        return self
+
+
+@register(Fgsm)
 class FgsmMethod:
     """v ← μ·v + sign(∇ log-odds) + decay·Δ;  Δ ← Δ − η·v, for each group with its own η.
 
@@ -26,16 +65,16 @@ class FgsmMethod:
         """Nothing to measure."""
         return {}
 
-    @torch.no_grad()
     def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:  # noqa: ARG002
-        """One step along the view's slopes. Returns how many groups have none: all of the group's slopes are zero."""
+        """One step along the evaluation's gradients. Returns the number of groups whose gradient is zero throughout."""
         moved = {}
         for group, seen in view.perturbation.items():
-            change = view.slopes[group].sign().add_(seen, alpha=self.settings.weight_decay)
+            delta = seen.detach()
+            change = view.gradients[group].sign().add_(delta, alpha=self.settings.weight_decay)
             self.velocity[group] = change.add_(self.velocity[group], alpha=self.settings.momentum)
-            moved[group] = seen.sub(self.velocity[group], alpha=self.settings.learning_rate[group])
+            moved[group] = delta.sub(self.velocity[group], alpha=self.settings.learning_rate[group])
         self.perturbation = problem.clamp(moved)
-        return sum(bool(slope.min() == slope.max() == 0) for slope in view.slopes.values())
+        return sum(bool(gradient.min() == gradient.max() == 0) for gradient in view.gradients.values())
 
     def state(self) -> dict[str, Tensor]:
         """Perturbation and velocity."""

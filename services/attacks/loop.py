@@ -1,4 +1,4 @@
-"""The one loop all attacks run in: look, judge, stop or advance."""
+"""The one loop all attacks run in: evaluate, verify, stop or advance."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -11,7 +11,7 @@ from torch import Tensor
 
 from services.attacks import checkpoint
 from services.attacks.method import Method
-from services.attacks.problem import AttackProblem, Evaluation, ask, distances, saved, slopes
+from services.attacks.problem import AttackProblem, Evaluation, ask, distances, gradients, quantize
 from services.attacks.state import AttackState
 from services.attacks.trace import TraceRow
 from services.attacks.verifier import Verifier
@@ -21,7 +21,7 @@ from services.targets.scores import probability
 
 @dataclass(frozen=True)
 class Budget:
-    """When to stop without success. Queries count every picture put to the network, verification included."""
+    """When to stop without success. Queries count every image put to the network, verification included."""
 
     steps: int
     queries: int | None = None
@@ -30,39 +30,39 @@ class Budget:
 
 @dataclass
 class AttackRun:
-    """One attack as the loop runs it. `saved` is a checkpoint: resumed from if it fits, written every few seconds."""
+    """One attack as the loop runs it. The checkpoint is resumed from if it fits, and written every few seconds."""
 
     problem: AttackProblem
     method: Method
-    judge: Verifier
+    verifier: Verifier
     budget: Budget
-    saved: Path | None = None
+    checkpoint_path: Path | None = None
     on_row: Callable[[TraceRow], None] = lambda _: None
 
 
 def run(
     problem: AttackProblem,
     method: Method,
-    judge: Verifier,
+    verifier: Verifier,
     budget: Budget,
     *,
-    saved: Path | None = None,
+    checkpoint_path: Path | None = None,
     on_row: Callable[[TraceRow], None] = lambda _: None,
 ) -> AttackState:
     """Attacks until an adversary is verified or the budget is spent.
 
-    At every step the picture, as it would be saved, is put to the network. If that fools it, the perturbation is
+    At every step the image, as it would be saved, is put to the network. If that fools it, the perturbation is
     rendered afresh by the exact path; the loop ends when that fools the network too, and goes on otherwise (truncation
-    makes picture and parameters disagree).
+    makes image and parameters disagree).
     """
-    [found] = run_together([AttackRun(problem, method, judge, budget, saved, on_row)])
+    [found] = run_together([AttackRun(problem, method, verifier, budget, checkpoint_path, on_row)])
     return found
 
 
 def run_together(attacks: Sequence[AttackRun]) -> list[AttackState]:
     """Several attacks in lockstep, one pass of the network a step for all; each ends when it ends. Results in order.
 
-    They share the network, the question, the size of the pictures and whether the method needs gradients (ValueError
+    They share the network, the question, the size of the images and whether the method needs gradients (ValueError
     otherwise). Each ends as it would alone, but for the rounding of the network's sums, which depends on the size of a
     batch. An error in one ends all.
     """
@@ -70,7 +70,7 @@ def run_together(attacks: Sequence[AttackRun]) -> list[AttackState]:
         (id(a.problem.target), a.problem.question, a.problem.renderer.size, a.method.needs_gradient) for a in attacks
     }
     if len(shared) > 1:
-        raise ValueError("attacks that run together share network, question, size of picture and need of gradients")
+        raise ValueError("attacks that run together share network, question, size of image and need of gradients")
     running = [_Running(attack) for attack in attacks]
     while active := [one for one in running if not one.run.stopped]:
         _step(active)
@@ -82,9 +82,8 @@ class _Running:
 
     def __init__(self, attack: AttackRun) -> None:
         self.attack = attack
-        self.run = checkpoint.load(attack.saved, attack.problem, attack.method, attack.judge) or AttackState(
-            ever=torch.zeros(attack.problem.renderer.size, dtype=torch.bool)
-        )
+        found = checkpoint.load(attack.checkpoint_path, attack.problem, attack.method, attack.verifier)
+        self.run = found or AttackState(ever=torch.zeros(attack.problem.renderer.size, dtype=torch.bool))
         self.began, self.last_saved = monotonic() - self.run.seconds, monotonic()
         if not self.run.settings and not self.run.trace:
             self.run.settings = attack.method.start(attack.problem)
@@ -97,55 +96,55 @@ class _Running:
         method = self.attack.method
         return self.attack.problem.view(method.perturbation, gradient=method.needs_gradient)
 
-    def look(self, view: Evaluation, picture: Tensor, logits: Tensor) -> None:
-        """Takes note of a view, its picture as saved (uint8 [H, W, 3]) and the scores [K]; judges; may stop."""
+    def record(self, view: Evaluation, image: Tensor, logits: Tensor) -> None:
+        """Records an evaluation, its image as saved (uint8 [H, W, 3]) and the scores [K]; verifies; may stop."""
         attack, state = self.attack, self.run
-        problem, judge = attack.problem, attack.judge
-        row = _row(problem, judge, view, logits, state, self.seconds)
+        problem, verifier = attack.problem, attack.verifier
+        row = _row(problem, verifier, view, logits, state, self.seconds)
         fooled = bool(problem.goal.fooled(logits))
         state.ever |= view.truncated
         if fooled or not state.fooled:
             state.stored = {g: v.detach().clone() for g, v in view.perturbation.items()}
             state.stored_step = state.step
-            state.picture, state.scores = picture.clone(), logits.clone()
+            state.picture, state.scores = image.clone(), logits.clone()
         if fooled:
             state.fooled = True
-            state.verified = judge.fooled(state.stored, problem.goal)
+            state.verified = verifier.fooled(state.stored, problem.goal)
         state.trace.append(row)
         attack.on_row(row)
-        state.stopped = _stop(problem, judge, state, attack.budget, self.seconds)
+        state.stopped = _stop(problem, verifier, state, attack.budget, self.seconds)
 
     def advance(self, view: Evaluation) -> None:
-        self.run.flat = self.attack.method.advance(self.attack.problem, view, self.run.step)
+        self.run.below_noise = self.attack.method.advance(self.attack.problem, view, self.run.step)
         self.run.step += 1
 
     def save(self) -> None:
         attack, self.run.seconds = self.attack, self.seconds
-        if attack.saved is not None and monotonic() - self.last_saved > checkpoint.EVERY:
-            checkpoint.save(attack.saved, self.run, attack.problem, attack.method, attack.judge)
+        if attack.checkpoint_path is not None and monotonic() - self.last_saved > checkpoint.EVERY:
+            checkpoint.save(attack.checkpoint_path, self.run, attack.problem, attack.method, attack.verifier)
             self.last_saved = monotonic()
 
 
 def _step(active: list[_Running]) -> None:
-    gradient = active[0].attack.method.needs_gradient
+    needs_gradient = active[0].attack.method.needs_gradient
     problems, views = [one.attack.problem for one in active], [one.view() for one in active]
-    with torch.set_grad_enabled(gradient):
-        pictures, shown = saved(torch.cat([view.images for view in views]) if len(views) > 1 else views[0].images)
+    with torch.set_grad_enabled(needs_gradient):
+        images, shown = quantize(torch.cat([view.images for view in views]) if len(views) > 1 else views[0].images)
         logits = ask(problems, shown)
-    for one, view, picture, scores in zip(active, views, pictures, logits.detach(), strict=True):
-        one.look(view, picture, scores)
+    for one, view, image, scores in zip(active, views, images, logits.detach(), strict=True):
+        one.record(view, image, scores)
     going = [i for i, one in enumerate(active) if not one.run.stopped]
     found: list[Parameters] = [{}] * len(going)
-    if gradient and going:
-        found = slopes([problems[i] for i in going], [views[i] for i in going], logits[going])
+    if needs_gradient and going:
+        found = gradients([problems[i] for i in going], [views[i] for i in going], logits[going])
     for i, of in zip(going, found, strict=True):
-        active[i].advance(replace(views[i], slopes=of))
+        active[i].advance(replace(views[i], gradients=of))
     for one in active:
         one.save()
 
 
 def _row(
-    problem: AttackProblem, judge: Verifier, view: Evaluation, logits: Tensor, state: AttackState, seconds: float
+    problem: AttackProblem, verifier: Verifier, view: Evaluation, logits: Tensor, state: AttackState, seconds: float
 ) -> TraceRow:
     height, width = problem.renderer.size
     distance = float(distances(view.images.detach(), problem.original)[0])
@@ -159,19 +158,19 @@ def _row(
         distance=distance,
         perceptibility=distance / sqrt(height * width),
         truncated=int(view.truncated.sum()),
-        flat=state.flat,
-        queries=problem.queries + judge.queries,
-        renders=problem.renders + judge.renders,
+        below_noise=state.below_noise,
+        queries=problem.queries + verifier.queries,
+        renders=problem.renders + verifier.renders,
         seconds=seconds,
     )
 
 
-def _stop(problem: AttackProblem, judge: Verifier, state: AttackState, budget: Budget, seconds: float) -> str:
+def _stop(problem: AttackProblem, verifier: Verifier, state: AttackState, budget: Budget, seconds: float) -> str:
     if state.verified:
         return "verified"
     if state.step >= budget.steps:
         return "steps"
-    if budget.queries is not None and problem.queries + judge.queries >= budget.queries:
+    if budget.queries is not None and problem.queries + verifier.queries >= budget.queries:
         return "queries"
     if budget.seconds is not None and seconds >= budget.seconds:
         return "seconds"

@@ -1,4 +1,7 @@
-"""What the loop needs of an attack method. A method is its state: tensors that can be saved and loaded."""
+"""The protocol of an attack method. Its whole state is tensors that can be saved and loaded.
+
+`services.attacks.spec.register` makes one known; its class is made of its settings and an `AttackProblem`.
+"""
 
 from typing import Protocol
 
@@ -9,7 +12,7 @@ from services.rendering.protocol import Parameters
 
 
 class Method(Protocol):
-    """One way of moving a perturbation."""
+    """A rule that moves a perturbation from step to step."""
 
     @property
     def needs_gradient(self) -> bool:
@@ -28,8 +31,7 @@ class Method(Protocol):
     def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:
         """Moves the perturbation one step.
 
-        Returns how much of what it went by said nothing: differences below the noise, or groups all of whose slopes
-        are zero.
+        Returns the number of differences that were below the noise, or of groups whose gradient is zero throughout.
         """
         ...
 

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from services.attacks.goal import ResolvedGoal
+from services.attacks.layout import Layout
 from services.errors import JobFailure
 from services.finite import finite
 from services.rendering import color
@@ -20,23 +21,23 @@ ROUNDING = 1e-6
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What the loop sees at one perturbation."""
+    """One perturbation, its image, and its gradients."""
 
     perturbation: Parameters
     """The perturbation seen; leaves of the graph of `images` if a gradient was asked for."""
     images: Tensor
-    """The float picture [1, H, W, 3], truncated where U asks."""
+    """The float image [1, H, W, 3], truncated where U asks."""
     truncated: Tensor
     """Pixels held back, bool [H, W]."""
-    slopes: Parameters = field(default_factory=dict)
-    """∂objective/∂perturbation by group, for a method that needs it; see `slopes`."""
+    gradients: Parameters = field(default_factory=dict)
+    """∂objective/∂perturbation by group, for a method that needs it; see `gradients`."""
 
 
 @dataclass
 class AttackProblem:
-    """Renders perturbations and puts pictures to the network, counting both.
+    """Renders perturbations and puts images to the network, counting both.
 
-    `truncation` is U in [0,1] or None; `weight` is λ of the summed squares of the picture's change (zoo).
+    `truncation` is U in [0,1] or None; `weight` is λ of the summed squares of the image's change (zoo).
     """
 
     renderer: Renderer
@@ -53,12 +54,15 @@ class AttackProblem:
     renders: int = 0
     initial: Parameters = field(init=False)
     original: Tensor = field(init=False)
+    layout: Layout = field(init=False)
+    """The attacked groups as one vector."""
     bounds: dict[str, tuple[Tensor, Tensor]] = field(init=False)
     """Lowest and highest perturbation of the groups that have physical bounds."""
 
     def __post_init__(self) -> None:
         start, bounds = self.renderer.initial(), self.renderer.bounds()
         self.initial = {group: start[group] for group in self.groups}
+        self.layout = Layout.of(self.initial)
         self.bounds = {
             group: (bounds[group][0] - value, bounds[group][1] - value)
             for group, value in self.initial.items()
@@ -79,16 +83,16 @@ class AttackProblem:
         }
 
     def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
-        """Pictures [B, H, W, 3]. Raises JobFailure("non-finite") rather than hand on a picture that is not numbers."""
+        """Images [B, H, W, 3]. Raises JobFailure("non-finite") rather than hand on an image that is not numbers."""
         self.interrupt()
         images = self.renderer.render(parameters)
         self.renders += images.shape[0]
         if not finite(images):
-            raise JobFailure("non-finite", "the renderer returned a picture with values that are not finite")
+            raise JobFailure("non-finite", "the renderer returned an image with values that are not finite")
         return images
 
     def view(self, perturbation: Mapping[str, Tensor], gradient: bool = False) -> Evaluation:
-        """The picture of one perturbation, truncated to U around the original; with a graph if `gradient`."""
+        """The image of one perturbation, truncated to U around the original; with a graph if `gradient`."""
         leaves = {g: value.detach().requires_grad_(gradient) for g, value in perturbation.items()}
         with torch.set_grad_enabled(gradient):
             images = self.render({g: (self.initial[g] + value)[None] for g, value in leaves.items()})
@@ -100,7 +104,7 @@ class AttackProblem:
 
 
 def ask(problems: Sequence[AttackProblem], images: Tensor) -> Tensor:
-    """Scores [B, K] of pictures [B, H, W, 3] by one pass of the network the problems share; picture b is counted for
+    """Scores [B, K] of images [B, H, W, 3] by one pass of the network the problems share; image b is counted for
     problem b. Raises JobFailure("non-finite").
     """
     for problem in problems:
@@ -111,30 +115,30 @@ def ask(problems: Sequence[AttackProblem], images: Tensor) -> Tensor:
     return logits
 
 
-def saved(images: Tensor) -> tuple[Tensor, Tensor]:
-    """Pictures in [0,1], of any shape, as they are saved (uint8) and as a reader of the file sees them (float32).
+def quantize(images: Tensor) -> tuple[Tensor, Tensor]:
+    """Images in [0,1], of any shape, as they are saved (uint8) and as a reader of the file sees them (float32).
 
     The latter is differentiable as if nothing were rounded (a straight-through derivative): one pass of the network
-    gives the verdict on the saved picture and the gradient. benchmarks/rounded_gradient.py compares it with the
-    float picture's gradient.
+    gives the verdict on the saved image and the gradient. benchmarks/rounded_gradient.py compares it with the
+    float image's gradient.
     """
-    result: tuple[Tensor, Tensor] = _Saved.apply(images)  # type: ignore[no-untyped-call]
+    result: tuple[Tensor, Tensor] = _Quantize.apply(images)  # type: ignore[no-untyped-call]
     return result
 
 
-class _Saved(torch.autograd.Function):
+class _Quantize(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, images: Tensor) -> tuple[Tensor, Tensor]:
-        pictures, seen = color.saved(images)
-        ctx.mark_non_differentiable(pictures)
-        return pictures, seen
+        saved, seen = color.quantize(images)
+        ctx.mark_non_differentiable(saved)
+        return saved, seen
 
     @staticmethod
-    def backward(ctx: Any, none: None, slope: Tensor) -> Tensor:  # noqa: ARG004 - autograd's signature
-        return slope
+    def backward(ctx: Any, none: None, gradient: Tensor) -> Tensor:  # noqa: ARG004 - autograd's signature
+        return gradient
 
 
-def slopes(problems: Sequence[AttackProblem], views: Sequence[Evaluation], logits: Tensor) -> list[Parameters]:
+def gradients(problems: Sequence[AttackProblem], views: Sequence[Evaluation], logits: Tensor) -> list[Parameters]:
     """∂objective/∂perturbation of each problem at its view, by group, in one backward pass.
 
     `logits` [B, K], one row a problem, with a graph that leads to the views. Raises JobFailure("non-finite") naming the
@@ -143,8 +147,8 @@ def slopes(problems: Sequence[AttackProblem], views: Sequence[Evaluation], logit
     objective = torch.stack([p.goal.objective(of) for p, of in zip(problems, logits, strict=True)]).sum()
     leaves = [view.perturbation[group] for p, view in zip(problems, views, strict=True) for group in p.groups]
     # zeros where every pixel is held back, or out of the parameter's reach
-    gradients = iter(torch.autograd.grad(objective, leaves, materialize_grads=True))
-    found = [{group: next(gradients) for group in p.groups} for p in problems]
+    by_leaf = iter(torch.autograd.grad(objective, leaves, materialize_grads=True))
+    found = [{group: next(by_leaf) for group in p.groups} for p in problems]
     for group, gradient in (item for of in found for item in of.items()):
         if not finite(gradient):
             raise JobFailure("non-finite", f"the gradient of group {group!r} has values that are not finite")
@@ -152,9 +156,9 @@ def slopes(problems: Sequence[AttackProblem], views: Sequence[Evaluation], logit
 
 
 def distances(images: Tensor, original: Tensor) -> Tensor:
-    """‖ΔY‖ of each picture [B, H, W, 3] from the original [1, H, W, 3], [B] float64.
+    """‖ΔY‖ of each image [B, H, W, 3] from the original [1, H, W, 3], [B] float64.
 
-    Differences and their sums along a row are of the pictures' type, which costs a few last places; the sum over rows,
+    Differences and their sums along a row are of the images' type, which costs a few last places; the sum over rows,
     which is long, is not.
     """
     rows = torch.linalg.vector_norm((images - original).flatten(2), dim=2)

@@ -3,6 +3,7 @@
 import hashlib
 
 import torch
+from torch import Tensor
 
 
 def generator(seed: int, *words: str | int) -> torch.Generator:
@@ -10,3 +11,9 @@ def generator(seed: int, *words: str | int) -> torch.Generator:
     text = "/".join([str(seed), *map(str, words)])
     number = int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big")
     return torch.Generator().manual_seed(number % 2**63)
+
+
+def draw(pool: Tensor, count: int, seed: int, *words: str | int) -> Tensor:
+    """`count` different elements of a pool [n], in ascending order; all of them if there are fewer."""
+    chosen = torch.randperm(len(pool), generator=generator(seed, *words))[:count]
+    return pool[chosen].sort().values

@@ -1,39 +1,26 @@
-"""The attack and the goal of a request, with the paper's settings as defaults.
+"""What the settings of every attack have in common, the registry of attacks, and the goal of a request.
 
-Settings left out are filled from the method's preset, so that the echoed spec says every number that ran.
+An attack is one file: it derives its settings from `AttackSettings`, writes its method as a class
+(services.attacks.method), and puts both together with `@register(Settings)`. The request's union of attacks, the paths
+of errors, openapi.yaml and the tables in docs/scene.md follow from the registry. Nothing here needs torch.
 """
 
-from typing import Annotated, Any, Literal
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, Self, TypeVar, get_args, get_origin
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
+from services.extensions import Registry
+from services.rendering.declaration import RENDERERS
 from services.scenes.description import Model
+from services.suggestions import did_you_mean
 
 Rate = Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)]
-Step = Annotated[float, Field(ge=1e-12, le=1, allow_inf_nan=False)]
 Label = Annotated[str, Field(min_length=1, max_length=200)] | Annotated[int, Field(ge=0)]
 
 LARGEST_SEED = 2**63 - 1
 Seed = Annotated[int, Field(ge=0, le=LARGEST_SEED)]
-
-RENDERER_GROUPS = {
-    "image": ("image",),
-    "torch": ("normals", "illumination", "material"),
-    "pyrender": ("illumination", "color", "translation", "rotation"),
-}
-"""The groups each renderer has, in the order of every table (design: one protocol)."""
-
-DIFFERENTIABLE = ("image", "torch")
-
-FGSM_RATES = {"image": 0.002, "normals": 0.004, "illumination": 0.003, "material": 0.003}
-"""Learning rates of the paper, section 4.1; groups it did not attack this way have none."""
-
-ZOO_PRESETS: dict[str, dict[str, Any]] = {
-    "paper-classification": {"delta": 1e-4, "learning_rate": 2e-3, "weight": 0.1, "steps": 500},
-    "paper-vqa": {"delta": 1e-3, "learning_rate": 1e-2, "weight": 0.5, "steps": 500},
-    "measured": {"delta": "measured", "learning_rate": 2e-3, "weight": 0.1, "steps": 500},
-}
-"""Settings of the paper (sections 4.1 and 4.2), and the same with difference steps chosen from the measured noise."""
 
 
 class Goal(Model):
@@ -47,28 +34,33 @@ class Goal(Model):
     reach: Label | None = Field(None, description="a label the network must come to say (targeted)")
 
 
-def _fill_groups(data: dict[str, Any]) -> dict[str, Any]:
-    """The data with the groups and the picture's renderer said, where they were left out."""
-    data = dict(data)
-    renderer = data.get("renderer", "torch")
-    if isinstance(renderer, str) and renderer in RENDERER_GROUPS:
-        has, asked = RENDERER_GROUPS[renderer], data.get("groups")
-        if not asked:
-            data["groups"] = has
-        elif isinstance(asked, (list, tuple)) and all(group in has for group in asked):
-            data["groups"] = sorted(asked, key=has.index)  # the same request, whatever order it was written in
-    if renderer == "image" and data.get("picture") is None:
-        data["picture"] = "torch"
-    return data
+def _base_renderers() -> list[str]:
+    """Names of the renderers that draw an image of their own."""
+    return [name for name, one in RENDERERS.items() if one.base_renderer is None]
 
 
-class _Attack(Model):
-    """What every method has."""
+def _renderer_names(schema: dict[str, Any]) -> None:
+    schema["enum"] = list(RENDERERS)
 
-    renderer: Literal["image", "torch", "pyrender"] = Field("torch", description="whose parameters are attacked")
+
+def _base_renderer_names(schema: dict[str, Any]) -> None:
+    schema["anyOf"][0]["enum"] = _base_renderers()
+
+
+class AttackSettings(Model):
+    """Settings that every method has. Those left out are filled in, so that the stored spec says every number that ran.
+
+    A method adds its own, among them `method: Literal["its-name"] = "its-name"`, and may narrow `steps` and
+    `truncation` or give them other defaults.
+    """
+
+    renderer: str = Field("torch", description="whose parameters are attacked", json_schema_extra=_renderer_names)
     groups: tuple[str, ...] = Field((), max_length=8, description="parameter groups; empty means all the renderer has")
-    picture: Literal["torch", "pyrender"] | None = Field(
-        None, description="for renderer `image`: the renderer that draws the picture; default torch"
+    base_renderer: str | None = Field(
+        None,
+        description="for a renderer that works on another's image, as `image` does: the renderer that draws it; "
+        "default torch",
+        json_schema_extra=_base_renderer_names,
     )
     queries: Annotated[int, Field(ge=1, le=10_000_000)] | None = Field(
         None, description="stop after so many network queries"
@@ -76,97 +68,126 @@ class _Attack(Model):
     seconds: Annotated[float, Field(gt=0, le=86_400, allow_inf_nan=False)] | None = Field(
         None, description="stop after so many seconds; such a job may end differently on another machine"
     )
-
-    @model_validator(mode="after")
-    def _consistent(self) -> "_Attack":
-        has = RENDERER_GROUPS[self.renderer]
-        for group in self.groups:
-            if group not in has:
-                raise ValueError(f"groups: renderer {self.renderer} has no group {group!r}; it has {', '.join(has)}")
-        if len(set(self.groups)) != len(self.groups):
-            raise ValueError("groups: each group at most once")
-        if self.picture is not None and self.renderer != "image":
-            raise ValueError("picture: only renderer `image` takes a picture from another renderer")
-        return self
-
-
-class Fgsm(_Attack):
-    """Iterative FGSM: the sign of the gradient, momentum, weight decay on the perturbation (paper, section 3.2)."""
-
-    method: Literal["fgsm"] = "fgsm"
-    steps: Annotated[int, Field(ge=1, le=10_000)] = Field(120, description="most steps")
-    learning_rate: dict[str, Rate] = Field(
-        default_factory=dict, description="per group, in the group's units; default: the paper's"
-    )
-    momentum: Annotated[float, Field(ge=0, lt=1)] = Field(0.9, description="of the signed gradients")
-    weight_decay: Annotated[float, Field(ge=0, le=1)] = Field(1e-4, description="pull of the perturbation towards 0")
+    method: str
+    steps: Annotated[int, Field(ge=1, le=100_000)] = Field(500, description="most steps")
     truncation: Annotated[int, Field(ge=1, le=255)] | None = Field(
-        18, description="U: most an RGB value may move from the original inside the loop, in 1/255; null: no limit"
+        None, description="U: most an RGB value may move from the original inside the loop, in 1/255; null: no limit"
     )
 
-    @model_validator(mode="before")
+    @property
+    def distance_weight(self) -> float:
+        """λ: weight of the summed squares of the image's change in the objective of finite differences."""
+        return 0.0
+
     @classmethod
-    def _rates(cls, data: Any) -> Any:
-        if not isinstance(data, dict):
-            return data
-        data = _fill_groups(data)
-        given, groups = data.get("learning_rate") or {}, data.get("groups", ())
-        if isinstance(given, dict) and isinstance(groups, (list, tuple)):
-            data["learning_rate"] = {g: FGSM_RATES[g] for g in groups if g in FGSM_RATES} | given
+    def complete(cls, data: dict[str, Any]) -> dict[str, Any]:
+        """Fills in what else a method derives from the renderer and the groups; overridden by methods that do."""
         return data
 
-    @model_validator(mode="after")
-    def _differentiable(self) -> "Fgsm":
-        if self.renderer not in DIFFERENTIABLE:
-            raise ValueError(f"method: fgsm needs a differentiable renderer, {self.renderer} is not; use zoo")
-        _only_groups("learning_rate", self.learning_rate, self.groups)
-        return self
-
-
-class Zoo(_Attack):
-    """Zeroth-order optimisation: central differences on random coordinates, Adam, loss + weight·‖ΔY‖² (section 3.2)."""
-
-    method: Literal["zoo"]
-    preset: Literal["paper-classification", "paper-vqa", "measured"] = Field(
-        "measured", description="where settings left out come from"
-    )
-    steps: Annotated[int, Field(ge=1, le=100_000)] = Field(500, description="most steps")
-    coordinates: Annotated[int, Field(ge=1, le=4096)] = Field(
-        128, description="random coordinates differenced in a step; all of them if there are fewer"
-    )
-    delta: Step | Literal["measured"] | dict[str, Step] = Field(
-        "measured", description="half-step of the central difference, in the group's units, one for all or per group"
-    )
-    learning_rate: Rate | dict[str, Rate] = Field(2e-3, description="Adam's, in the group's units, one or per group")
-    weight: Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)] = Field(
-        0.1, description="λ: weight of the summed squares of the picture's change"
-    )
-    truncation: Annotated[int, Field(ge=1, le=255)] | None = Field(
-        None, description="U as for fgsm; the paper keeps changes small by λ alone"
-    )
-
     @model_validator(mode="before")
     @classmethod
-    def _preset(cls, data: Any) -> Any:
-        if not isinstance(data, dict):
-            return data
-        return _fill_groups(ZOO_PRESETS.get(str(data.get("preset", "measured")), {}) | data)
+    def _complete(cls, data: Any) -> Any:
+        return cls.complete(_completed(data)) if isinstance(data, dict) else data
+
+    @field_validator("renderer")
+    @classmethod
+    def _known_renderer(cls, value: str) -> str:
+        return _one_of(list(RENDERERS), value)
+
+    @field_validator("base_renderer")
+    @classmethod
+    def _known_base_renderer(cls, value: str | None) -> str | None:
+        return None if value is None else _one_of(_base_renderers(), value)
 
     @model_validator(mode="after")
-    def _known_groups(self) -> "Zoo":
-        for name, value in (("delta", self.delta), ("learning_rate", self.learning_rate)):
-            if isinstance(value, dict):
-                _only_groups(name, value, self.groups)
+    def _consistent(self) -> Self:
+        has = RENDERERS[self.renderer]
+        for group in self.groups:
+            if group not in has.group_names:
+                there = ", ".join(has.group_names)
+                raise ValueError(f"groups: renderer {self.renderer} has no group {group!r}; it has {there}")
+        if len(set(self.groups)) != len(self.groups):
+            raise ValueError("groups: each group at most once")
+        if self.base_renderer is not None and has.base_renderer is None:
+            raise ValueError(f"base_renderer: renderer {self.renderer} works on no other's image; leave this out")
+        if ATTACKS[self.method].needs_gradient and not has.differentiable:
+            raise ValueError(
+                f"method: {self.method} needs a differentiable renderer, {self.renderer} is not; use {has.method}"
+            )
         return self
 
+    def check_groups(self, field: str, given: dict[str, float]) -> None:
+        """Raises ValueError unless `given` has a value for each attacked group and for no other."""
+        for group in given:
+            if group not in self.groups:
+                attacked = ", ".join(self.groups)
+                raise ValueError(f"{field}: {group!r} is not an attacked group; attacked are {attacked}")
+        for group in self.groups:
+            if group not in given:
+                raise ValueError(f"{field}: group {group!r} has no value")
 
-def _only_groups(name: str, given: dict[str, float], groups: tuple[str, ...]) -> None:
-    for group in given:
-        if group not in groups:
-            raise ValueError(f"{name}: {group!r} is not an attacked group; attacked are {', '.join(groups)}")
-    for group in groups:
-        if group not in given:
-            raise ValueError(f"{name}: group {group!r} has no value")
+
+def _one_of(names: list[str], value: str) -> str:
+    if value not in names:
+        raise ValueError(f"there is no {value!r}{did_you_mean(value, names)}; there are {', '.join(names)}")
+    return value
 
 
-AttackSpec = Annotated[Fgsm | Zoo, Field(discriminator="method")]
+def _completed(given: dict[str, Any]) -> dict[str, Any]:
+    """The data with the groups and the base renderer said, where they were left out."""
+    data = dict(given)
+    if "picture" in data:  # the name of `base_renderer` in version 0.1
+        if "base_renderer" in data:
+            raise ValueError("base_renderer: `picture` is the old name of this field; leave `picture` out")
+        data["base_renderer"] = data.pop("picture")
+    name = data.get("renderer", AttackSettings.model_fields["renderer"].default)
+    renderer = RENDERERS.get(name) if isinstance(name, str) else None
+    if renderer is None:
+        return data
+    asked = data.get("groups")
+    if not asked:
+        data["groups"] = renderer.group_names
+    elif isinstance(asked, (list, tuple)) and all(group in renderer.group_names for group in asked):
+        # the same request, whatever order it was written in
+        data["groups"] = sorted(asked, key=renderer.group_names.index)
+    if data.get("base_renderer") is None:
+        data["base_renderer"] = renderer.base_renderer
+    return data
+
+
+@dataclass(frozen=True)
+class Attack:
+    """A registered attack: the model of its settings, and its method, a class made of settings and a problem."""
+
+    settings: type[AttackSettings]
+    method: type[Any]
+    """See services.attacks.method.Method."""
+    needs_gradient: bool
+
+
+ATTACKS: Registry[Attack] = Registry("method", "services.attacks")
+
+MethodClass = TypeVar("MethodClass", bound=type[Any])
+
+
+def register(settings: type[AttackSettings]) -> Callable[[MethodClass], MethodClass]:
+    """Decorator of a method's class that makes it known under the name that its settings' field `method` has.
+
+    Raises ValueError if that field is no `Literal` of one name, if the name is taken, or if the class lacks a part of
+    the protocol; pydantic's errors if the settings make no schema.
+    """
+    settings.model_json_schema()
+    annotation = settings.model_fields["method"].annotation
+    if get_origin(annotation) is not Literal or len(get_args(annotation)) != 1:
+        raise ValueError(f'{settings.__name__} needs a field method: Literal["its-name"] = "its-name"')
+    (name,) = get_args(annotation)
+
+    def decorate(method: MethodClass) -> MethodClass:
+        parts = ("needs_gradient", "start", "advance", "state", "load")
+        missing = [part for part in parts if not hasattr(method, part)]
+        if missing:
+            raise ValueError(f"{method.__name__} has no {' and no '.join(missing)}")
+        ATTACKS.add(name, Attack(settings, method, method.needs_gradient))
+        return method
+
+    return decorate

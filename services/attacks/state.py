@@ -1,4 +1,4 @@
-"""What a running attack has gathered so far."""
+"""The state of a running attack: trace, verdicts and the perturbation that counts."""
 
 from dataclasses import dataclass, field
 
@@ -18,7 +18,8 @@ class AttackState:
     settings: dict[str, object] = field(default_factory=dict)
     ever: Tensor = field(default_factory=lambda: torch.zeros(0, 0, dtype=torch.bool))
     """Pixels that were ever truncated, bool [H, W]."""
-    flat: int = 0
+    below_noise: int = 0
+    """What `Method.advance` returned last."""
     seconds: float = 0.0
     stopped: str = ""
     fooled: bool = False
@@ -27,6 +28,6 @@ class AttackState:
     stored: Parameters = field(default_factory=dict)
     """The perturbation that counts: the verified one, else the last that fooled the loop, else the last."""
     picture: Tensor = field(default_factory=lambda: torch.zeros(0, 0, 3, dtype=torch.uint8))
-    """The loop's own picture of it, uint8 [H, W, 3]."""
+    """The loop's own image of it, uint8 [H, W, 3]."""
     scores: Tensor = field(default_factory=lambda: torch.zeros(0))
-    """The network's scores of that picture, [K]."""
+    """The network's scores of that image, [K]."""

@@ -1,4 +1,4 @@
-"""The judge: a perturbation rendered afresh by the exact path, rounded to 8 bits, and put to the network."""
+"""The verifier renders a perturbation afresh by the exact path, rounds it to 8 bits, and asks the network."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ class Verifier:
 
     @torch.no_grad()
     def render(self, perturbation: Mapping[str, Tensor]) -> Tensor:
-        """The exact picture [H, W, 3], not yet rounded. Groups left out are unperturbed; {} is the original."""
+        """The exact image [H, W, 3], not yet rounded. Groups left out are unperturbed; {} is the original."""
         exact = self.renderer.exact()
         start = exact.initial()
         changed = {g: (start[g] + perturbation[g].to(start[g].dtype))[None] for g in perturbation}
@@ -33,15 +33,15 @@ class Verifier:
         return exact.render({g: changed.get(g, start[g][None]) for g in exact.groups})[0]
 
     def picture(self, perturbation: Mapping[str, Tensor]) -> Tensor:
-        """The exact picture as saved, uint8 [H, W, 3]."""
+        """The exact image as saved, uint8 [H, W, 3]."""
         return to_bytes(self.render(perturbation))
 
     @torch.no_grad()
-    def logits(self, picture: Tensor) -> Tensor:
-        """Scores [K] of a saved picture, uint8 [H, W, 3]; one at a time, so that their bits depend on nothing else."""
+    def logits(self, image: Tensor) -> Tensor:
+        """Scores [K] of a saved image, uint8 [H, W, 3]; one at a time, so that their bits depend on nothing else."""
         self.queries += 1
-        return self.target.logits(from_bytes(picture)[None], self.question)[0]
+        return self.target.logits(from_bytes(image)[None], self.question)[0]
 
     def fooled(self, perturbation: Mapping[str, Tensor], goal: ResolvedGoal) -> bool:
-        """Whether the exact picture of the perturbation does what the goal asks."""
+        """Whether the exact image of the perturbation does what the goal asks."""
         return bool(goal.fooled(self.logits(self.picture(perturbation))))

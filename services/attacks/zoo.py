@@ -1,121 +1,171 @@
 """ZOO (Chen et al. 2017; paper, section 3.2): central differences on random coordinates, moved by Adam."""
 
-import torch
-from torch import Tensor
+from __future__ import annotations
 
-from services.attacks.differences import estimate, layout, measure_deltas, measure_noise, where_clamped
-from services.attacks.problem import AttackProblem, Evaluation
-from services.attacks.seeds import generator
-from services.attacks.spec import Zoo
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from services.attacks.spec import AttackSettings, Rate, register
 from services.errors import JobFailure
-from services.rendering.protocol import Parameters
-from services.rendering.pyrender_renderer.inactive import FindsInactive, InactiveCoordinate
 
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from torch import Tensor
+
+    from services.attacks.problem import AttackProblem, Evaluation
+    from services.rendering.protocol import InactiveCoordinate, Parameters
+
+PRESETS: dict[str, dict[str, Any]] = {
+    "paper-classification": {"delta": 1e-4, "learning_rate": 2e-3, "weight": 0.1, "steps": 500},
+    "paper-vqa": {"delta": 1e-3, "learning_rate": 1e-2, "weight": 0.5, "steps": 500},
+    "measured": {"delta": "measured", "learning_rate": 2e-3, "weight": 0.1, "steps": 500},
+}
+"""Settings of the paper (sections 4.1 and 4.2), and the same with difference steps chosen from the measured noise."""
 BETAS = (0.9, 0.999)
 EPSILON = 1e-8
 REACH = 10
-"""Difference steps are measured where an attack comes in so many steps."""
+"""Difference steps are measured where an attack comes in this number of steps."""
+
+Step = Annotated[float, Field(ge=1e-12, le=1, allow_inf_nan=False)]
 
 
+class Zoo(AttackSettings):
+    """Zeroth-order optimisation: central differences on random coordinates, Adam, loss + weight·‖ΔY‖² (section 3.2)."""
+
+    method: Literal["zoo"] = "zoo"
+    preset: Literal["paper-classification", "paper-vqa", "measured"] = Field(
+        "measured", description="where settings left out come from"
+    )
+    coordinates: Annotated[int, Field(ge=1, le=4096)] = Field(
+        128, description="random coordinates differenced in a step; all of them if there are fewer"
+    )
+    delta: Step | Literal["measured"] | dict[str, Step] = Field(
+        "measured", description="half-step of the central difference, in the group's units, one for all or per group"
+    )
+    learning_rate: Rate | dict[str, Rate] = Field(2e-3, description="Adam's, in the group's units, one or per group")
+    weight: Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)] = Field(
+        0.1, description="λ: weight of the summed squares of the image's change"
+    )
+    truncation: Annotated[int, Field(ge=1, le=255)] | None = Field(
+        None, description="U as for fgsm; the paper keeps changes small by λ alone"
+    )
+
+    @property
+    def distance_weight(self) -> float:
+        """λ."""
+        return self.weight
+
+    @classmethod
+    def complete(cls, data: dict[str, Any]) -> dict[str, Any]:
+        """Fills in the preset's settings."""
+        return PRESETS.get(str(data.get("preset", "measured")), {}) | data
+
+    @model_validator(mode="after")
+    def _a_value_for_each_group(self) -> Self:
+        for name, value in (("delta", self.delta), ("learning_rate", self.learning_rate)):
+            if isinstance(value, dict):
+                self.check_groups(name, value)
+        return self
+
+
+@register(Zoo)
 class ZooMethod:
     """Each step differences a random subset of coordinates and moves only those, each with an Adam state of its own.
 
-    A flat difference says nothing about its coordinate: it is counted, and the coordinate's Adam state is left alone.
-    Coordinates that provably change no pixel at the start are not drawn from, as long as that is still so where the
-    attack has come to; the others get their share.
+    A difference below the noise says nothing about its coordinate: it is counted, and the coordinate's Adam state is
+    left alone. Coordinates that provably change no pixel at the start are not drawn from, as long as that is still so
+    where the attack has come to; the others get their share.
     """
 
     needs_gradient = False
 
     def __init__(self, settings: Zoo, problem: AttackProblem) -> None:
         self.settings = settings
-        self.where = layout(problem)
-        self.flat = torch.zeros(self.where.total)
-        self.first = torch.zeros(self.where.total, dtype=torch.float64)
-        self.second = torch.zeros(self.where.total, dtype=torch.float64)
-        self.moves = torch.zeros(self.where.total, dtype=torch.int64)
-        self.deltas = torch.zeros(self.where.total, dtype=torch.float64)
-        self.idle = torch.zeros(self.where.total, dtype=torch.bool)
+        self.layout = problem.layout
+        self.delta = self.layout.zeros()
+        """The perturbation as one vector [total]."""
+        self.first = self.layout.zeros().double()
+        self.second = self.layout.zeros().double()
+        self.moves = self.layout.zeros().long()
+        self.half_steps = self.layout.zeros().double()
+        self.inactive = self.layout.zeros().bool()
         self.noise = 0.0
 
     @property
     def perturbation(self) -> Parameters:
         """The current perturbation, by group."""
-        return self.where.unflatten(self.flat)
+        return self.layout.unflatten(self.delta)
 
     def start(self, problem: AttackProblem) -> dict[str, object]:
         """Measures the noise of the objective and, where asked, each group's difference step; finds what to skip."""
-        self.noise = measure_noise(problem, self.flat)
-        delta = self.settings.delta
-        if isinstance(delta, str):
-            chosen = measure_deltas(problem, REACH * self._rates(), self.noise)
+        from services.attacks.differences import measure_half_steps, measure_noise
+
+        self.noise = measure_noise(problem, self.delta)
+        asked = self.settings.delta
+        if isinstance(asked, str):
+            chosen = measure_half_steps(problem, REACH * self._rates(), self.noise)
         else:
-            chosen = delta if isinstance(delta, dict) else dict.fromkeys(self.where.groups, delta)
-        self.deltas = self._per_coordinate(chosen)
-        found = self._find_idle(problem)
-        self.idle = self._mask(found)
+            chosen = asked if isinstance(asked, dict) else dict.fromkeys(self.layout.groups, asked)
+        self.half_steps = self.layout.spread(chosen)
+        found = self._find_inactive(problem)
+        self.inactive = self._mask(found)
         skipped = [{"coordinate": one.name, "why": one.why} for one in found]
         return {"delta": chosen, "noise": self.noise, "skipped": skipped}
 
     def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:  # noqa: ARG002
-        """Differences, then Adam on the coordinates that were not flat. Returns how many were."""
-        random = generator(problem.seed, "zoo", step)
-        pool = self._pool(problem)
-        chosen = pool[torch.randperm(len(pool), generator=random)[: self.settings.coordinates]].sort().values
-        found = estimate(problem, self.flat, chosen, self.deltas[chosen], self.noise)
-        if not bool(torch.isfinite(found.slopes).all()):
+        """Differences, then Adam on the coordinates whose difference is above the noise. Returns how many are below."""
+        from services.attacks.differences import clamped, estimate
+        from services.attacks.seeds import draw
+
+        chosen = draw(self._active(problem), self.settings.coordinates, problem.seed, "zoo", step)
+        found = estimate(problem, self.delta, chosen, self.half_steps[chosen], self.noise)
+        if not bool(found.gradients.isfinite().all()):
             raise JobFailure("non-finite", "a difference of the objective is not finite")
-        moving, slopes = chosen[~found.flat], found.slopes[~found.flat]
+        moving, gradients = chosen[~found.below_noise], found.gradients[~found.below_noise]
         self.moves[moving] += 1
-        self.first[moving] = BETAS[0] * self.first[moving] + (1 - BETAS[0]) * slopes
-        self.second[moving] = BETAS[1] * self.second[moving] + (1 - BETAS[1]) * slopes.square()
+        self.first[moving] = BETAS[0] * self.first[moving] + (1 - BETAS[0]) * gradients
+        self.second[moving] = BETAS[1] * self.second[moving] + (1 - BETAS[1]) * gradients.square()
         first = self.first[moving] / (1 - BETAS[0] ** self.moves[moving].double())
         second = self.second[moving] / (1 - BETAS[1] ** self.moves[moving].double())
         rates = self._rates()[moving]
-        self.flat[moving] -= (rates * first / (second.sqrt() + EPSILON)).to(self.flat.dtype)
-        self.flat = where_clamped(problem, self.flat[None], self.where)[0]
-        return int(found.flat.sum())
+        self.delta[moving] -= (rates * first / (second.sqrt() + EPSILON)).to(self.delta.dtype)
+        self.delta = clamped(problem, self.delta[None])[0]
+        return int(found.below_noise.sum())
 
     def state(self) -> dict[str, Tensor]:
-        """Perturbation, Adam's moments and counts, difference steps, what was idle, and noise."""
+        """Perturbation, Adam's moments and counts, difference steps, what was inactive, and noise."""
         return {
-            "flat": self.flat,
+            "delta": self.delta,
             "first": self.first,
             "second": self.second,
             "moves": self.moves,
-            "deltas": self.deltas,
-            "idle": self.idle,
-            "noise": torch.tensor(self.noise, dtype=torch.float64),
+            "half_steps": self.half_steps,
+            "inactive": self.inactive,
+            "noise": self.first.new_tensor(self.noise),
         }
 
     def load(self, state: dict[str, Tensor]) -> None:
         """Continues from `state()`."""
-        self.flat, self.first, self.second = state["flat"], state["first"], state["second"]
-        self.moves, self.deltas, self.noise = state["moves"], state["deltas"], float(state["noise"])
-        self.idle = state["idle"]
+        self.delta, self.first, self.second = state["delta"], state["first"], state["second"]
+        self.moves, self.half_steps, self.noise = state["moves"], state["half_steps"], float(state["noise"])
+        self.inactive = state["inactive"]
 
-    def _find_idle(self, problem: AttackProblem) -> list[InactiveCoordinate]:
+    def _find_inactive(self, problem: AttackProblem) -> list[InactiveCoordinate]:
         """The attacked coordinates that change no pixel where the attack is, moved by their difference step."""
-        if not isinstance(problem.renderer, FindsInactive):
-            return []
-        reach = {g: float(self.deltas[self.where.starts[g]]) for g in self.where.groups}
+        reach = {g: float(self.half_steps[self.layout.starts[g]]) for g in self.layout.groups}
         at = {g: problem.initial[g] + value for g, value in self.perturbation.items()}
-        return [one for one in problem.renderer.idle(at, reach) if one.group in self.where.groups]
+        return [one for one in problem.renderer.inactive(at, reach) if one.group in self.layout.groups]
 
-    def _mask(self, found: list[InactiveCoordinate]) -> Tensor:
-        mask = torch.zeros(self.where.total, dtype=torch.bool)
-        mask[[self.where.starts[one.group] + one.index for one in found]] = True
-        return mask
+    def _mask(self, found: Sequence[InactiveCoordinate]) -> Tensor:
+        return self.layout.mask((one.group, one.index) for one in found)
 
-    def _pool(self, problem: AttackProblem) -> Tensor:
-        """The coordinates to draw from. Those once idle are examined again; none ever was in most scenes."""
-        still = self.idle & self._mask(self._find_idle(problem)) if bool(self.idle.any()) else self.idle
+    def _active(self, problem: AttackProblem) -> Tensor:
+        """The coordinates to draw from. Those once inactive are examined again; none ever was in most scenes."""
+        still = self.inactive & self._mask(self._find_inactive(problem)) if self.inactive.any() else self.inactive
         return (~still).nonzero()[:, 0]
 
     def _rates(self) -> Tensor:
         rate = self.settings.learning_rate
-        return self._per_coordinate(rate if isinstance(rate, dict) else dict.fromkeys(self.where.groups, rate))
-
-    def _per_coordinate(self, by_group: dict[str, float]) -> Tensor:
-        parts = [torch.full((self.where.shapes[g].numel(),), by_group[g]) for g in self.where.groups]
-        return torch.cat(parts).double()
+        return self.layout.spread(rate if isinstance(rate, dict) else dict.fromkeys(self.layout.groups, rate))

@@ -1,10 +1,10 @@
 """The artifact store: files of results under the hash of their bytes."""
 
 import hashlib
-import os
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+
+from services import atomic_write
 
 MEDIA_TYPES = {".json": "application/json", ".png": "image/png"}
 """By file name ending; everything else, safetensors too, is plain bytes."""
@@ -29,20 +29,8 @@ class ArtifactStore:
         data = source.read_bytes()
         stored = Stored(hashlib.sha256(data).hexdigest(), len(data))
         goal = self.path(stored.sha256)
-        if goal.exists():
-            return stored
-        goal.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=goal.parent)
-        try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            Path(temporary).replace(goal)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
-        _sync_directory(goal.parent)
+        if not goal.exists():
+            atomic_write.write(goal, data)
         return stored
 
     def path(self, sha256: str) -> Path:
@@ -53,11 +41,3 @@ class ArtifactStore:
 def media_type(name: str) -> str:
     """The media type of an artifact."""
     return MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
-
-
-def _sync_directory(directory: Path) -> None:
-    handle = os.open(directory, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

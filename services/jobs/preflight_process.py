@@ -10,7 +10,7 @@ from typing import Any
 
 from services.errors import InvalidRequest, JobFailure
 from services.jobs.child import connect, reply, requests
-from services.jobs.warm_up import warm
+from services.jobs.warm_up import warm_up
 from services.logs import configure, logger
 from services.pipeline.prepare import preflight
 from services.pipeline.spec import JobSpec
@@ -59,7 +59,7 @@ def main() -> None:
     values = settings()
     connection = connect()
     inbox = requests(connection)
-    warm(values)
+    warm_up(values)
     library = Library(values.cache_dir, values.data_dir)
     reply(connection, {"ready": True})
     for message, data in inbox:

@@ -5,10 +5,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from services.jobs.repository import Attempt, Repository
+from services.jobs.attempts import Attempt
+from services.jobs.repository import Repository
 
 
-class Workplace:
+class WorkingFiles:
     """`data_dir/checkpoints/<job id>` and `data_dir/running/<job id>-<attempt>/`."""
 
     def __init__(self, data_dir: Path) -> None:
@@ -21,7 +22,7 @@ class Workplace:
         return self._checkpoints / job_id
 
     @contextmanager
-    def desk(self, attempt: Attempt) -> Iterator[Path]:
+    def attempt_directory(self, attempt: Attempt) -> Iterator[Path]:
         """An empty directory for one attempt, gone afterwards."""
         out = self._running / f"{attempt.job_id}-{attempt.number}"
         out.mkdir(parents=True)

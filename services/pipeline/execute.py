@@ -13,15 +13,12 @@ from services.analysis import pictures
 from services.analysis.answers import answer
 from services.analysis.perceptibility import beyond, of_groups, of_pictures
 from services.analysis.subsets import subsets
-from services.attacks.fgsm import FgsmMethod
 from services.attacks.loop import Budget, run
-from services.attacks.method import Method
 from services.attacks.problem import AttackProblem
-from services.attacks.spec import Fgsm
 from services.attacks.state import AttackState
 from services.attacks.trace import TraceRow
-from services.attacks.zoo import ZooMethod
 from services.errors import Cancelled
+from services.pipeline.extensions import ATTACKS, EXTENSIONS
 from services.pipeline.prepare import Prepared, prepare
 from services.pipeline.result import Provenance, Result
 from services.pipeline.spec import JobSpec
@@ -67,13 +64,14 @@ def execute(
     interrupt()
     prepared = prepare(spec, library)
     problem = _problem(prepared, interrupt)
+    method = ATTACKS[spec.attack.method].method(spec.attack, problem)
     budget = Budget(steps, spec.attack.queries, spec.attack.seconds)
     found = run(
         problem,
-        _method(prepared.spec, problem),
-        prepared.judge,
+        method,
+        prepared.verifier,
         budget,
-        saved=checkpoint,
+        checkpoint_path=checkpoint,
         on_row=lambda row: progress(Progress(phase="attacking", step=row.step, steps=steps, row=row)),
     )
     progress(Progress(phase="analysing", step=found.step, steps=steps))
@@ -91,22 +89,18 @@ def _problem(prepared: Prepared, interrupt: Callable[[], None]) -> AttackProblem
         seed=prepared.spec.seed,
         question=prepared.spec.target.question,
         truncation=None if attack.truncation is None else attack.truncation / 255,
-        weight=0.0 if isinstance(attack, Fgsm) else attack.weight,
+        weight=attack.distance_weight,
         interrupt=interrupt,
     )
 
 
-def _method(spec: JobSpec, problem: AttackProblem) -> Method:
-    return FgsmMethod(spec.attack, problem) if isinstance(spec.attack, Fgsm) else ZooMethod(spec.attack, problem)
-
-
 def _write(prepared: Prepared, problem: AttackProblem, found: AttackState, out: Path) -> Result:
     out.mkdir(parents=True, exist_ok=True)
-    judge, goal, labels, original = prepared.judge, prepared.goal, prepared.target.labels, prepared.original
-    queries, renders = problem.queries + judge.queries, problem.renders + judge.renders
-    exact = judge.render(found.stored)
+    verifier, goal, labels, original = prepared.verifier, prepared.goal, prepared.target.labels, prepared.original
+    queries, renders = problem.queries + verifier.queries, problem.renders + verifier.renders
+    exact = verifier.render(found.stored)
     attacked = to_bytes(exact)
-    logits = judge.logits(attacked)
+    logits = verifier.logits(attacked)
     limit = prepared.spec.attack.truncation
     result = Result(
         spec=prepared.spec.model_dump(mode="json"),
@@ -123,7 +117,8 @@ def _write(prepared: Prepared, problem: AttackProblem, found: AttackState, out: 
         beyond_truncation=None if limit is None else beyond(original, attacked, limit),
         plan=prepared.renderer.plan,
         image_error=_image_error(problem, found, exact),
-        subsets=subsets(judge, goal, found.stored, (original, prepared.logits), (attacked, logits)),
+        environment_map_error=prepared.renderer.plan.environment_map_error,
+        subsets=subsets(verifier, goal, found.stored, (original, prepared.logits), (attacked, logits)),
         settings=found.settings,
         steps=found.step,
         step=found.stored_step,
@@ -163,4 +158,16 @@ def _provenance(prepared: Prepared) -> Provenance:
             for thing, mesh in zip(prepared.spec.scene.objects, prepared.scene.meshes, strict=True)
         },
         credits=prepared.scene.credits,
+        extensions=_extensions(prepared.spec),
     )
+
+
+def _extensions(spec: JobSpec) -> dict[str, str]:
+    """File name to sha256 of the extension files that this job's method, renderers or target come from."""
+    used = {
+        ("method", spec.attack.method),
+        ("renderer", spec.attack.renderer),
+        ("renderer", spec.attack.base_renderer),
+        ("target", spec.target.name),
+    }
+    return {file.path.name: file.sha256 for file in EXTENSIONS if file.sha256 is not None and file.adds & used}

@@ -1,6 +1,5 @@
 """Everything of a job that can go wrong before it begins: assets, target, goal, and the network's first answer."""
 
-import difflib
 from dataclasses import dataclass
 
 from torch import Tensor
@@ -12,9 +11,13 @@ from services.pipeline.spec import JobSpec
 from services.rendering.factory import build
 from services.rendering.plan import Plan
 from services.rendering.protocol import Renderer
+from services.rendering.torch_renderer.declaration import TORCH
+from services.rendering.torch_renderer.map_size import smallest_map
 from services.rendering.torch_renderer.presets import preset
+from services.scenes.description import Environment
 from services.scenes.library import Library
 from services.scenes.resolve import ResolvedScene, resolve
+from services.suggestions import did_you_mean
 from services.targets import registry
 from services.targets.protocol import Target
 from services.targets.scores import probability
@@ -30,7 +33,7 @@ class Prepared:
     renderer: Renderer
     target: Target
     goal: ResolvedGoal
-    judge: Verifier
+    verifier: Verifier
     original: Tensor
     """The exact picture of the scene as saved, uint8 [H, W, 3]."""
     logits: Tensor
@@ -70,13 +73,14 @@ def prepare(spec: JobSpec, library: Library) -> Prepared:
     if leave is not None and leave == reach:
         raise InvalidRequest("goal.reach", f"is the label to leave ({labels[leave]!r}); name another one")
     scene = _scene(spec, library)
+    spec = spec.model_copy(update={"scene": scene.description})
     target = registry.load(spec.target.name)
     if spec.target.question is not None and not target.takes_question:
         raise InvalidRequest("target.question", f"{target.name} answers no questions; leave it out")
     renderer = _renderer(spec, scene)
-    judge = Verifier(renderer, target, spec.target.question)
-    original = judge.picture({})
-    logits = judge.logits(original)
+    verifier = Verifier(renderer, target, spec.target.question)
+    original = verifier.picture({})
+    logits = verifier.logits(original)
     leave = _first_answer(logits, leave, reach, labels)
     goal = spec.goal.model_copy(
         update={
@@ -85,18 +89,28 @@ def prepare(spec: JobSpec, library: Library) -> Prepared:
         }
     )
     spec = spec.model_copy(update={"goal": goal})
-    return Prepared(spec, scene, renderer, target, ResolvedGoal(leave, reach), judge, original, logits)
+    return Prepared(spec, scene, renderer, target, ResolvedGoal(leave, reach), verifier, original, logits)
 
 
 def _scene(spec: JobSpec, library: Library) -> ResolvedScene:
     for index, thing in enumerate(spec.scene.objects):
         preset(thing.material, f"scene.objects.{index}.material")
-    return resolve(spec.scene, library)
+    scene = resolve(spec.scene, library)
+    return scene if spec.scene.lights.environment.size != "auto" else _with_chosen_map(spec, scene, library)
+
+
+def _with_chosen_map(spec: JobSpec, scene: ResolvedScene, library: Library) -> ResolvedScene:
+    """The scene with the smallest map that the job's tolerance allows; of the default size if no map lights it."""
+    lit_by_map = TORCH.name in (spec.attack.renderer, spec.attack.base_renderer)
+    size = smallest_map(scene, spec.tolerance) if lit_by_map else Environment().size
+    lights = spec.scene.lights
+    chosen = lights.model_copy(update={"environment": lights.environment.model_copy(update={"size": size})})
+    return resolve(spec.scene.model_copy(update={"lights": chosen}), library)
 
 
 def _renderer(spec: JobSpec, scene: ResolvedScene) -> Renderer:
     attack = spec.attack
-    return build(scene, attack.renderer, attack.picture, attack.groups, spec.tolerance)
+    return build(scene, attack.renderer, attack.base_renderer, attack.groups, spec.tolerance)
 
 
 def _label(wanted: str | int | None, labels: tuple[str, ...], field: str, target: str) -> int | None:
@@ -107,9 +121,7 @@ def _label(wanted: str | int | None, labels: tuple[str, ...], field: str, target
             raise InvalidRequest(field, f"{target} has labels 0 to {len(labels) - 1}, not {wanted}")
         return wanted
     if wanted not in labels:
-        near = difflib.get_close_matches(wanted, labels, n=3)
-        hint = f"; did you mean {' or '.join(map(repr, near))}?" if near else ""
-        raise InvalidRequest(field, f"{target} has no label {wanted!r}{hint}")
+        raise InvalidRequest(field, f"{target} has no label {wanted!r}{did_you_mean(wanted, labels)}")
     return labels.index(wanted)
 
 

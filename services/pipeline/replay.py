@@ -38,8 +38,8 @@ def replay(directory: Path, library: Library) -> Replay:
     except (OSError, ValueError) as error:
         raise InvalidRequest("directory", f"{directory} is not the output of a finished job: {error}") from error
     prepared = prepare(parse(result.spec), library)
-    picture = prepared.judge.picture(perturbation)
-    logits = prepared.judge.logits(picture)
+    picture = prepared.verifier.picture(perturbation)
+    logits = prepared.verifier.logits(picture)
     return Replay(
         stored=result.attacked,
         replayed=answer(logits, prepared.target.labels, prepared.goal),

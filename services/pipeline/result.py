@@ -21,6 +21,9 @@ class Provenance(_Record):
     weights_sha256: str
     meshes: dict[str, str] = Field(description="mesh name to sha256 of its file")
     credits: list[str] = Field(description="creators and licences of the models and maps shown")
+    extensions: dict[str, str] = Field(
+        default_factory=dict, description="extension files the method, renderer or target came from, with their sha256"
+    )
 
 
 class Result(_Record):
@@ -46,6 +49,12 @@ class Result(_Record):
     image_error: float = Field(
         description="the error it did cost: largest difference of a displayed value, in [0,1], between the stored "
         "perturbation rendered by the plan and exactly"
+    )
+    environment_map_error: float | None = Field(
+        None,
+        description="what the environment map's resolution costs beside: largest difference of a displayed value, at "
+        "some pixels of the original, to the same scene under a map of 64×128; null where the renderer uses no map or "
+        "one of that size",
     )
     subsets: list[Subset]
     settings: dict[str, object] = Field(description="settings found while running, e.g. measured difference steps")

@@ -48,12 +48,6 @@ class _Display(torch.autograd.Function):
         return slope * display_slope(*ctx.saved_tensors)
 
 
-def to_linear(display: Tensor) -> Tensor:
-    """The inverse of `to_display` on [0,1]."""
-    low = display <= 0.04045
-    return torch.where(low, display / 12.92, ((display.clamp_min(0.04045) + 0.055) / 1.055) ** 2.4)
-
-
 def to_bytes(images: Tensor) -> Tensor:
     """Images in [0,1] as they are saved: uint8, rounded to nearest (ties to even)."""
     # A product with 255 in a type of eight bits would be rounded twice.
@@ -61,7 +55,7 @@ def to_bytes(images: Tensor) -> Tensor:
     return (wide.clamp(0.0, 1.0) * 255).round().to(torch.uint8)
 
 
-def saved(images: Tensor) -> tuple[Tensor, Tensor]:
+def quantize(images: Tensor) -> tuple[Tensor, Tensor]:
     """Images in [0,1], of any shape, as they are saved (uint8) and as a reader of the file sees them (float32)."""
     if images.dtype == torch.float32 and compiled.runs(images):
         plain = images.detach().contiguous()
@@ -79,4 +73,4 @@ def from_bytes(images: Tensor) -> Tensor:
 
 def as_saved(images: Tensor) -> Tensor:
     """What a reader of the saved file sees: rounded to 8 bits, float32."""
-    return saved(images)[1]
+    return quantize(images)[1]

@@ -1,39 +1,45 @@
 """From a resolved scene and a renderer's name to the renderer."""
 
 from collections.abc import Sequence
+from pkgutil import resolve_name
+from typing import Any
 
-from torch import Tensor
-
-from services.rendering.color import as_saved
-from services.rendering.image_renderer import ImageRenderer
-from services.rendering.opengl.gbuffer import rasterise
+from services.errors import InvalidRequest, JobFailure
+from services.rendering.declaration import RENDERERS, BuildRequest, Declaration
 from services.rendering.plan import DEFAULT_TOLERANCE, Tolerance
 from services.rendering.protocol import Renderer
-from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
-from services.rendering.torch_renderer.renderer import TorchRenderer
 from services.scenes.resolve import ResolvedScene
 
 
 def build(
     scene: ResolvedScene,
     renderer: str,
-    picture: str | None = None,
+    base_renderer: str | None = None,
     groups: Sequence[str] | None = None,
     tolerance: Tolerance = DEFAULT_TOLERANCE,
 ) -> Renderer:
-    """The renderer `torch`, `pyrender` or `image`, compiled for attacks on `groups` (None: all) within `tolerance`.
+    """A registered renderer, compiled for attacks on `groups` (None: all) within `tolerance`.
 
-    `picture` names the renderer that draws the picture of `image`.
+    `base_renderer` names the renderer whose exact image is worked on, where the renderer has such (None: the one it
+    declares). Raises InvalidRequest("attack.renderer") for an unknown name, JobFailure("internal") for a renderer whose
+    groups are not those it declares.
     """
-    if renderer == "image":
-        drawn = build(scene, picture or "torch", tolerance="exact")
-        return ImageRenderer(as_saved(drawn.render(_one(drawn)))[0], drawn.backend)
-    if renderer == "torch":
-        return TorchRenderer(scene, rasterise(scene), groups or TorchRenderer.groups, tolerance)
-    if renderer == "pyrender":
-        return PyrenderRenderer(scene, groups, tolerance)
-    raise ValueError(f"no renderer {renderer!r}")
+    declaration = RENDERERS.get(renderer)
+    if declaration is None:
+        raise InvalidRequest("attack.renderer", f"there is no renderer {renderer!r}; there are {', '.join(RENDERERS)}")
+    base = None
+    if declaration.base_renderer is not None:
+        base = build(scene, base_renderer or declaration.base_renderer, tolerance="exact")
+    made: Renderer = _class(declaration).build(
+        BuildRequest(scene, tuple(groups or declaration.group_names), tolerance, base)
+    )
+    shapes = {group: value.dim() for group, value in made.initial().items()}
+    declared = {group.name: len(group.shape) for group in declaration.groups}
+    if shapes != declared:
+        raise JobFailure("internal", f"renderer {renderer!r} declares groups of {declared} axes and has {shapes}")
+    return made
 
 
-def _one(renderer: Renderer) -> dict[str, Tensor]:
-    return {group: value[None] for group, value in renderer.initial().items()}
+def _class(declaration: Declaration) -> Any:
+    found = declaration.renderer
+    return resolve_name(found) if isinstance(found, str) else found

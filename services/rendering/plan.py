@@ -49,6 +49,17 @@ class Stage(_Record):
     )
 
 
+class GradientError(_Record):
+    """How far the gradient of one group is from the exact one, measured at some pixels when the plan was made."""
+
+    part: str = Field(description='part of the image it is about: "object 0"')
+    group: str
+    relative: float = Field(description="length of the difference over the length of the exact gradient")
+    wrong_signs: float = Field(
+        description="share of the coordinates with a gradient whose sign differs; fgsm steps by signs"
+    )
+
+
 class Plan(_Record):
     """What is kept, what is left out, why, by which method, at which estimated cost and error."""
 
@@ -63,6 +74,14 @@ class Plan(_Record):
         description="estimated largest error of any displayed value, of rasterised images their mean over covered "
         "pixels: the errors that meet in a part add up at worst"
     )
+    gradients: tuple[GradientError, ...] = Field(
+        (), description="errors of the gradients; empty where nothing is shortened or nothing is differentiated"
+    )
+    environment_map_error: float | None = Field(
+        None,
+        description="environment map's resolution: largest difference of a displayed value, at some pixels, to the "
+        "same scene under the largest map, 64×128; not part of `error`. Null where no map is used or it is the largest",
+    )
 
     @classmethod
     def of(
@@ -73,6 +92,7 @@ class Plan(_Record):
         tolerance: Tolerance,
         items: Sequence[Item],
         stages: Sequence[Stage] = (),
+        gradients: Sequence[GradientError] = (),
     ) -> "Plan":
         """The plan of these items and stages, with the error they add up to."""
         errors: dict[str, float] = {}
@@ -86,5 +106,6 @@ class Plan(_Record):
             tolerance=tolerance,
             items=tuple(items),
             stages=tuple(stages),
+            gradients=tuple(gradients),
             error=errors.pop("", 0.0) + max(errors.values(), default=0.0),
         )

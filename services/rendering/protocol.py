@@ -1,6 +1,7 @@
 """The one protocol everything else is generic over: a renderer turns named parameter groups into images."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 from torch import Tensor
@@ -11,8 +12,18 @@ Parameters = dict[str, Tensor]
 """Group name to values. Without a batch dimension for a state or a perturbation, with one ([B, …]) to render."""
 
 
+@dataclass(frozen=True)
+class InactiveCoordinate:
+    """A coordinate of a group, by its flat index, that changes no pixel; its name, and why."""
+
+    group: str
+    index: int
+    name: str
+    why: str
+
+
 class Renderer(Protocol):
-    """A scene, compiled for one set of groups.
+    """A scene, compiled for one set of groups. `services.rendering.declaration.DeclaredRenderer` is a base for it.
 
     `groups` is ordered and is the order used in tables. `backend` names everything that decides the bits of an image:
     library versions, GL platform and driver, dtype, threads. Rendering is deterministic: the same parameters give the
@@ -63,6 +74,13 @@ class Renderer(Protocol):
 
     def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
         """Images [B, H, W, 3] in [0,1], as displayed. Groups left out keep their initial values; B is shared by all."""
+        ...
+
+    def inactive(self, parameters: Mapping[str, Tensor], reach: Mapping[str, float]) -> Sequence[InactiveCoordinate]:
+        """Coordinates proved to change no pixel at `parameters` {group: [...]}, moved by at most the group's `reach`.
+
+        A renderer that proves nothing returns none.
+        """
         ...
 
     def exact(self) -> "Renderer":

@@ -13,8 +13,8 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
+from services import atomic_write
 from services.scenes.properties import parse_properties
-from services.scenes.store import write_atomically
 
 CATALOGUE = "PluginFurnitureCatalog.properties"
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
@@ -62,7 +62,7 @@ def read_catalogue(directory: Path, index: Path) -> dict[str, Model]:
         pass
     models = with_slugs([model for path in archives for model in read_archive(path)])
     text = json.dumps({"stamp": stamp, "models": [model.model_dump(mode="json") for model in models]})
-    write_atomically(index, text.encode())
+    atomic_write.write(index, text.encode())
     return {model.slug: model for model in models}
 
 

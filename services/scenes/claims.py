@@ -1,10 +1,11 @@
 """What a mesh file claims to be and to hold, checked against its bytes before a parser spends memory on it."""
 
-import json
 import re
 import struct
 from collections.abc import Callable
 from typing import Any
+
+from services.scenes.gltf_file import GltfFile
 
 _SIZES = {
     **dict.fromkeys(("char", "uchar", "int8", "uint8"), 1),
@@ -110,9 +111,7 @@ def _glb(data: bytes, max_faces: int) -> None:
     version, length, chunk, kind = struct.unpack_from("<IIII", data, 4)
     if version != 2 or length != len(data) or kind != 0x4E4F534A or 20 + chunk > len(data):
         raise ValueError("its lengths do not add up, or it is not glTF 2")
-    tree = json.loads(data[20 : 20 + chunk])
-    if not isinstance(tree, dict):
-        raise ValueError("its JSON is not an object")
+    tree = GltfFile(data).tree
     accessors: list[dict[str, Any]] = tree.get("accessors", [])
     if any("bufferView" not in accessor for accessor in accessors):
         raise ValueError("it has accessors without data (compressed geometry is not read)")

@@ -7,7 +7,7 @@ colours in [0,1]. Every field has a default that works and bounds that are check
 from math import pi
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Unit = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
@@ -25,6 +25,12 @@ DISTANCE = 1.8
 FIELD_OF_VIEW = 0.8575
 """49.1°, vertical: Blender's default lens, which the paper's views were taken with."""
 GROUND = 128 / 255
+MAP_SIZES = ((4, 8), (8, 16), (16, 32), (32, 64), (64, 128))
+"""Sizes of environment maps that "auto" chooses from, the smallest first; the last is the largest there is."""
+MAX_LIGHTS = 4
+"""Lights of each kind, as many as pyrender has."""
+MIN_LENGTH = 1e-3
+"""Of a direction's largest coordinate, so that rounding does not turn it."""
 
 
 class Model(BaseModel):
@@ -80,23 +86,91 @@ class PointLight(Model):
     position: Vector = Field((1.2, 2.0, 1.5), description="scene units")
 
 
+class DirectionalLight(Model):
+    """Light of the pyrender renderer from infinitely far away, alike everywhere; the sun."""
+
+    energy: Annotated[float, Field(ge=0, le=10_000, allow_inf_nan=False)] = Field(
+        3.0, description="irradiance of a surface that faces it; 3 is about that of the default point light"
+    )
+    direction: Vector = Field(
+        (-1.2, -2.0, -1.5), description="the way its light travels; of any length above 0, which means nothing"
+    )
+
+    @field_validator("direction")
+    @classmethod
+    def _has_length(cls, value: tuple[float, float, float]) -> Any:
+        return _direction(value)
+
+
+class SpotLight(Model):
+    """A point light of the pyrender renderer that shines into a cone only."""
+
+    energy: Annotated[float, Field(ge=0, le=10_000, allow_inf_nan=False)] = Field(
+        30.0, description="radiant intensity within the inner angle; it falls off with the square of the distance"
+    )
+    position: Vector = Field((1.2, 2.0, 1.5), description="scene units")
+    direction: Vector = Field(
+        (-1.2, -2.0, -1.5), description="the axis of its cone, away from the light; of any length above 0"
+    )
+    inner_angle: Annotated[float, Field(ge=0, le=pi / 2, allow_inf_nan=False)] = Field(
+        0.0, description="angle from the axis where the light begins to fall off, radians; 0 to below `outer_angle`"
+    )
+    outer_angle: Annotated[float, Field(gt=0, le=pi / 2, allow_inf_nan=False)] = Field(
+        pi / 4, description="angle from the axis where it has fallen to nothing, radians; at most π/2"
+    )
+
+    @field_validator("direction")
+    @classmethod
+    def _has_length(cls, value: tuple[float, float, float]) -> Any:
+        return _direction(value)
+
+    @field_validator("outer_angle")
+    @classmethod
+    def _is_outside(cls, value: float, info: ValidationInfo) -> float:
+        inner = info.data.get("inner_angle", 0.0)
+        if value <= inner:
+            raise ValueError(f"it must be above inner_angle, which is {inner:g}")
+        return value
+
+
+def _direction(value: tuple[float, float, float]) -> tuple[float, float, float]:
+    if max(map(abs, value)) < MIN_LENGTH:
+        raise ValueError(f"a direction has a coordinate of at least {MIN_LENGTH:g}")
+    return value
+
+
 class Environment(Model):
     """A high-dynamic-range environment map: the light of the torch renderer."""
 
     map: str = Field("studio", min_length=1, max_length=200, description="name of a built-in map")
-    size: tuple[Annotated[int, Field(ge=1, le=64)], Annotated[int, Field(ge=1, le=128)]] = Field(
-        (16, 32), description="rows (polar angle) and columns (azimuth) it is averaged down to"
+    size: tuple[Annotated[int, Field(ge=1, le=64)], Annotated[int, Field(ge=1, le=128)]] | Literal["auto"] = Field(
+        (16, 32),
+        description="rows (polar angle) and columns (azimuth) it is averaged down to; `auto`: the smallest of 4×8, "
+        "8×16, 16×32, 32×64 and 64×128 whose error against 64×128 is within the job's tolerance",
     )
     rotation: Angle = Field(0.0, description="turn about +y, radians")
 
+    @property
+    def texels(self) -> tuple[int, int]:
+        """Rows and columns; the largest there are as long as "auto" has not been decided."""
+        return MAP_SIZES[-1] if self.size == "auto" else self.size
+
 
 class Lights(Model):
-    """All light of a scene. pyrender uses ambient and points, torch the environment."""
+    """All light of a scene. The torch renderer uses the environment, pyrender the others."""
 
     ambient: Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)] = Field(
         0.4, description="mean radiance of the light from all around, brighter above (pyrender)"
     )
-    points: tuple[PointLight, ...] = Field((PointLight(),), max_length=4, description="at most 4 (pyrender)")
+    points: tuple[PointLight, ...] = Field(
+        (PointLight(),), max_length=MAX_LIGHTS, description=f"point lights, at most {MAX_LIGHTS} (pyrender)"
+    )
+    directional: tuple[DirectionalLight, ...] = Field(
+        (), max_length=MAX_LIGHTS, description=f"directional lights, at most {MAX_LIGHTS} (pyrender)"
+    )
+    spots: tuple[SpotLight, ...] = Field(
+        (), max_length=MAX_LIGHTS, description=f"spot lights, at most {MAX_LIGHTS} (pyrender)"
+    )
     environment: Environment = Environment()
 
 

@@ -1,6 +1,5 @@
 """Everything a scene can name: furniture, primitives, uploaded meshes, environment maps; with who made it."""
 
-import difflib
 import re
 import threading
 from collections import OrderedDict
@@ -17,6 +16,7 @@ from services.scenes.furniture import load_model
 from services.scenes.mesh import Mesh
 from services.scenes.primitives import PRIMITIVES, primitive
 from services.scenes.uploads import Upload, Uploads
+from services.suggestions import did_you_mean
 
 KEPT_MESHES = 32
 """Meshes kept in memory, the latest used; a large one has some 30 MB."""
@@ -212,6 +212,4 @@ def _environment(name: str) -> Entry:
 
 
 def _unknown(what: str, name: str, known: Iterable[str]) -> str:
-    close = difflib.get_close_matches(name, list(known), n=3, cutoff=0.5)
-    suggestion = f"; did you mean {' or '.join(repr(match) for match in close)}?" if close else ""
-    return f"there is no {what} {name!r}{suggestion}"
+    return f"there is no {what} {name!r}{did_you_mean(name, known)}"

@@ -1,7 +1,9 @@
 """A mesh as renderers take it: triangles in parts, one surface each, upright, centred and scaled to fit the frame."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import sin
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +20,47 @@ FIT_RADIUS = 0.9 * DISTANCE * sin(FIELD_OF_VIEW / 2)
 """Bounding-sphere radius that fills nine tenths of the frame's height at the paper's distance, scene units."""
 
 
+AlphaMode = Literal["OPAQUE", "MASK", "BLEND"]
+MapName = Literal["base_color", "metallic_roughness", "normal", "occlusion", "emissive"]
+
+
+@dataclass(frozen=True, eq=False)
+class TextureMap:
+    """An image on a surface.
+
+    texels: uint8 [h,w,4], row 0 at the top; base colours and emission are sRGB, the other maps linear. uv_set: 0 for
+    `Part.uv`, 1 for `MetallicRoughness.second_uv`. wrap: OpenGL's wrap modes for u and v, which are also glTF's.
+    """
+
+    texels: Bytes
+    uv_set: int
+    wrap: tuple[int, int]
+
+
+@dataclass(frozen=True, eq=False)
+class MetallicRoughness:
+    """A glTF 2.0 metallic-roughness material, and the vertex attributes that only it uses.
+
+    metallic, roughness, alpha_cutoff, occlusion_strength: in [0,1]. normal_scale: factor on x and y of the normal map.
+    emissive: linear RGB radiance. tangents: float32 [V,4], unit, with the sign of the bitangent cross(n, t); zeros
+    without a normal map. second_uv: float32 [V,2], v upwards. vertex_colors: float32 [V,4], linear RGBA. Single-sided
+    triangles are culled where their winding faces away from the viewer.
+    """
+
+    metallic: float
+    roughness: float
+    emissive: tuple[float, float, float]
+    alpha_mode: AlphaMode
+    alpha_cutoff: float
+    double_sided: bool
+    normal_scale: float
+    occlusion_strength: float
+    maps: Mapping[MapName, TextureMap]
+    tangents: Floats
+    second_uv: Floats
+    vertex_colors: Floats
+
+
 @dataclass(frozen=True, eq=False)
 class Part:
     """Triangles with one surface.
@@ -25,6 +68,8 @@ class Part:
     vertices: float32 [V,3], scene units. normals: float32 [V,3], unit. faces: int32 [F,3], counter-clockwise seen from
     the side their normals point to. uv: float32 [V,2], v upwards (OpenGL), or None. color: float32 [4], linear RGBA.
     texture: uint8 [h,w,4], sRGB with straight alpha, row 0 at the top, or None; its colour is multiplied by `color`.
+    metallic_roughness: the material of a glTF file, whose base colour texture is among its maps and not in `texture`;
+    None for every other surface, which is Lambertian under a thin coat.
     """
 
     vertices: Floats
@@ -33,6 +78,12 @@ class Part:
     uv: Floats | None
     color: Floats
     texture: Bytes | None
+    metallic_roughness: MetallicRoughness | None = None
+
+    @property
+    def textured(self) -> bool:
+        """Whether any image is on its surface."""
+        return self.texture is not None or bool(self.metallic_roughness and self.metallic_roughness.maps)
 
 
 @dataclass(frozen=True, eq=False)

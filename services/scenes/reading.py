@@ -9,6 +9,7 @@ import trimesh
 
 from services.errors import InvalidRequest
 from services.scenes.claims import CHECKS
+from services.scenes.gltf import read_gltf
 from services.scenes.mesh import Part
 from services.scenes.surfaces import read_surfaces, to_parts
 
@@ -47,7 +48,9 @@ def read_mesh(data: bytes, kind: str, max_faces: int) -> tuple[Part, ...]:
         raise InvalidRequest("file", "it is empty")
     try:
         CHECKS[kind](data, max_faces)
-        # SceneParameters that are not finite are reported below, by name, not by whichever product met them first.
+        if kind == "glb":
+            return read_gltf(data, max_faces)
+        # Numbers that are not finite are reported below, by name, not by whichever product met them first.
         with np.errstate(all="ignore"):
             scene = trimesh.load_scene(BytesIO(data), file_type=kind, resolver=_Nothing(), process=False)
     except ValueError as error:

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from services.errors import InvalidRequest
-from services.scenes.description import Scene
+from services.scenes.description import MAP_SIZES, Scene
 from services.scenes.environment import EnvironmentMap, average
 from services.scenes.library import Library
 from services.scenes.mesh import FIT_RADIUS, Doubles, Floats, Mesh
@@ -27,7 +27,8 @@ class ResolvedScene:
 
     meshes, models: one for each object; models are float64 [4,4], mesh to world. view: float64 [4,4], camera to world.
     projection: float64 [4,4], OpenGL. environment: float32 [rows, cols, 3], linear radiance in the directions of
-    services.scenes.environment, turned and averaged down. credits: lines to show with every picture of the scene.
+    services.scenes.environment, turned and averaged down. source_map: the map before that, float32 [h, w, 3], None
+    where `environment` was made otherwise. credits: lines to show with every picture of the scene.
     sha256: of the canonical description and the contents of every mesh and map in it.
     """
 
@@ -39,6 +40,17 @@ class ResolvedScene:
     environment: Floats
     credits: list[str]
     sha256: str
+    source_map: Floats | None = None
+
+    @cached_property
+    def finest_environment(self) -> Floats | None:
+        """The map averaged to the largest size, as `environment` is to its own; None where that is its own.
+
+        A texel is one direction, so that it differs also where the source has no finer texels.
+        """
+        if self.source_map is None or self.environment.shape[:2] == MAP_SIZES[-1]:
+            return None
+        return average(self.source_map, *MAP_SIZES[-1], self.description.lights.environment.rotation)
 
     @cached_property
     def eye(self) -> Doubles:
@@ -69,9 +81,10 @@ def resolve(scene: Scene, library: Library) -> ResolvedScene:
         models=models,
         view=view,
         projection=lens,
-        environment=average(source.radiance, *light.size, light.rotation),
+        environment=average(source.radiance, *light.texels, light.rotation),
         credits=_credits(meshes, source),
         sha256=fingerprint(scene, [*(mesh.sha256 for mesh in meshes), source.sha256]),
+        source_map=source.radiance,
     )
 
 

@@ -10,6 +10,7 @@ from PIL import Image
 
 from services.scenes.mesh import Bytes, Doubles, Floats, Longs, Part, fitted
 from services.scenes.normals import CREASE_ANGLE, smooth_normals
+from services.scenes.srgb import to_linear
 
 MAX_TEXTURE = 1024
 """Textures are reduced to this many pixels a side; a frame has no more."""
@@ -38,7 +39,7 @@ def read_surfaces(scene: trimesh.Scene, opacity: Mapping[str, float] | None = No
     not finite or beyond MAX_COORDINATE, or if a face names a vertex that is not there.
     """
     surfaces = []
-    textures = _Textures()
+    textures = Textures()
     for node in scene.graph.nodes_geometry:
         transform, name = scene.graph[node]
         geometry = scene.geometry[name]
@@ -101,23 +102,19 @@ def to_parts(surfaces: Sequence[Surface], crease: float = CREASE_ANGLE) -> tuple
 
 
 def _surface(
-    vertices: Doubles, faces: Longs, visual: Any, opacity: Mapping[str, float], textures: "_Textures"
+    vertices: Doubles, faces: Longs, visual: Any, opacity: Mapping[str, float], textures: "Textures"
 ) -> Surface:
     material = getattr(visual, "material", None)
     if material is None:
         return _coloured(vertices, faces, visual)
-    physical = isinstance(material, trimesh.visual.material.PBRMaterial)
-    image = material.baseColorTexture if physical else material.image
+    image = material.image
     uv = getattr(visual, "uv", None)
     textured = uv is not None and image is not None and len(uv) == len(vertices)
-    color = _factor(material) if physical else _diffuse(material, textured, opacity)
+    color = _diffuse(material, textured, opacity)
     if not textured:
         return Surface(vertices, faces, None, color.astype(np.float32), None)
     uv = np.nan_to_num(np.asarray(uv, np.float32), nan=0.0, posinf=0.0, neginf=0.0)
-    texture = textures.read(image)
-    if physical and not _translucent(material):
-        texture = np.dstack([texture[..., :3], np.full(texture.shape[:2], 255, np.uint8)])
-    return Surface(vertices, faces, uv, color.astype(np.float32), texture)
+    return Surface(vertices, faces, uv, color.astype(np.float32), textures.read(image))
 
 
 def _coloured(vertices: Doubles, faces: Longs, visual: Any) -> Surface:
@@ -136,7 +133,7 @@ def _coloured(vertices: Doubles, faces: Longs, visual: Any) -> Surface:
     return Surface(*apart, uv, np.ones(4, np.float32), texture)
 
 
-class _Textures:
+class Textures:
     """Decodes each picture of a file once, and not more than MAX_TEXTURE_SOURCE pixels of them."""
 
     def __init__(self) -> None:
@@ -155,24 +152,11 @@ class _Textures:
         return self._done[id(image)][1]
 
 
-def _factor(material: Any) -> Doubles:
-    """Linear RGBA of a glTF material; opaque unless it says that it blends or masks."""
-    factor = (255, 255, 255, 255) if material.baseColorFactor is None else material.baseColorFactor
-    color = np.asarray(factor, np.float64) / 255
-    if not _translucent(material):
-        color[3] = 1.0
-    return color
-
-
-def _translucent(material: Any) -> bool:
-    return material.alphaMode in ("BLEND", "MASK")
-
-
 def _diffuse(material: Any, textured: bool, opacity: Mapping[str, float]) -> Doubles:
     """Linear RGBA of an MTL material, whose colours are meant for the screen."""
     stated = "kd" in material.kwargs
     rgba = np.asarray(material.diffuse if stated else PLAIN, np.float64) / 255
-    color = np.append(_linear(rgba[:3]), opacity.get(material.name, 1.0))
+    color = np.append(to_linear(rgba[:3]), opacity.get(material.name, 1.0))
     if textured and (not stated or rgba[:3].max() < 0.05):
         # Exporters write no Kd, or Kd 0, under a texture that is meant to be seen.
         color[:3] = 1.0
@@ -181,9 +165,4 @@ def _diffuse(material: Any, textured: bool, opacity: Mapping[str, float]) -> Dou
 
 def _display_color(rgba: Any) -> Floats:
     values = np.asarray(rgba, np.float64) / 255
-    return np.append(_linear(values[:3]), values[3]).astype(np.float32)
-
-
-def _linear(display: Doubles) -> Doubles:
-    """The inverse sRGB curve (IEC 61966-2-1)."""
-    return np.where(display <= 0.04045, display / 12.92, ((display + 0.055) / 1.055) ** 2.4)
+    return np.append(to_linear(values[:3]), values[3]).astype(np.float32)

@@ -5,9 +5,10 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from services import atomic_write
 from services.errors import InvalidRequest, JobFailure
 from services.scenes.mesh import Mesh, Part
-from services.scenes.store import load_parts, mesh_path, save_parts, write_atomically
+from services.scenes.store import load_parts, mesh_path, save_parts
 from services.settings import settings
 
 
@@ -46,8 +47,8 @@ class Uploads:
         record = Upload(sha256=sha256, kind=kind, size=len(data), triangles=sum(len(part.faces) for part in parts))
         save_parts(mesh_path(self._processed, f"{sha256}-{kind}"), parts)
         # The record goes last: an entry that can be seen is complete.
-        write_atomically(self._directory / sha256, data)
-        write_atomically(self._directory / f"{sha256}.json", record.model_dump_json().encode())
+        atomic_write.write(self._directory / sha256, data)
+        atomic_write.write(self._directory / f"{sha256}.json", record.model_dump_json().encode())
         return record
 
     def record(self, sha256: str) -> Upload | None:

@@ -53,10 +53,17 @@ def rotation_matrix(vectors: Doubles) -> Doubles:
 
 def model_matrix(placed: SceneObject) -> Doubles:
     """Mesh to world, float64 [4,4]: scaled, then rotated by the rotation vector, then moved."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = rotation_matrix(np.array(placed.rotation)) * placed.scale
-    matrix[:3, 3] = placed.translation
-    return matrix
+    return model_matrices(np.array(placed.translation), np.array(placed.rotation), np.array(placed.scale))
+
+
+def model_matrices(translations: Doubles, rotations: Doubles, scales: Doubles) -> Doubles:
+    """Mesh to world, float64 [..., 4, 4]; `model_matrix` of translations [..., 3], rotation vectors [..., 3] and
+    scales [...].
+    """
+    matrices = np.broadcast_to(np.eye(4), (*np.shape(scales), 4, 4)).copy()
+    matrices[..., :3, :3] = rotation_matrix(rotations) * scales[..., None, None]
+    matrices[..., :3, 3] = translations
+    return matrices
 
 
 def visible_area(mesh: Mesh, to_clip: Doubles, size: tuple[int, int], enough: float) -> float:

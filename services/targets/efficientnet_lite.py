@@ -7,9 +7,9 @@ folding it (in float64) saves a third of the memory traffic.
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import torch
 from torch import Tensor, nn
-from torch.nn import functional as F
+
+from services.targets.same_padding import SameConv2d
 
 EPSILON = 1e-3
 """Of the batch normalisation."""
@@ -26,29 +26,12 @@ LITE0 = (
 """Stages: repeats, kernel, stride of the first block, expansion, output channels."""
 
 
-class Convolution(nn.Module):
-    """A convolution with TensorFlow's SAME padding, a bias, and optionally ReLU6."""
+class Convolution(nn.Sequential):
+    """A convolution with SAME padding and a bias, and optionally ReLU6."""
 
     def __init__(self, inputs: int, outputs: int, kernel: int, stride: int = 1, groups: int = 1, relu: bool = True):
-        super().__init__()
-        self.kernel, self.stride, self.groups, self.relu = kernel, stride, groups, relu
-        self.weight = nn.Parameter(torch.zeros(outputs, inputs // groups, kernel, kernel), requires_grad=False)
-        self.bias = nn.Parameter(torch.zeros(outputs), requires_grad=False)
-
-    def forward(self, x: Tensor) -> Tensor:
-        """[B, inputs, h, w] to [B, outputs, ⌈h/stride⌉, ⌈w/stride⌉]."""
-        pads = [self.pad(x.shape[-1]), self.pad(x.shape[-2])]
-        if pads[0] == pads[1] and pads[0] % 2 == 0:
-            padding = pads[0] // 2
-        else:  # SAME puts the odd row and column at the bottom and the right
-            x = F.pad(x, [side for pad in pads for side in (pad // 2, pad - pad // 2)])
-            padding = 0
-        x = F.conv2d(x, self.weight, self.bias, self.stride, padding, groups=self.groups)
-        return F.relu6(x) if self.relu else x
-
-    def pad(self, size: int) -> int:
-        """Rows (or columns) of zeros that SAME adds to an input of `size` of them."""
-        return max((-(-size // self.stride) - 1) * self.stride + self.kernel - size, 0)
+        convolution = SameConv2d(inputs, outputs, kernel, stride=stride, groups=groups)
+        super().__init__(convolution, *([nn.ReLU6()] if relu else []))
 
 
 @dataclass(frozen=True)
@@ -114,7 +97,10 @@ class EfficientNetLite(nn.Module):
         self.requires_grad_(False)
 
 
-def _fold(convolution: Convolution, state: Mapping[str, Tensor], name: str, norm: str) -> None:
+def _fold(block: Convolution, state: Mapping[str, Tensor], name: str, norm: str) -> None:
+    convolution = block[0]
+    assert isinstance(convolution, SameConv2d)
+    assert convolution.bias is not None
     mean, variance = state[f"{norm}.running_mean"].double(), state[f"{norm}.running_var"].double()
     scale = state[f"{norm}.weight"].double() / (variance + EPSILON).sqrt()
     convolution.weight.data.copy_(state[f"{name}.weight"].double() * scale[:, None, None, None])

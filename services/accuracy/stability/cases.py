@@ -11,14 +11,33 @@ from services.accuracy.stability import (
     meshes,
     normals,
     plans,
+    poses,
     precision,
+    recurrences,
     sizes,
     steps,
+    textures,
     views,
 )
 from services.accuracy.stability.case import Case, Observation, observe
 
-FAMILIES = (lobes, normals, environments, plans, views, meshes, lights, logits, differences, steps, sizes, precision)
+FAMILIES = (
+    lobes,
+    normals,
+    environments,
+    plans,
+    views,
+    poses,
+    meshes,
+    textures,
+    lights,
+    logits,
+    differences,
+    recurrences,
+    steps,
+    sizes,
+    precision,
+)
 
 
 def cases(quick: bool = False) -> list[Case]:

@@ -1,6 +1,6 @@
-"""The picture of the differentiable renderer straight from its definition, in float64 numpy: a reference.
+"""The image of the differentiable renderer straight from its definition, in float64 numpy: a reference.
 
-Shares no code with services.rendering beyond constants: world space where the renderer works in the camera's, no bounds
+Shares no code and no constant with services.rendering: world space where the renderer works in the camera's, no bounds
 on exponents (what overflows is infinitely bright, and displayed as 1), every direction and lobe at once.
 """
 
@@ -8,9 +8,13 @@ from math import comb, pi
 
 import numpy as np
 
-from services.rendering.torch_renderer.dsbrdf import COSINE_FLOOR
-from services.rendering.torch_renderer.units import ILLUMINATION_MEAN, MATERIAL_UNIT, WHITE
 from services.scenes.mesh import Doubles
+
+ILLUMINATION_MEAN, MATERIAL_UNIT, WHITE = 10.0, 30.0, 0.9
+"""Mean intensity of a map; material coordinates per natural logarithm; the brightest white surface's linear value."""
+
+COSINE_FLOOR = 1e-4
+"""The lowest n·h that a lobe sees."""
 
 
 def texels(rows: int, cols: int) -> tuple[Doubles, Doubles]:
@@ -48,7 +52,7 @@ def lobes(coefficients: Doubles, theta_d: Doubles) -> tuple[Doubles, Doubles]:
 def linear(
     normals: Doubles, material: Doubles, intensity: Doubles, radiance: Doubles, back: Doubles, base_color: Doubles
 ) -> Doubles:
-    """Linear picture values [P, 3], +inf where a lobe overflows.
+    """Linear image values [P, 3], +inf where a lobe overflows.
 
     normals [P, 3] and `back` [3] (towards the viewer), unit, world space; material [3, 3, 2, 6] and intensity
     [rows, cols] in the units of the renderer's groups; radiance [rows, cols, 3] the unperturbed map; base_color [P, 3].

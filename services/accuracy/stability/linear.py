@@ -1,4 +1,4 @@
-"""A network and a picture small enough to know everything about, and the problem of attacking one with the other."""
+"""A network and an image small enough to know everything about, and the problem of attacking one with the other."""
 
 from typing import Any
 
@@ -13,13 +13,13 @@ from services.targets.classifier import Classifier
 
 SIDE = 8
 NEVER = 1e4
-"""A lead of the first label that no picture makes up for: such attacks run through all their steps."""
+"""A lead of the first label that no image makes up for: such attacks run through all their steps."""
 
 
 def linear_network(
     scale: float = 1.0, classes: int = 4, lead: float = 0.0, dtype: torch.dtype = torch.float32
 ) -> Classifier:
-    """Scores that are linear in the pixels of an 8×8 picture, times `scale`; the same weights every time.
+    """Scores that are linear in the pixels of an 8×8 image, times `scale`; the same weights every time.
 
     The first label has `lead` more than that: so much that nothing that is shown can change the answer.
     """
@@ -41,7 +41,7 @@ def linear_network(
 
 
 def pixels() -> ImageRenderer:
-    """A picture of 8×8 random pixels, away from black and white."""
+    """An image of 8×8 random pixels, away from black and white."""
     random = torch.Generator().manual_seed(5)
     return ImageRenderer(0.2 + 0.6 * torch.rand(SIDE, SIDE, 3, generator=random), "random numbers")
 
@@ -54,7 +54,7 @@ def linear_problem(
     return AttackProblem(renderer, network, ResolvedGoal(0, None), groups or renderer.groups, **more)
 
 
-def linear_slopes() -> Tensor:
+def linear_gradient() -> Tensor:
     """∂(z₀ − z₁)/∂pixel of the network with two classes, float64 [8, 8, 3]: a closed form for every difference."""
     weight = linear_network(classes=2).network.get_parameter("1.weight").double()
     return (weight[0] - weight[1]).reshape(3, SIDE, SIDE).permute(1, 2, 0)

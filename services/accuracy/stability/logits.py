@@ -9,11 +9,10 @@ from torch import Tensor
 
 from services.accuracy.stability.case import Case, Measured, need
 from services.accuracy.stability.linear import SIDE, linear_network
-from services.attacks.fgsm import FgsmMethod
+from services.attacks.fgsm import Fgsm, FgsmMethod
 from services.attacks.goal import ResolvedGoal
 from services.attacks.loop import Budget, run
 from services.attacks.problem import AttackProblem
-from services.attacks.spec import Fgsm
 from services.attacks.verifier import Verifier
 from services.rendering.image_renderer import ImageRenderer
 from services.targets.classifier import Classifier
@@ -23,11 +22,11 @@ ROUNDING = 1e-5
 """Relative error of float32 scores after a few sums."""
 
 
-def _slope(goal: ResolvedGoal, logits: Tensor) -> Tensor:
+def _gradient(goal: ResolvedGoal, logits: Tensor) -> Tensor:
     leaf = logits.clone().requires_grad_(True)
-    (slope,) = torch.autograd.grad(goal.objective(leaf[None]).sum(), leaf)
-    need(bool(torch.isfinite(slope).all()), "the slope is not finite")
-    return slope
+    (gradient,) = torch.autograd.grad(goal.objective(leaf[None]).sum(), leaf)
+    need(bool(torch.isfinite(gradient).all()), "the gradient is not finite")
+    return gradient
 
 
 def _by_hand(logits: Tensor, label: int) -> tuple[list[float], float]:
@@ -37,18 +36,18 @@ def _by_hand(logits: Tensor, label: int) -> tuple[list[float], float]:
         top = max(z[k] for k in range(len(z)) if k != label)
         weights = [Decimal(0) if k == label else (v - top).exp() for k, v in enumerate(z)]
         total = sum(weights, Decimal(0))
-        slope = [Decimal(1) if k == label else -w / total for k, w in enumerate(weights)]
+        gradient = [Decimal(1) if k == label else -w / total for k, w in enumerate(weights)]
         odds = z[label] - (top + total.ln())
-        return [float(s) for s in slope], float(-(1 + odds.exp()).ln())
+        return [float(s) for s in gradient], float(-(1 + odds.exp()).ln())
 
 
 def _margin(margin: float, reach: bool = False) -> Measured:
-    """A label ahead of (or, to be reached, behind) all others by a margin: the slope neither vanishes nor turns."""
+    """A label ahead of (or, to be reached, behind) all others by a margin: the gradient neither vanishes nor turns."""
     sign = -1.0 if reach else 1.0
     logits = torch.tensor([0.3, sign * margin, -0.7, -0.1, 0.0])
     goal = ResolvedGoal(None, 1) if reach else ResolvedGoal(1, None)
-    found, (wanted, remainder) = sign * _slope(goal, logits).double(), _by_hand(logits, 1)
-    need(float(found[1]) == 1.0, f"the slope of the label itself is {float(found[1]):.1e}")
+    found, (wanted, remainder) = sign * _gradient(goal, logits).double(), _by_hand(logits, 1)
+    need(float(found[1]) == 1.0, f"the gradient of the label itself is {float(found[1]):.1e}")
     p = float(probability(logits[None], 1))
     if not reach and margin < 30:  # beyond, 1 − p is below float64's rounding of p
         need(abs((1 - p) / exp(remainder) - 1) < 1e-5, f"1 − p is {1 - p:.3e}")
@@ -59,7 +58,7 @@ def _margin(margin: float, reach: bool = False) -> Measured:
     )
     need(not bool(goal.fooled(logits[None])), "it is fooled")
     error = max(abs(a - b) for a, b in zip(found.tolist(), wanted, strict=True))
-    return Measured(error, ROUNDING, "error of the slope by each score, against 60 digits")
+    return Measured(error, ROUNDING, "error of the gradient by each score, against 60 digits")
 
 
 def _steps_alike(scale: float) -> Measured:
@@ -70,9 +69,9 @@ def _steps_alike(scale: float) -> Measured:
 
 
 def _perturbed(network: Classifier) -> Tensor:
-    picture = torch.rand(SIDE, SIDE, 3, generator=torch.Generator().manual_seed(5))
-    renderer = ImageRenderer(picture, "random numbers")
-    label = int(network.logits(picture[None]).argmax())
+    image = torch.rand(SIDE, SIDE, 3, generator=torch.Generator().manual_seed(5))
+    renderer = ImageRenderer(image, "random numbers")
+    label = int(network.logits(image[None]).argmax())
     problem = AttackProblem(renderer, network, ResolvedGoal(label, None), ("image",))
     settings = Fgsm(renderer="image", learning_rate={"image": 1e-4}, truncation=None)
     found = run(problem, FgsmMethod(settings, problem), Verifier(renderer, network), Budget(steps=5))
@@ -81,7 +80,7 @@ def _perturbed(network: Classifier) -> Tensor:
 
 
 def _tied() -> Measured:
-    """Of two equal scores the first is the answer, and the slope parts between them."""
+    """Of two equal scores the first is the answer, and the gradient parts between them."""
     logits = torch.tensor([-1.0, 2.5, 2.5, 0.0])
     need(not bool(ResolvedGoal(1, None).fooled(logits[None])), "the first of two equals is not the answer")
     need(bool(ResolvedGoal(2, None).fooled(logits[None])), "the second of two equals is the answer")
@@ -89,20 +88,20 @@ def _tied() -> Measured:
     need(float(ResolvedGoal(1, None).advantage(logits[None])) == 0.0, "the advantage is not zero")
     batch = logits.repeat(33, 1)
     need(bool((ResolvedGoal(2, None).fooled(batch)).all()), "the answer depends on the batch")
-    found = _slope(ResolvedGoal(3, None), logits).double()
-    need(float(found[1] - found[2]) == 0.0, "equal scores have different slopes")
+    found = _gradient(ResolvedGoal(3, None), logits).double()
+    need(float(found[1] - found[2]) == 0.0, "equal scores have different gradients")
     wanted, _ = _by_hand(logits, 3)
     error = max(abs(a - b) for a, b in zip(found.tolist(), wanted, strict=True))
-    return Measured(error, ROUNDING, "error of the slope by each score, against 60 digits")
+    return Measured(error, ROUNDING, "error of the gradient by each score, against 60 digits")
 
 
 def _all_tied() -> Measured:
     """A thousand equal scores."""
     logits = torch.full((1000,), 7.0)
-    found = _slope(ResolvedGoal(0, None), logits).double()
+    found = _gradient(ResolvedGoal(0, None), logits).double()
     need(not bool(ResolvedGoal(0, None).fooled(logits[None])), "the first of equals is not the answer")
     need(abs(float(probability(logits[None], 0)) - 1e-3) < 1e-12, "the probability is not 1/1000")
-    return Measured(float((found[1:] + 1 / 999).abs().max()), 1e-8, "error of the slope, closed form −1/999")
+    return Measured(float((found[1:] + 1 / 999).abs().max()), 1e-8, "error of the gradient, closed form −1/999")
 
 
 def _two() -> Measured:
@@ -132,14 +131,16 @@ def _not_numbers(value: float) -> Measured:
 def _large() -> Measured:
     """Scores near the end of float32: sums of their exponentials stay in range."""
     logits = torch.tensor([1e38, -1e38, 0.0])
-    found = _slope(ResolvedGoal(0, None), logits).double()
+    found = _gradient(ResolvedGoal(0, None), logits).double()
     need(bool(torch.isfinite(ResolvedGoal(0, None).objective(logits[None])).all()), "the objective is not finite")
-    return Measured(float((found - torch.tensor([1.0, 0.0, -1.0])).abs().max()), 0.0, "error of the slope, closed form")
+    return Measured(
+        float((found - torch.tensor([1.0, 0.0, -1.0])).abs().max()), 0.0, "error of the gradient, closed form"
+    )
 
 
 def cases() -> list[Case]:
     """The cases of this family."""
-    family, way, none = "logits", "the slope is that of the log-odds", "a clear error names the target"
+    family, way, none = "logits", "the gradient is that of the log-odds", "a clear error names the target"
     stopped = "the job ends, and says that its numbers are not finite"
     nan, inf = float("nan"), float("inf")
     return [
@@ -150,13 +151,13 @@ def cases() -> list[Case]:
         Case(
             "scores × 1000", family, "every score saturated", "the same steps as unscaled", lambda: _steps_alike(1000.0)
         ),
-        Case("scores × 1e-6", family, "hardly any slope", "the same steps as unscaled", lambda: _steps_alike(1e-6)),
+        Case("scores × 1e-6", family, "hardly any gradient", "the same steps as unscaled", lambda: _steps_alike(1e-6)),
         Case("scores of ±1e38", family, "the end of float32", way, _large),
         Case("two tied", family, "no first answer", "the first of equals is the answer, in any batch", _tied),
         Case("1000 tied", family, "no first answer", "the first of equals is the answer", _all_tied),
         Case("two classes", family, "one other answer", "log-odds are z₀ − z₁", _two),
         Case(
-            "one class, its slope",
+            "one class, its gradient",
             family,
             "no other answer",
             none,

@@ -7,14 +7,14 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from services.accuracy.placing import placed
-from services.attacks.fgsm import FgsmMethod
+from services.attacks.fgsm import Fgsm
 from services.attacks.goal import ResolvedGoal
 from services.attacks.loop import Budget, run
 from services.attacks.problem import AttackProblem
-from services.attacks.spec import Fgsm, Zoo
+from services.attacks.spec import ATTACKS, AttackSettings
 from services.attacks.state import AttackState
 from services.attacks.verifier import Verifier
-from services.attacks.zoo import ZooMethod
+from services.attacks.zoo import Zoo
 from services.rendering.factory import build
 from services.rendering.plan import Tolerance
 from services.rendering.protocol import Renderer
@@ -71,7 +71,7 @@ class Case:
 
     scene: str
     label: str
-    attack: Fgsm | Zoo
+    attack: AttackSettings
     tolerance: Tolerance
     seed: int = 0
 
@@ -106,10 +106,10 @@ def attack(case: Case) -> Attacked:
         "most": settings.steps,
     }
     scene = placed(case.scene, size=target_size(), lights={"environment": {"map": "studio", "size": (16, 32)}})
-    renderer: Renderer = build(scene, settings.renderer, settings.picture, settings.groups, case.tolerance)
-    judge = Verifier(renderer, target)
+    renderer: Renderer = build(scene, settings.renderer, settings.base_renderer, settings.groups, case.tolerance)
+    verifier = Verifier(renderer, target)
     goal = ResolvedGoal(leave=target.labels.index(case.label), reach=None)
-    if bool(goal.fooled(judge.logits(judge.picture({})))):
+    if bool(goal.fooled(verifier.logits(verifier.picture({})))):
         return Attacked(**known, outcome="wrong to begin with")
     problem = AttackProblem(
         renderer=renderer,
@@ -118,10 +118,10 @@ def attack(case: Case) -> Attacked:
         groups=settings.groups,
         seed=case.seed,
         truncation=None if settings.truncation is None else settings.truncation / 255,
-        weight=settings.weight if isinstance(settings, Zoo) else 0.0,
+        weight=settings.distance_weight,
     )
-    method = ZooMethod(settings, problem) if isinstance(settings, Zoo) else FgsmMethod(settings, problem)
-    found = run(problem, method, judge, Budget(settings.steps))
+    method = ATTACKS[settings.method].method(settings, problem)
+    found = run(problem, method, verifier, Budget(settings.steps))
     last = found.trace[-1]
     return Attacked(
         **known,

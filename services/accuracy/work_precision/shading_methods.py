@@ -16,7 +16,7 @@ from services.rendering.plan import Tolerance
 from services.rendering.torch_renderer.error_estimates import roughness
 from services.rendering.torch_renderer.lookup_table import TILE, touched
 from services.rendering.torch_renderer.planner import ROUGH_AT, ROWS, compile_plan, exact_recipe
-from services.rendering.torch_renderer.shader import CHECKED, Nodes, Recipe, Shader
+from services.rendering.torch_renderer.shader import CHECKED, Method, Recipe, Shader
 from services.settings import settings
 
 SHARP = (0, 8, 32, 128)
@@ -83,7 +83,7 @@ def ways(quick: bool) -> list[Way]:
     wide = torch.float64
     found += [Way("table", GROUPS, _table(r, 32, wide), "float64", rows=r, sharp=32) for r in sizes]
     only = ("normals",)
-    found += [Way("fixed table", only, _table(r, 32, nodes="tabulated"), rows=r, sharp=32) for r in sizes]
+    found += [Way("fixed table", only, _table(r, 32, method="cached_table"), rows=r, sharp=32) for r in sizes]
     found.append(Way("transport", ("illumination",), _transport))
     for groups in (GROUPS, *((group,) for group in GROUPS)):
         found += [Way("plan", groups, _planned(groups, t), tolerance=t) for t in TOLERANCES]
@@ -95,19 +95,19 @@ def _direct(dtype: torch.dtype) -> Callable[[Subject], tuple[Recipe, None]]:
 
 
 def _transport(of: Subject) -> tuple[Recipe, None]:
-    return replace(exact_recipe(of.sky), dtype=torch.float32, nodes="transported", moving=False), None
+    return replace(exact_recipe(of.sky), dtype=torch.float32, method="precomputed_transport", moving=False), None
 
 
 def _table(
-    rows: int, sharp: int, dtype: torch.dtype = torch.float32, nodes: Nodes = "summed"
+    rows: int, sharp: int, dtype: torch.dtype = torch.float32, method: Method = "summed"
 ) -> Callable[[Subject], tuple[Recipe, None]]:
     def made(of: Subject) -> tuple[Recipe, None]:
         plain = exact_recipe(of.sky)
-        count = len(plain.kept)
+        count = len(plain.active_texels)
         if sharp > count // 2:
             raise ValueError(f"{sharp} of {count} directions beside a table leave it little to do")
         order = roughness(of.surface, of.sky, of.intensity, GROUPS, ROUGH_AT).argsort(descending=True, stable=True)
-        return replace(plain, dtype=dtype, nodes=nodes, rows=rows, sharp=order[:sharp].sort().values), None
+        return replace(plain, dtype=dtype, method=method, rows=rows, per_pixel_texels=order[:sharp].sort().values), None
 
     return made
 
@@ -198,7 +198,7 @@ def row(way: Way, of: Subject, reference: Truth, enough: float) -> ShadingRow:
                 update={
                     "dtype": str(recipe.dtype).removeprefix("torch."),
                     "rows": recipe.rows,
-                    "sharp": len(recipe.sharp),
+                    "sharp": len(recipe.per_pixel_texels),
                     "estimate": estimate,
                 }
                 | _measured(way, of, reference, recipe, enough)
@@ -238,11 +238,11 @@ def _measured(way: Way, of: Subject, reference: Truth, recipe: Recipe, enough: f
 def evaluations(recipe: Recipe, angles: Tensor) -> int:
     """Lobe values of one picture at angles [P, 2]; where factors are kept, products instead. Lookups are not counted,
     nor the values of a table that is filled once."""
-    each = recipe.channels * (1 if recipe.nodes == "transported" else max(recipe.lobes, 1))
-    kept, sharp = len(recipe.kept), len(recipe.sharp)
+    each = recipe.channels * (1 if recipe.method == "precomputed_transport" else max(recipe.lobes, 1))
+    kept, sharp = len(recipe.active_texels), len(recipe.per_pixel_texels)
     if recipe.rows is None:
         return len(angles) * kept * each
-    nodes = 0 if recipe.nodes == "tabulated" else int(touched(angles, recipe.rows).sum()) * TILE**2
+    nodes = 0 if recipe.method == "cached_table" else int(touched(angles, recipe.rows).sum()) * TILE**2
     checked = 0 if recipe.guard is None else min(CHECKED, len(angles)) * kept
     return (nodes * (kept - sharp) + len(angles) * sharp + checked) * each
 

@@ -43,7 +43,7 @@ class Sampled:
                 samples=self._samples,
                 outputs=1,
                 blend=True,
-                lights=lit.points.shape[1],
+                lights=lit.light_counts,
                 insides="behind",
             )
             pictures.append(torch.from_numpy(picture).flip(0))

@@ -1,163 +1,135 @@
-"""The compiled inner loops of shading and rasterising : built once per machine into the cache, then loaded.
+"""The compiled kernels of shading and rasterising: loaded once per process, and called.
 
-Where there is no compiler the same sums run in torch, some ten times slower, and OpenGL draws all pictures;
-`SCENE_ATTACK_KERNEL` decides. The loops call no Python and use `torch.get_num_threads()` threads, which never changes
-their bits.
+Without them the same sums run in torch, some ten times slower, and OpenGL draws all images; `SCENE_ATTACK_KERNEL`
+decides. The kernels call no Python and use `torch.get_num_threads()` threads, which never changes their bits. They run
+on the CPU only: tensors on another device go the way of torch.
 """
 
 import ctypes
-import hashlib
-import os
-import shutil
 import subprocess
-import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import lru_cache
-from pathlib import Path
-from typing import Any
 
 import structlog
 import torch
 from torch import Tensor
 
 from services.errors import JobFailure
+from services.rendering.kernels import build, layouts
+from services.rendering.kernels.structures import STRUCTURES
 from services.settings import settings
 
-SOURCES = Path(__file__).parent
-SUFFIXES = (".cpp", ".h")
-FLAGS = ("-O3", "-march=native", "-mprefer-vector-width=512", "-fno-math-errno", "-fno-trapping-math", "-std=c++17")
-BUILD = ("-fopenmp", "-shared", "-fPIC", "-Wno-maybe-uninitialized", "-Wno-ignored-attributes")
 NAMES = {torch.float32: "float", torch.float64: "double"}
+POINTEES = {
+    torch.float32: "float32*",
+    torch.float64: "float64*",
+    torch.int32: "int32*",
+    torch.int64: "int64*",
+    torch.uint8: "uint8*",
+    torch.bool: "uint8*",
+}
 
 
-_LAYOUT: list[tuple[str, Any]] = [
-    *((name, ctypes.c_int64) for name in ("count", "directions")),
-    *((name, ctypes.c_int) for name in ("channels", "lobes")),
-    *(
-        (name, ctypes.c_void_p)
-        for name in ("normals", "towards", "half", "light", "base", "tilt", "log_kappa", "gamma")
-    ),
-]
-"""`Scene` of shading.cpp up to its numbers."""
-_NUMBERS = ("cosine_floor", "lowest", "highest")
+@dataclass(frozen=True)
+class Library:
+    """The loaded kernels: their functions by name, what they say about themselves, and where their bits come from."""
 
+    functions: Mapping[str, Callable[..., None]]
+    exports: layouts.Exports
+    identity: str
+    checked: set[tuple[str, type]] = field(default_factory=set)
 
-class SceneFloat(ctypes.Structure):
-    """Scene<float>."""
-
-    _fields_ = (*_LAYOUT, *((name, ctypes.c_float) for name in _NUMBERS))
-
-
-class SceneDouble(ctypes.Structure):
-    """Scene<double>."""
-
-    _fields_ = (*_LAYOUT, *((name, ctypes.c_double) for name in _NUMBERS))
-
-
-_PERSPECTIVE: list[tuple[str, Any]] = [
-    *_LAYOUT[:4],
-    *((name, ctypes.c_void_p) for name in ("normals", "viewers", "towards", "light", "material")),
-]
-"""`Scene` of perspective.cpp up to its numbers."""
-_MORE_NUMBERS = (*_NUMBERS, "most_kappa", "most_gamma")
-
-
-class PerspectiveFloat(ctypes.Structure):
-    """Scene<float> of the perspective sum."""
-
-    _fields_ = (*_PERSPECTIVE, *((name, ctypes.c_float) for name in _MORE_NUMBERS))
-
-
-class PerspectiveDouble(ctypes.Structure):
-    """Scene<double> of the perspective sum."""
-
-    _fields_ = (*_PERSPECTIVE, *((name, ctypes.c_double) for name in _MORE_NUMBERS))
+    def agree(self, structure: type[ctypes.Structure], name: str) -> None:
+        """Raises LayoutError, naming structure and field, where Python's class is not the library's structure."""
+        if (name, structure) not in self.checked:
+            layouts.check(structure, name, self.exports)
+            self.checked.add((name, structure))
 
 
 @lru_cache(maxsize=1)
-def library() -> ctypes.CDLL | None:
-    """The loaded loops, built first if need be (some 10 s); None where torch does the work.
+def library() -> Library | None:
+    """The loaded kernels, compiled first if need be (some 10 s); None where torch does the work.
 
-    Raises JobFailure("internal") where SCENE_ATTACK_KERNEL=native and they cannot be built.
+    Raises JobFailure("internal") where SCENE_ATTACK_KERNEL=native and there are none, LayoutError where Python's
+    structures are not the library's.
     """
     wanted = settings().kernel
     if wanted == "torch":
         return None
     try:
-        return ctypes.CDLL(str(_built()))
+        path, manifest = build.library_path()
+        loaded = ctypes.CDLL(str(path))
     except (OSError, subprocess.CalledProcessError) as error:
         said = error.stderr if isinstance(error, subprocess.CalledProcessError) else str(error)
         if wanted == "native":
-            raise JobFailure("internal", f"cannot build the shading loops ({said}); install g++") from error
-        structlog.get_logger().warning("no native shading: torch does it, some ten times slower", error=said)
+            raise JobFailure("internal", f"there are no kernels: {said}") from error
+        structlog.get_logger().warning("no kernels: torch does their work, some ten times slower", error=said)
         return None
+    return _described(loaded, manifest.identity)
+
+
+def _described(loaded: ctypes.CDLL, identity: str) -> Library:
+    """The library with its functions typed as it says itself, and the structures of this room compared."""
+    table = loaded.layout_table
+    table.argtypes, table.restype = [], ctypes.c_char_p
+    exports = layouts.parse(table().decode())
+    functions = {}
+    for name, words in exports.functions.items():
+        functions[name] = loaded[name]
+        functions[name].argtypes, functions[name].restype = layouts.argument_types(words), None
+    described = Library(functions, exports, identity)
+    for name, structure in STRUCTURES.items():
+        described.agree(structure, name)
+    return described
 
 
 def runs(values: Tensor) -> bool:
-    """Whether the loops do the work for `values`: on the CPU, of a dtype they know."""
+    """Whether the kernels do the work for `values`: on the CPU, of a dtype they know."""
     return values.device.type == "cpu" and values.dtype in NAMES and library() is not None
 
 
 def backend() -> str:
-    """What computes the sums: decides the bits of a picture."""
-    return "torch" if library() is None else f"native {_key()[:8]}"
+    """What computes the sums on the CPU: decides the bits of an image."""
+    loaded = library()
+    return "torch" if loaded is None else f"native {loaded.identity}"
 
 
 def call(name: str, dtype: torch.dtype, *arguments: object) -> None:
-    """Call `name` of the library for float32 or float64, with the number of threads torch uses.
+    """Call `name` of the library for float32 or float64. The last argument of most is `threads()`.
 
-    Tensors are handed over as pointers: contiguous, on the CPU, of `dtype` (or what the loop asks for); floats as
-    `dtype`, integers of 64 bits.
+    Tensors are handed over as pointers: contiguous, on the CPU, of the dtype the function says it takes. So are
+    structures and arrays of them, once their layout has been compared. None is a null pointer.
+
+    Raises TypeError for an argument of another type, LayoutError for a structure that differs.
     """
     loaded = library()
     assert loaded is not None
-    getattr(loaded, f"{name}_{NAMES[dtype]}")(*(_plain(argument, dtype) for argument in arguments))
+    full = f"{name}_{NAMES[dtype]}"
+    words = loaded.exports.functions[full]
+    if len(words) != len(arguments):
+        raise TypeError(f"{full} takes {len(words)} arguments, not {len(arguments)}")
+    loaded.functions[full](
+        *(_plain(loaded, argument, word, full) for argument, word in zip(arguments, words, strict=True))
+    )
 
 
-def _plain(argument: object, dtype: torch.dtype) -> object:
+def _plain(loaded: Library, argument: object, word: str, name: str) -> object:
+    """An argument as ctypes takes it for the C++ type `word`."""
     if isinstance(argument, Tensor):
-        assert argument.is_contiguous()
-        return ctypes.c_void_p(argument.data_ptr())
-    if isinstance(argument, ctypes.Structure):
-        return ctypes.byref(argument)
-    if isinstance(argument, float):
-        return ctypes.c_float(argument) if dtype == torch.float32 else ctypes.c_double(argument)
-    return ctypes.c_int64(argument) if isinstance(argument, int) else argument
+        if POINTEES.get(argument.dtype) != word or not argument.is_contiguous() or argument.device.type != "cpu":
+            raise TypeError(
+                f"{name} takes a contiguous {word} on the CPU, not a tensor of {argument.dtype}, "
+                f"strides {argument.stride()}, on {argument.device}"
+            )
+        return argument.data_ptr()
+    if isinstance(argument, ctypes.Structure | ctypes.Array):
+        kind = type(argument) if isinstance(argument, ctypes.Structure) else argument._type_
+        loaded.agree(kind, word.removesuffix("*"))
+        return ctypes.addressof(argument)  # the caller's frame keeps it alive during the call
+    return argument
 
 
-def threads() -> ctypes.c_int:
-    """The last argument of the loops that run in parallel."""
-    return ctypes.c_int(torch.get_num_threads())
-
-
-def _compiler() -> str:
-    found = shutil.which(os.environ.get("CXX", "g++"))
-    if found is None:
-        raise OSError("there is no C++ compiler (g++)")
-    return found
-
-
-@lru_cache(maxsize=1)
-def _key() -> str:
-    """Of everything the machine code depends on: source, flags, compiler and processor."""
-    about = Path(_compiler()).resolve()
-    processor = [line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith(("model", "flags"))]
-    stat = about.stat()
-    sources = [path.read_text() for path in sorted(SOURCES.iterdir()) if path.suffix in SUFFIXES]
-    words = [*sources, *FLAGS, *BUILD, str(about), str(stat.st_size), str(stat.st_mtime_ns), *processor[:3]]
-    return hashlib.sha256("\n".join(words).encode()).hexdigest()
-
-
-def _built() -> Path:
-    path = settings().cache_dir / "native" / f"{_key()}.so"
-    if not path.exists():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=path.parent) as folder:
-            part = Path(folder) / "native.so"
-            command = [_compiler(), *FLAGS, *BUILD, "-o", str(part), *map(str, sorted(SOURCES.glob("*.cpp")))]
-            subprocess.run(command, check=True, capture_output=True, text=True)
-            part.replace(path)  # two builds at once: both whole, the last one stays
-    return path
-
-
-if __name__ == "__main__":
-    library()
+def threads() -> int:
+    """The number of threads for kernels that run in parallel: torch's."""
+    return torch.get_num_threads()

@@ -22,6 +22,8 @@ constexpr int MAX_EXTENT = 4096;  // pixels between corners at most, so that edg
 constexpr int32_t NONE = -1;
 
 struct Piece {
+    static std::string layout_name() { return "Piece"; }
+
     int64_t corners, faces;
     const float *positions, *normals, *uv;  // [corners, 3], [corners, 3], [corners, 2]
     const int32_t *triangles;  // [faces, 3]
@@ -31,6 +33,8 @@ struct Piece {
 };
 
 struct Frame {
+    static std::string layout_name() { return "Frame"; }
+
     int64_t width, height, pieces;
     const Piece *piece;
     float x[SAMPLES], y[SAMPLES];  // where in a pixel its samples are, from the lower left
@@ -38,6 +42,8 @@ struct Frame {
 };
 
 struct Pass {
+    static std::string layout_name() { return "Pass"; }
+
     const float *clip, *world, *normal;  // [pieces, 16], [pieces, 16], [pieces, 9], from the object
     const int64_t *order, *closed;  // [pieces], as drawn; of each piece's faces the first so many have no inside
     int64_t part[4];  // rows from the bottom from, to, columns from, to

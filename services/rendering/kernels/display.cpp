@@ -1,6 +1,7 @@
 // The display's curve, and pictures over a ground (services/rendering/color.py and canvas.py).
 
 #include "lanes.h"
+#include "layout.h"
 
 namespace {
 
@@ -148,3 +149,12 @@ EXPORT void save_float(int64_t count, const float *shown, uint8_t *bytes, float 
 
 BOTH(float)
 BOTH(double)
+FUNCTION(save_float)
+FUNCTION(display_float)
+FUNCTION(over_ground_float)
+FUNCTION(composite_float)
+FUNCTION(composite_backward_float)
+FUNCTION(display_double)
+FUNCTION(over_ground_double)
+FUNCTION(composite_double)
+FUNCTION(composite_backward_double)

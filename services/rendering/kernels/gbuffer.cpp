@@ -1,6 +1,7 @@
 // Samples of a surface averaged to pixels (services/rendering/opengl/gbuffer.py).
 
 #include "lanes.h"
+#include "layout.h"
 
 namespace {
 
@@ -47,3 +48,4 @@ EXPORT void average_float(int64_t height, int64_t width, int64_t factor, int64_t
                           int64_t *owner, int threads) {
     average(height, width, factor, objects, geometry, surface, normals, coverage, color, depth, owner, threads);
 }
+FUNCTION(average_float)

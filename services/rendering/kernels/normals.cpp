@@ -1,6 +1,7 @@
 // Unit normals of angles, and back through the derivative (services/rendering/torch_renderer/normals.py).
 
 #include "lanes.h"
+#include "layout.h"
 
 namespace {
 
@@ -91,3 +92,5 @@ EXPORT void vectors_float(int64_t count, const float *angles, float *out, int th
 EXPORT void vectors_backward_float(int64_t count, const float *angles, const float *slope, float *found, int threads) {
     vectors_backward(count, angles, slope, found, threads);
 }
+FUNCTION(vectors_float)
+FUNCTION(vectors_backward_float)

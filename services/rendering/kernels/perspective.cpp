@@ -1,12 +1,15 @@
 // The sum over directions and lobes where every pixel has a viewer direction of its own (services/rendering/torch_renderer/perspective.py).
 
 #include "lanes.h"
+#include "layout.h"
 
 namespace {
 
 constexpr int TERMS = 6;  // Bernstein coefficients of a curve
 
 template <class T> struct Scene {
+    static std::string layout_name() { return "perspective.Scene." + Word<T>::of(); }
+
     int64_t count, directions;
     int channels, lobes;        // channels: 1 where all three have the same lobes
     const T *normals, *viewers; // [count, 3], unit
@@ -167,5 +170,15 @@ void backward(const Scene<T> &s, const T *slope, T *d_light, T *d_material, T *d
                          : backward<T, 3>(*s, slope, d_light, d_material, d_normals, threads);                         \
     }
 
+#define DESCRIBE(T)                                                                                                    \
+    STRUCTURE(Scene<T>, T,                                                                                             \
+              FIELD(Scene<T>, count) FIELD(Scene<T>, directions) FIELD(Scene<T>, channels) FIELD(Scene<T>, lobes)      \
+              FIELD(Scene<T>, normals) FIELD(Scene<T>, viewers) FIELD(Scene<T>, towards) FIELD(Scene<T>, light)        \
+              FIELD(Scene<T>, material) FIELD(Scene<T>, cosine_floor) FIELD(Scene<T>, lowest)                          \
+              FIELD(Scene<T>, highest) FIELD(Scene<T>, most_kappa) FIELD(Scene<T>, most_gamma))                        \
+    FUNCTION(shade_perspective_##T) FUNCTION(shade_perspective_backward_##T)
+
 BOTH(float, float)
 BOTH(double, double)
+DESCRIBE(float)
+DESCRIBE(double)

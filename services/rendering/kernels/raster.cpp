@@ -212,3 +212,16 @@ EXPORT void raster_float(const Frame *frame, int64_t passes, Pass *pass, int thr
     work();
     for (std::thread &other : others) other.join();
 }
+
+STRUCTURE(Texture, Texture, FIELD(Texture, levels) FIELD(Texture, texels) FIELD(Texture, sizes))
+STRUCTURE(Piece, Piece,
+          FIELD(Piece, corners) FIELD(Piece, faces) FIELD(Piece, positions) FIELD(Piece, normals) FIELD(Piece, uv)
+          FIELD(Piece, triangles) FIELD(Piece, holes) FIELD(Piece, opacity) FIELD(Piece, texture))
+STRUCTURE(Frame, Frame,
+          FIELD(Frame, width) FIELD(Frame, height) FIELD(Frame, pieces) FIELD(Frame, piece) FIELD(Frame, x)
+          FIELD(Frame, y) FIELD(Frame, eye))
+STRUCTURE(Pass, Pass,
+          FIELD(Pass, clip) FIELD(Pass, world) FIELD(Pass, normal) FIELD(Pass, order) FIELD(Pass, closed)
+          FIELD(Pass, part) FIELD(Pass, pictures) FIELD(Pass, lights) FIELD(Pass, ambients) FIELD(Pass, points)
+          FIELD(Pass, colors) FIELD(Pass, images) FIELD(Pass, shown))
+FUNCTION(raster_float)

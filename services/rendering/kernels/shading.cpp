@@ -1,10 +1,13 @@
 // The sum over directions and lobes, for a viewer far away (services/rendering/torch_renderer/shading.py).
 
 #include "lanes.h"
+#include "layout.h"
 
 namespace {
 
 template <class T> struct Scene {
+    static std::string layout_name() { return "shading.Scene." + Word<T>::of(); }
+
     int64_t count, directions;
     int channels, lobes;         // channels: 1 where all three have the same lobes
     const T *normals;            // [count, 3]
@@ -189,5 +192,15 @@ template <class T, int C> void transport(const Scene<T> &s, T *out, int threads)
         s->channels == 1 ? transport<T, 1>(*s, out, threads) : transport<T, 3>(*s, out, threads);                      \
     }
 
+#define DESCRIBE(T)                                                                                                    \
+    STRUCTURE(Scene<T>, T,                                                                                             \
+              FIELD(Scene<T>, count) FIELD(Scene<T>, directions) FIELD(Scene<T>, channels) FIELD(Scene<T>, lobes)      \
+              FIELD(Scene<T>, normals) FIELD(Scene<T>, towards) FIELD(Scene<T>, half) FIELD(Scene<T>, light)           \
+              FIELD(Scene<T>, base) FIELD(Scene<T>, tilt) FIELD(Scene<T>, log_kappa) FIELD(Scene<T>, gamma)            \
+              FIELD(Scene<T>, cosine_floor) FIELD(Scene<T>, lowest) FIELD(Scene<T>, highest))                          \
+    FUNCTION(shade_##T) FUNCTION(shade_backward_##T) FUNCTION(transport_##T)
+
 BOTH(float, float)
 BOTH(double, double)
+DESCRIBE(float)
+DESCRIBE(double)

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "lanes.h"
+#include "layout.h"
 
 namespace {
 
@@ -135,3 +136,9 @@ template <class T> void touch(int64_t count, int64_t rows, const T *angles, uint
 
 BOTH(float, float)
 BOTH(double, double)
+FUNCTION(look_up_float)
+FUNCTION(look_up_backward_float)
+FUNCTION(touch_float)
+FUNCTION(look_up_double)
+FUNCTION(look_up_backward_double)
+FUNCTION(touch_double)

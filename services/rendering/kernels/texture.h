@@ -3,6 +3,7 @@
 #pragma once
 
 #include "lanes.h"
+#include "layout.h"
 
 namespace {
 
@@ -13,6 +14,8 @@ typedef I<float> Ints;
 inline Floats choose(Ints mask, Floats yes, Floats no) { return choose<float>(mask, yes, no); }
 
 struct Texture {
+    static std::string layout_name() { return "Texture"; }
+
     int64_t levels;  // 0: there is none
     const uint8_t *const *texels;  // [levels], each [height, width, 4]
     const int64_t *sizes;  // [levels, 2], height and width

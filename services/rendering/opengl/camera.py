@@ -1,6 +1,6 @@
 """How the pieces of a drawing lie before a camera, and in what light: what a pass over the geometry is drawn from."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -42,24 +42,48 @@ class CameraMatrices:
         ]
 
 
+LightCounts = tuple[int, int, int]
+"""How many point, directional and spot lights there are."""
+
+
 @dataclass(frozen=True)
 class RenderPass:
     """A pass over the geometry: poses [objects, 4, 4] (world from object); the part of the picture that is drawn; and
-    for each picture its ambient light, its point lights [pictures, lights, 4] (intensity, then x, y, z) and the linear
-    factors on the objects' colours [pictures, objects, 3]."""
+    for each picture its ambient light, its lights and the linear factors on the objects' colours [pictures, objects,
+    3].
+
+    points [pictures, lights, 4]: intensity, then x, y, z. directionals [pictures, lights, 4]: irradiance, then the unit
+    vector towards the light. spots [pictures, lights, 9]: intensity, position, unit vector along the axis, and the
+    scale and offset of the fall-off (`radiance.frag`).
+    """
 
     poses: Array
     part: Rectangle
     ambients: Array
     points: Array
     colors: Array
+    directionals: Array = field(default_factory=lambda: np.zeros((1, 0, 4)))
+    spots: Array = field(default_factory=lambda: np.zeros((1, 0, 9)))
+
+    @property
+    def light_counts(self) -> LightCounts:
+        """Lights of each picture, by kind."""
+        return self.points.shape[1], self.directionals.shape[1], self.spots.shape[1]
 
     @property
     def uniforms(self) -> dict[str, Array]:
         """As the shader of radiance has the lights."""
-        points = self.points.reshape(-1, 4)
-        named = {"positions[0]": points[:, 1:], "intensities[0]": points[:, 0]} if len(points) else {}
-        return {"ambients[0]": self.ambients, **named}
+        named = {"ambients[0]": self.ambients}
+        points, directionals, spots = self.points.reshape(-1, 4), self.directionals.reshape(-1, 4), self.spots
+        if len(points):
+            named |= {"positions[0]": points[:, 1:], "intensities[0]": points[:, 0]}
+        if len(directionals):
+            named |= {"to_suns[0]": directionals[:, 1:], "irradiances[0]": directionals[:, 0]}
+        if spots.size:
+            energy, place, axis, scale, offset = np.split(spots.reshape(-1, 9), (1, 4, 7, 8), axis=1)
+            named |= {"spot_intensities[0]": energy[:, 0], "spot_positions[0]": place, "spot_directions[0]": axis}
+            named |= {"spot_scales[0]": scale[:, 0], "spot_offsets[0]": offset[:, 0]}
+        return named
 
 
 def closed_faces(drawing: "Drawing", view: CameraMatrices, poses: Array) -> list[int]:

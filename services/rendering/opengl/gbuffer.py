@@ -82,7 +82,9 @@ def rasterise(scene: ResolvedScene) -> GBuffer:
             outputs=2,
             blend=False,
         )
-        for name, tile in _average(torch.from_numpy(geometry), torch.from_numpy(surface), count, view.forward).items():
+        for name, tile in average_samples(
+            torch.from_numpy(geometry), torch.from_numpy(surface), count, view.forward
+        ).items():
             images[name][rows, columns] = tile.flip(0)  # OpenGL's first row is the bottom one
     if not images["coverage"].any():
         raise InvalidRequest("scene.objects", "out of view: no object covers any part of the picture")
@@ -106,7 +108,7 @@ def _crop(rows: slice, columns: slice, height: int, width: int) -> NDArray[np.fl
     return crop
 
 
-def _average(geometry: Tensor, surface: Tensor, count: int, forward: NDArray[np.float64]) -> dict[str, Tensor]:
+def average_samples(geometry: Tensor, surface: Tensor, count: int, forward: NDArray[np.float64]) -> dict[str, Tensor]:
     """Samples [h*FACTOR, w*FACTOR, 4] of `count` objects to pixels [h, w]."""
     images = (_averaged if compiled.runs(geometry) else _averaged_in_torch)(geometry, surface, count)
     seen = images["coverage"] > 0

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from services import atomic_write
 from services.settings import settings
 
 SECONDS = 60.0
@@ -57,11 +58,7 @@ def confirm() -> None:
     """Remember the device that `working_device` gave: it draws in this process too."""
     if not _taken:
         return
-    path = _path()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_suffix(f".{os.getpid()}")
-    temporary.write_text(json.dumps(_taken), "utf-8")
-    temporary.replace(path)
+    atomic_write.write(_path(), json.dumps(_taken).encode())
 
 
 def loaded() -> dict[str, list[int]]:

@@ -19,14 +19,17 @@ class Program(ShaderProgram):  # type: ignore[misc]
     """
 
     def __init__(self, fragment: str, constants: Mapping[str, int]) -> None:
+        self._metallic_roughness = constants["METALLIC_ROUGHNESS"]
         self._head = "".join(f"#define {name} {value}\n" for name, value in constants.items())
         super().__init__(str(SHADERS / "surface.vert"), str(SHADERS / fragment))
         self._locations: dict[str, int] = {}
         self._add_to_context()
 
     def _load(self, path: str) -> str:
-        text = Path(path).read_text()
-        whole = text if path.endswith(".vert") else (SHADERS / "surface.frag").read_text() + text
+        whole = Path(path).read_text()
+        if path.endswith(".frag"):
+            shared = ["surface.frag"] + ["metallic_roughness.frag"] * self._metallic_roughness
+            whole = "".join((SHADERS / name).read_text() for name in shared) + whole
         version, rest = whole.split("\n", 1)
         return f"{version}\n{self._head}{rest}"
 

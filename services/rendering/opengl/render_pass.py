@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from OpenGL import GL
 from pyrender.renderer import Renderer
 
-from services.rendering.opengl.camera import CameraMatrices, closed_faces, ordered
+from services.rendering.opengl.camera import CameraMatrices, LightCounts, closed_faces, ordered
 from services.rendering.opengl.framebuffer import Framebuffer
+from services.rendering.opengl.material_upload import NO_MATERIAL, UploadedMaterial
 from services.rendering.opengl.mesh_upload import Array, Drawing
 from services.rendering.opengl.program import Program
 from services.rendering.opengl.screen_bounds import Rectangle
@@ -46,12 +47,27 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
     def check(self) -> None:
         """Raise where this driver cannot compile our shaders or draw to float32 with 4 samples."""
         for fragment in ("radiance.frag", "gbuffer.frag"):
-            self.program(fragment, textured=True, holes=True, pictures=1, lights=1)
+            self.program(fragment, textured=True, holes=True, pictures=1, lights=(1, 0, 0))
         self.sample_positions = self._target((4, 4), samples=4, outputs=1).positions()
 
-    def program(self, fragment: str, *, textured: bool, holes: bool, pictures: int, lights: int) -> Program:
+    def program(
+        self,
+        fragment: str,
+        *,
+        textured: bool,
+        holes: bool,
+        pictures: int,
+        lights: LightCounts,
+        material: UploadedMaterial | None = None,
+    ) -> Program:
         """A fragment shader compiled for a kind of surface, a number of pictures and of lights; compiled once."""
-        constants = {"TEXTURED": int(textured), "HOLES": int(holes), "PICTURES": pictures, "LIGHTS": lights}
+        constants = {
+            "TEXTURED": int(textured),
+            "HOLES": int(holes),
+            "PICTURES": pictures,
+            **dict(zip(("LIGHTS", "DIRECTIONAL_LIGHTS", "SPOT_LIGHTS"), lights, strict=True)),
+            **(NO_MATERIAL if material is None else material.constants),
+        }
         key = fragment, tuple(constants.values())
         if key not in self._programs:
             self._programs[key] = Program(fragment, constants)
@@ -80,7 +96,7 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
         samples: int,
         outputs: int,
         blend: bool,
-        lights: int = 0,
+        lights: LightCounts = (0, 0, 0),
         rectangle: Rectangle | None = None,
         insides: Insides = "like outsides",
     ) -> Image:
@@ -90,7 +106,8 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
         poses [objects, 4, 4] world_from_object; colors [pictures, objects, 3] linear factors on the base colours;
         `uniforms` of the pass, and `object_uniforms` with one value per object. With `blend` the parts that are not
         opaque come last, the far ones first, over what is behind them (colours times opacity); else all parts are
-        drawn alike. For `insides` see there; the insides of an object that reaches to the camera are drawn like all.
+        drawn alike. The backs of single-sided glTF materials are never drawn. For `insides` see there; the insides of
+        an object that reaches to the camera are drawn like all.
 
         Raises RuntimeError for an error of OpenGL (out of memory).
         """
@@ -117,11 +134,13 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
                 holes=piece.holes,
                 pictures=len(colors),
                 lights=lights,
+                material=piece.material,
             )
             program._bind()
             if program not in ready:
                 for name, value in ({"eye": view.eye} | dict(uniforms)).items():
-                    program.set(name, value)
+                    if piece.material is None or program.has(name):  # opaque materials need no opacity thresholds
+                        program.set(name, value)
             if ready.get(program) != piece.index:
                 for name, value in of_objects[piece.index].items():
                     program.set(name, value)
@@ -129,10 +148,13 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
                     program.set(name, values[piece.index])
             ready[program] = piece.index
             program.set("base_colors[0]", piece.part.color[:3] * colors[:, piece.index])
-            program.set("opacity", float(piece.part.color[3]))
             if piece.texture is not None:
                 program.set("base_color_texture", 0)
                 piece.texture._bind()
+            if piece.material is None:
+                program.set("opacity", float(piece.part.color[3]))
+            else:
+                piece.material.bind(program)
             see_through = blend and not piece.solid
             (GL.glEnable if see_through else GL.glDisable)(GL.GL_BLEND)
             GL.glDepthMask(GL.GL_FALSE if see_through else GL.GL_TRUE)
@@ -144,7 +166,7 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
                 _draw_faces(0, closed[number], GL.GL_FRONT)
                 GL.glDepthRange(0.0, 1.0)
                 GL.glDepthFunc(GL.GL_LESS)
-            _draw_faces(closed[number], piece.faces, None)
+            _draw_faces(closed[number], piece.faces, GL.GL_BACK if piece.single_sided else None)
         GL.glBindVertexArray(0)
         images = framebuffer.read(outputs, rectangle or (0, size[0], 0, size[1]))
         error = GL.glGetError()

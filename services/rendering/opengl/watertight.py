@@ -14,6 +14,11 @@ def has_holes(part: Part) -> bool:
     return part.texture is not None and part.uv is not None and bool((part.texture[..., 3] < HALF).any())
 
 
+def _is_opaque(part: Part) -> bool:
+    """Whether nothing shows through a part. A glTF material has sides of its own, so that it counts as see-through."""
+    return bool(part.color[3] >= 1) and not has_holes(part) and part.metallic_roughness is None
+
+
 def outsides(mesh: Mesh) -> list[tuple[Integers, int]]:
     """For each part its faces [F,3], those of closed surfaces first, and how many these are.
 
@@ -28,7 +33,7 @@ def outsides(mesh: Mesh) -> list[tuple[Integers, int]]:
     points, same = np.unique(np.concatenate([p.vertices for p in mesh.parts]) + 0.0, axis=0, return_inverse=True)
     faces = same.ravel()[np.concatenate([p.faces + start for p, start in zip(mesh.parts, starts, strict=False)])]
     proper = (faces != np.roll(faces, -1, axis=1)).all(axis=1)  # the others are lines, and cover nothing
-    opaque = np.concatenate([np.full(len(p.faces), p.color[3] >= 1 and not has_holes(p)) for p in mesh.parts])
+    opaque = np.concatenate([np.full(len(p.faces), _is_opaque(p)) for p in mesh.parts])
     surface = np.full(len(faces), -1)
     surface[proper], whole = _surfaces(faces[proper], len(points))
     whole = np.append(whole, False)  # the last is that of the lines

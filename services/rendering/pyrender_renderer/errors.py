@@ -9,15 +9,11 @@ share of SHARE t: at the default of 1e-3 a quarter of a step, and one pixel in a
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
-from services.rendering.protocol import Parameters
-
-if TYPE_CHECKING:
-    from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
+from services.rendering.protocol import Parameters, Renderer
 
 STEP = 1 / 255
 """Errors of a displayed value that are not more than this are not counted in the share."""
@@ -59,7 +55,7 @@ def image_error(image: Tensor, exact: Tensor, ground: Tensor) -> tuple[ImageErro
     return ImageError(mean, int((off.amax(dim=-1) > STEP).sum()) / covered), covered
 
 
-def around(renderer: "PyrenderRenderer", groups: tuple[str, ...]) -> Parameters:
+def around(renderer: Renderer, groups: tuple[str, ...]) -> Parameters:
     """The start and DRAWS places around it, {group: [1 + DRAWS, ...]}; the same ones every time."""
     random = torch.Generator().manual_seed(0)
     places, bounds = {}, renderer.bounds()
@@ -71,7 +67,7 @@ def around(renderer: "PyrenderRenderer", groups: tuple[str, ...]) -> Parameters:
     return places
 
 
-def measure(renderer: "PyrenderRenderer", ground: Tensor, groups: tuple[str, ...]) -> tuple[ImageError, int]:
+def measure(renderer: Renderer, ground: Tensor, groups: tuple[str, ...]) -> tuple[ImageError, int]:
     """The largest error of the renderer's images around the start, and the fewest pixels that one of them covers."""
     worst, fewest, places = ImageError(), torch.iinfo(torch.int64).max, around(renderer, groups)
     for image, exact in zip(renderer.render(places), renderer.exact().render(places), strict=True):

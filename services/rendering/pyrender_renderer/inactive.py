@@ -7,26 +7,17 @@ hold six points around a position, they hold all between.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 import torch
 from torch import Tensor
+
+from services.rendering.protocol import InactiveCoordinate
 
 Values = Mapping[str, Tensor]
 
 REACH = 0.1
 """The largest half-step of a difference that is ever measured."""
-
-
-@dataclass(frozen=True)
-class InactiveCoordinate:
-    """A coordinate of a group, by its flat index, that changes no pixel; its name, and why."""
-
-    group: str
-    index: int
-    name: str
-    why: str
 
 
 class Linear(Protocol):
@@ -49,16 +40,7 @@ class Linear(Protocol):
         ...
 
 
-@runtime_checkable
-class FindsInactive(Protocol):
-    """A renderer that can prove coordinates idle."""
-
-    def idle(self, parameters: Values, reach: Mapping[str, float]) -> list[InactiveCoordinate]:
-        """As the function of this name."""
-        ...
-
-
-def idle(renderer: Linear, parameters: Values, reach: Mapping[str, float]) -> list[InactiveCoordinate]:
+def inactive_coordinates(renderer: Linear, parameters: Values, reach: Mapping[str, float]) -> list[InactiveCoordinate]:
     """The coordinates of which none alone changes the picture at `parameters` {group: [...]}, moved by at most its
     group's `reach` up or down; energies, colours and the ambient light by any amount.
     """
@@ -67,35 +49,45 @@ def idle(renderer: Linear, parameters: Values, reach: Mapping[str, float]) -> li
     for index in range(len(at["translation"])):
         if renderer.out_of_frame(at, index, reach.get("translation", REACH), turned=False):
             why = "the object is out of the frame, and would be were it moved by as much"
-            found += [_idle(renderer, "translation", 3 * index + axis, why) for axis in range(3)]
+            found += [_inactive(renderer, "translation", 3 * index + axis, why) for axis in range(3)]
         if renderer.out_of_frame(at, index, 0.0, turned=True):
             why = "the object is out of the frame however it is turned"
-            found += [_idle(renderer, "rotation", 3 * index + axis, why) for axis in range(3)]
+            found += [_inactive(renderer, "rotation", 3 * index + axis, why) for axis in range(3)]
     return found
 
 
 def _lights(renderer: Linear, at: Values, reach: float) -> list[InactiveCoordinate]:
-    """The ambient light, and each point light where it is and around it, with one unit of it alone."""
+    """The ambient light, and each other light where it is and around it, with one unit of it alone.
+
+    The directions from which a directional light reaches no pixel are a convex cone, so that the same six points prove
+    them. Those of a spot light, and its positions, are no convex set: they are idle only where it has no energy.
+    """
     lights = at["illumination"]
     alone = torch.zeros_like(lights)
     alone[0] = 1.0
     found = []
     if _dark(renderer, at, alone):
-        found.append(_idle(renderer, "illumination", 0, "no object is in the picture"))
-    for i in range((len(lights) - 1) // 4):
-        energy, places = 1 + 4 * i, [2 + 4 * i, 3 + 4 * i, 4 + 4 * i]
+        found.append(_inactive(renderer, "illumination", 0, "no object is in the picture"))
+    for kind, energy, others in _coordinates(renderer.names("illumination") or [], len(lights)):
         alone = torch.zeros_like(lights)
         alone[energy] = 1.0
-        alone[places] = lights[places]
+        alone[others] = lights[others]
         behind = _dark(renderer, at, alone)
         if behind:
-            found.append(_idle(renderer, "illumination", energy, "the light is behind all that is seen"))
+            found.append(_inactive(renderer, "illumination", energy, "the light is behind all that is seen"))
         if lights[energy] == 0:
-            found += [_idle(renderer, "illumination", place, "the light has no energy") for place in places]
-        elif behind and all(_dark(renderer, at, moved) for moved in _around(alone, places, reach)):
+            found += [_inactive(renderer, "illumination", place, "the light has no energy") for place in others]
+        elif behind and kind != "spot" and all(_dark(renderer, at, moved) for moved in _around(alone, others, reach)):
             why = f"the light is behind all that is seen, and would be from anywhere within {reach:g}"
-            found += [_idle(renderer, "illumination", place, why) for place in places]
+            found += [_inactive(renderer, "illumination", place, why) for place in others]
     return found
+
+
+def _coordinates(names: list[str], count: int) -> Iterator[tuple[str, int, list[int]]]:
+    """For each light of the group `illumination` its kind, the index of its energy, and of its other coordinates."""
+    energies = [index for index, name in enumerate(names) if name.endswith(" energy")]
+    for energy, following in zip(energies, [*energies[1:], count], strict=True):
+        yield names[energy].split()[0], energy, list(range(energy + 1, following))
 
 
 def _around(lights: Tensor, places: list[int], reach: float) -> Iterator[Tensor]:
@@ -118,7 +110,7 @@ def _colors(renderer: Linear, at: Values) -> list[InactiveCoordinate]:
         white[index], black[index] = 1.0, 0.0
         same = (_picture(renderer, at, "color", white) == _picture(renderer, at, "color", black)).all(dim=0).all(dim=0)
         why = "the object's colour is not seen: it is black, unlit, hidden or out of the frame"
-        found += [_idle(renderer, "color", 3 * index + channel, why) for channel in range(3) if same[channel]]
+        found += [_inactive(renderer, "color", 3 * index + channel, why) for channel in range(3) if same[channel]]
     return found
 
 
@@ -127,6 +119,6 @@ def _picture(renderer: Linear, at: Values, group: str, value: Tensor) -> Tensor:
     return renderer.radiance({name: v[None] for name, v in {**at, group: value}.items()})[0, ..., :3]
 
 
-def _idle(renderer: Linear, group: str, index: int, why: str) -> InactiveCoordinate:
+def _inactive(renderer: Linear, group: str, index: int, why: str) -> InactiveCoordinate:
     names = renderer.names(group)
     return InactiveCoordinate(group, index, names[index] if names else f"{group} {index}", why)

@@ -1,7 +1,7 @@
 """The numbers of a scene that the pyrender renderer is a function of: lights, colours, poses."""
 
 from collections.abc import Mapping
-from math import inf
+from math import cos, inf
 
 import numpy as np
 import torch
@@ -9,27 +9,40 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from services.errors import JobFailure
-from services.rendering.opengl.camera import RenderPass
+from services.rendering.opengl.camera import LightCounts, RenderPass
 from services.rendering.opengl.screen_bounds import Rectangle
 from services.rendering.protocol import Parameters
 from services.scenes.description import Scene
-from services.scenes.view import rotation_matrix
-
-GROUPS = ("illumination", "color", "translation", "rotation")
+from services.scenes.view import model_matrices
 
 ENERGY = 30.0
-"""Unit of a point light's energy in the group `illumination`, so that all its coordinates are near 1."""
+"""Unit of a point or spot light's energy in the group `illumination`, so that all its coordinates are near 1."""
+IRRADIANCE = 3.0
+"""Unit of a directional light's energy there."""
+_PLACE, _DIRECTION = ("x", "y", "z"), ("direction x", "direction y", "direction z")
+_LIGHTS = (
+    ("point", ("energy", *_PLACE), ENERGY),
+    ("directional", ("energy", *_DIRECTION), IRRADIANCE),
+    ("spot", ("energy", *_PLACE, *_DIRECTION), ENERGY),
+)
+"""The lights' kinds in the order of the group, the names of their coordinates, and the unit of the first."""
 
 
 class SceneParameters:
-    """Values, bounds, names and meaning of the groups; `PyrenderRenderer` has their shapes and units."""
+    """Values, bounds and meaning of the groups; `PyrenderRenderer` has their shapes and units."""
 
     def __init__(self, scene: Scene) -> None:
         self._scales = np.array([o.scale for o in scene.objects])
-        self._points = len(scene.lights.points)
-        lights = [scene.lights.ambient]
-        for point in scene.lights.points:
+        given = scene.lights
+        self._counts: LightCounts = (len(given.points), len(given.directional), len(given.spots))
+        lights = [given.ambient]
+        for point in given.points:
             lights += [point.energy / ENERGY, *point.position]
+        for directional in given.directional:
+            lights += [directional.energy / IRRADIANCE, *_unit(np.array(directional.direction))]
+        for spot in given.spots:
+            lights += [spot.energy / ENERGY, *spot.position, *_unit(np.array(spot.direction))]
+        self._cones = np.array([_cone(spot.inner_angle, spot.outer_angle) for spot in given.spots]).reshape(-1, 2)
         self._initial = {
             "illumination": torch.tensor(lights, dtype=torch.float64),
             "color": torch.tensor([o.color for o in scene.objects], dtype=torch.float64),
@@ -42,23 +55,19 @@ class SceneParameters:
         return {group: value.clone() for group, value in self._initial.items()}
 
     def bounds(self) -> Mapping[str, tuple[Tensor, Tensor]]:
-        """Light is not negative, colours lie in [0,1]; positions and rotations are free."""
-        dark = torch.tensor([0.0] + [0.0, -inf, -inf, -inf] * self._points, dtype=torch.float64)
+        """Light is not negative, colours lie in [0,1]; positions, directions and rotations are free."""
+        dark = torch.tensor([0.0 if name in ("ambient", "energy") else -inf for _, name in self._lights()])
         free = torch.tensor(inf, dtype=torch.float64)
         return {
-            "illumination": (dark, free),
+            "illumination": (dark.double(), free),
             "color": (torch.tensor(0.0, dtype=torch.float64), torch.tensor(1.0, dtype=torch.float64)),
             "translation": (-free, free),
             "rotation": (-free, free),
         }
 
-    def names(self, group: str) -> list[str]:
-        """A word for each number of a group, in order."""
-        if group == "illumination":
-            points = range(self._points)
-            return ["ambient"] + [f"point {i} {word}" for i in points for word in ("energy", "x", "y", "z")]
-        words = ("red", "green", "blue") if group == "color" else ("x", "y", "z")
-        return [f"object {i} {group} {word}" for i in range(len(self._scales)) for word in words]
+    def light_names(self) -> list[str]:
+        """A word for each number of `illumination`, in order."""
+        return [f"{light} {name}".strip() for light, name in self._lights()]
 
     def checked(self, parameters: Mapping[str, Tensor]) -> dict[str, NDArray[np.float64]]:
         """All groups [B, ...] as float64 arrays, those left out with the scene's values.
@@ -71,7 +80,7 @@ class SceneParameters:
         count = sizes.pop() if sizes else 1
         for group, value in parameters.items():
             if group not in self._initial:
-                raise ValueError(f"parameters: no group {group!r}; there are {', '.join(GROUPS)}")
+                raise ValueError(f"parameters: no group {group!r}; there are {', '.join(self._initial)}")
             if value.shape[1:] != self._initial[group].shape:
                 shape = list(self._initial[group].shape)
                 raise ValueError(f"parameters: {group} is {list(value.shape)}, not [B, *{shape}]")
@@ -91,13 +100,40 @@ class SceneParameters:
         poses: NDArray[np.float64],
         part: Rectangle,
     ) -> RenderPass:
-        """A pass that draws pictures of those illuminations [pictures, 1 + 4 points] and colours."""
-        points = illuminations[:, 1:].reshape(len(illuminations), self._points, 4) * (ENERGY, 1.0, 1.0, 1.0)
-        return RenderPass(poses, part, illuminations[:, 0], points, colors)
+        """A pass that draws pictures of those illuminations [pictures, coordinates] and colours."""
+        kinds, start = [], 1
+        for count, (_, words, unit) in zip(self._counts, _LIGHTS, strict=True):
+            stop = start + count * len(words)
+            values = illuminations[:, start:stop].reshape(len(illuminations), count, len(words)).copy()
+            values[..., 0] *= unit
+            kinds.append(values)
+            start = stop
+        points, directionals, spots = kinds
+        directionals[..., 1:] = -_unit(directionals[..., 1:])
+        cones = np.broadcast_to(self._cones, (*spots.shape[:2], 2))
+        spots = np.concatenate([spots[..., :4], _unit(spots[..., 4:]), cones], axis=-1)
+        return RenderPass(poses, part, illuminations[:, 0], points, colors, directionals, spots)
+
+    def _lights(self) -> list[tuple[str, str]]:
+        """For each coordinate of the group `illumination` its light and its name there."""
+        named = [("", "ambient")]
+        for count, (kind, words, _) in zip(self._counts, _LIGHTS, strict=True):
+            named += [(f"{kind} {i}", word) for i in range(count) for word in words]
+        return named
 
     def poses(self, translations: NDArray[np.float64], rotations: NDArray[np.float64]) -> NDArray[np.float64]:
         """World from object [objects, 4, 4]: scaled, turned, moved; of translations and rotations [objects, 3]."""
-        poses = np.tile(np.eye(4), (len(self._scales), 1, 1))
-        poses[:, :3, :3] = rotation_matrix(rotations) * self._scales[:, None, None]
-        poses[:, :3, 3] = translations
-        return poses
+        return model_matrices(translations, rotations, self._scales)
+
+
+def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Vectors [..., 3] at length 1; one of length 0 stays, and lights nothing."""
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    units: NDArray[np.float64] = vectors / np.where(lengths > 0, lengths, 1.0)
+    return units
+
+
+def _cone(inner: float, outer: float) -> tuple[float, float]:
+    """Scale and offset of a spot light's fall-off, as pyrender and KHR_lights_punctual have them."""
+    scale = 1 / max(1e-3, cos(inner) - cos(outer))
+    return scale, -cos(outer) * scale

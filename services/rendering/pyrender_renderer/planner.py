@@ -9,9 +9,10 @@ from torch import Tensor
 
 from services.rendering.opengl.screen_bounds import Rectangle
 from services.rendering.plan import Item, Plan, Stage, Tolerance
+from services.rendering.protocol import InactiveCoordinate
 from services.rendering.pyrender_renderer.batching import SharedPass, alone, shared
 from services.rendering.pyrender_renderer.errors import DRAWS, EVERY, ImageError, estimated
-from services.rendering.pyrender_renderer.inactive import REACH, InactiveCoordinate
+from services.rendering.pyrender_renderer.inactive import REACH
 
 if TYPE_CHECKING:
     from services.rendering.opengl.mesh_upload import Drawing

@@ -63,9 +63,15 @@ class _Pass(ctypes.Structure):
     )
 
 
-def refusal(drawing: "Drawing") -> str | None:  # noqa: ARG001 - it knows every material and light that there is today
-    """Why the rasteriser cannot draw this scene, as a clause; None where it can."""
-    return "there are no compiled kernels" if compiled.library() is None else None
+def refusal(drawing: "Drawing", lit: RenderPass) -> str | None:
+    """Why the rasteriser cannot draw this scene in this light, as a clause; None where it can."""
+    if compiled.library() is None:
+        return "there are no compiled kernels"
+    if any(piece.metallic_roughness is not None for piece in drawing.pieces):
+        return "it does not know the materials of glTF files"
+    if any(lit.light_counts[1:]):
+        return "it knows no lights but point lights"
+    return None
 
 
 def draw(

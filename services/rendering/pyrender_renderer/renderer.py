@@ -13,16 +13,18 @@ from torch import Tensor
 from services.errors import JobFailure
 from services.finite import finite
 from services.rendering.compositing import over_ground
+from services.rendering.declaration import BuildRequest, DeclaredRenderer
 from services.rendering.opengl import context
 from services.rendering.opengl.camera import CameraMatrices, RenderPass
 from services.rendering.opengl.screen_bounds import Rectangle, beyond, rectangle
 from services.rendering.plan import DEFAULT_TOLERANCE, Plan, Tolerance
-from services.rendering.protocol import Parameters
+from services.rendering.protocol import InactiveCoordinate, Parameters
 from services.rendering.pyrender_renderer import rasteriser
 from services.rendering.pyrender_renderer.batching import SharedPass, alone, shared
+from services.rendering.pyrender_renderer.declaration import PYRENDER
 from services.rendering.pyrender_renderer.errors import MARGIN, ImageError, image_error, is_sampled, measure
-from services.rendering.pyrender_renderer.inactive import InactiveCoordinate, idle
-from services.rendering.pyrender_renderer.parameters import GROUPS, SceneParameters
+from services.rendering.pyrender_renderer.inactive import inactive_coordinates
+from services.rendering.pyrender_renderer.parameters import SceneParameters
 from services.rendering.pyrender_renderer.planner import Rasterised, compile_plan
 from services.scenes.resolve import ResolvedScene
 
@@ -44,27 +46,26 @@ ROUNDING = 1e-3
 """Scene units, and share, that an object must be further out of the frame than it could move, for it to be sure."""
 
 
-class PyrenderRenderer:
+class PyrenderRenderer(DeclaredRenderer):
     """Images of a scene as a function of its lights, colours and poses.
 
-    Groups, all float tensors: `illumination` [1 + 4 points] (ambient; then per point light its energy / 30 and x, y,
-    z), `color` [objects, 3] (linear factor on the mesh's own colours), `translation` [objects, 3] (scene units),
-    `rotation` [objects, 3] (rotation vectors, radians). With one object and one light these are the paper's 14 numbers.
+    Groups, all float tensors: `illumination` [1 + 4 points + 4 directional + 7 spots] (ambient; then per point light
+    its energy / 30 and x, y, z; per directional light its energy / 3 and the direction it travels in; per spot light
+    its energy / 30, position and direction), `color` [objects, 3] (linear factor on the mesh's own colours),
+    `translation` [objects, 3] (scene units), `rotation` [objects, 3] (rotation vectors, radians). With one object and
+    one point light these are the paper's 14 numbers.
 
-    A Lambertian body under a thin glossy coat, lit without shadows or bounces: `shaders/radiance.frag` has the
-    formula. Silhouettes are multisampled; the ground is composited as displayed, by coverage. Of closed surfaces only
-    the outside is seen. Everything is drawn in the process's one OpenGL context, so only the thread that used it first
-    may render.
+    A Lambertian body under a thin glossy coat, or the metallic-roughness material of a glTF file, lit without shadows
+    or bounces: `shaders/radiance.frag` has the formulas. Silhouettes are multisampled; the ground is composited as
+    displayed, by coverage. Of closed surfaces only the outside is seen. Everything is drawn in the process's one OpenGL
+    context, so only the thread that used it first may render.
 
-    The images of a batch share what they can (`batching`), and nothing is drawn where no object is: that costs no
-    accuracy. Without a GPU the rasteriser draws instead of OpenGL where its error is within the tolerance, which is
-    measured when the renderer is made (`errors`), and once in a while on an image that is asked for; an image that is
-    found to be off by more is OpenGL's. `plan` says all this. `exact` has OpenGL draw every image by itself and whole.
+    The images of a batch share what they can (`batching`), and nothing is drawn where no object is, at no cost. Without
+    a GPU the rasteriser draws instead of OpenGL if its error, measured when the renderer is made, is within tolerance
+    (`errors`). `exact` has OpenGL draw every image by itself and whole.
     """
 
-    name = "pyrender"
-    groups = GROUPS
-    differentiable = False
+    declaration = PYRENDER
 
     def __init__(
         self, scene: ResolvedScene, groups: Sequence[str] | None = None, tolerance: Tolerance = DEFAULT_TOLERANCE
@@ -94,6 +95,11 @@ class PyrenderRenderer:
             self._twin._twin, self._tolerance = self._twin, tolerance
             self.plan = self._compile(groups, self._try_rasteriser(groups))
 
+    @classmethod
+    def build(cls, request: BuildRequest) -> "PyrenderRenderer":
+        """The renderer of a scene."""
+        return cls(request.scene, request.groups, request.tolerance)
+
     def _compile(self, groups: tuple[str, ...], rasterised: Rasterised | None) -> Plan:
         return compile_plan(
             self,
@@ -104,14 +110,13 @@ class PyrenderRenderer:
             closed=self._closed,
             rasterised=rasterised,
             most=self._most,
-            idle=[] if self._plain else self.idle(self.initial(), {}),
+            idle=[] if self._plain else self.inactive(self.initial(), {}),
         )
 
     def _try_rasteriser(self, groups: tuple[str, ...]) -> Rasterised:
         """Whether the rasteriser draws within the tolerance, and with which error; sets `_rasterises`."""
         assert self._tolerance != "exact"
-        start = self._at_start()
-        why = rasteriser.refusal(self._drawing)
+        why = rasteriser.refusal(self._drawing, start := self._at_start())
         if why is None and not context.current().software:
             why = "a graphics card is faster"
         if why is None and start.part[0] == start.part[1]:
@@ -139,20 +144,20 @@ class PyrenderRenderer:
 
     @property
     def sampled_error(self) -> ImageError:
-        """The largest error of the images that were asked for and drawn by OpenGL too; none was if it is zero."""
+        """The largest error of the images that were asked for and drawn by OpenGL too; zero if none was."""
         return self._sampled
 
     def initial(self) -> Parameters:
         """The scene's own values, float64."""
         return self._numbers.initial()
 
-    def bounds(self) -> Mapping[str, tuple[Tensor, Tensor]]:
-        """Light is not negative, colours lie in [0,1]; positions and rotations are free."""
-        return self._numbers.bounds()
-
     def names(self, group: str) -> list[str] | None:
-        """A word for each number of a group, in order."""
-        return self._numbers.names(group)
+        """A label for each coordinate of a group, in flat order."""
+        return self._numbers.light_names() if group == "illumination" else super().names(group)
+
+    def bounds(self) -> Mapping[str, tuple[Tensor, Tensor]]:
+        """Light is not negative, colours lie in [0,1]; positions, directions and rotations are free."""
+        return self._numbers.bounds()
 
     def exact(self) -> "PyrenderRenderer":
         """The twin that has OpenGL draw every image by itself, whole, with the insides of watertight surfaces."""
@@ -169,12 +174,10 @@ class PyrenderRenderer:
         Raises JobFailure("non-finite") for parameters or radiances that are not finite, ValueError for unknown groups
         and wrong shapes.
         """
-
         images = self._draw(parameters, self._ground, lambda radiance: over_ground(radiance, EXPOSURE, self._ground))
-        if self._rasterises:
-            for row in range(len(images)):
-                if is_sampled(parameters, row):
-                    images[row] = self._verified(images[row], {g: v[row : row + 1] for g, v in parameters.items()})
+        for row in range(len(images)):
+            if self._rasterises and is_sampled(parameters, row):
+                images[row] = self._verified(images[row], {g: v[row : row + 1] for g, v in parameters.items()})
         return images
 
     def _verified(self, image: Tensor, parameters: Mapping[str, Tensor]) -> Tensor:
@@ -188,7 +191,8 @@ class PyrenderRenderer:
     def radiance(self, parameters: Mapping[str, Tensor]) -> Tensor:
         """Linear, unclamped radiance times coverage, and coverage: float32 [B, H, W, 4]. Before exposure and display.
 
-        Strictly linear in the ambient light and in each light's energy. Raises as `render` does.
+        Strictly linear in the ambient light and in each light's energy, but for what glTF materials emit. Raises as
+        `render` does.
         """
         return self._draw(parameters, torch.zeros(4), lambda radiance: radiance)
 
@@ -210,13 +214,13 @@ class PyrenderRenderer:
             corners = centre[:, None]
         return beyond(corners, self._view.clip_from_world, margin * (1 + ROUNDING) + ROUNDING)
 
-    def idle(self, parameters: Mapping[str, Tensor], reach: Mapping[str, float]) -> list[InactiveCoordinate]:
-        """The coordinates that change no pixel at `parameters` {group: [...]}, moved by at most `reach`; see `idle`."""
-        return idle(self, parameters, reach)
+    def inactive(self, parameters: Mapping[str, Tensor], reach: Mapping[str, float]) -> list[InactiveCoordinate]:
+        """The coordinates that change no pixel at `parameters` {group: [...]}, moved by at most `reach`; see
+        `inactive_coordinates`."""
+        return inactive_coordinates(self, parameters, reach)
 
     def _draw(self, parameters: Mapping[str, Tensor], empty: Tensor, finish: Callable[[Tensor], Tensor]) -> Tensor:
-        """Pictures [B, H, W, C]: `empty` [C] where no object is, and `finish` of radiance [..., 4] elsewhere.
-
+        """Images [B, H, W, C]: `empty` [C] where no object is, and `finish` of radiance [..., 4] elsewhere.
         First all is drawn, then all is finished: threads of torch that wait for work in between would be in the way of
         those that draw.
         """
@@ -277,7 +281,7 @@ class PyrenderRenderer:
             samples=rasteriser.SAMPLES,
             outputs=len(lit.colors),
             blend=True,
-            lights=lit.points.shape[1],
+            lights=lit.light_counts,
             rectangle=lit.part,
             insides="like outsides" if not self._closed else "behind" if self._plain else "left out",
         )

@@ -1,4 +1,4 @@
-"""What shading by shortcuts costs in accuracy: bounds where there are any, measurements at the scene's own pixels else.
+"""Errors of shading methods: bounds where there are any, measurements at the scene's own pixels otherwise.
 
 All errors are of displayed values in [0,1], the largest over pixels and channels.
 """
@@ -15,25 +15,26 @@ from services.rendering.torch_renderer.shader import Recipe, Shader, Sky, Surfac
 from services.rendering.torch_renderer.units import ILLUMINATION_MEAN
 
 SAMPLED = 4_096
-STILL = 16_384
-"""Pixels a table is measured at, at most, where normals are attacked and where they keep still (then these pixels are
-all there is): evenly among the object's, ordered by their normals."""
+SAMPLED_STILL = 16_384
+"""The most pixels that a table is measured at where normals are attacked and where they are not. They are evenly spaced
+among the object's pixels, ordered by their normals."""
 POINTS = 16_384
-"""Normals it is measured at where normals are attacked: the same pixels moved again and again, but ..."""
-MOVES = 8
-"""... so many times at most."""
-FEW = 16
-"""One in so many is looked at first."""
+"""Normals that a table is measured at where normals are attacked: the sampled pixels and moved copies of them."""
+MAX_COPIES = 8
+"""The most moved copies of a pixel."""
+FIRST_STRIDE = 16
+"""Stride through the pixels that are measured first, as most tables fail at a few of them."""
 SAMPLED_WIDE = 1_024
-"""Pixels float32 is measured against float64 at."""
+"""The most pixels at which float32 is measured against float64."""
 STEEPEST = 12.92
-"""Slope of the display's curve at black: what a linear error can grow by."""
+"""Slope of the display's curve at black: the most that it magnifies a linear error."""
 REACH = {"normals": 0.3, "illumination": 0.36 * ILLUMINATION_MEAN, "material": 3.6}
 """How far draws move each coordinate, either way: normals in a typical success, light and material in 120 steps."""
 DRAWS = 2
-"""Of light and material, beside the scene's own."""
+"""Random draws of light and material that are measured beside the scene's own values."""
 TENFOLD = 10.0
-"""Where light is attacked, what is left out must not matter in ten times the light either, the map's mean added."""
+"""Where light is attacked, lobes that are left out must not matter under this many times the light, its mean added,
+either."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ def lobe_bounds(surface: Surface, sky: Sky, illumination: Tensor, groups: Sequen
 
 
 def roughness(surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str], rows: int) -> Tensor:
-    """How badly a table of `rows` fits each direction's light [D of the whole map]: orders them, and no more than that.
+    """How badly a table of `rows` fits each texel's light [D of the whole map]: good for ordering texels, no error.
 
     Two terms. Where a light sets behind the horizon radiance has a kink of slope light · ρ, which Catmull-Rom rounds
     off by about 0.07 of a mesh; there n·h is at most sin θ_d. And a lobe as narrow as the mesh (ρ falls from its peak
@@ -86,7 +87,7 @@ def too_narrow(
     """Whether the recipe's table holds a highlight that can be seen (more than a tenth of `left`) and is narrower than
     its mesh: pixels beside it may all miss it when an error is measured."""
     assert recipe.rows is not None
-    held = recipe.kept[~torch.isin(recipe.kept, recipe.sharp)]
+    held = recipe.active_texels[~torch.isin(recipe.active_texels, recipe.per_pixel_texels)]
     log_kappa, gamma = dsbrdf.lobes(surface.material, sky.curves[held])
     exponent = log_kappa.clamp(*dsbrdf.LOG_EXPONENT_RANGE).exp()
     light = _brightest(surface, sky, _reached(illumination, groups), held)
@@ -95,10 +96,24 @@ def too_narrow(
 
 
 def of_float32(surface: Surface, sky: Sky, illumination: Tensor, recipe: Recipe) -> float:
-    """Error of the sum in float32, four times that measured against float64."""
-    some = _some(surface, SAMPLED_WIDE)
+    """Error of the sum in float32, four times that measured against float64.
+
+    It is largest in narrow highlights. Where normals are attacked they may turn into any, so as many again are measured
+    that point anywhere.
+    """
+    some = subset(surface, SAMPLED_WIDE)
+    if recipe.moving:
+        random = torch.Generator().manual_seed(1)
+        anywhere = torch.rand(some.angles.shape, generator=random, dtype=torch.float64)
+        anywhere = anywhere * torch.tensor([2 * pi, pi]) - torch.tensor([pi, 0.0])
+        some = replace(
+            some,
+            angles=torch.cat([some.angles, anywhere]),
+            base_color=some.base_color.repeat(2, 1),
+            viewers=None if some.viewers is None else some.viewers.repeat(2, 1),
+        )
     values = [
-        Shader(replace(recipe, nodes="summed", rows=None, moving=True, dtype=dtype), sky, some, illumination)(
+        Shader(replace(recipe, method="summed", rows=None, moving=True, dtype=dtype), sky, some, illumination)(
             some.angles, illumination, some.material
         )
         for dtype in (torch.float32, torch.float64)
@@ -107,12 +122,12 @@ def of_float32(surface: Surface, sky: Sky, illumination: Tensor, recipe: Recipe)
 
 
 class Measured:
-    """Errors of tables at the surface's pixels, in the scene as it is and in draws of the attacked groups."""
+    """Errors of tables at a surface's pixels, in the scene as it is and after random moves of the attacked groups."""
 
     def __init__(self, surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str], recipe: Recipe) -> None:
         random = torch.Generator().manual_seed(0)
         moving = "normals" in groups
-        self._surface = _spread(_some(surface, SAMPLED if moving else STILL), moving, random)
+        self._surface = spread(subset(surface, SAMPLED if moving else SAMPLED_STILL), moving, random)
         self._sky, self._illumination = sky, illumination
         self._draws = [(illumination, surface.material)]
         for _ in range(DRAWS if "illumination" in groups or "material" in groups else 0):
@@ -122,12 +137,14 @@ class Measured:
             if "material" in groups:
                 material = material + REACH["material"] * _signs(material, random)
             self._draws.append((light, material))
+        self.angles = self._surface.angles
+        """The normals [N, 2] at which errors are measured, as angles."""
         self._truth = list(self._values(recipe))
 
     def error(self, recipe: Recipe, limit: float) -> float:
-        """The largest error of `recipe`'s table; once past `limit`, so far seen. Most tables fail at a few pixels."""
+        """The largest error of `recipe`'s table; the first one found beyond `limit` where there is one."""
         largest = 0.0
-        for stride in (FEW, 1):
+        for stride in (FIRST_STRIDE, 1):
             color = self._surface.base_color[::stride]
             for value, truth in zip(self._values(recipe, stride), self._truth, strict=True):
                 largest = max(largest, displayed_error(value, truth[::stride], color))
@@ -137,19 +154,19 @@ class Measured:
 
     @torch.no_grad()
     def _values(self, recipe: Recipe, stride: int = 1) -> Iterator[Tensor]:
-        """Radiance of each draw at every so many of the pixels."""
-        plain = replace(recipe, nodes="summed", moving=True, guard=None)
+        """Radiance of each draw at every `stride`-th pixel."""
+        plain = replace(recipe, method="summed", moving=True, guard=None)
         some = _every(self._surface, stride)
         shader = Shader(plain, self._sky, some, self._illumination)
         for light, material in self._draws:
             yield shader(some.angles, light, material)
 
 
-def _spread(surface: Surface, moving: bool, random: torch.Generator) -> Surface:
-    """The surface at its own normals and, where they are attacked, moved within reach besides."""
+def spread(surface: Surface, moving: bool, random: torch.Generator) -> Surface:
+    """The surface at its own normals and, where these are attacked, at copies of them moved at random within reach."""
     angles, again = surface.angles, 1
     if moving:
-        again += max(2, min(MOVES, POINTS // len(angles)))
+        again += max(2, min(MAX_COPIES, POINTS // len(angles)))
         steps = [torch.rand(angles.shape, generator=random, dtype=torch.float64) for _ in range(again - 1)]
         angles = torch.cat([angles, *(angles + REACH["normals"] * (2 * step - 1) for step in steps)])
     return replace(surface, angles=angles, base_color=surface.base_color.repeat(again, 1))
@@ -159,19 +176,19 @@ def _signs(like: Tensor, random: torch.Generator) -> Tensor:
     return (torch.rand(like.shape, generator=random, dtype=torch.float64) - 0.5).sign()
 
 
-def _some(surface: Surface, most: int) -> Surface:
-    """The surface at so many of its pixels at most, evenly spaced."""
+def subset(surface: Surface, most: int) -> Surface:
+    """The surface at `most` of its pixels or fewer, evenly spaced."""
     return _every(surface, -(-len(surface.angles) // most))
 
 
 def _every(surface: Surface, stride: int) -> Surface:
-    """The surface at one in so many of its pixels."""
+    """The surface at every `stride`-th of its pixels."""
     viewers = None if surface.viewers is None else surface.viewers[::stride]
     return replace(surface, angles=surface.angles[::stride], base_color=surface.base_color[::stride], viewers=viewers)
 
 
 def _reached(illumination: Tensor, groups: Sequence[str]) -> Tensor:
-    """The most light that draws give each texel."""
+    """The most light that the random draws give each texel."""
     return illumination + (REACH["illumination"] if "illumination" in groups else 0.0)
 
 

@@ -57,6 +57,48 @@ def node_vectors(rows: int) -> Tensor:
     return to_vectors(grid.flip(-1))
 
 
+def nearest(angles: Tensor, rows: int) -> Tensor:
+    """The node nearest to each pair of angles [P, 2], any finite ones: int64 [P], places in the flattened table."""
+    row = (angles[:, 1] * (rows / pi)).floor().long() % (2 * rows)
+    column = (angles[:, 0] * (rows / pi) + rows).floor().long()
+    past = row >= rows
+    row = torch.where(past, 2 * rows - 1 - row, row)
+    return row * (2 * rows) + (column + rows * past) % (2 * rows)
+
+
+def unevenness(table: Tensor, filled: Tensor) -> Tensor:
+    """How badly a spline may fit around each node: largest second and fourth differences, [2, nodes].
+
+    They are taken along both angles, of the sum over the channels, and each node has the largest among itself and its
+    eight neighbours. A table's error follows the fourth difference where radiance has a kink or a highlight; the second
+    serves nodes that have too few filled neighbours for the fourth. `filled` [tiles] says which tiles of `table`
+    [nodes, 3] hold values.
+    """
+    rows = _rows(table)
+    values = torch.full((len(table),), torch.nan, dtype=table.dtype, device=table.device)
+    places = tiles(rows)[filled].flatten()
+    values[places] = table.detach()[places].sum(1)
+    values = values.reshape(rows, 2 * rows)
+    beyond = values.roll(rows, 1)  # past a pole: rows come back half a turn further round
+    values = torch.cat([beyond[:_BORDER].flip(0), values, beyond[-_BORDER:].flip(0)])
+    found = values.new_zeros(2, *values.shape)
+    for along in (0, 1):
+        second = _second_difference(values, along)
+        fourth = _second_difference(second, along)
+        found = torch.maximum(found, torch.stack((second, fourth)).abs_().nan_to_num_(0.0))
+    for along in (1, 2):
+        found = torch.maximum(torch.maximum(found.roll(1, along), found.roll(-1, along)), found)
+    return found[:, _BORDER:-_BORDER].flatten(1)
+
+
+_BORDER = 3
+"""Rows beyond each pole that `unevenness` looks at: two for the fourth difference and one for the neighbour."""
+
+
+def _second_difference(values: Tensor, along: int) -> Tensor:
+    return values.roll(1, along) + values.roll(-1, along) - 2 * values
+
+
 PLACES = 2 * 64 * 64
 """`place` is below it."""
 
@@ -86,11 +128,11 @@ class _LookUp(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, slope: Tensor) -> tuple[Tensor | None, Tensor | None]:
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, Tensor | None]:
         table, angles = ctx.saved_tensors
         d_table = torch.empty_like(table) if ctx.needs_input_grad[0] else None
         d_angles = torch.empty_like(angles) if ctx.needs_input_grad[1] else None
-        into = (slope.contiguous(), d_angles, d_table, compiled.threads())
+        into = (gradient.contiguous(), d_angles, d_table, compiled.threads())
         compiled.call("look_up_backward", angles.dtype, len(angles), _rows(table), angles, table, *into)
         return d_table, d_angles
 

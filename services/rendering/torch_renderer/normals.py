@@ -34,7 +34,7 @@ def to_angles(vectors: Tensor) -> Tensor:
 def to_vectors(angles: Tensor) -> Tensor:
     """Unit vectors [..., 3] in the camera's frame of angles [..., 2] (azimuth, polar), for any finite angles.
 
-    Differentiable; once, in float32 on the CPU, which has loops of its own.
+    Differentiable; once, in float32 on the CPU, which has a kernel of its own.
     """
     if angles.dtype == torch.float32 and compiled.runs(angles):
         result: Tensor = _Vectors.apply(angles.contiguous())  # type: ignore[no-untyped-call]
@@ -54,9 +54,9 @@ class _Vectors(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, slope: Tensor) -> Tensor:
+    def backward(ctx: Any, gradient: Tensor) -> Tensor:
         [angles] = ctx.saved_tensors
         found = torch.empty_like(angles)
-        of = (angles.numel() // 2, angles, slope.contiguous(), found)
+        of = (angles.numel() // 2, angles, gradient.contiguous(), found)
         compiled.call("vectors_backward", angles.dtype, *of, compiled.threads())
         return found

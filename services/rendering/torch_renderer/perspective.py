@@ -1,7 +1,7 @@
 """The shading sum for a viewer at a finite distance: half vectors, and the lobes with them, differ from pixel to pixel.
 
-Nothing of it can be tabulated over normals alone, so it is summed pixel by pixel: in the compiled loops, else in torch
-by chunks whose graph is built again in the backward pass.
+Nothing of it can be tabulated over normals alone, so it is summed pixel by pixel: in the compiled kernels, else in
+torch by chunks whose graph is built again in the backward pass.
 """
 
 from typing import Any
@@ -12,6 +12,7 @@ from torch.autograd.function import once_differentiable
 from torch.nn.functional import normalize
 
 from services.rendering.kernels import compiled
+from services.rendering.kernels.structures import PerspectiveDouble, PerspectiveFloat
 from services.rendering.torch_renderer import dsbrdf
 
 CHUNK = 2**16
@@ -45,13 +46,13 @@ class _Radiance(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, slope: Tensor) -> tuple[Tensor | None, ...]:
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         normals, viewers, light, material, towards = ctx.saved_tensors
-        slopes = [torch.zeros_like(value) for value in (light, material, normals)]
-        slope = slope.contiguous()
+        gradients = [torch.zeros_like(value) for value in (light, material, normals)]
+        gradient = gradient.contiguous()
         if compiled.runs(normals):
             packed = _pack(normals, viewers, light, material, towards)
-            compiled.call("shade_perspective_backward", normals.dtype, packed, slope, *slopes, compiled.threads())
+            compiled.call("shade_perspective_backward", normals.dtype, packed, gradient, *gradients, compiled.threads())
         else:
             step = max(16, CHUNK // max(1, towards.shape[1]))
             for start in range(0, len(normals), step):
@@ -59,11 +60,11 @@ class _Radiance(torch.autograd.Function):
                 leaves = [value.detach().requires_grad_() for value in (light, material, normals[some])]
                 with torch.enable_grad():
                     shaded = _chunk(leaves[2], viewers[some], leaves[0], leaves[1], towards)
-                of_light, of_material, of_normals = torch.autograd.grad(shaded, leaves, slope[some])
-                slopes[0] += of_light
-                slopes[1] += of_material
-                slopes[2][some] = of_normals
-        return slopes[2], None, slopes[0], slopes[1], None
+                of_light, of_material, of_normals = torch.autograd.grad(shaded, leaves, gradient[some])
+                gradients[0] += of_light
+                gradients[1] += of_material
+                gradients[2][some] = of_normals
+        return gradients[2], None, gradients[0], gradients[1], None
 
 
 def _chunk(normals: Tensor, viewers: Tensor, light: Tensor, material: Tensor, towards: Tensor) -> Tensor:
@@ -91,8 +92,8 @@ def _chunk(normals: Tensor, viewers: Tensor, light: Tensor, material: Tensor, to
 
 def _pack(
     normals: Tensor, viewers: Tensor, light: Tensor, material: Tensor, towards: Tensor
-) -> compiled.PerspectiveFloat | compiled.PerspectiveDouble:
-    kind = compiled.PerspectiveDouble if normals.dtype == torch.float64 else compiled.PerspectiveFloat
+) -> PerspectiveFloat | PerspectiveDouble:
+    kind = PerspectiveDouble if normals.dtype == torch.float64 else PerspectiveFloat
     sizes = (len(normals), towards.shape[1], *material.shape[:2])
     pointers = (value.data_ptr() for value in (normals, viewers, towards, light, material))
     most = (dsbrdf.LOG_KAPPA_RANGE[1], dsbrdf.LOG_GAMMA_RANGE[1])

@@ -1,8 +1,9 @@
-"""Compiling the torch renderer: what one object needs for one set of attacked groups, and the cheapest way to it.
+"""Compiles the torch renderer: finds what one object needs for a set of attacked groups, and the cheapest method.
 
 Errors of tables are measured, not derived: at the object's own pixels, for the scene as it is and for draws of the
 attacked groups within an attack's reach, against the sum itself. What cannot be seen there (a highlight narrower than
-the table's mesh) rules a table out beforehand; what changes while the attack runs is checked in every picture (Shader).
+the table's mesh) rules a table out beforehand. What the attack changes is checked in every image (sampled_check), and
+the plan's estimate is what that check enforces.
 """
 
 from collections.abc import Iterator, Sequence
@@ -14,39 +15,43 @@ from torch import Tensor
 from services.rendering.plan import Item, Plan, Stage, Tolerance
 from services.rendering.torch_renderer import dsbrdf
 from services.rendering.torch_renderer import error_estimates as errors
+from services.rendering.torch_renderer.gradient_error import gradient_errors
 from services.rendering.torch_renderer.lookup_table import tiles, touched
 from services.rendering.torch_renderer.normals import to_vectors
-from services.rendering.torch_renderer.shader import CHECKED, Nodes, Recipe, Sky, Surface
+from services.rendering.torch_renderer.plan_stages import HEADROOM, radiance_stage, table_stages
+from services.rendering.torch_renderer.shader import Method, Recipe, Sky, Surface, checked_pixels
 
 ROWS = (24, 32, 48, 64, 96, 128, 192, 256)
 """Tables that are tried."""
 ORDER = 3
-"""Of Catmull-Rom: with a finer mesh a table's error falls by this power of it at best, so that some need no trial."""
+"""Order of Catmull-Rom interpolation: a table's error falls by this power of its mesh at best, so that some tables need
+no trial."""
 SHARP = (0, 8, 16, 32, 64, 128)
-"""SceneParameters of directions that are tried beside them, summed at the pixels."""
+"""Numbers of directions that are tried beside them, summed at the pixels."""
 ROUGH_AT = 48
 """Rows of the table for which the directions are put in the order of their roughness."""
-HEADROOM = 3.0
-"""How much worse than at the sampled pixels an error may be elsewhere; the same when a plan is made and when a picture
-is checked."""
+LEEWAY = 2.0
+"""The sampled check allows this many times the error that was measured when the plan was made."""
+LEAST_LEEWAY = 0.5
+"""The sampled check allows at least this part of what the tolerance leaves for it."""
 ROUNDING = 2e-5
-"""Displayed error of a sum in float32, at most; measured too, as sharp lobes magnify it."""
+"""Largest displayed error of a sum in float32 under smooth lobes. Sharp lobes magnify it, so it is measured too."""
 LOBES_SHARE = 0.2
-"""Part of the tolerance that lobes may cost that are left out or straightened."""
+"""Share of the tolerance that leaving out and straightening lobes may cost."""
 LOOKUP = 100
-"""A lookup costs as much as so many lobe values."""
+"""Cost of a lookup, in lobe values."""
 CARRY = 1.0
-"""A product with a factor that is kept costs as much as so many lobe values: it waits for memory."""
+"""Cost of a product with a stored factor, in lobe values: it waits for memory."""
 WORTH = 0.8
-"""A shortcut is taken where it costs less than this part of the straight way."""
-PICTURES = 50
-"""What is done once is done for so many pictures."""
+"""A table is used where it costs less than this part of the direct sum."""
+IMAGES = 50
+"""Images over which work that is done once is spread."""
 TRANSPORT_BYTES = 2**28
-"""Factors that may be kept for one object."""
+"""Largest memory of one object's stored factors."""
 
 
 def exact_recipe(sky: Sky) -> Recipe:
-    """Every direction and lobe, pixel by pixel, in float64."""
+    """A recipe that sums every direction and lobe at every pixel in float64."""
     every = torch.ones(dsbrdf.CHANNELS, dsbrdf.LOBES, dtype=torch.bool)
     texels = torch.arange(sky.power.shape[1])
     return Recipe(texels, False, every, ~every, "summed", moving=True, dtype=torch.float64)
@@ -59,33 +64,40 @@ def compile_plan(
     groups: Sequence[str],
     tolerance: Tolerance,
     size: tuple[int, int],
+    file_materials: int = 0,
 ) -> tuple[list[Recipe], Plan]:
-    """A recipe for each object and the plan that says so. `illumination` [D], the scene's own; deterministic."""
-    recipes, items, stages = [], [], []
+    """A recipe for each object and the plan that says so. `illumination` [D], the scene's own; `file_materials`: how
+    many of the meshes' parts bring a material of their own, of which only the base colour and the normals are drawn.
+    Deterministic."""
+    recipes, items, stages, gradients = [], [], [], []
     pixels = sum(len(surface.angles) for surface in surfaces)
     items.append(Item(what="pixels", kept=pixels, of=size[0] * size[1], why="the others show the ground alone"))
     seen = [surface for surface in surfaces if len(surface.angles)]
     if len(seen) < len(surfaces):
         items.append(Item(what="objects", kept=len(seen), of=len(surfaces), why="the others are seen by no pixel"))
+    if file_materials:
+        why = "metallic, roughness, emission and occlusion are ignored: the torch renderer has materials of its own"
+        items.append(Item(what="materials of the file", kept=0, of=file_materials, why=why))
     why = "the other groups keep their values"
     items.append(Item(what="gradients", kept=len(groups), of=3, why=why if len(groups) < 3 else "all are attacked"))
     for surface in surfaces:
         if tolerance == "exact" or not len(surface.angles):
             recipe = exact_recipe(sky)
             if len(surface.angles):
-                stages.append(_nodes_stage(surface, recipe, len(surface.angles), "exact, as asked", 0.0))
+                stages.append(radiance_stage(surface, recipe, len(surface.angles), "exact, as asked", 0.0))
         else:
             needs = _needs(surface, sky, illumination, groups, tolerance)
             items += needs.items
             recipe, chosen = _cheapest(surface, sky, illumination, groups, tolerance, needs)
             stages += chosen
+            gradients += gradient_errors(surface, sky, illumination, groups, recipe, exact_recipe(sky))
         recipes.append(recipe)
-    return recipes, Plan.of("torch", groups, size, tolerance, items, stages)
+    return recipes, Plan.of("torch", groups, size, tolerance, items, stages, gradients)
 
 
 @dataclass(frozen=True)
 class _Needs:
-    """What has to be computed at all, before any method: a recipe to start from, and what was left out of it."""
+    """What any method has to compute: a recipe to start from, and the plan's items for what it leaves out."""
 
     recipe: Recipe
     items: list[Item]
@@ -118,7 +130,7 @@ def _needs(surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[st
 
 
 def _directions(surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str]) -> tuple[Tensor, str]:
-    """Texels that can change the picture, and why not the others."""
+    """The texels that can change the image, and the reason why the others cannot."""
     power = sky.power if "illumination" in groups else sky.power * illumination
     lit = (power > 0).any(0)
     above = torch.ones_like(lit)
@@ -133,24 +145,24 @@ def _directions(surface: Surface, sky: Sky, illumination: Tensor, groups: Sequen
 def _cheapest(
     surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str], tolerance: float, needs: _Needs
 ) -> tuple[Recipe, list[Stage]]:
-    """The cheapest recipe whose estimated error fits into what the items left of the tolerance."""
+    """The cheapest recipe whose estimated error fits into what the items leave of the tolerance, and its stages."""
     left, pixels = tolerance - needs.error, len(surface.angles)
     direct = replace(
-        needs.recipe, nodes=_kind(needs.recipe, groups, pixels, looked_up=False, near=surface.viewers is not None)
+        needs.recipe, method=_method(needs.recipe, groups, pixels, looked_up=False, near=surface.viewers is not None)
     )
     rounding = ROUNDING + errors.of_float32(surface, sky, illumination, direct)
     if rounding > left:
         wide = replace(direct, dtype=torch.float64)
-        return wide, [_nodes_stage(surface, wide, pixels, f"float32 would be off by {rounding:.0e}", 0.0)]
+        return wide, [radiance_stage(surface, wide, pixels, f"float32 would be off by {rounding:.0e}", 0.0)]
     if surface.viewers is not None:
         why = "the viewer is near: radiance depends on the pixel, not on its normal alone"
-        return direct, [_nodes_stage(surface, direct, pixels, why, rounding)]
+        return direct, [radiance_stage(surface, direct, pixels, why, rounding)]
     measured = errors.Measured(surface, sky, illumination, groups, needs.recipe)
     why = "a table would cost more"
     limit = (left - rounding) / HEADROOM
     failed: list[tuple[int, int, float]] = []
-    for recipe, count in _tables(surface, sky, illumination, groups, direct, left):
-        rows, sharp = recipe.rows or 0, len(recipe.sharp)
+    for recipe, count in _tables(surface, sky, illumination, groups, direct, measured.angles):
+        rows, sharp = recipe.rows or 0, len(recipe.per_pixel_texels)
         if any(sharp <= more and off * min(1, of / rows) ** ORDER >= limit for of, more, off in failed):
             continue
         if errors.too_narrow(surface, sky, illumination, groups, recipe, left):
@@ -158,120 +170,68 @@ def _cheapest(
             why = "highlights are narrower than the mesh of any table that costs less"
             continue
         off = measured.error(recipe, limit)
-        error = HEADROOM * off + rounding
         if off <= limit:
-            return recipe, _table_stages(surface, recipe, count, pixels, error, direct)
+            guarded = replace(recipe, guard=min(limit, max(LEEWAY * off, LEAST_LEEWAY * limit)))
+            return guarded, table_stages(
+                surface,
+                guarded,
+                count,
+                ratio=_cost(direct, 0, pixels) / _cost(recipe, count, pixels),
+                measured=off,
+                error=HEADROOM * (guarded.guard or 0.0) + rounding,
+            )
         failed.append((rows, sharp, off))
-        why = f"a table of {rows} rows and {sharp} directions beside it may be off by {error:.1e} or more"
-    return direct, [_nodes_stage(surface, direct, pixels, why, rounding)]
+        why = f"a table of {rows} rows and {sharp} directions beside it may be off by {HEADROOM * off:.1e} or more"
+    return direct, [radiance_stage(surface, direct, pixels, why, rounding)]
 
 
 def _tables(
-    surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str], direct: Recipe, left: float
+    surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str], direct: Recipe, reached: Tensor
 ) -> Iterator[tuple[Recipe, int]]:
-    """Recipes with tables that cost less than `direct`, and their numbers of nodes, the cheapest first."""
+    """Recipes with tables that cost less than `direct`, and their numbers of nodes, the cheapest first.
+
+    `reached` are angles that the attack may take normals to: a flat object begins with one normal and ends with as many
+    as it has pixels. The cost is that of the mean of both numbers of nodes.
+    """
     pixels = len(surface.angles)
     rough = errors.roughness(surface, sky, illumination, groups, ROUGH_AT)
-    order = direct.kept[rough[direct.kept].argsort(descending=True, stable=True)]
+    order = direct.active_texels[rough[direct.active_texels].argsort(descending=True, stable=True)]
     found = []
     for rows in ROWS:
-        count = int(touched(surface.angles, rows).sum()) * tiles(rows).shape[1]
-        kind = _kind(direct, groups, count, looked_up=True)
+        begun = touched(surface.angles, rows)
+        count = int(begun.sum() + (begun | touched(reached, rows)).sum()) * tiles(rows).shape[1] // 2
+        kind = _method(direct, groups, count, looked_up=True)
         for sharp in SHARP:
             if sharp <= len(order) // 2:
-                recipe = replace(
-                    direct, nodes=kind, rows=rows, sharp=order[:sharp].sort().values, guard=left / HEADROOM
-                )
+                recipe = replace(direct, method=kind, rows=rows, per_pixel_texels=order[:sharp].sort().values)
                 found.append((_cost(recipe, count, pixels), recipe, count))
     for cost, recipe, count in sorted(found, key=lambda one: one[0]):
         if cost < WORTH * _cost(direct, 0, pixels):
             yield recipe, count
 
 
-def _kind(recipe: Recipe, groups: Sequence[str], nodes: int, looked_up: bool, near: bool = False) -> Nodes:
+def _method(recipe: Recipe, groups: Sequence[str], nodes: int, looked_up: bool, near: bool = False) -> Method:
     if "material" in groups or near:
         return "summed"
     if "illumination" in groups:
-        size = 4 * nodes * len(recipe.kept) * recipe.channels
-        return "transported" if "normals" not in groups and size <= TRANSPORT_BYTES else "summed"
-    return "tabulated" if looked_up else "summed"
+        size = 4 * nodes * len(recipe.active_texels) * recipe.channels
+        return "precomputed_transport" if "normals" not in groups and size <= TRANSPORT_BYTES else "summed"
+    return "cached_table" if looked_up else "summed"
 
 
 def _cost(recipe: Recipe, nodes: int, pixels: int) -> float:
-    """Of a picture, in lobe values. Without lobes a direction still costs its cosine."""
-    each = recipe.channels * max(recipe.lobes, 0.3)
+    """The cost of one image, in lobe values. Without lobes a direction still costs its cosine."""
+    carried = recipe.method == "precomputed_transport"
+    each = recipe.channels * (CARRY if carried else max(recipe.lobes, 0.3))
     if recipe.rows is None:
-        pairs, others = pixels * len(recipe.kept), 0.0
-        nodes_pairs = 0
-    else:
-        pairs, nodes_pairs = pixels * len(recipe.sharp), nodes * (len(recipe.kept) - len(recipe.sharp))
-        others = LOOKUP * pixels + CHECKED * len(recipe.kept) * each
-    if recipe.nodes == "transported":
-        return CARRY * recipe.channels * (pairs + nodes_pairs) + others
-    return each * (pairs + nodes_pairs / (PICTURES if recipe.nodes == "tabulated" else 1)) + others
-
-
-_METHODS: dict[Nodes, str] = {
-    "summed": "sum over directions and lobes",
-    "transported": "product with the light of factors computed once, as the picture is linear in it",
-    "tabulated": "sum over directions and lobes where a normal first needs it: neither light nor material changes",
-}
-
-
-def _nodes_stage(surface: Surface, recipe: Recipe, count: int, why: str, error: float) -> Stage:
-    pairs = count * (len(recipe.kept) - len(recipe.sharp)) * recipe.channels
-    kind = str(recipe.dtype).removeprefix("torch.")
-    return Stage(
-        part=surface.name,
-        name="radiance",
-        method=f"{_METHODS[recipe.nodes]}, {kind}, at {count} normals",
-        when="once" if recipe.nodes == "tabulated" else "every picture",
-        evaluations=pairs if recipe.nodes == "transported" else pairs * max(recipe.lobes, 1),
-        unit="products" if recipe.nodes == "transported" else "lobe values",
-        why=why,
-        error=error,
+        return each * pixels * len(recipe.active_texels)
+    at_pixels = pixels * len(recipe.per_pixel_texels) + min(checked_pixels(recipe), pixels) * len(recipe.active_texels)
+    at_nodes = (
+        nodes
+        * (len(recipe.active_texels) - len(recipe.per_pixel_texels))
+        / (IMAGES if recipe.method == "cached_table" else 1)
     )
-
-
-def _table_stages(
-    surface: Surface, recipe: Recipe, count: int, pixels: int, error: float, direct: Recipe
-) -> list[Stage]:
-    ratio = _cost(direct, 0, pixels) / _cost(recipe, count, pixels)
-    per_direction = recipe.channels * max(recipe.lobes, 1)
-    stages = [_nodes_stage(surface, recipe, count, "the normals that pixels are looked up between", 0.0)]
-    if len(recipe.sharp):
-        carried = recipe.nodes == "transported"
-        stages.append(
-            Stage(
-                part=surface.name,
-                name="sharp light",
-                method=f"{len(recipe.sharp)} directions summed pixel by pixel",
-                when="every picture",
-                evaluations=pixels * len(recipe.sharp) * (recipe.channels if carried else per_direction),
-                unit="products" if carried else "lobe values",
-                why="their edges at the horizon or their highlights are the sharpest: the table would blur them",
-            )
-        )
-    looked_up = Stage(
-        part=surface.name,
-        name="pixels",
-        method=f"looked up in a table of {recipe.rows} × {2 * (recipe.rows or 0)} normals (Catmull-Rom)",
-        when="every picture",
-        evaluations=pixels,
-        unit="lookups",
-        why=f"{ratio:.0f} times less work in all than pixel by pixel",
-        error=error,
-    )
-    checked = Stage(
-        part=surface.name,
-        name="check",
-        method=f"{min(CHECKED, pixels)} pixels are summed too; past the tolerance the whole picture is",
-        when="every picture",
-        evaluations=min(CHECKED, pixels) * len(recipe.kept) * per_direction,
-        unit="lobe values",
-        why="the attack may take the scene to where the table no longer holds",
-    )
-    return [*stages, looked_up, checked]
+    return LOOKUP * pixels + each * (at_pixels + at_nodes)
 
 
 def _item(surface: Surface, what: str, kept: int, of: int, why: str, error: float = 0.0) -> Item:

@@ -1,7 +1,6 @@
 """Named materials: DSBRDF coefficients fitted to analytic reference BRDFs by scripts/fit_materials.py."""
 
 import json
-from difflib import get_close_matches
 from functools import lru_cache
 from importlib.resources import files
 
@@ -10,6 +9,7 @@ from torch import Tensor
 
 from services.errors import InvalidRequest
 from services.rendering.torch_renderer.dsbrdf import SHAPE
+from services.suggestions import did_you_mean
 
 
 @lru_cache(maxsize=1)
@@ -26,7 +26,6 @@ def preset(name: str, field: str = "material") -> Tensor:
     """The coefficients of one preset. Raises InvalidRequest(field, …) with the nearest names if there is none."""
     known = presets()
     if name not in known:
-        close = get_close_matches(name, known, n=2, cutoff=0.4)
-        hint = f"did you mean {' or '.join(close)}?" if close else f"there are {', '.join(known)}"
-        raise InvalidRequest(field, f"no material preset {name!r}; {hint}")
+        hint = did_you_mean(name, known) or f"; there are {', '.join(known)}"
+        raise InvalidRequest(field, f"there is no material preset {name!r}{hint}")
     return known[name].clone()

@@ -16,13 +16,16 @@ import torch
 from torch import Tensor
 
 from services.rendering.compositing import Canvas
+from services.rendering.declaration import BuildRequest, DeclaredRenderer
 from services.rendering.kernels import compiled
-from services.rendering.opengl.gbuffer import GBuffer
-from services.rendering.plan import DEFAULT_TOLERANCE, Tolerance
+from services.rendering.opengl.gbuffer import GBuffer, rasterise
+from services.rendering.plan import DEFAULT_TOLERANCE, Plan, Tolerance
 from services.rendering.protocol import Parameters
 from services.rendering.torch_renderer import dsbrdf, lookup_table
+from services.rendering.torch_renderer.declaration import TORCH
 from services.rendering.torch_renderer.directions import directions, solid_angles
 from services.rendering.torch_renderer.environment_light import Illumination, illumination
+from services.rendering.torch_renderer.map_error import map_error
 from services.rendering.torch_renderer.normals import FURTHEST_ANGLE, to_angles
 from services.rendering.torch_renderer.planner import compile_plan
 from services.rendering.torch_renderer.presets import preset
@@ -32,7 +35,7 @@ from services.rendering.torch_renderer.units import MATERIAL_UNIT
 from services.scenes.resolve import ResolvedScene
 
 
-class TorchRenderer:
+class TorchRenderer(DeclaredRenderer):
     """Groups, each differentiable:
 
     normals [H, W, 2]: azimuth and polar angle in the camera's frame, radians (see `normals`). 0 and
@@ -43,15 +46,13 @@ class TorchRenderer:
     (services.rendering.torch_renderer.dsbrdf), times MATERIAL_UNIT.
     """
 
-    name = "torch"
-    groups = ("normals", "illumination", "material")
-    differentiable = True
+    declaration = TORCH
 
     def __init__(
         self,
         scene: ResolvedScene,
         gbuffer: GBuffer,
-        groups: Sequence[str] = groups,
+        groups: Sequence[str] = TORCH.group_names,
         tolerance: Tolerance = DEFAULT_TOLERANCE,
     ) -> None:
         """Compile `scene`, as rasterised in `gbuffer`, for attacks on `groups` (only these may then be rendered with
@@ -108,11 +109,22 @@ class TorchRenderer:
             )
         ]
         intensity = rounded["illumination"].flatten()
-        recipes, self.plan = compile_plan(surfaces, sky, intensity, groups, tolerance, self.size)
-        self._shaders = [
+        own = sum(part.metallic_roughness is not None for mesh in scene.meshes for part in mesh.parts)
+        recipes, plan = compile_plan(surfaces, sky, intensity, groups, tolerance, self.size, own)
+        self.shaders = [
             Shader(recipe, sky, surface, intensity) for recipe, surface in zip(recipes, surfaces, strict=True)
         ]
         self._twin = self if tolerance == "exact" else TorchRenderer(scene, gbuffer, tolerance="exact")
+        if self._twin is self:
+            map_error = _map_error(scene, surfaces, (sky, intensity), to_camera)
+        else:
+            map_error = self._twin.plan.environment_map_error
+        self.plan: Plan = plan.model_copy(update={"environment_map_error": map_error})
+
+    @classmethod
+    def build(cls, request: BuildRequest) -> "TorchRenderer":
+        """The renderer of a rasterised scene."""
+        return cls(request.scene, rasterise(request.scene), request.groups, request.tolerance)
 
     def initial(self) -> Parameters:
         """The scene's own values, in the renderer's dtype; all are float32 numbers."""
@@ -130,19 +142,6 @@ class TorchRenderer:
             "material": (ranges[:, :1], ranges[:, 1:]),
         }
 
-    def names(self, group: str) -> list[str] | None:
-        """Words for the material's coordinates; None for the image-like groups."""
-        if group != "material":
-            return None
-        return [
-            f"object {thing} {channel} lobe {lobe} {curve} {i}"
-            for thing in range(len(self._counts))
-            for channel in ("red", "green", "blue")
-            for lobe in range(dsbrdf.LOBES)
-            for curve in ("kappa", "gamma")
-            for i in range(dsbrdf.DEGREE + 1)
-        ]
-
     def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
         """Images [B, H, W, 3] in [0,1], in the renderer's dtype. ValueError for a wrong shape or an unknown group."""
         batch = {len(value) for value in parameters.values()} or {1}
@@ -152,7 +151,7 @@ class TorchRenderer:
             if group not in self._initial or value.shape[1:] != self._initial[group].shape:
                 wanted = {name: ("B", *initial.shape) for name, initial in self._initial.items()}
                 raise ValueError(f"group {group!r} of shape {tuple(value.shape)}; wanted {wanted}")
-            if group not in self._attacked and self._twin is not self:  # the judge's takes every group
+            if group not in self._attacked and self._twin is not self:  # the exact renderer takes every group
                 raise ValueError(f"group {group!r} is not among {self._attacked}, which this renderer is compiled for")
         # One image at a time: the same operations on the same shapes whatever else is in the batch, so the same bits.
         images = [
@@ -165,12 +164,17 @@ class TorchRenderer:
         """The float64 twin."""
         return self._twin
 
+    @property
+    def failed_checks(self) -> int:
+        """Times that an object's sampled check failed, so that its pixels were summed directly."""
+        return sum(shader.summed_after_all for shader in self.shaders)
+
     def _image(self, normals: Tensor, illumination: Tensor, material: Tensor) -> Tensor:
-        """One picture [H, W, 3]."""
+        """One image [H, W, 3]."""
         angles, intensity = self._canvas.covered(normals), illumination.flatten()
         shaded = [
             shader(own, intensity, of_object).to(self._dtype)
-            for shader, own, of_object in zip(self._shaders, torch.split(angles, self._counts), material, strict=True)
+            for shader, own, of_object in zip(self.shaders, torch.split(angles, self._counts), material, strict=True)
         ]
         return self._canvas.picture(torch.cat(shaded) if len(shaded) > 1 else shaded[0])
 
@@ -182,6 +186,16 @@ def sky_of(light: Illumination, to_camera: Tensor) -> Sky:
     half, theta_d = dsbrdf.half_vectors(towards, torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
     power = (light.exposure * light.chroma).reshape(-1, 3).T * solid_angles(rows, cols)
     return Sky(Directions.of(towards, half), dsbrdf.basis(theta_d) / MATERIAL_UNIT, power)
+
+
+def _map_error(
+    scene: ResolvedScene, surfaces: Sequence[Surface], own: tuple[Sky, Tensor], to_camera: Tensor
+) -> float | None:
+    """What the environment map's size costs a displayed value; None under the largest."""
+    if scene.finest_environment is None:
+        return None
+    finest = illumination(torch.as_tensor(scene.finest_environment))
+    return map_error(surfaces, own, (sky_of(finest, to_camera), finest.intensity.flatten()))
 
 
 def viewers_of(scene: ResolvedScene, size: tuple[int, int]) -> Tensor:

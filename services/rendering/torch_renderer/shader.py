@@ -1,15 +1,15 @@
-"""The radiance of one object's pixels, by the method its plan names.
+"""The radiance of one object's pixels, by the method that its recipe names.
 
-Pixels are summed each for itself, or looked up in a table over normals (table.py), whose nodes are summed. A table is
-good where radiance is smooth in the normal, and a few directions spoil that: each light has an edge where it sets
-behind the surface's horizon, steep for a strong one, and a highlight, narrow under a sharp lobe. So these directions
-are summed at the pixels all the same, and the table holds the rest.
+Each pixel is summed directly, or looked up in a table over normals (lookup_table) whose nodes are summed. A table is
+good where radiance is smooth in the normal, and a few texels spoil that: each light has an edge where it sets behind
+the surface's horizon, steep for a strong light, and a highlight, narrow under a sharp lobe. The light of these texels
+is summed at every pixel, and the table holds the rest.
 
-Either sum is done in the cheapest way that what is attacked allows:
+Either sum is done by the cheapest method that the attacked groups allow:
 
-- tabulated: neither light nor material changes, so the table is a fixed function of the normal, filled where needed;
-- transported: only the light changes, so radiance is linear in it and its factors are computed once;
-- summed: over directions and lobes, every picture, with its gradient.
+- cached_table: neither light nor material changes, so the table is a fixed function of the normal, filled where needed;
+- precomputed_transport: only the light changes, so radiance is linear in it and its factors are computed once;
+- summed: over directions and lobes, in every image, with its gradient.
 """
 
 from dataclasses import dataclass, field
@@ -21,15 +21,19 @@ from torch import Tensor
 from services.rendering.color import to_display
 from services.rendering.kernels import compiled
 from services.rendering.torch_renderer import dsbrdf, perspective
-from services.rendering.torch_renderer.lookup_table import look_up, node_vectors, tiles, touched
+from services.rendering.torch_renderer.lookup_table import TILE, look_up, node_vectors, tiles, touched
 from services.rendering.torch_renderer.normals import to_vectors
+from services.rendering.torch_renderer.sampled_check import chosen_pixels
 from services.rendering.torch_renderer.shading import Directions, Lobes, radiance, transport
 from services.rendering.torch_renderer.units import MATERIAL_UNIT
 
 CHECKED = 256
-"""Pixels of a looked-up picture that are summed as well, each time, to see whether the table still holds."""
+"""Pixels of a looked-up image that are summed as well, at most, to see whether the table still holds."""
 
-Nodes = Literal["tabulated", "transported", "summed"]
+CHECKED_AT_FIXED_NORMALS = 2 * CHECKED
+"""Pixels that are checked where only the light changes: their factors are stored, so that a check is a product."""
+
+Method = Literal["cached_table", "precomputed_transport", "summed"]
 
 
 @dataclass(frozen=True)
@@ -46,21 +50,21 @@ class Sky:
 class Recipe:
     """How one object is shaded: the executable side of its plan.
 
-    kept: texels of the map that are used at all [D]. gray: the three channels have the same lobes. varying, straight:
-    bool [3, LOBES], the lobes that are summed and those that are a straight line in log n·h; the others are left out.
-    rows: of the table over normals, None for none. sharp: the texels among `kept` that are summed at the pixels beside
-    the table [K]. moving: whether normals are attacked. guard: the displayed error at some pixels past which a picture
-    is summed pixel by pixel after all, None for no check.
+    active_texels: the texels of the map that are used at all [D]. gray: the three channels have the same lobes.
+    varying, straight: bool [3, LOBES], the lobes that are summed and those that are a straight line in log n·h; the
+    others are left out. rows: of the table over normals, None where there is no table. per_pixel_texels: those active
+    texels that are summed at the pixels beside the table [K]. moving: whether normals are attacked. guard: the
+    displayed error at a checked pixel beyond which the whole image is summed directly, None for no check.
     """
 
-    kept: Tensor
+    active_texels: Tensor
     gray: bool
     varying: Tensor
     straight: Tensor
-    nodes: Nodes
+    method: Method
     moving: bool
     rows: int | None = None
-    sharp: Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.int64))
+    per_pixel_texels: Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.int64))
     dtype: torch.dtype = torch.float32
     guard: float | None = None
 
@@ -77,9 +81,10 @@ class Recipe:
 
 @dataclass(frozen=True)
 class Surface:
-    """What one object shows: angles [P, 2] and base_color [P, 3] of its pixels, material [3, 3, 2, 6]; float64.
+    """The visible surface of one object: angles [P, 2] and base_color [P, 3] of its pixels, material [3, 3, 2, 6];
+    float64.
 
-    `viewers` [P, 3] are unit vectors to the camera where each pixel has its own, None for a viewer far away.
+    `viewers` [P, 3] are unit vectors to the camera where each pixel has its own, None for a distant viewer.
     """
 
     name: str
@@ -92,7 +97,7 @@ class Surface:
 class Shader:
     """Radiance [P, 3] of an object's pixels, by its recipe.
 
-    `summed_after_all` counts the pictures whose check failed.
+    `summed_after_all` counts the images whose sampled check failed.
     """
 
     def __init__(self, recipe: Recipe, sky: Sky, surface: Surface, illumination: Tensor) -> None:
@@ -102,18 +107,21 @@ class Shader:
         pixels = None if recipe.moving else to_vectors(angles)
         frozen = (surface.material, illumination)
         still = pixels if recipe.rows is None else None
-        self._whole = _Sum(recipe, recipe.kept, sky, frozen, still, surface.viewers)
+        self._whole = _Sum(recipe, recipe.active_texels, sky, frozen, still, surface.viewers)
         if recipe.rows is not None:
-            among = torch.isin(recipe.kept, recipe.sharp)
-            self._still_nodes = None if recipe.moving else _of_tiles(touched(angles, recipe.rows), recipe)
+            among = torch.isin(recipe.active_texels, recipe.per_pixel_texels)
+            self._still_tiles = None if recipe.moving else touched(angles, recipe.rows)
+            self._still_nodes = None if self._still_tiles is None else _of_tiles(self._still_tiles, recipe)
             at_nodes = None if self._still_nodes is None else self._still_nodes.vectors
-            self._smooth = _Sum(recipe, recipe.kept[~among], sky, frozen, at_nodes)
-            self._sharp = _Sum(recipe, recipe.kept[among], sky, frozen, pixels)
-            self._checked = torch.arange(0, len(angles), max(1, len(angles) // CHECKED))
-            self._checked_color = surface.base_color[self._checked]
-            self._truth = (
-                self._whole if pixels is None else _Sum(recipe, recipe.kept, sky, frozen, pixels[self._checked])
-            )
+            self._smooth = _Sum(recipe, recipe.active_texels[~among], sky, frozen, at_nodes)
+            self._sharp = _Sum(recipe, recipe.active_texels[among], sky, frozen, pixels)
+            self._color = surface.base_color.to(recipe.dtype)
+            self._fixed_check = None
+            if (
+                recipe.method == "precomputed_transport" and pixels is not None
+            ):  # their factors are stored, so they stay
+                self._fixed_check = torch.arange(0, len(angles), max(1, len(angles) // CHECKED_AT_FIXED_NORMALS))
+                self._checked_sum = _Sum(recipe, recipe.active_texels, sky, frozen, pixels[self._fixed_check])
             self._known = torch.zeros(len(tiles(recipe.rows)), dtype=torch.bool)
             self._table = torch.zeros(2 * recipe.rows**2, 3, dtype=recipe.dtype)
         self.summed_after_all = 0
@@ -123,22 +131,36 @@ class Shader:
         angles, recipe = angles.to(self.recipe.dtype), self.recipe
         if recipe.rows is None:
             return self._whole(to_vectors(angles), illumination, material)
-        shaded = look_up(self._filled(angles, illumination, material), angles)
-        if len(recipe.sharp):
+        filled = touched(angles, recipe.rows) if self._still_tiles is None else self._still_tiles
+        if recipe.moving and recipe.method == "summed" and int(filled.sum()) * TILE**2 >= len(angles):
+            return self._whole(to_vectors(angles), illumination, material)  # the table would be the longer sum
+        table = self._filled(filled, illumination, material)
+        shaded = look_up(table, angles)
+        if len(recipe.per_pixel_texels):
             shaded = shaded + self._sharp(to_vectors(angles), illumination, material)
-        if recipe.guard is not None and self._misses(shaded, angles, illumination, material) > recipe.guard:
-            self.summed_after_all += 1
-            return self._whole(to_vectors(angles), illumination, material)
-        return shaded
+        if recipe.guard is None:
+            return shaded
+        with torch.no_grad():
+            if self._fixed_check is None:
+                at = chosen_pixels(CHECKED, table, filled, recipe.rows, angles, shaded, self._color)
+                truth = self._whole(to_vectors(angles[at]), illumination, material)
+            else:
+                at = self._fixed_check
+                truth = self._checked_sum(to_vectors(angles[at]), illumination, material)
+            held = displayed_error(shaded[at], truth, self._color[at]) <= recipe.guard
+        if held:
+            return shaded
+        self.summed_after_all += 1
+        return self._whole(to_vectors(angles), illumination, material)
 
-    def _filled(self, angles: Tensor, illumination: Tensor, material: Tensor) -> Tensor:
-        """The table with every node that `angles` need."""
+    def _filled(self, wanted: Tensor, illumination: Tensor, material: Tensor) -> Tensor:
+        """The table with every node of the `wanted` tiles."""
         recipe = self.recipe
         assert recipe.rows is not None
-        if recipe.nodes != "tabulated":
-            nodes = self._still_nodes or _of_tiles(touched(angles, recipe.rows), recipe)
+        if recipe.method != "cached_table":
+            nodes = self._still_nodes or _of_tiles(wanted, recipe)
             return self._table.index_copy(0, nodes.places, self._smooth(nodes.vectors, illumination, material))
-        missing = touched(angles, recipe.rows) & ~self._known
+        missing = wanted & ~self._known
         if bool(missing.any()):
             if compiled.library() is None:  # in torch a value's last bits depend on its neighbours: all at once
                 missing = torch.ones_like(missing)
@@ -148,16 +170,15 @@ class Shader:
             self._known |= missing
         return self._table
 
-    @torch.no_grad()
-    def _misses(self, shaded: Tensor, angles: Tensor, illumination: Tensor, material: Tensor) -> float:
-        """The largest displayed error of the looked-up radiance at the checked pixels."""
-        at = self._checked
-        truth = self._truth(to_vectors(angles[at]), illumination, material)
-        return displayed_error(shaded[at], truth, self._checked_color)
+
+def checked_pixels(recipe: Recipe) -> int:
+    """Pixels of a looked-up image that are summed as well, at most."""
+    return CHECKED_AT_FIXED_NORMALS if recipe.method == "precomputed_transport" else CHECKED
 
 
 class _Sum:
-    """The sum over some directions at any normals, or at fixed ones where its factors are kept ("transported")."""
+    """The sum over some directions at any normals, or at fixed normals where its factors are stored
+    ("precomputed_transport")."""
 
     def __init__(
         self,
@@ -176,16 +197,16 @@ class _Sum:
         self._curves, self._power = sky.curves[kept].to(recipe.dtype), sky.power[:, kept].to(recipe.dtype)
         self._plain = bool(recipe.varying.all()) and not bool(recipe.straight.any())
         self._lobes = self._light = self._factors = None
-        if recipe.nodes != "summed":
+        if recipe.method != "summed":
             self._lobes = self._lobes_of(frozen[0].to(recipe.dtype))
-        if recipe.nodes == "tabulated":
+        if recipe.method == "cached_table":
             self._light = self._light_of(frozen[1])
-        if recipe.nodes == "transported" and normals is not None:
+        if recipe.method == "precomputed_transport" and normals is not None:
             assert self._lobes is not None
             self._factors = transport(normals, self._lobes, self._directions)
 
     def __call__(self, normals: Tensor, illumination: Tensor, material: Tensor) -> Tensor:
-        """Radiance [N, 3]; `normals` are not looked at where factors for them are kept."""
+        """Radiance [N, 3]; `normals` are ignored where factors for them are stored."""
         if self._factors is None:
             return self.summed(normals, illumination, material)
         light = self._light_of(illumination)
@@ -206,8 +227,7 @@ class _Sum:
         return self._power * illumination[self._kept].to(self._recipe.dtype)
 
     def _alike(self, material: Tensor) -> bool:
-        """Whether one channel does for all: those that are the same need no gradient to be told apart, and give the
-        same bits."""
+        """Whether one channel stands for all three: equal channels without gradients give the same bits."""
         return self._recipe.gray or (not material.requires_grad and bool((material == material[:1]).all()))
 
     def _lobes_of(self, material: Tensor) -> Lobes:
@@ -221,7 +241,7 @@ class _Sum:
 
 @dataclass(frozen=True)
 class _Nodes:
-    """Where nodes stand in the flattened table [N], and their normals [N, 3]."""
+    """Nodes of a table: their places in the flattened table [N] and their normals [N, 3]."""
 
     places: Tensor
     vectors: Tensor

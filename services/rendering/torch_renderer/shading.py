@@ -1,8 +1,8 @@
 """The shading sum over all directions, and its derivatives, in a few buffers whatever the number of normals.
 
-Written as one autograd function. Left to autograd, a picture of 60,000 pixels and 512 directions keeps dozens of
+Written as one autograd function. Left to autograd, an image of 60,000 pixels and 512 directions keeps dozens of
 tensors of 120 MB; recomputed chunk by chunk they still fragment the heap to 2.4 GB (measured). Here the backward pass
-recomputes them in place: in the compiled loops (native) where they are, else in torch, which is the same sum written
+recomputes them in place: in the compiled kernels where they are, else in torch, which is the same sum written
 down once more and runs on any device.
 """
 
@@ -15,6 +15,7 @@ from torch.autograd.function import once_differentiable
 from torch.nn.functional import normalize
 
 from services.rendering.kernels import compiled
+from services.rendering.kernels.structures import SceneDouble, SceneFloat
 from services.rendering.torch_renderer.dsbrdf import COSINE_FLOOR, LOG_EXPONENT_RANGE
 
 CHUNK = 2**18
@@ -75,7 +76,7 @@ def transport(normals: Tensor, lobes: Lobes, directions: Directions) -> Tensor:
     """ρ(θ_h, θ_d) · max(0, n·ω) of every direction and normal, [C, D, N]: radiance per unit of light."""
     out = normals.new_empty(len(lobes.base), directions.towards.shape[1], len(normals))
     if compiled.runs(normals):
-        kept = _pack(
+        packed = _pack(
             normals,
             None,
             lobes.log_kappa,
@@ -85,7 +86,7 @@ def transport(normals: Tensor, lobes: Lobes, directions: Directions) -> Tensor:
             directions.towards,
             directions.half,
         )
-        compiled.call("transport", normals.dtype, kept.scene, out, compiled.threads())
+        compiled.call("transport", normals.dtype, packed.scene, out, compiled.threads())
         return out
     step = _at_once(out.shape[1])
     for start in range(0, len(normals), step):
@@ -106,8 +107,8 @@ class _Radiance(torch.autograd.Function):
         normals, light, log_kappa, gamma, base, tilt, towards, half = inputs
         result = torch.empty_like(normals)
         if compiled.runs(normals):
-            kept = _pack(*inputs)
-            compiled.call("shade", normals.dtype, kept.scene, result, compiled.threads())
+            packed = _pack(*inputs)
+            compiled.call("shade", normals.dtype, packed.scene, result, compiled.threads())
             return result
         step = _at_once(light.shape[1])
         buffers = normals.new_empty(3, min(step, len(normals)), light.shape[1])
@@ -128,18 +129,20 @@ class _Radiance(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, slope: Tensor) -> tuple[Tensor | None, ...]:
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         inputs = ctx.saved_tensors
         of_normals, of_light, of_kappa, of_gamma = ctx.needs_input_grad[:4]
         normals, light, log_kappa, gamma = inputs[:4]
         d_normals, d_light = torch.zeros_like(normals), torch.zeros_like(light)
         d_kappa, d_gamma = torch.zeros_like(log_kappa), torch.zeros_like(gamma)
         if compiled.runs(normals):
-            kept = _pack(*inputs)
+            packed = _pack(*inputs)
             rows = (d_light, d_kappa, d_gamma, d_normals if of_normals else None)
-            compiled.call("shade_backward", normals.dtype, kept.scene, slope.contiguous(), *rows, compiled.threads())
+            compiled.call(
+                "shade_backward", normals.dtype, packed.scene, gradient.contiguous(), *rows, compiled.threads()
+            )
         else:
-            _slopes(inputs, slope, of_normals, of_kappa or of_gamma, (d_normals, d_light, d_kappa, d_gamma))
+            _gradients(inputs, gradient, of_normals, of_kappa or of_gamma, (d_normals, d_light, d_kappa, d_gamma))
         return (
             d_normals if of_normals else None,
             d_light if of_light else None,
@@ -152,10 +155,10 @@ class _Radiance(torch.autograd.Function):
         )
 
 
-def _slopes(
-    inputs: tuple[Tensor, ...], slope: Tensor, of_normals: bool, of_lobes: bool, into: tuple[Tensor, ...]
+def _gradients(
+    inputs: tuple[Tensor, ...], gradient: Tensor, of_normals: bool, of_lobes: bool, into: tuple[Tensor, ...]
 ) -> None:
-    """With A = slope · light · max(0, n·ω) and x = log κ + γ log n·h, so that ρ = base + Σ exp(exp x) − 1:
+    """With A = gradient · light · max(0, n·ω) and x = log κ + γ log n·h, so that ρ = base + Σ exp(exp x) − 1:
 
     d log κ = Σ_normals A exp(exp x) exp x,  d γ = the same with log n·h,  d log n·h = Σ_lobes A exp(exp x) exp x γ.
     """
@@ -165,7 +168,7 @@ def _slopes(
     step = _at_once(light.shape[1])
     buffers = normals.new_empty(7, min(step, len(normals)), light.shape[1])
     for start in range(0, len(normals), step):
-        n, g = normals[start : start + step], slope[start : start + step]
+        n, g = normals[start : start + step], gradient[start : start + step]
         cosine, x, lobe, rho, lit, weight, d_log_half = buffers[:, : len(n)]
         torch.mm(n, towards, out=cosine).clamp_min_(0.0)
         log_half = _log_half(n, half)
@@ -207,7 +210,7 @@ def _log_half(normals: Tensor, half: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class _Packed:
-    scene: compiled.SceneFloat | compiled.SceneDouble
+    scene: SceneFloat | SceneDouble
     tensors: tuple[Tensor | None, ...]
     """Kept alive as long as the pointers to them."""
 
@@ -223,7 +226,7 @@ def _pack(
     half: Tensor,
 ) -> _Packed:
     held = [t if t is None else t.contiguous() for t in (normals, towards, half, light, base, tilt, log_kappa, gamma)]
-    kind = compiled.SceneDouble if normals.dtype == torch.float64 else compiled.SceneFloat
+    kind = SceneDouble if normals.dtype == torch.float64 else SceneFloat
     pointers = (None if t is None else t.data_ptr() for t in held)
     sizes = (len(normals), towards.shape[1], len(base), log_kappa.shape[1])
     return _Packed(kind(*sizes, *pointers, COSINE_FLOOR, *LOG_EXPONENT_RANGE), tuple(held))

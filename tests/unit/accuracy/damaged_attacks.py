@@ -3,7 +3,7 @@
 import torch
 
 from services.accuracy.stability import differences, precision
-from services.attacks import goal, problem, zoo
+from services.attacks import goal, problem
 from services.attacks.differences import Estimate
 from services.attacks.fgsm import FgsmMethod
 from services.rendering import color
@@ -50,15 +50,14 @@ def any_number_of_labels(patch) -> None:
 
 
 def never_flat(patch) -> None:
-    """Differences of rounding are taken for slopes; the way between the sides is always said to be 2δ and more."""
+    """Differences of rounding are taken for gradients; the way between the sides is always said to be 2δ and more."""
     true = differences.estimate
 
     def estimate(*given):
         found = true(*given[:-1], -1.0)
-        return Estimate(1.3 * found.slopes + 1e-3, torch.zeros_like(found.flat))
+        return Estimate(1.3 * found.gradients + 1e-3, torch.zeros_like(found.below_noise))
 
     patch.setattr(differences, "estimate", estimate)
-    patch.setattr(zoo, "estimate", estimate)
 
 
 def no_bounds(patch) -> None:
@@ -111,7 +110,7 @@ def no_limit(patch) -> None:
 
 
 def narrow_rounding(patch) -> None:
-    """Pictures are rounded to 8 bits in their own type."""
+    """Images are rounded to 8 bits in their own type."""
 
     def as_saved(images):
         return color.from_bytes((images.clamp(0, 1) * 255).round().to(torch.uint8))

@@ -13,7 +13,7 @@ from services.scenes import normals, resolve, surfaces
 
 
 def shifted_frames(patch) -> None:
-    """Rasterised pictures that are one pixel too low, their coverage nine tenths of what it is."""
+    """Rasterised images that are one pixel too low, their coverage nine tenths of what it is."""
     for module in (views, normals_cases):
         true = module.rasterise
 
@@ -120,7 +120,7 @@ def no_checks(patch) -> None:
 
 
 def stray_light(patch) -> None:
-    """Pictures and radiances that have a little of every light, wherever it is, and are not bounded."""
+    """Images and radiances that have a little of every light, wherever it is, and are not bounded."""
 
     class Stray(lights.PyrenderRenderer):
         def radiance(self, parameters):

@@ -47,8 +47,8 @@ def brighter_lobes(patch) -> None:
     other_lobes(patch, kappa=1.05)
 
 
-def wrong_slopes(patch) -> None:
-    """Gradients a tenth too long, pictures as they are."""
+def wrong_gradients(patch) -> None:
+    """Gradients a tenth too long, images as they are."""
 
     class Longer(torch.autograd.Function):
         @staticmethod
@@ -56,8 +56,8 @@ def wrong_slopes(patch) -> None:
             return value.clone()
 
         @staticmethod
-        def backward(_, slope):
-            return 1.1 * slope
+        def backward(_, gradient):
+            return 1.1 * gradient
 
     true = Canvas.picture
     patch.setattr(Canvas, "picture", lambda canvas, radiance: Longer.apply(true(canvas, radiance)))
@@ -100,7 +100,7 @@ def far_too_bright_light(patch) -> None:
     brighter_light(patch, 10.0)
 
 
-def turned_slopes(patch) -> None:
+def turned_gradients(patch) -> None:
     """Gradients of normals in a table that mix up rows and columns."""
     true = shader.look_up
 
@@ -110,8 +110,8 @@ def turned_slopes(patch) -> None:
             return angles.clone()
 
         @staticmethod
-        def backward(_, slope):
-            return slope.flip(-1)
+        def backward(_, gradient):
+            return gradient.flip(-1)
 
     patch.setattr(shader, "look_up", lambda values, angles: true(values, Turned.apply(angles)))
 

@@ -4,7 +4,7 @@ import pytest
 
 from services.accuracy.stability.case import Case, observe
 from services.accuracy.stability.cases import cases
-from tests.unit.accuracy import damaged_attacks, damaged_geometry, damaged_pictures, damaged_shading
+from tests.unit.accuracy import damaged_attacks, damaged_geometry, damaged_images, damaged_shading
 
 ALL = {(case.family, case.name): case for case in cases()}
 QUICK = cases(quick=True)
@@ -17,16 +17,19 @@ BROKEN = {
             ["κ 1e4, γ 1e5", "κ 0.5, γ 1e5", "κ 88, γ 1e3", "κ 0.5, γ 300", "material + 1e6"],
         ),
         (damaged_shading.brighter_lobes, ["κ 0.3, γ 1e-3"]),
-        (damaged_shading.wrong_slopes, ["slope, κ 4, γ 300", "slope, κ 0.3, γ 1"]),
+        (damaged_shading.wrong_gradients, ["gradient, κ 4, γ 300", "gradient, κ 0.3, γ 1"]),
     ],
     "normals": [
         (
             damaged_shading.turned_normals,
             ["upper pole", "lower pole", "view axis", "grazing", "back-facing, oblique", "angles of 1e3"],
         ),
-        (damaged_pictures.lighter_pictures, ["back-facing"]),
+        (damaged_images.lighter_images, ["back-facing"]),
         (damaged_shading.blunt_poles, ["azimuth at the upper pole", "azimuth at the lower pole"]),
-        (damaged_shading.wrong_slopes, ["slope beside the pole", "slope on the view axis", "slope when grazing"]),
+        (
+            damaged_shading.wrong_gradients,
+            ["gradient beside the pole", "gradient on the view axis", "gradient when grazing"],
+        ),
         (damaged_shading.angles_by_arc_cosine, ["vector to angles and back"]),
         (damaged_geometry.long_normals, ["edge-on square"]),
     ],
@@ -62,9 +65,9 @@ BROKEN = {
         ),
         (damaged_shading.naive_lobes, ["material only, moved far"]),
         (damaged_shading.far_too_bright_light, ["tolerance 0.1"]),
-        (damaged_shading.wrong_slopes, ["illumination only, slope", "material only, slope"]),
-        (damaged_shading.turned_slopes, ["normals only, slope"]),
-        (damaged_pictures.lighter_pictures, ["illumination only, off"]),
+        (damaged_shading.wrong_gradients, ["illumination only, gradient", "material only, gradient"]),
+        (damaged_shading.turned_gradients, ["normals only, gradient"]),
+        (damaged_images.lighter_images, ["illumination only, off"]),
     ],
     "views": [
         (
@@ -82,7 +85,7 @@ BROKEN = {
             ],
         ),
         (damaged_geometry.anything_in_view, ["out of view", "behind the camera", "less than a pixel"]),
-        (damaged_pictures.moved_by_parameters, ["moved out of view", "moved 1e15 away"]),
+        (damaged_images.moved_by_parameters, ["moved out of view", "moved 1e15 away"]),
     ],
     "meshes": [
         (damaged_geometry.kept_faces, ["degenerate triangles"]),
@@ -133,7 +136,7 @@ BROKEN = {
         (damaged_attacks.odds_by_largest, ["two classes"]),
         (
             damaged_attacks.any_number_of_labels,
-            ["one class, its slope", "one class, its advantage", "one class, attacked"],
+            ["one class, its gradient", "one class, its advantage", "one class, attacked"],
         ),
         (damaged_geometry.no_checks, ["NaN score", "infinite score"]),
     ],
@@ -168,13 +171,13 @@ BROKEN = {
     ],
     "sizes": [
         (damaged_shading.brighter_light, ["1 px, torch", "1×300 px", "257² px", "2048² px, torch", "white albedo"]),
-        (damaged_pictures.lighter_pictures, ["black albedo"]),
+        (damaged_images.lighter_images, ["black albedo"]),
         (damaged_attacks.no_limit, ["1 px, attacked", "1 px, its own value"]),
-        (damaged_pictures.grainy_pictures, ["1 px, pyrender", "300×7 px, pyrender", "2048² px, pyrender"]),
+        (damaged_images.grainy_images, ["1 px, pyrender", "300×7 px, pyrender", "2048² px, pyrender"]),
     ],
     "precision": [
-        (damaged_pictures.eight_bit_pictures, ["bf16 parameters"]),
-        (damaged_attacks.narrow_rounding, ["bf16 picture"]),
+        (damaged_images.eight_bit_images, ["bf16 parameters"]),
+        (damaged_attacks.narrow_rounding, ["bf16 image"]),
         (damaged_attacks.narrow_odds, ["bf16 scores"]),
         (damaged_attacks.narrow_scores, ["bf16 network"]),
         (damaged_attacks.short_seeds, ["seeds 0 and 2⁶³ − 1"]),

@@ -3,8 +3,7 @@ import math
 import pytest
 import torch
 
-from services.analysis.perceptibility import VECTOR_DIMENSIONS, beyond, of_groups, of_pictures, perceptibility
-from services.attacks.spec import RENDERER_GROUPS
+from services.analysis.perceptibility import beyond, of_groups, of_pictures, perceptibility
 
 
 def test_a_constant_change_by_hand() -> None:
@@ -27,10 +26,6 @@ def test_groups_take_the_mean_over_their_places() -> None:
     p = of_groups("torch", ones)
     assert p == pytest.approx({"normals": math.sqrt(2), "illumination": 1.0, "material": math.sqrt(12)})
     assert of_groups("pyrender", {"illumination": torch.ones(5)}) == pytest.approx({"illumination": math.sqrt(5)})
-
-
-def test_every_group_of_every_renderer_has_a_form() -> None:
-    assert {name: tuple(groups) for name, groups in VECTOR_DIMENSIONS.items()} == RENDERER_GROUPS
 
 
 def test_beyond_counts_pixels_not_channels() -> None:

@@ -7,18 +7,18 @@ from tests.unit.attacks.small import problem
 
 def test_every_subset_once_and_the_ends_are_the_original_and_the_attacked() -> None:
     case = problem()
-    judge = Verifier(case.renderer, case.target)
+    verifier = Verifier(case.renderer, case.target)
     perturbation = {"a": torch.full((2, 3), 0.05), "b": torch.full((3,), 0.3)}
-    original, attacked = judge.picture({}), judge.picture(perturbation)
-    known = [(picture, judge.logits(picture)) for picture in (original, attacked)]
-    asked = judge.queries
-    rows = subsets(judge, case.goal, perturbation, *known)
-    assert judge.queries == asked + 2  # what is known is not asked again
+    original, attacked = verifier.picture({}), verifier.picture(perturbation)
+    known = [(picture, verifier.logits(picture)) for picture in (original, attacked)]
+    asked = verifier.queries
+    rows = subsets(verifier, case.goal, perturbation, *known)
+    assert verifier.queries == asked + 2  # what is known is not asked again
     assert [row.groups for row in rows] == [[], ["a"], ["b"], ["a", "b"]]
     assert rows[0].perceptibility == 0
     assert not rows[0].fooled
     for row in rows:
-        fresh = judge.logits(judge.picture({g: perturbation[g] for g in row.groups}))
+        fresh = verifier.logits(verifier.picture({g: perturbation[g] for g in row.groups}))
         assert row.goal_probability == float(torch.softmax(fresh.double(), 0)[case.goal.label])
     # a subset applies its own groups and no other
     assert len({row.perceptibility for row in rows}) == 4

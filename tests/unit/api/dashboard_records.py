@@ -9,9 +9,10 @@ from fastapi import FastAPI
 
 from api import dashboard
 from api.state import Services
+from services.jobs.attempts import Attempt
 from services.jobs.database import connect, migrate
 from services.jobs.models import Artifact, Job
-from services.jobs.repository import Attempt, Repository
+from services.jobs.repository import Repository
 from services.pipeline.outcome import outcome
 from services.pipeline.result import Result
 from services.pipeline.spec import JobSpec, parse
@@ -39,7 +40,7 @@ def row(step: int, **changed: Any) -> dict[str, Any]:
         "distance": 2.0 * step,
         "perceptibility": 0.003 * step,
         "truncated": 0,
-        "flat": 0,
+        "below_noise": 0,
         "queries": 2 * step + 2,
         "renders": 2 * step + 2,
         "seconds": 0.25 * step,
@@ -50,7 +51,13 @@ def result(spec: JobSpec = SPEC, **changed: Any) -> dict[str, Any]:
     """A result that a job of this spec could have."""
 
     def answer(label: str, confidence: float) -> dict[str, Any]:
-        top = [[label, confidence], ["upright", 0.1], ["accordion", 0.05], ["desk", 0.002], ["harp", 0.0000213]]
+        top = [
+            [label, confidence],
+            ["upright", 0.1],
+            ["accordion", 0.05],
+            ["desk", 0.002],
+            ["harp", 0.0000213],
+        ]
         return {"label": label, "index": 1, "confidence": confidence, "goal_probability": 0.2, "top": top}
 
     def subset(groups: list[str], fooled: bool) -> dict[str, Any]:

@@ -65,6 +65,17 @@ BAD = {
     "no objects": ({"scene__objects": []}, "scene.objects"),
     "too many objects": ({"scene__objects": [{"mesh": "primitive/sphere"}] * 17}, "scene.objects"),
     "too many lights": ({"scene__lights": {"points": [{}] * 5}}, "scene.lights.points"),
+    "too many suns": ({"scene__lights": {"directional": [{}] * 5}}, "scene.lights.directional"),
+    "too many spots": ({"scene__lights": {"spots": [{}] * 5}}, "scene.lights.spots"),
+    "no direction": (
+        {"scene__lights": {"directional": [{"direction": [0, 0, 0]}]}},
+        "scene.lights.directional.0.direction",
+    ),
+    "cone inside out": (
+        {"scene__lights": {"spots": [{"inner_angle": 0.5, "outer_angle": 0.5}]}},
+        "scene.lights.spots.0.outer_angle",
+    ),
+    "cone too wide": ({"scene__lights": {"spots": [{"outer_angle": 2}]}}, "scene.lights.spots.0.outer_angle"),
     "steps out of bounds": ({"attack__steps": 0}, "attack.steps"),
     "queries out of bounds": ({"attack__queries": 10**9}, "attack.queries"),
     "seconds out of bounds": ({"attack__seconds": -1}, "attack.seconds"),

@@ -1,7 +1,7 @@
 import pytest
 
 from api.dashboard.charts import BOTTOM, HEIGHT, LEFT, RIGHT, TOP, WIDTH, chart
-from api.dashboard.views import told
+from api.dashboard.views import trace_of_events
 from services.jobs.models import Event
 from tests.unit.api.dashboard_records import row
 
@@ -56,6 +56,6 @@ def test_steps_told_twice_count_as_told_last() -> None:
         event(row(2, loss=0.5)),  # the next attempt took up a checkpoint of step 2
         event(row(3, loss=0.25)),
     ]
-    rows = told(events)
+    rows = trace_of_events(events)
     assert [r["step"] for r in rows] == [0, 1, 2, 3]
     assert [r["loss"] for r in rows[2:]] == [0.5, 0.25]

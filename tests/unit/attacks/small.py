@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from services.attacks.goal import ResolvedGoal
-from services.attacks.problem import AttackProblem, Evaluation, ask, saved, slopes
+from services.attacks.problem import AttackProblem, Evaluation, ask, gradients, quantize
 from services.rendering.protocol import Parameters
 
 
@@ -41,6 +41,9 @@ class LinearRenderer:
 
     def names(self, group: str) -> None:
         return None
+
+    def inactive(self, parameters: Mapping[str, Tensor], reach: Mapping[str, float]) -> tuple[()]:
+        return ()
 
     def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
         image = self.base.to(self.dtype).flatten()[None]
@@ -90,7 +93,7 @@ def problem(
 
 
 def guided(case: AttackProblem, perturbation: Parameters) -> Evaluation:
-    """The view of a perturbation with the objective's slopes, as the loop hands it to FGSM."""
+    """The view of a perturbation with the objective's gradients, as the loop hands it to FGSM."""
     view = case.view(perturbation, gradient=True)
-    [found] = slopes([case], [view], ask([case], saved(view.images)[1]))
-    return replace(view, slopes=found)
+    [found] = gradients([case], [view], ask([case], quantize(view.images)[1]))
+    return replace(view, gradients=found)

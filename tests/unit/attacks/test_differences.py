@@ -2,7 +2,7 @@ from collections.abc import Mapping
 
 import torch
 
-from services.attacks.differences import CANDIDATES, estimate, layout, measure_deltas, measure_noise
+from services.attacks.differences import CANDIDATES, estimate, measure_half_steps, measure_noise
 from services.attacks.problem import AttackProblem
 from tests.unit.attacks.small import LinearRenderer, LinearTarget, problem
 
@@ -11,7 +11,7 @@ ALL = torch.arange(9)
 
 def gradient(case: AttackProblem) -> torch.Tensor:
     """Of the objective at the start, by autograd: the reference no difference is involved in."""
-    where = layout(case)
+    where = case.layout
     flat = torch.zeros(where.total, dtype=torch.float64, requires_grad=True)
     images = case.renderer.render(where.unflatten((where.flatten(case.initial) + flat)[None]))
     value = case.goal.advantage(case.target.logits(images))
@@ -19,13 +19,13 @@ def gradient(case: AttackProblem) -> torch.Tensor:
     return torch.autograd.grad(value.sum(), flat)[0]
 
 
-def test_slopes_agree_with_autograd() -> None:
+def test_gradients_agree_with_autograd() -> None:
     case = problem(weight=0.3)
     found = estimate(case, torch.zeros(9).double(), ALL, torch.full((9,), 1e-5).double(), noise=0.0)
     # group b starts on its lower bound: the difference there is one-sided, of first order in δ only
-    torch.testing.assert_close(found.slopes[:6], gradient(case)[:6], rtol=1e-6, atol=1e-9)
-    torch.testing.assert_close(found.slopes[6:], gradient(case)[6:], rtol=1e-3, atol=1e-5)
-    assert not found.flat.any()
+    torch.testing.assert_close(found.gradients[:6], gradient(case)[:6], rtol=1e-6, atol=1e-9)
+    torch.testing.assert_close(found.gradients[6:], gradient(case)[6:], rtol=1e-3, atol=1e-5)
+    assert not found.below_noise.any()
 
 
 def test_a_coordinate_does_not_hear_of_the_others_in_its_batch() -> None:
@@ -33,8 +33,8 @@ def test_a_coordinate_does_not_hear_of_the_others_in_its_batch() -> None:
     case = problem(weight=50.0)
     at = 0.05 * torch.ones(9).double()
     deltas = torch.full((9,), 1e-3).double()
-    together = estimate(case, at, ALL, deltas, 0.0).slopes
-    alone = torch.stack([estimate(case, at, ALL[k : k + 1], deltas[k : k + 1], 0.0).slopes[0] for k in range(9)])
+    together = estimate(case, at, ALL, deltas, 0.0).gradients
+    alone = torch.stack([estimate(case, at, ALL[k : k + 1], deltas[k : k + 1], 0.0).gradients[0] for k in range(9)])
     torch.testing.assert_close(together, alone, rtol=1e-9, atol=1e-10)
 
 
@@ -42,11 +42,11 @@ def test_eight_bit_pictures_make_small_differences_flat_and_they_are_called_so()
     deltas = torch.full((6,), 1e-4).double()
     rounded = estimate(problem(LinearRenderer(eight_bits=True)), torch.zeros(9).double(), ALL[:6], deltas, 1e-9)
     floating = estimate(problem(), torch.zeros(9).double(), ALL[:6], deltas, 1e-9)
-    assert not floating.flat.any()
+    assert not floating.below_noise.any()
     truth = gradient(problem())[:6]
-    wrong = (rounded.slopes - truth).abs() / truth.abs()
-    assert rounded.flat.any() or float(wrong.max()) > 0.5
-    assert (rounded.slopes[rounded.flat] == 0).all()
+    wrong = (rounded.gradients - truth).abs() / truth.abs()
+    assert rounded.below_noise.any() or float(wrong.max()) > 0.5
+    assert (rounded.gradients[rounded.below_noise] == 0).all()
 
 
 def test_noise_is_that_of_the_arithmetic() -> None:
@@ -58,11 +58,11 @@ def test_noise_is_that_of_the_arithmetic() -> None:
 def test_the_measured_step_gives_a_slope_near_the_truth() -> None:
     case = problem(LinearRenderer(torch.float32), LinearTarget(dtype=torch.float32))
     noise = measure_noise(case, torch.zeros(9))
-    chosen = measure_deltas(case, torch.full((9,), 0.02), noise)
+    chosen = measure_half_steps(case, torch.full((9,), 0.02), noise)
     assert set(chosen) == {"a", "b"}
     assert all(value in CANDIDATES for value in chosen.values())
     deltas = torch.full((6,), chosen["a"]).double()
-    found = estimate(case, torch.zeros(9), ALL[:6], deltas, noise).slopes
+    found = estimate(case, torch.zeros(9), ALL[:6], deltas, noise).gradients
     truth = gradient(problem())[:6]
     assert float(torch.nn.functional.cosine_similarity(found, truth, dim=0)) > 0.99
 
@@ -76,7 +76,7 @@ def test_steps_so_large_that_they_cancel_the_weight_are_not_taken() -> None:
 
     case = problem(Saturating(), weight=1.0)
     reach = torch.full((9,), 0.02).double()
-    chosen = measure_deltas(case, reach, 1e-12)
+    chosen = measure_half_steps(case, reach, 1e-12)
     assert chosen["a"] <= 3e-3
 
 
@@ -84,14 +84,14 @@ def test_a_group_that_cannot_change_the_picture_gets_the_largest_step_and_is_fla
     renderer = LinearRenderer()
     renderer.weights["b"] *= 0
     case = problem(renderer)
-    chosen = measure_deltas(case, torch.full((9,), 0.02).double(), 1e-12)
+    chosen = measure_half_steps(case, torch.full((9,), 0.02).double(), 1e-12)
     assert chosen["b"] == CANDIDATES[0]
-    assert estimate(case, torch.zeros(9).double(), ALL[6:], torch.full((3,), 0.1).double(), 1e-12).flat.all()
+    assert estimate(case, torch.zeros(9).double(), ALL[6:], torch.full((3,), 0.1).double(), 1e-12).below_noise.all()
 
 
 def test_the_layout_is_its_own_inverse() -> None:
     case = problem()
-    where = layout(case)
+    where = case.layout
     vectors = torch.randn(4, where.total)
     parts = where.unflatten(vectors)
     assert parts["a"].shape == (4, 2, 3)

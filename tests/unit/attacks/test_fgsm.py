@@ -3,8 +3,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from services.attacks.fgsm import FgsmMethod
-from services.attacks.spec import Fgsm
+from services.attacks.fgsm import Fgsm, FgsmMethod
 from services.errors import JobFailure
 from tests.unit.attacks.small import LinearRenderer, LinearTarget, guided, problem
 
@@ -63,9 +62,9 @@ def test_a_held_back_pixel_passes_no_gradient() -> None:
     assert float((view.images.detach() - case.original).abs().max()) <= 0.01 + 1e-12
 
 
-def test_a_group_without_a_slope_is_counted() -> None:
+def test_a_group_whose_gradient_is_zero_is_counted() -> None:
     case = problem()
     view = guided(case, case.nothing())
     assert FgsmMethod(SETTINGS, case).advance(case, view, 0) == 0
-    flat = replace(view, slopes=view.slopes | {"b": torch.zeros(3, dtype=torch.float64)})
-    assert FgsmMethod(SETTINGS, case).advance(case, flat, 0) == 1
+    level = replace(view, gradients=view.gradients | {"b": torch.zeros(3, dtype=torch.float64)})
+    assert FgsmMethod(SETTINGS, case).advance(case, level, 0) == 1

@@ -3,13 +3,12 @@ from pathlib import Path
 import pytest
 import torch
 
-from services.attacks.fgsm import FgsmMethod
+from services.attacks.fgsm import Fgsm, FgsmMethod
 from services.attacks.loop import AttackRun, Budget, run, run_together
-from services.attacks.problem import AttackProblem, saved
-from services.attacks.spec import Fgsm, Zoo
+from services.attacks.problem import AttackProblem, quantize
 from services.attacks.state import AttackState
 from services.attacks.verifier import Verifier
-from services.attacks.zoo import ZooMethod
+from services.attacks.zoo import Zoo, ZooMethod
 from services.errors import Cancelled, JobFailure
 from services.finite import finite
 from services.rendering.color import as_saved
@@ -19,9 +18,9 @@ FGSM = Fgsm.model_construct(learning_rate={"a": 0.01, "b": 0.01}, momentum=0.9, 
 ZOO = Zoo.model_construct(coordinates=4, delta=1e-4, learning_rate=2e-3)
 
 
-def attack(case: AttackProblem, budget: Budget, *, zoo: bool = False, saved: Path | None = None) -> AttackState:
+def attack(case: AttackProblem, budget: Budget, *, zoo: bool = False, path: Path | None = None) -> AttackState:
     method = ZooMethod(ZOO, case) if zoo else FgsmMethod(FGSM, case)
-    return run(case, method, Verifier(case.renderer, case.target), budget, saved=saved)
+    return run(case, method, Verifier(case.renderer, case.target), budget, checkpoint_path=path)
 
 
 def test_it_stops_when_verified_and_stores_that_step() -> None:
@@ -112,8 +111,8 @@ def test_a_resumed_attack_ends_in_the_same_result(zoo: bool, tmp_path: Path, mon
             raise Cancelled
 
     with pytest.raises(Cancelled):
-        attack(problem(truncation=0.002, interrupt=die), Budget(12), zoo=zoo, saved=tmp_path / "checkpoint")
-    resumed = attack(problem(truncation=0.002), Budget(12), zoo=zoo, saved=tmp_path / "checkpoint")
+        attack(problem(truncation=0.002, interrupt=die), Budget(12), zoo=zoo, path=tmp_path / "checkpoint")
+    resumed = attack(problem(truncation=0.002), Budget(12), zoo=zoo, path=tmp_path / "checkpoint")
     for group, value in whole.stored.items():
         assert torch.equal(value, resumed.stored[group])
     assert [row.model_copy(update={"seconds": 0}) for row in whole.trace] == [
@@ -125,7 +124,7 @@ def test_a_resumed_attack_ends_in_the_same_result(zoo: bool, tmp_path: Path, mon
 
 def test_a_damaged_checkpoint_is_as_good_as_none(tmp_path: Path) -> None:
     (tmp_path / "checkpoint").write_bytes(b"not safetensors at all")
-    assert attack(problem(), Budget(12), saved=tmp_path / "checkpoint").step == attack(problem(), Budget(12)).step
+    assert attack(problem(), Budget(12), path=tmp_path / "checkpoint").step == attack(problem(), Budget(12)).step
 
 
 def test_a_picture_of_nan_ends_the_job() -> None:
@@ -173,8 +172,8 @@ def test_attacks_run_together_share_the_network() -> None:
 def test_a_saved_picture_passes_the_slope_on_as_it_is() -> None:
     images = torch.linspace(0, 1, 60, dtype=torch.float64).reshape(1, 4, 5, 3).requires_grad_()
     weights = torch.randn(1, 4, 5, 3)
-    (slope,) = torch.autograd.grad((saved(images)[1] * weights).sum(), images)
-    assert torch.equal(saved(images)[1], as_saved(images))
+    (slope,) = torch.autograd.grad((quantize(images)[1] * weights).sum(), images)
+    assert torch.equal(quantize(images)[1], as_saved(images))
     assert torch.equal(slope, weights.double())
 
 

@@ -1,7 +1,6 @@
 import torch
 
-from services.attacks.spec import Zoo
-from services.attacks.zoo import ZooMethod
+from services.attacks.zoo import Zoo, ZooMethod
 from tests.unit.attacks.small import LinearRenderer, problem
 
 
@@ -35,12 +34,12 @@ def test_only_chosen_coordinates_move_and_the_choice_is_the_seeds() -> None:
         method.start(case)
         method.advance(case, case.view(method.perturbation), 0)
         assert int((method.moves > 0).sum()) <= 3
-        moved.append(method.flat.clone())
+        moved.append(method.delta.clone())
     assert torch.equal(moved[0], moved[1])
     assert not torch.equal(moved[0], moved[2])
 
 
-def test_flat_coordinates_are_counted_and_left_alone() -> None:
+def test_coordinates_below_the_noise_are_counted_and_left_alone() -> None:
     renderer = LinearRenderer()
     renderer.weights["b"] *= 0
     case = problem(renderer)
@@ -48,7 +47,7 @@ def test_flat_coordinates_are_counted_and_left_alone() -> None:
     method.start(case)
     assert method.advance(case, case.view(method.perturbation), 0) == 3
     assert (method.moves[6:] == 0).all()
-    assert (method.flat[6:] == 0).all()
+    assert (method.delta[6:] == 0).all()
 
 
 def test_a_heavy_weight_keeps_the_picture_closer() -> None:
@@ -82,4 +81,4 @@ def test_its_state_continues_where_it_was() -> None:
     rest.load({name: value.clone() for name, value in half.state().items()})
     for step in range(3, 6):
         rest.advance(case, case.view(rest.perturbation), step)
-    assert torch.equal(whole.flat, rest.flat)
+    assert torch.equal(whole.delta, rest.delta)

@@ -2,11 +2,10 @@
 
 import torch
 
-from services.attacks.differences import estimate, layout
+from services.attacks.differences import estimate
 from services.attacks.goal import ResolvedGoal
 from services.attacks.problem import AttackProblem
-from services.attacks.spec import Zoo
-from services.attacks.zoo import ZooMethod
+from services.attacks.zoo import Zoo, ZooMethod
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.scenes.description import Lights, PointLight
 from tests.unit.attacks.small import LinearTarget
@@ -36,7 +35,7 @@ def test_skipped_coordinates_are_listed_and_not_asked_about() -> None:
     asked = case.queries
     method.advance(case, case.view(method.perturbation), 0)
     assert case.queries - asked == 2 * (18 - 4)
-    assert (method.flat[5:9] == 0).all()
+    assert (method.delta[5:9] == 0).all()
 
 
 def test_the_budget_goes_to_the_others() -> None:
@@ -46,18 +45,18 @@ def test_the_budget_goes_to_the_others() -> None:
     asked = case.queries
     method.advance(case, case.view(method.perturbation), 0)
     assert case.queries - asked == 28
-    assert (method.moves > 0).sum() + (method.flat == 0).sum() >= 14
+    assert (method.moves > 0).sum() + (method.delta == 0).sum() >= 14
 
 
 def test_skipping_loses_nothing_and_keeping_is_needed() -> None:
-    """Every skipped coordinate has a slope of nothing; leaving a kept one out would lose its slope."""
+    """Every skipped coordinate has a gradient of zero; leaving a kept one out would lose its gradient."""
     case = problem(BEFORE, BEHIND)
     method = ZooMethod(settings(), case)
     method.start(case)
-    total = layout(case).total
-    slopes = estimate(case, torch.zeros(total), torch.arange(total), method.deltas, 0.0).slopes
-    assert (slopes[method.idle] == 0).all()
-    kept = slopes[~method.idle]
+    total = case.layout.total
+    gradients = estimate(case, torch.zeros(total), torch.arange(total), method.half_steps, 0.0).gradients
+    assert (gradients[method.inactive] == 0).all()
+    kept = gradients[~method.inactive]
     # of a square that is centred in view and faces the camera: turning it about z or x and y is seen, like all else
     assert (kept != 0).sum() >= 12
 
@@ -66,7 +65,7 @@ def test_a_coordinate_that_comes_to_matter_is_taken_up() -> None:
     case = problem(BEFORE, BEHIND)
     method = ZooMethod(settings(), case)
     method.start(case)
-    method.flat[layout(case).starts["translation"] + 2] = -2.0  # the square moves behind the light
+    method.delta[case.layout.starts["translation"] + 2] = -2.0  # the square moves behind the light
     asked = case.queries
     method.advance(case, case.view(method.perturbation), 0)
     assert case.queries - asked == 36
@@ -80,5 +79,5 @@ def test_what_is_skipped_survives_a_restart() -> None:
     rest.load({name: value.clone() for name, value in whole.state().items()})
     for method in (whole, rest):
         method.advance(case, case.view(method.perturbation), 1)
-    assert torch.equal(whole.flat, rest.flat)
-    assert whole.idle.any()
+    assert torch.equal(whole.delta, rest.delta)
+    assert whole.inactive.any()

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch.nn.functional import cosine_similarity
 
-from services.attacks.differences import estimate, layout, where_clamped
+from services.attacks.differences import clamped, estimate
 from services.attacks.goal import ResolvedGoal
 from services.attacks.problem import AttackProblem
 from services.rendering.opengl.gbuffer import rasterise
@@ -38,13 +38,13 @@ def build(group: str, weight: float = 0.1) -> AttackProblem:
 
 def at_random(problem: AttackProblem) -> torch.Tensor:
     """A small perturbation within bounds: at zero the λ term has no slope, and would not be tested."""
-    where = layout(problem)
+    where = problem.layout
     at = 0.5 * torch.randn(1, where.total, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
-    return where_clamped(problem, at, where)[0]
+    return clamped(problem, at)[0]
 
 
 def autograd(problem: AttackProblem, at: torch.Tensor) -> torch.Tensor:
-    where = layout(problem)
+    where = problem.layout
     leaf = at.clone().requires_grad_()
     images = problem.renderer.render(where.unflatten((where.flatten(problem.initial) + leaf)[None]))
     value = problem.goal.advantage(problem.target.logits(images)).sum()
@@ -58,9 +58,9 @@ def test_the_estimate_is_the_gradient(group: str) -> None:
     at = at_random(problem)
     truth = autograd(problem, at)
     free = (problem.initial[group].flatten() + at > 1e-3).nonzero().flatten() if group == "illumination" else None
-    order = truth.abs().argsort(descending=True)[::6]  # a sixth of the coordinates, large slopes and small
+    order = truth.abs().argsort(descending=True)[::6]  # a sixth of the coordinates, large gradients and small
     chosen = order if free is None else order[torch.isin(order, free)]  # at a bound the difference is one-sided
-    found = estimate(problem, at, chosen, torch.full((len(chosen),), 1e-4).double(), 0.0).slopes
+    found = estimate(problem, at, chosen, torch.full((len(chosen),), 1e-4).double(), 0.0).gradients
     assert float(cosine_similarity(found, truth[chosen], dim=0)) > 0.999
     # and of the right size: an estimator scaled by a constant has the same cosine
     assert float(found.norm() / truth[chosen].norm()) == pytest.approx(1, abs=1e-3)
@@ -70,8 +70,8 @@ def test_other_coordinates_in_the_batch_change_nothing() -> None:
     problem = build("illumination")
     at = at_random(problem)
     deltas = torch.full((40,), 1e-3).double()
-    together = estimate(problem, at, torch.arange(40), deltas, 0.0).slopes
+    together = estimate(problem, at, torch.arange(40), deltas, 0.0).gradients
     for chosen in (torch.tensor([7]), torch.arange(30, 40)):
-        alone = estimate(problem, at, chosen, deltas[: len(chosen)], 0.0).slopes
+        alone = estimate(problem, at, chosen, deltas[: len(chosen)], 0.0).gradients
         # the network's own sums may be blocked differently for another batch: float64 rounding over 2δ
         torch.testing.assert_close(alone, together[chosen], rtol=1e-6, atol=1e-8)

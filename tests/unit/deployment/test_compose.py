@@ -15,6 +15,7 @@ from services.settings import Settings
 ROOT = Path(__file__).parents[3]
 COMPOSE: dict[str, Any] = yaml.safe_load((ROOT / "docker-compose.yml").read_text())
 DOCKERFILE = (ROOT / "Dockerfile").read_text()
+BUILD, PRODUCTION = re.split(r"^FROM .* AS production$", DOCKERFILE, flags=re.MULTILINE)
 OURS = {name: service for name, service in COMPOSE["services"].items() if service.get("image") == "scene-attack"}
 
 
@@ -59,20 +60,53 @@ def test_every_service_is_watched_and_keeps_its_hands_to_itself() -> None:
 def test_volumes_are_declared_and_are_where_the_image_keeps_things() -> None:
     kept = dict(volume.split(":") for volume in OURS["worker"]["volumes"])
     assert set(kept) == set(COMPOSE["volumes"])
-    assert f"SCENE_ATTACK_DATA={kept['data']}" in DOCKERFILE
-    assert f"SCENE_ATTACK_CACHE={kept['cache']}" in DOCKERFILE
+    assert f"SCENE_ATTACK_DATA={kept['data']}" in PRODUCTION
+    assert f"SCENE_ATTACK_CACHE={kept['cache']}" in PRODUCTION
 
 
-def test_the_image_has_what_setup_asks_for_and_is_not_run_by_root() -> None:
+def packages(stage: str) -> set[str]:
+    """The Debian packages that a stage of the Dockerfile installs."""
+    listed = re.search(r"apt-get install -y --no-install-recommends (.*) \\", stage)
+    assert listed is not None
+    return set(listed[1].split())
+
+
+def environment(stage: str) -> dict[str, str]:
+    return dict(re.findall(r"(SCENE_ATTACK_\w+)=(\S+)", stage))
+
+
+def test_the_build_has_what_setup_asks_for_and_is_not_run_by_root() -> None:
     asked = re.search(r"^packages=\((.*)\)$", (ROOT / "scripts/setup").read_text(), re.MULTILINE)
     assert asked is not None
-    assert all(f" {package}" in DOCKERFILE for package in asked[1].split())
-    assert DOCKERFILE.rindex("\nUSER scene-attack") > DOCKERFILE.rindex("\nRUN")
+    assert set(asked[1].split()) <= packages(BUILD)
+    assert set(asked[1].split()) - packages(PRODUCTION) == {"g++"}
+    assert PRODUCTION.rindex("\nUSER scene-attack") > PRODUCTION.rindex("\nRUN")
+
+
+def test_the_production_image_has_no_compiler_and_no_test_tools() -> None:
+    tools = re.compile(r"g\+\+|gcc|clang|build-essential|-dev$|python3-(venv|pip)|chromium|shellcheck")
+    assert not [name for name in packages(PRODUCTION) if tools.search(name)]
+    assert len(re.findall("^RUN ", PRODUCTION, re.MULTILINE)) == 2  # Debian's packages, and a user
+    assert re.findall(r"^RUN scripts/setup(.*)$", BUILD, re.MULTILINE) == [" && chmod -R a+rX /assets"]  # not --test
+    assert "pip" not in PRODUCTION
+    assert "libgomp1" in packages(PRODUCTION)  # what g++ brought, and compiled kernels are linked to
+
+
+def test_the_kernels_are_compiled_for_other_machines_and_are_where_production_looks() -> None:
+    built, used = environment(BUILD), environment(PRODUCTION)
+    assert built["SCENE_ATTACK_KERNEL_ARCH"] == used["SCENE_ATTACK_KERNEL_ARCH"] == "portable"
+    assert built["SCENE_ATTACK_KERNEL_DIR"] == used["SCENE_ATTACK_KERNEL_DIR"]
+    assert f"COPY --from=build {used['SCENE_ATTACK_KERNEL_DIR']} {used['SCENE_ATTACK_KERNEL_DIR']}\n" in PRODUCTION
+    compiling = BUILD.index("RUN .venv/bin/python -m services.rendering.kernels.build")
+    assert BUILD.index("COPY services services") < BUILD.index("SCENE_ATTACK_KERNEL_ARCH") < compiling
+    assert "COPY services services" in PRODUCTION  # the manifest's sources are compared with these
+    volumes = [volume.split(":")[1] for volume in OURS["worker"]["volumes"]]
+    assert used["SCENE_ATTACK_KERNEL_DIR"] not in volumes  # a volume keeps what an older image had
 
 
 def test_what_the_image_copies_exists_and_is_not_ignored() -> None:
     allowed = [line[1:] for line in (ROOT / ".dockerignore").read_text().split() if line.startswith("!")]
-    for line in re.findall(r"^COPY (.*)$", DOCKERFILE, re.MULTILINE):
+    for line in re.findall(r"^COPY (?!--from)(.*)$", DOCKERFILE, re.MULTILINE):
         for source in line.split()[:-1]:
             assert (ROOT / source).exists(), source
             assert any(source == name or source.startswith(f"{name}/") for name in allowed), source
@@ -80,6 +114,7 @@ def test_what_the_image_copies_exists_and_is_not_ignored() -> None:
 
 def test_the_image_knows_every_package_when_it_installs() -> None:
     """An editable installation finds the packages that are there at that moment, and no others."""
-    before = DOCKERFILE[: DOCKERFILE.index("RUN scripts/setup")]
+    before = BUILD[: BUILD.index("RUN scripts/setup")]
     for package in ("services", "api", "worker", "client"):
         assert f"COPY {package}/__init__.py {package}/" in before
+        assert f"\nCOPY {package} {package}\n" in PRODUCTION

@@ -7,9 +7,18 @@ import pytest
 from pydantic import BaseModel
 
 from api.main import create_app
-from services.attacks.spec import Fgsm, Goal, Zoo
+from services.attacks.spec import Goal
+from services.pipeline import field_tables
 from services.rendering.torch_renderer.presets import presets
-from services.scenes.description import Camera, Environment, Lights, PointLight, SceneObject
+from services.scenes.description import (
+    Camera,
+    DirectionalLight,
+    Environment,
+    Lights,
+    PointLight,
+    SceneObject,
+    SpotLight,
+)
 from services.settings import Settings
 from tests.unit.client.test_cli import COMMANDS
 
@@ -34,13 +43,20 @@ def test_operations_has_every_setting_and_its_default() -> None:
         assert f"| `SCENE_ATTACK_{name.upper()}` | {default} | {field.description} |" in text("operations.md")
 
 
-@pytest.mark.parametrize("model", [Camera, SceneObject, Lights, PointLight, Environment, Goal, Fgsm, Zoo])
+@pytest.mark.parametrize(
+    "model", [Camera, SceneObject, Lights, PointLight, DirectionalLight, SpotLight, Environment, Goal]
+)
 def test_scene_page_has_every_field_as_it_is_described(model: type[BaseModel]) -> None:
     page = text("scene.md")
     for name, field in model.model_fields.items():
         row = next((line for line in page.splitlines() if line.startswith(f"| `{name}` |")), None)
         assert row is not None, name
         assert field.description is None or f"| {field.description} |" in page
+
+
+def test_scene_page_has_what_is_registered() -> None:
+    said = "write it again with: python -m services.pipeline.field_tables"
+    assert text("scene.md") == field_tables.page(text("scene.md")), said
 
 
 def test_scene_page_has_every_material() -> None:

@@ -2,8 +2,9 @@
 
 from typing import Any
 
+from services.jobs.attempts import Attempt
 from services.jobs.models import Artifact, Job
-from services.jobs.repository import Attempt, Repository
+from services.jobs.repository import Repository
 from services.pipeline.spec import JobSpec, parse
 
 SPEC = parse({"scene": {"objects": [{"mesh": "primitive/sphere"}]}, "seed": 7})

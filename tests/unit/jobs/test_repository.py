@@ -4,8 +4,9 @@ from math import nan
 import pytest
 from sqlalchemy.exc import StatementError
 
+from services.jobs.attempts import Attempt, Standing
 from services.jobs.models import State
-from services.jobs.repository import Attempt, Key, KeyReused, QueueFull, Repository, Standing
+from services.jobs.repository import Key, KeyReused, QueueFull, Repository
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import OUTCOME, SPEC, add, artifact, row, start
 

@@ -1,24 +1,24 @@
 from pathlib import Path
 
 from services.jobs.repository import Repository
-from services.jobs.working_files import Workplace
+from services.jobs.working_files import WorkingFiles
 from tests.unit.jobs.records import add, start
 
 
 def test_sweeping_removes_what_is_over_and_keeps_what_is_not(repository: Repository, tmp_path: Path) -> None:
-    workplace = Workplace(tmp_path)
+    working_files = WorkingFiles(tmp_path)
     running, queued, over = add(repository), add(repository), add(repository)
     repository.lose(start(repository, running), 3)
     start(repository, running)
     repository.fail(start(repository, over), "internal", "because")
     for job in (running, queued, over):
-        workplace.checkpoint(job.id).write_bytes(b"saved")
+        working_files.checkpoint(job.id).write_bytes(b"saved")
     kept = tmp_path / "running" / f"{running.id}-2"
     for out in (kept, kept.with_name(f"{running.id}-1"), kept.with_name(f"{over.id}-1")):
         out.mkdir(parents=True)
-    workplace.checkpoint(over.id).with_suffix(".part").write_bytes(b"half")
+    working_files.checkpoint(over.id).with_suffix(".0123.part").write_bytes(b"half")
 
-    workplace.sweep(repository)
+    working_files.sweep(repository)
 
     assert {file.name for file in (tmp_path / "checkpoints").iterdir()} == {running.id, queued.id}
     assert list((tmp_path / "running").iterdir()) == [kept]

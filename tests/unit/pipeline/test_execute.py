@@ -64,8 +64,8 @@ def test_the_ends_of_the_subset_table_are_the_pictures_rendered_afresh(tmp_path:
     result = execute(spec({"renderer": "torch"}), tmp_path, LIBRARY)
     prepared = prepare(spec({"renderer": "torch"}), LIBRARY)
     perturbation = load_file(tmp_path / "perturbation.safetensors")
-    assert torch.equal(prepared.judge.picture({}), load_png(tmp_path / "original.png"))
-    assert torch.equal(prepared.judge.picture(perturbation), load_png(tmp_path / "attacked.png"))
+    assert torch.equal(prepared.verifier.picture({}), load_png(tmp_path / "original.png"))
+    assert torch.equal(prepared.verifier.picture(perturbation), load_png(tmp_path / "attacked.png"))
     assert len(result.subsets) == 8
     empty, full = result.subsets[0], result.subsets[-1]
     assert (empty.label, empty.goal_probability) == (result.original.label, result.original.goal_probability)

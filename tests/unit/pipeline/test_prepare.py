@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from services.errors import InvalidRequest
-from services.pipeline.prepare import preflight, prepare
+from services.pipeline.prepare import plan, preflight, prepare
 from services.pipeline.spec import parse
 from tests.unit.jobs.small import LIBRARY, SPHERE, spec
 
@@ -33,7 +33,7 @@ REFUSED: list[tuple[str, dict[str, Any]]] = [
     ("attack.queries", {"attack": {"queries": 0}}),
     ("attack.learning_rate", {"attack": {"learning_rate": {"color": 1.0}}}),
     ("attack.learning_rate.normals", {"attack": {"learning_rate": {"normals": float("nan")}}}),
-    ("attack.picture", {"attack": {"renderer": "torch", "picture": "pyrender"}}),
+    ("attack.base_renderer", {"attack": {"renderer": "torch", "base_renderer": "pyrender"}}),
     ("scene.camera.size.0", {"scene": SPHERE | {"camera": {"size": [4096, 64]}}}),
     ("scene.camera.distance", {"scene": SPHERE | {"camera": {"distance": float("inf")}}}),
     ("scene.ground.1", {"scene": SPHERE | {"ground": [0, float("nan"), 0]}}),
@@ -85,3 +85,27 @@ def test_a_network_with_one_label_is_refused_beforehand(monkeypatch: pytest.Monk
     with pytest.raises(InvalidRequest, match="one label only") as refused:
         preflight(spec(), LIBRARY)
     assert refused.value.field == "target.name"
+
+
+# The environment map's size
+
+
+def auto(tolerance: float, **attack: Any) -> dict[str, Any]:
+    """A job that leaves the size of the map to the planner."""
+    lights = {"environment": {"map": "studio", "size": "auto"}}
+    return {"scene": SPHERE | {"lights": lights}, "tolerance": tolerance} | ({"attack": attack} if attack else {})
+
+
+def test_the_smallest_map_within_the_tolerance_is_chosen_and_said() -> None:
+    chosen = [preflight(parse(auto(tolerance)), LIBRARY).scene.lights.environment.size for tolerance in (0.1, 0.01)]
+    assert chosen[0] < chosen[1]
+    for tolerance, size in zip((0.1, 0.01), chosen, strict=True):
+        scene = SPHERE | {"lights": {"environment": {"map": "studio", "size": size}}}
+        error = plan(parse({"scene": scene, "tolerance": tolerance}), LIBRARY).environment_map_error
+        assert error is not None
+        assert error <= tolerance
+
+
+def test_where_no_map_lights_the_scene_its_size_is_the_default() -> None:
+    spec = preflight(parse(auto(1e-3, renderer="pyrender")), LIBRARY)
+    assert spec.scene.lights.environment.size == (16, 32)

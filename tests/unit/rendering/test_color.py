@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 import torch
 
-from services.rendering.color import display_slope, from_bytes, saved, to_bytes, to_display, to_linear
+from services.rendering.color import display_slope, from_bytes, quantize, to_bytes, to_display
+from services.scenes.srgb import to_linear
 
 pytestmark = pytest.mark.usefixtures("kernel")
 
@@ -23,7 +24,7 @@ def test_the_curve_is_that_of_the_standard() -> None:
     # float32: a few units in the last place at 1
     np.testing.assert_allclose(to_display(torch.from_numpy(linear).float()).numpy(), expected, atol=3e-7)
     # the standard's two constants meet to about 1e-5
-    np.testing.assert_allclose(to_linear(shown).numpy(), linear, atol=1e-5)
+    np.testing.assert_allclose(to_linear(shown.numpy()), linear, atol=1e-5)
 
 
 def test_what_is_out_of_range_is_clipped_and_what_is_no_number_stays_none() -> None:
@@ -48,7 +49,7 @@ def test_saving_rounds_to_nearest_and_ties_to_even() -> None:
     values = torch.cat(
         [middles, torch.rand(4099, generator=torch.Generator().manual_seed(0)), torch.tensor([-1.0, 2.0])]
     )
-    pictures, seen = saved(values)
+    pictures, seen = quantize(values)
     assert torch.equal(pictures, to_bytes(values))
     assert torch.equal(seen, from_bytes(pictures))
     rounded = np.rint(np.clip(values.numpy(), 0, 1) * np.float32(255))

@@ -299,11 +299,12 @@ def textured(width, height, alpha_mode=None):
 
 def test_a_glb_keeps_its_texture_and_linear_colour():
     (part,) = read_mesh(textured(6, 4), "glb", MANY)
-    assert part.texture.shape == (4, 6, 4)
-    assert (part.texture == (10, 20, 30, 255)).all(), "without an alpha mode glTF is opaque"
+    assert part.metallic_roughness.maps["base_color"].texels.shape == (4, 6, 4)
+    assert (part.metallic_roughness.maps["base_color"].texels == (10, 20, 30, 128)).all()
+    assert part.metallic_roughness.alpha_mode == "OPAQUE", "without an alpha mode glTF is opaque"
     assert np.allclose(part.color, [128 / 255, 1, 1, 1], atol=1e-3), "glTF factors are linear"
     (blended,) = read_mesh(textured(6, 4, "BLEND"), "glb", MANY)
-    assert (blended.texture[..., 3] == 128).all()
+    assert blended.metallic_roughness.alpha_mode == "BLEND"
     assert blended.color[3] == pytest.approx(128 / 255, abs=1e-3)
 
 

@@ -11,7 +11,7 @@ from services.jobs.repository import Repository
 from services.pipeline.execute import Progress
 from services.settings import Settings
 from tests.unit.jobs.records import add, start
-from worker.job_process import LOOK_SECONDS, REPORT_SECONDS, Reporter, classify
+from worker.job_process import POLL_SECONDS, REPORT_SECONDS, Reporter, classify
 
 ROW = {
     "loss": 0.5,
@@ -79,7 +79,7 @@ def test_a_job_that_must_stop_is_told_at_the_next_look(repository: Repository, w
         repository.request_cancel(job.id)
     else:
         repository.lose(attempt, 3)
-    seconds.now += LOOK_SECONDS
+    seconds.now += POLL_SECONDS
     assert reporter.stop()
     assert reporter.stop()
 

@@ -1,7 +1,7 @@
 #version 330 core
 
 // What every fragment shader needs to know of the surface it is on; joined in front of each by `Program`, with the
-// constants of `surface.vert`.
+// constants of `surface.vert`. Where METALLIC_ROUGHNESS is 1, `metallic_roughness.frag` follows.
 
 in vec3 world_position;
 // Without centroid, a pixel whose middle lies beyond the silhouette would take a normal from outside the triangle.

@@ -177,7 +177,7 @@ def test_pixels_are_the_means_of_their_samples_whatever_adds_them_up(kernel: str
     seen = (number > 0)[..., None]
     geometry = torch.randn(*number.shape, 4, generator=random) * seen
     surface = torch.cat([torch.rand(*number.shape, 3, generator=random) * seen, number[..., None]], dim=-1)
-    found = gbuffer._average(geometry, surface, count, np.array([0.0, 0.0, -1.0]))
+    found = gbuffer.average_samples(geometry, surface, count, np.array([0.0, 0.0, -1.0]))
     for row, column in np.ndindex(height, width):
         block = (slice(FACTOR * row, FACTOR * row + FACTOR), slice(FACTOR * column, FACTOR * column + FACTOR))
         numbers, shapes_, looks = number[block], geometry[block].double(), surface[block].double()

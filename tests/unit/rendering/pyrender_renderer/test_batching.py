@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from services.attacks.differences import estimate, layout
+from services.attacks.differences import estimate
 from services.attacks.goal import ResolvedGoal
 from services.attacks.problem import AttackProblem
 from services.rendering.pyrender_renderer.batching import Array, alone, shared
@@ -134,9 +134,9 @@ def test_gradients_of_zoo_are_differences_of_exact_images(coordinates: int) -> N
 
     def gradients(of: PyrenderRenderer, chosen: torch.Tensor) -> torch.Tensor:
         case = AttackProblem(of, Linear(), ResolvedGoal(0, None), of.groups)  # type: ignore[arg-type]
-        total = layout(case).total
+        total = case.layout.total
         deltas = torch.full((len(chosen),), 0.01, dtype=torch.float64)
-        return estimate(case, torch.zeros(total), chosen, deltas, 0.0).slopes
+        return estimate(case, torch.zeros(total), chosen, deltas, 0.0).gradients
 
     total = sum(value.numel() for value in renderer.initial().values())
     for seed in range(3 if coordinates < total else 1):

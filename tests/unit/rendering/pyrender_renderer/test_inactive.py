@@ -19,7 +19,7 @@ def plane(*lights: PointLight, ambient: float = 0.3, color: tuple[float, ...] = 
 
 def names(renderer: PyrenderRenderer, reach: float = REACH) -> list[str]:
     groups = dict.fromkeys(renderer.groups, reach)
-    found = renderer.idle(renderer.initial(), groups)
+    found = renderer.inactive(renderer.initial(), groups)
     for one in found:  # what is said to change nothing changes nothing
         for sign in (1, -1):
             moved = renderer.initial()

@@ -115,7 +115,7 @@ def test_a_look_at_a_white_texture_changes_no_bit() -> None:
     start, pieces = picture(renderer), renderer._drawing.pieces
     [textures] = [[item.kept, item.of] for item in renderer.plan.items if item.what.startswith("parts with a look")]
     assert textures == [6, 8]
-    from services.rendering.opengl.mesh_upload import SrgbTexture
+    from services.rendering.opengl.textures import SrgbTexture
 
     white = SrgbTexture(source=np.full((2, 2, 4), 255, np.uint8), source_channels="RGBA")
     white._add_to_context()

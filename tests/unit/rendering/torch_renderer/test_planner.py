@@ -95,7 +95,7 @@ def test_errors_are_within_estimate_and_tolerance(drawn: Any, far: float, seed: 
 def test_a_scene_far_from_the_plans_is_summed_after_all() -> None:
     """A sun that was not there when the table was measured: the check sees it, the tolerance holds."""
     renderer = made(("normals", "illumination"), size=96)
-    [shader] = renderer._shaders
+    [shader] = renderer.shaders
     assert shader.recipe.rows is not None
     start = {g: renderer.initial()[g][None] for g in ("normals", "illumination")}
     assert error(renderer, start) <= renderer.plan.error
@@ -121,7 +121,8 @@ def test_exact_takes_no_shortcut() -> None:
     assert renderer.plan.error == 0
     assert renderer.initial()["material"].dtype == torch.float64
     assert all(
-        s.recipe.rows is None and s.recipe.varying.all() and len(s.recipe.kept) == 512 for s in renderer._shaders
+        s.recipe.rows is None and s.recipe.varying.all() and len(s.recipe.active_texels) == 512
+        for s in renderer.shaders
     )
 
 
@@ -129,16 +130,16 @@ def test_exact_takes_no_shortcut() -> None:
 def test_gradients_are_those_of_the_exact_sum(groups: tuple[str, ...]) -> None:
     """As an attack uses them: weighted by what a network's gradient looks like, smooth over some pixels."""
     renderer = made(groups, size=128)
-    assert renderer._shaders[0].recipe.rows is not None
+    assert renderer.shaders[0].recipe.rows is not None
     weights = torch.randn(1, 3, 16, 16, generator=torch.Generator().manual_seed(0))
     weights = torch.nn.functional.interpolate(weights, (128, 128), mode="bicubic").permute(0, 2, 3, 1)
-    slopes = []
+    gradients = []
     for one, dtype in ((renderer, torch.float32), (renderer.exact(), torch.float64)):
         leaves = {g: v.to(dtype).requires_grad_() for g, v in moved(renderer, groups, 0.1).items()}
-        pictures = one.render(leaves)
-        slopes.append(torch.autograd.grad((pictures * weights.to(dtype)).sum(), list(leaves.values())))
-    for group, found, wanted in zip(groups, *slopes, strict=True):
-        # Catmull-Rom's slope is of one order less than its value; normals see it directly, the others through sums
+        images = one.render(leaves)
+        gradients.append(torch.autograd.grad((images * weights.to(dtype)).sum(), list(leaves.values())))
+    for group, found, wanted in zip(groups, *gradients, strict=True):
+        # Catmull-Rom's gradient is of one order less than its value; normals see it directly, the others through sums
         far = float((found.double() - wanted).norm() / wanted.norm())
         assert far < (0.05 if group == "normals" else 5e-3), group
         # what FGSM uses: the sign, where it is not a matter of rounding
@@ -147,10 +148,10 @@ def test_gradients_are_those_of_the_exact_sum(groups: tuple[str, ...]) -> None:
 
 
 def test_methods_by_what_is_attacked() -> None:
-    kinds = {groups: made(groups, size=96)._shaders[0].recipe for groups in (("normals",), ("illumination",), GROUPS)}
-    assert kinds["normals",].nodes == "tabulated"
-    assert kinds["illumination",].nodes == "transported"
-    assert kinds[GROUPS].nodes == "summed"
+    kinds = {groups: made(groups, size=96).shaders[0].recipe for groups in (("normals",), ("illumination",), GROUPS)}
+    assert kinds["normals",].method == "cached_table"
+    assert kinds["illumination",].method == "precomputed_transport"
+    assert kinds[GROUPS].method == "summed"
     assert kinds["normals",].gray
     assert not kinds[GROUPS].gray
 
@@ -177,9 +178,9 @@ def test_plans_are_the_same_every_time() -> None:
 
 
 def test_a_table_filled_in_two_goes_is_the_same_table() -> None:
-    """A job that is resumed finds its normals in another order; its pictures are the same to the bit."""
+    """A job that is resumed finds its normals in another order; its images are the same to the bit."""
     straight, detour = made(("normals",), size=96), made(("normals",), size=96)
-    assert straight._shaders[0].recipe.nodes == "tabulated"
+    assert straight.shaders[0].recipe.method == "cached_table"
     far, farther = moved(straight, ("normals",), 1.0), moved(straight, ("normals",), 4.0)
     detour.render(far)
     assert torch.equal(straight.render(farther), detour.render(farther))
@@ -227,18 +228,20 @@ HALF_DARK = studio() * (np.arange(16) % 3 > 0)[:, None, None].astype(np.float32)
 def test_directions_without_light(changed: Callable[..., TorchRenderer]) -> None:
     groups = ("normals", "material")
     plain = changed(lambda recipe: recipe, groups, size=12, environment=HALF_DARK)
-    kept = plain._shaders[0].recipe.kept
+    kept = plain.shaders[0].recipe.active_texels
     assert len(kept) == item(plain, "directions").kept == int((torch.tensor(HALF_DARK).sum(-1) > 0).sum()) < 512
-    picture = plain.render(moved(plain, groups))
-    every = changed(lambda r: replace(r, kept=torch.arange(512)), groups, size=12, environment=HALF_DARK)
-    assert torch.equal(every.render(moved(plain, groups)), picture)
+    image = plain.render(moved(plain, groups))
+    every = changed(lambda r: replace(r, active_texels=torch.arange(512)), groups, size=12, environment=HALF_DARK)
+    assert torch.equal(every.render(moved(plain, groups)), image)
     for one in kept[::7]:
-        less = changed(lambda r, one=one: replace(r, kept=kept[kept != one]), groups, size=12, environment=HALF_DARK)
-        assert not torch.equal(less.render(moved(plain, groups)), picture), int(one)
+        less = changed(
+            lambda r, one=one: replace(r, active_texels=kept[kept != one]), groups, size=12, environment=HALF_DARK
+        )
+        assert not torch.equal(less.render(moved(plain, groups)), image), int(one)
 
 
 def test_directions_below_every_horizon() -> None:
-    """A flat picture of one normal sees half the sky; light from the other half has no slope."""
+    """A flat image of one normal sees half the sky; light from the other half has no gradient."""
     renderer = made(("illumination",), size=12)
     gbuffer = sphere_gbuffer(sphere_scene((12, 12)))
     facing = gbuffer.normals[6, 6] * (gbuffer.coverage > 0)[..., None]
@@ -246,36 +249,36 @@ def test_directions_below_every_horizon() -> None:
     renderer = TorchRenderer(scene, replace(gbuffer, normals=facing), ("illumination",))
     assert 200 < item(renderer, "directions").kept < 312
     leaf = renderer.exact().initial()["illumination"][None].requires_grad_()
-    slope = torch.autograd.grad(renderer.exact().render({"illumination": leaf}).sum(), leaf)[0].flatten()
+    gradient = torch.autograd.grad(renderer.exact().render({"illumination": leaf}).sum(), leaf)[0].flatten()
     kept = torch.zeros(512, dtype=torch.bool)
-    kept[renderer._shaders[0].recipe.kept] = True
-    assert (slope[~kept] == 0).all()
-    assert (slope[kept] != 0).all()
+    kept[renderer.shaders[0].recipe.active_texels] = True
+    assert (gradient[~kept] == 0).all()
+    assert (gradient[kept] != 0).all()
 
 
 def test_lobes(changed: Callable[..., TorchRenderer]) -> None:
     """Of matte one lobe is a straight line and two reflect nothing: either costs what it says, and no less is kept."""
     groups = ("normals",)
     plain = changed(lambda recipe: recipe, groups, size=24, materials=("matte",))
-    recipe = plain._shaders[0].recipe
+    recipe = plain.shaders[0].recipe
     assert recipe.varying.sum() == 0 or recipe.straight.sum() == 0  # all channels alike
     parameters = moved(plain, groups)
-    picture = plain.render(parameters)
+    image = plain.render(parameters)
     every = torch.ones(3, 3, dtype=torch.bool)
     whole = changed(lambda r: replace(r, varying=every, straight=~every), groups, size=24, materials=("matte",))
-    lost = float((whole.render(parameters) - picture).abs().max())
+    lost = float((whole.render(parameters) - image).abs().max())
     assert 0 < lost <= item(plain, "lobes").error
     bright = recipe.varying | recipe.straight
     none = changed(
         lambda r: replace(r, varying=r.varying & ~bright, straight=~every), groups, size=24, materials=("matte",)
     )
-    assert (none.render(parameters) - picture).abs().max() > 0.1
+    assert (none.render(parameters) - image).abs().max() > 0.1
 
 
 @pytest.mark.parametrize("lobe", range(3))
 def test_each_kept_lobe_is_seen(changed: Callable[..., TorchRenderer], lobe: int) -> None:
     plain = changed(lambda recipe: recipe, ("normals",), size=24)
-    assert plain._shaders[0].recipe.varying.all()
+    assert plain.shaders[0].recipe.varying.all()
 
     def without(recipe: Recipe) -> Recipe:
         varying = recipe.varying.clone()
@@ -291,7 +294,7 @@ def test_straight_lobes_of_small_gamma(changed: Callable[..., TorchRenderer]) ->
     """Where normals keep still the line is good for γ = 1e-3; what it costs is below what the plan says it may."""
     groups = ("illumination",)
     plain = changed(lambda recipe: recipe, groups, size=24, materials=("matte",), tolerance=1e-2)
-    assert plain._shaders[0].recipe.straight[:, 0].all()
+    assert plain.shaders[0].recipe.straight[:, 0].all()
     every = torch.ones(3, 3, dtype=torch.bool)
     whole = changed(
         lambda r: replace(r, varying=every, straight=~every), groups, size=24, materials=("matte",), tolerance=1e-2
@@ -312,10 +315,10 @@ def test_channels(changed: Callable[..., TorchRenderer]) -> None:
 def test_sharp_directions(changed: Callable[..., TorchRenderer]) -> None:
     """Left to the table they would cost more than the tolerance; summed at the pixels they cost nothing."""
     plain = changed(lambda recipe: replace(recipe, guard=None), size=96)
-    assert len(plain._shaders[0].recipe.sharp) > 0
+    assert len(plain.shaders[0].recipe.per_pixel_texels) > 0
     start = {g: v[None] for g, v in plain.initial().items()}
     assert error(plain, start) <= plain.plan.error
-    blurred = changed(lambda r: replace(r, guard=None, sharp=r.sharp[:0]), size=96)
+    blurred = changed(lambda r: replace(r, guard=None, per_pixel_texels=r.per_pixel_texels[:0]), size=96)
     assert error(blurred, start) > 1e-3
 
 

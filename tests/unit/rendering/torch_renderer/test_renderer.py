@@ -1,46 +1,21 @@
 """The differentiable renderer against its definition in float64, closed forms, and differences."""
 
-import subprocess
-import sys
 from math import log, pi
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
-from services.errors import InvalidRequest
-from services.rendering.color import to_linear
 from services.rendering.plan import Tolerance
 from services.rendering.protocol import Parameters
 from services.rendering.torch_renderer.environment_light import illumination
 from services.rendering.torch_renderer.presets import presets
 from services.rendering.torch_renderer.renderer import TorchRenderer
 from services.rendering.torch_renderer.units import ILLUMINATION_MEAN, MATERIAL_UNIT
+from services.scenes.srgb import to_linear
 from tests.unit.rendering.shading import GROUND, lambertian, reference_image, sky, sphere_gbuffer, sphere_scene
-
-GROUPS = ("normals", "illumination", "material")
-TWO = ("plastic", "brushed-metal")
-TIGHT = 1e-4
-"""Pixel by pixel in float32: no table for so few pixels holds this."""
-
-
-def sphere(size=(12, 12), tolerance="exact", environment=None, materials=TWO, albedo=(0.3, 0.25, 0.2)) -> TorchRenderer:
-    """Dark enough (by its albedo) that nothing is clipped."""
-    scene = sphere_scene(size, environment, materials)
-    return TorchRenderer(scene, sphere_gbuffer(scene, albedo=albedo), tolerance=tolerance)
-
-
-def moved(renderer: TorchRenderer, seed: int = 0, batch: int = 1) -> Parameters:
-    """The initial values and something of every group on top, [batch, …]."""
-    rng = torch.Generator().manual_seed(seed)
-    sizes = {"normals": 0.05, "illumination": 0.02 * ILLUMINATION_MEAN, "material": 0.03 * MATERIAL_UNIT}
-    return {
-        group: value + sizes[group] * torch.randn(batch, *value.shape, generator=rng, dtype=torch.float64).to(value)
-        for group, value in renderer.initial().items()
-    }
-
+from tests.unit.rendering.torch_renderer.spheres import GROUPS, TIGHT, TWO, moved, sphere
 
 # What a picture is
 
@@ -72,7 +47,7 @@ def test_a_lambertian_sphere_under_white_light_is_flat() -> None:
         picture = TorchRenderer(scene, gbuffer, tolerance="exact").render({"material": lambertian()[None, None]})[0]
         unit = illumination(torch.from_numpy(environment)).exposure * ILLUMINATION_MEAN
         whole = gbuffer.coverage == 1
-        ratio = to_linear(picture)[whole] / (unit * gbuffer.base_color[whole].double())
+        ratio = torch.from_numpy(to_linear(picture.numpy()))[whole] / (unit * gbuffer.base_color[whole].double())
         errors.append(float((ratio - 1).abs().max()))
         assert errors[-1] < (pi / rows) ** 2 / 6
     assert errors[0] > 3 * errors[1] > 9 * errors[2]
@@ -85,7 +60,8 @@ def test_one_texel_lights_by_its_cosine() -> None:
     scene = sphere_scene((24, 24), environment, ("matte",), azimuth=0.3, elevation=0.2)
     gbuffer = sphere_gbuffer(scene, albedo=(0.5, 0.5, 0.5))
     renderer = TorchRenderer(scene, gbuffer, tolerance="exact")
-    picture = to_linear(renderer.render({"material": lambertian()[None, None]})[0])
+    shown = renderer.render({"material": lambertian()[None, None]})[0]
+    picture = torch.from_numpy(to_linear(shown.numpy()))
     theta, phi = 1.5 * pi / 4, 1.5 * 2 * pi / 8
     towards = torch.tensor([np.sin(theta) * np.sin(phi), np.cos(theta), np.sin(theta) * np.cos(phi)])
     cosine = (gbuffer.normals.double() @ towards).clamp_min(0)
@@ -252,100 +228,3 @@ def test_grazing_normals_stay_finite() -> None:
         picture = renderer.render({"normals": leaf})
         assert picture.isfinite().all()
         assert torch.autograd.grad(picture.sum(), leaf)[0].isfinite().all()
-
-
-# The protocol
-
-
-def test_images_of_a_batch_do_not_meet() -> None:
-    """To the last bit, pictures and gradients."""
-    renderer = sphere((20, 20), TIGHT, sky(16, 32))
-    batch = {g: v.requires_grad_() for g, v in moved(renderer, batch=3).items()}
-    pictures = renderer.render(batch)
-    together = torch.autograd.grad(pictures.square().sum(), list(batch.values()))
-    for b in (2, 0, 1):
-        alone = {g: v[b : b + 1].detach().clone().requires_grad_() for g, v in batch.items()}
-        picture = renderer.render(alone)
-        assert torch.equal(picture[0], pictures[b])
-        for one, all_ in zip(torch.autograd.grad(picture.square().sum(), list(alone.values())), together, strict=True):
-            assert torch.equal(one[0], all_[b])
-
-
-def test_groups_left_out_keep_their_values() -> None:
-    renderer = sphere()
-    start = {g: v[None] for g, v in renderer.initial().items()}
-    whole = renderer.render(start)
-    assert whole.shape == (1, 12, 12, 3)
-    assert torch.equal(renderer.render({}), whole)
-    for group in GROUPS:
-        assert torch.equal(renderer.render({group: start[group]}), whole)
-
-
-def test_wrong_shapes_are_refused() -> None:
-    renderer = sphere()
-    start = renderer.initial()
-    with pytest.raises(ValueError, match="normals"):
-        renderer.render({"normals": start["normals"]})
-    with pytest.raises(ValueError, match="colour"):
-        renderer.render({"colour": torch.zeros(1, 3)})
-    with pytest.raises(ValueError, match="batch"):
-        renderer.render({g: v.expand(k + 1, *v.shape) for k, (g, v) in enumerate(start.items())})
-
-
-def test_description_of_the_groups() -> None:
-    renderer = sphere(tolerance=TIGHT)
-    initial, bounds = renderer.initial(), renderer.bounds()
-    assert tuple(initial) == renderer.groups == GROUPS
-    assert {g: tuple(v.shape) for g, v in initial.items()} == {
-        "normals": (12, 12, 2),
-        "illumination": (4, 8),
-        "material": (2, 3, 3, 2, 6),
-    }
-    for group, value in initial.items():
-        low, high = bounds[group]
-        assert ((value >= low) & (value <= high)).all(), group
-        assert (low + torch.zeros_like(value)).shape == value.shape
-    assert bounds["illumination"][0] == 0
-    names = renderer.names("material")
-    assert names is not None
-    assert len(set(names)) == initial["material"].numel()
-    flat = initial["material"].flatten()
-    assert float(flat[names.index("object 1 blue lobe 0 gamma 5")]) == float(initial["material"][1, 2, 0, 1, 5])
-    assert renderer.names("normals") is renderer.names("illumination") is None
-    assert all(word in renderer.backend for word in ("torch", "float32", "threads", "closed form"))
-
-
-def test_initial_values_are_copies() -> None:
-    renderer = sphere()
-    renderer.initial()["illumination"].zero_()
-    assert renderer.initial()["illumination"].sum() > 0
-
-
-def test_unknown_preset_names_its_field() -> None:
-    with pytest.raises(InvalidRequest) as refused:
-        sphere(materials=("matte", "velvet"))
-    assert refused.value.field == "scene.objects.1.material"
-
-
-MEMORY = """
-import services  # sets up OpenMP before torch
-import resource, torch
-torch.set_num_threads(2)
-from services.rendering.torch_renderer.renderer import TorchRenderer
-from tests.unit.rendering.shading import sky, sphere_gbuffer, sphere_scene
-scene = sphere_scene((448, 448), sky(16, 32), ("plastic",))
-gbuffer = sphere_gbuffer(scene, radius=0.62)
-assert 55_000 < int((gbuffer.coverage > 0).sum()) < 65_000
-renderer = TorchRenderer(scene, gbuffer)
-leaves = {g: v[None].clone().requires_grad_() for g, v in renderer.initial().items()}
-renderer.render(leaves).sum().backward()
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
-"""
-
-
-def test_memory() -> None:
-    """60k pixels, 512 directions, forward and backward: 1.5 GB, where one shot takes over 4."""
-    root = Path(__file__).parents[4]
-    done = subprocess.run([sys.executable, "-c", MEMORY], cwd=root, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert int(done.stdout) < 1.5e9

@@ -1,4 +1,4 @@
-"""Renderers whose pictures are not what they should be."""
+"""Renderers whose images are not what they should be."""
 
 import torch
 
@@ -9,7 +9,7 @@ BUILDERS = (shading, views, differences, steps, sizes, precision, meshes)
 
 
 class Damaged:
-    """A renderer whose pictures go through `change`(picture, parameters)."""
+    """A renderer whose images go through `change`(image, parameters)."""
 
     def __init__(self, renderer, change) -> None:
         self._renderer, self._change = renderer, change
@@ -24,7 +24,7 @@ class Damaged:
         return Damaged(self._renderer.exact(), self._change)
 
 
-def pictures(change):
+def images(change):
     """Breaks every renderer that a case makes."""
 
     def apply(patch) -> None:
@@ -35,15 +35,11 @@ def pictures(change):
     return apply
 
 
-lighter_pictures = pictures(lambda picture, _: (picture + 0.01).clamp_max(1))
-moved_by_parameters = pictures(
-    lambda picture, given: picture + 1e-3 * sum(bool(v.abs().max() > 50) for v in given.values())
-)
-eight_bit_pictures = pictures(
-    lambda picture, given: (
-        picture.bfloat16().float() if any(v.dtype == torch.bfloat16 for v in given.values()) else picture
-    )
+lighter_images = images(lambda image, _: (image + 0.01).clamp_max(1))
+moved_by_parameters = images(lambda image, given: image + 1e-3 * sum(bool(v.abs().max() > 50) for v in given.values()))
+eight_bit_images = images(
+    lambda image, given: image.bfloat16().float() if any(v.dtype == torch.bfloat16 for v in given.values()) else image
 )
 
 
-grainy_pictures = pictures(lambda picture, _: picture if picture.shape[1] == 64 else picture + 0.01)
+grainy_images = images(lambda image, _: image if image.shape[1] == 64 else image + 0.01)

@@ -1,0 +1,140 @@
+"""How far are our pictures of glTF materials from those of stock pyrender?
+
+Each of the ten models of `benchmarks.gltf_models` is drawn by both under one point, one directional and one spot light,
+without ambient light. Stock pyrender reads the file by trimesh, clamps linear light to [0,1], raises it to 1 / 2.2 and
+rounds it to 8 bits; ours is put through the same curve over the same black. Differences are means over the pixels that
+either covers, in 1/255. Where the mean reaches 2, the model is drawn again with what stock pyrender leaves out put
+right (`mended`, see `benchmarks.stock_pyrender`). Writes results/gltf_materials.json and docs/gltf.md.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks import gltf_page
+from benchmarks.gltf_models import MODELS, two_uv_sets
+from benchmarks.report import RESULTS, save
+from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
+from services.scenes.description import Camera, Lights, Scene, SceneObject
+from services.scenes.library import Library
+from services.scenes.mesh import FIT_RADIUS
+from services.scenes.resolve import resolve
+from services.scenes.view import camera_to_world
+
+SIZE = (256, 256)
+LIMIT = 2.0
+"""Mean difference in 1/255 that needs no reason."""
+PLACE, AXIS = (1.2, 1.6, 1.5), (-1.2, -1.6, -1.5)
+LIGHTS: dict[str, dict[str, Any]] = {
+    "point": {"energy": 10.0, "position": PLACE},
+    "directional": {"energy": 2.0, "direction": AXIS},
+    "spot": {"energy": 10.0, "position": PLACE, "direction": AXIS, "inner_angle": 0.1, "outer_angle": 0.35},
+}
+Image = NDArray[np.uint8]
+_FIELDS = {"point": "points", "directional": "directional", "spot": "spots"}
+
+
+@dataclass(frozen=True)
+class View:
+    """A model of MODELS under a light of LIGHTS; `mend`: for stock pyrender, with what it leaves out put right."""
+
+    model: str
+    light: str
+    mend: bool = False
+
+    @property
+    def glb(self) -> bytes:
+        """The file."""
+        # Of a second set of texture coordinates stock pyrender knows nothing: it is baked into the first.
+        return two_uv_sets(baked=True) if self.mend and self.model == "two UV sets" else MODELS[self.model]()
+
+    @property
+    def scene(self) -> Scene:
+        """The scene around it, but for the mesh's name."""
+        lights = {"ambient": 0.0, "points": (), "environment": {"map": "uniform"}}
+        return Scene(
+            camera=Camera(size=SIZE),
+            objects=(SceneObject(mesh="-"),),
+            lights=Lights.model_validate(lights | {_FIELDS[self.light]: (LIGHTS[self.light],)}),
+            ground=(0.0, 0.0, 0.0),
+        )
+
+
+def main() -> None:
+    """Draws and compares; see --help."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=RESULTS / "gltf_materials.json")
+    options = parser.parse_args()
+    views = [View(model, light) for model in MODELS for light in LIGHTS]
+    drawn = [ours(view) for view in views]
+    apart = [difference(one, other) for (one, _), other in zip(drawn, stock(views), strict=True)]
+    rows = [{"model": view.model, "light": view.light} | found for view, found in zip(views, apart, strict=True)]
+    far = [k for k, row in enumerate(rows) if float(row["mean"]) >= LIMIT]
+    again = stock([View(views[k].model, views[k].light, mend=True) for k in far])
+    for k, other in zip(far, again, strict=True):
+        rows[k]["mended"] = difference(drawn[k][0], other)
+    save(options.out, __doc__ or "", drawn[0][1], None, limit=LIMIT, rows=rows)
+    gltf_page.PAGE.write_text(gltf_page.page(), "utf-8")
+
+
+def ours(view: View) -> tuple[Image, str]:
+    """Our picture through stock pyrender's curve, uint8 [H, W, 3], and the backend."""
+    with tempfile.TemporaryDirectory() as directory:
+        library = Library(Path(directory) / "cache", Path(directory) / "data")
+        mesh = library.add_mesh(view.glb, "glb").name
+        scene = resolve(view.scene.model_copy(update={"objects": (SceneObject(mesh=mesh),)}), library)
+        renderer = PyrenderRenderer(scene)
+    radiance, coverage = np.split(renderer.radiance({})[0].double().numpy(), [3], axis=-1)
+    linear = np.divide(radiance, coverage, out=np.zeros_like(radiance), where=coverage > 0)
+    shown: Image = np.rint(255 * coverage * np.clip(linear, 0, 1) ** (1 / 2.2)).astype(np.uint8)
+    return shown, renderer.backend
+
+
+def stock(views: Sequence[View]) -> list[Image]:
+    """Stock pyrender's pictures, uint8 [H, W, 3], all from one process. Raises CalledProcessError if it fails."""
+    if not views:
+        return []
+    with tempfile.TemporaryDirectory() as directory:
+        requests = [_request(view, Path(directory) / str(k)) for k, view in enumerate(views)]
+        command = [sys.executable, "-m", "benchmarks.stock_pyrender"]
+        subprocess.run(command, input=json.dumps(requests), text=True, check=True, timeout=300)
+        return [np.load(request["out"]) for request in requests]
+
+
+def difference(one: Image, other: Image) -> dict[str, float]:
+    """Over the pixels that either covers: the mean difference in 1/255, the share beyond 8 of 255, and how many."""
+    covered = (one > 0).any(axis=-1) | (other > 0).any(axis=-1)
+    apart = np.abs(one.astype(int) - other.astype(int))[covered]
+    return {
+        "mean": round(float(apart.mean()), 3),
+        "share_beyond_8": round(float((apart.max(axis=-1) > 8).mean()), 4),
+        "pixels": int(covered.sum()),
+    }
+
+
+def _request(view: View, path: Path) -> dict[str, Any]:
+    path.with_suffix(".glb").write_bytes(view.glb)
+    camera = view.scene.camera
+    return {
+        "file": str(path.with_suffix(".glb")),
+        "out": str(path.with_suffix(".npy")),
+        "mend": view.mend,
+        "size": camera.size,
+        "field_of_view": camera.field_of_view,
+        "pose": camera_to_world(camera).tolist(),
+        "radius": FIT_RADIUS,
+        "light": {"kind": view.light, "position": PLACE, "direction": AXIS} | LIGHTS[view.light],
+    }
+
+
+if __name__ == "__main__":
+    main()

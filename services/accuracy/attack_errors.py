@@ -1,0 +1,174 @@
+"""Odd scenes under whole attacks: the error of every image against the plan's estimate."""
+
+import random
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations
+from time import perf_counter
+from typing import Any
+
+import torch
+from pydantic import BaseModel, ConfigDict, Field
+
+from services.attacks.fgsm import Fgsm, FgsmMethod
+from services.attacks.goal import ResolvedGoal
+from services.attacks.problem import AttackProblem, gradients, quantize
+from services.rendering.opengl.gbuffer import rasterise
+from services.rendering.plan import GradientError
+from services.rendering.torch_renderer.declaration import TORCH
+from services.rendering.torch_renderer.renderer import TorchRenderer
+from services.scenes.description import Scene
+from services.scenes.library import Library
+from services.scenes.resolve import resolve
+from services.targets import registry
+
+FLAT = ("primitive/plane", "primitive/cube", "furniture/table4")
+"""Meshes of few normals: an attack takes them far from where a table was measured."""
+ROUND = (
+    "primitive/sphere",
+    "primitive/cylinder",
+    "primitive/cone",
+    "primitive/torus",
+    "primitive/capsule",
+    "furniture/soccer-ball",
+    "furniture/grand-piano",
+    "furniture/couch",
+)
+MATERIALS = ("matte", "plastic", "glossy-paint", "brushed-metal")
+MAPS = ("city", "courtyard", "forest", "interior", "night", "studio", "sunrise", "sunset")
+GROUPS = tuple(c for n in (1, 2, 3) for c in combinations(TORCH.group_names, n))
+STEPS = 120
+TARGET = "efficientnet-lite0"
+
+
+@dataclass(frozen=True)
+class AttackedScene:
+    """A scene, the groups attacked in it and the tolerance of its plan."""
+
+    name: str
+    scene: Scene
+    groups: tuple[str, ...]
+    tolerance: float
+
+
+class AttackErrors(BaseModel):
+    """The errors of the images of one attack, as displayed values in [0,1]."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    name: str
+    scene: dict[str, Any]
+    groups: tuple[str, ...]
+    tolerance: float
+    table: bool = Field(description="whether the plan looks pixels up in a table")
+    estimate: float = Field(description="the plan's error")
+    images: int
+    worst: float = Field(description="largest error of any image against the exact renderer's")
+    worst_step: int
+    beyond: int = Field(description="images with a larger error than the estimate")
+    failed_checks: int = Field(description="images summed pixel by pixel as their sampled check failed")
+    gradients: tuple[GradientError, ...]
+    seconds: float
+
+
+def random_scenes(count: int, seed: int = 0, sizes: tuple[int, ...] = (64, 80, 96)) -> Iterator[AttackedScene]:
+    """`count` scenes of flat and round meshes, in turns over all combinations of groups."""
+    draw = random.Random(seed)
+    for k in range(count):
+        size = draw.choice(sizes)
+        viewer = "perspective" if draw.random() < 0.1 else "distant"
+        texels = draw.choice(((4, 8), (8, 16), (16, 32), (16, 32)))
+        mesh = draw.choice(FLAT if draw.random() < 0.5 else ROUND)
+        yield _scene(
+            f"random {k}", mesh, draw, size, texels, viewer, GROUPS[k % len(GROUPS)], draw.choice((1e-3, 1e-2))
+        )
+
+
+def adversarial_scenes(seed: int = 1) -> Iterator[AttackedScene]:
+    """16 scenes chosen to break a table's estimate: one normal or few, glossy, all attacks that move normals."""
+    draw = random.Random(seed)
+    moving = [groups for groups in GROUPS if "normals" in groups]
+    choices = [
+        *((mesh, material, 64) for mesh in FLAT for material in ("glossy-paint", "plastic", "brushed-metal")),
+        *(("primitive/cone", material, 64) for material in ("glossy-paint", "brushed-metal")),
+        *(("primitive/cylinder", material, 96) for material in ("glossy-paint", "plastic")),
+        ("primitive/plane", "glossy-paint", 128),
+        ("primitive/cube", "glossy-paint", 128),
+        ("furniture/table4", "glossy-paint", 128),
+    ]
+    for k, (mesh, material, size) in enumerate(choices):
+        texels = (4, 8) if mesh == "furniture/table4" else (16, 32)
+        groups, tolerance = moving[k % len(moving)], (1e-2, 1e-3)[k % 2]
+        yield _scene(f"adversarial {k}", mesh, draw, size, texels, "distant", groups, tolerance, material)
+
+
+def _scene(
+    name: str,
+    mesh: str,
+    draw: random.Random,
+    size: int,
+    texels: tuple[int, int],
+    viewer: str,
+    groups: tuple[str, ...],
+    tolerance: float,
+    material: str | None = None,
+) -> AttackedScene:
+    described = {
+        "camera": {
+            "size": (size, size),
+            "azimuth": draw.uniform(-3, 3),
+            "elevation": draw.uniform(-0.2, 1.2),
+            "viewer": viewer,
+        },
+        "objects": [{"mesh": mesh, "material": material or draw.choice(MATERIALS)}],
+        "lights": {"environment": {"map": draw.choice(MAPS), "size": texels, "rotation": draw.uniform(0, 6)}},
+    }
+    return AttackedScene(name, Scene.model_validate(described), groups, tolerance)
+
+
+def attack_errors(case: AttackedScene, library: Library, steps: int = STEPS) -> AttackErrors:
+    """Attacks a scene for all `steps`, fooled or not and without truncation, and compares every image with the exact
+    renderer's. Raises as `resolve` does."""
+    began = perf_counter()
+    scene = resolve(case.scene, library)
+    renderer = TorchRenderer(scene, rasterise(scene), case.groups, case.tolerance)
+    errors = list(_errors(renderer, case.groups, steps))
+    worst = max(range(len(errors)), key=errors.__getitem__)
+    return AttackErrors(
+        name=case.name,
+        scene=case.scene.model_dump(mode="json", exclude_defaults=True),
+        groups=case.groups,
+        tolerance=case.tolerance,
+        table=any(stage.name == "sampled check" for stage in renderer.plan.stages),
+        estimate=renderer.plan.error,
+        images=len(errors),
+        worst=errors[worst],
+        worst_step=worst,
+        beyond=sum(error > renderer.plan.error for error in errors),
+        failed_checks=renderer.failed_checks,
+        gradients=renderer.plan.gradients,
+        seconds=perf_counter() - began,
+    )
+
+
+def _errors(renderer: TorchRenderer, groups: tuple[str, ...], steps: int) -> Iterator[float]:
+    """The error of each image of an attack by FGSM with the paper's settings."""
+    target = registry.load(TARGET)
+    settings = Fgsm(groups=groups, truncation=None)
+    start = renderer.exact().render({group: renderer.initial()[group][None].double() for group in groups})
+    first = int(target.logits(quantize(start.float())[1])[0].argmax())
+    problem = AttackProblem(renderer, target, ResolvedGoal(leave=first, reach=None), settings.groups)
+    method = FgsmMethod(settings, problem)
+    for step in range(steps + 1):
+        view = problem.view(method.perturbation, gradient=True)
+        yield _error(renderer, problem, view.images.detach(), method)
+        if step < steps:
+            [found] = gradients([problem], [view], problem.logits(quantize(view.images)[1]))
+            method.advance(problem, replace(view, gradients=found), step)
+
+
+@torch.no_grad()
+def _error(renderer: TorchRenderer, problem: AttackProblem, images: torch.Tensor, method: FgsmMethod) -> float:
+    moved = {group: (problem.initial[group] + value)[None] for group, value in method.perturbation.items()}
+    exact = renderer.exact().render({group: value.double() for group, value in moved.items()})
+    return float((images.double() - exact).abs().max())

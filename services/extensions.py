@@ -1,0 +1,130 @@
+"""What is added by a file of its own: attacks, renderers and targets, built in or from an operator's folder.
+
+A registry finds the built-in modules of its package by itself. `load` runs the files that an operator names; one that
+fails leaves no trace but its error.
+"""
+
+import re
+import sys
+import traceback
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+from importlib import import_module
+from importlib.resources import files
+from itertools import count
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Generic, TypeVar
+
+Entry = TypeVar("Entry")
+
+NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
+_NUMBERS = count()
+_REGISTERS = re.compile(r"^@?register\(", re.MULTILINE)
+
+
+class Registry(Mapping[str, Entry], Generic[Entry]):
+    """Entries by name, in alphabetical order.
+
+    At the first look-up the built-in modules are imported: those of `package` in whose text a line begins with
+    `register(` or `@register(`. The text is looked at so that the package's other modules, and torch with them, need
+    not be imported to know what there is.
+    """
+
+    def __init__(self, kind: str, package: str) -> None:
+        self.kind = kind
+        self._package = package
+        self._entries: dict[str, Entry] = {}
+        self._complete = False
+
+    def add(self, name: str, entry: Entry) -> None:
+        """Raises ValueError for a name that is taken, or that is not made of a-z, 0-9, - and _."""
+        if not NAME.fullmatch(name):
+            raise ValueError(f"{name!r} is no name for a {self.kind}: use a-z, 0-9, - and _")
+        if name in self._entries:
+            raise ValueError(f"there is a {self.kind} {name!r} already; choose another name")
+        self._entries[name] = entry
+
+    def __getitem__(self, name: str) -> Entry:
+        self._find()
+        return self._entries[name]
+
+    def __iter__(self) -> Iterator[str]:
+        self._find()
+        return iter(sorted(self._entries))
+
+    def __len__(self) -> int:
+        self._find()
+        return len(self._entries)
+
+    def snapshot(self) -> dict[str, Entry]:
+        """A copy of the entries, for `restore`."""
+        self._find()
+        return dict(self._entries)
+
+    def restore(self, entries: dict[str, Entry]) -> None:
+        """Back to the entries of a `snapshot`."""
+        self._entries = dict(entries)
+
+    def _find(self) -> None:
+        if self._complete:
+            return
+        self._complete = True
+        root = Path(str(files(self._package)))
+        for path in sorted(root.rglob("*.py")):
+            if _REGISTERS.search(path.read_text("utf-8")):
+                import_module(".".join([self._package, *path.relative_to(root).with_suffix("").parts]))
+
+
+@dataclass(frozen=True)
+class Extension:
+    """A file named by SCENE_ATTACK_EXTENSIONS, as it was loaded."""
+
+    path: Path
+    sha256: str | None
+    """Of the very bytes that were run; None for a file that cannot be read."""
+    adds: frozenset[tuple[str, str]] = frozenset()
+    """Kind and name of what it registered: ("renderer", "tint")."""
+    error: str | None = None
+    """Why it was not loaded; None if it was."""
+
+
+def load(paths: Sequence[Path], registries: Sequence[Registry[Any]]) -> tuple[Extension, ...]:
+    """Runs each file, and each .py file of each folder but those whose name begins with "_", in alphabetical order.
+
+    What a file registered before it failed is taken back, so that it is loaded whole or not at all.
+    """
+    return tuple(_load(file, registries) for path in paths for file in _files(path))
+
+
+def _files(path: Path) -> list[Path]:
+    return sorted(file for file in path.glob("*.py") if not file.name.startswith("_")) if path.is_dir() else [path]
+
+
+def _load(path: Path, registries: Sequence[Registry[Any]]) -> Extension:
+    before = [registry.snapshot() for registry in registries]
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        return Extension(path, None, error=f"it cannot be read: {error.strerror}")
+    digest = sha256(data).hexdigest()
+    module = ModuleType(f"scene_attack_extension_{next(_NUMBERS)}_{path.stem}")
+    module.__file__ = str(path)
+    sys.modules[module.__name__] = module  # pydantic and dataclasses look their module up
+    try:
+        exec(compile(data, str(path), "exec", dont_inherit=True), module.__dict__)
+    except (Exception, SystemExit) as error:
+        del sys.modules[module.__name__]
+        for registry, entries in zip(registries, before, strict=True):
+            registry.restore(entries)
+        return Extension(path, digest, error=_told(error, path))
+    adds = {(r.kind, name) for r, entries in zip(registries, before, strict=True) for name in r if name not in entries}
+    return Extension(path, digest, frozenset(adds))
+
+
+def _told(error: BaseException, path: Path) -> str:
+    """The error in one line, with the line of the file it came from."""
+    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+    where = f"line {lines[-1]}: " if lines else ""
+    return f"{where}{type(error).__name__}: {' '.join(str(error).split())}"

@@ -1,0 +1,154 @@
+"""What a running attempt writes to the record, and what becomes of a job whose attempt cannot go on.
+
+An attempt is fenced: its writes carry its number and change nothing once the job has been taken back, finished or
+given to a later attempt.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import timedelta
+from enum import Enum
+from typing import Any
+
+from sqlalchemy import or_, select, update
+from sqlalchemy.orm import Session
+from sqlalchemy.sql.elements import ColumnElement
+
+from services.jobs.models import Artifact, Event, Job, State
+from services.jobs.transactions import Transactions
+
+ACTIVE = (State.RUNNING, State.CANCELLING)
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """The right to run a job and to write about it, until the lease lapses or the job moves on."""
+
+    job_id: str
+    number: int
+
+
+class Standing(Enum):
+    """What the record says to a running attempt."""
+
+    GO_ON = "go on"
+    CANCEL = "cancel"
+    LOST = "lost"
+
+
+class Attempts(Transactions):
+    """Leases of jobs, and the writes of the attempts that hold them."""
+
+    def lease(self, job_id: str, owner: str, seconds: float) -> Attempt | None:
+        """Take a queued job. None if it is not queued any more, as when its id was delivered twice."""
+        with self._write() as session:
+            job = self._move(
+                session,
+                job_id,
+                State.RUNNING,
+                [Job.state == State.QUEUED],
+                attempt=Job.attempt + 1,
+                lease_owner=owner,
+                lease_until=self._clock() + timedelta(seconds=seconds),
+                phase=None,
+                step=None,
+                steps=None,
+            )
+            return None if job is None else Attempt(job.id, job.attempt)
+
+    def standing(self, attempt: Attempt) -> Standing:
+        """Whether the attempt should go on."""
+        with self._read() as session:
+            found = session.execute(select(Job.state, Job.attempt).where(Job.id == attempt.job_id)).one_or_none()
+        if found is None or found.attempt != attempt.number or found.state not in ACTIVE:
+            return Standing.LOST
+        return Standing.CANCEL if found.state == State.CANCELLING else Standing.GO_ON
+
+    def renew(self, attempt: Attempt, seconds: float) -> Standing:
+        """Extend the lease by so many seconds from now."""
+        with self._write() as session:
+            until = self._clock() + timedelta(seconds=seconds)
+            session.execute(update(Job).where(*_fence(attempt)).values(lease_until=until))
+        return self.standing(attempt)
+
+    def progress(self, attempt: Attempt, phase: str, step: int, steps: int, rows: Sequence[dict[str, Any]]) -> bool:
+        """Record how far the attempt is and the trace rows since its last report. False if it was fenced off."""
+        with self._write() as session:
+            changed = (
+                update(Job)
+                .where(*_fence(attempt))
+                .values(phase=phase, step=step, steps=steps, events=Job.events + 1)
+                .returning(Job.events)
+            )
+            number = session.scalar(changed)
+            if number is None:
+                return False
+            data = {"phase": phase, "step": step, "steps": steps, "rows": list(rows)}
+            session.add(
+                Event(job_id=attempt.job_id, number=number, kind="progress", data=data, created_at=self._clock())
+            )
+            return True
+
+    def succeed(
+        self, attempt: Attempt, result: dict[str, Any], outcome: dict[str, Any], artifacts: Sequence[Artifact]
+    ) -> bool:
+        """Record the result; the artifacts' bytes must be in the store already. False if it was fenced off."""
+        with self._write() as session:
+            ended = self._end(session, attempt, State.SUCCEEDED, result=result, outcome=outcome)
+            if ended:
+                session.add_all(artifacts)
+            return ended
+
+    def fail(self, attempt: Attempt, kind: str, detail: str) -> bool:
+        """End the job with a typed failure. False if the attempt was fenced off."""
+        with self._write() as session:
+            return self._end(session, attempt, State.FAILED, failure_kind=kind, failure_detail=detail)
+
+    def cancelled(self, attempt: Attempt) -> bool:
+        """Record that the attempt stopped as asked. False if it was fenced off."""
+        with self._write() as session:
+            return self._end(session, attempt, State.CANCELLED)
+
+    def _end(self, session: Session, attempt: Attempt, to: State, **values: Any) -> bool:
+        values |= {"lease_owner": None, "lease_until": None}
+        return self._move(session, attempt.job_id, to, _fence(attempt)[1:], **values) is not None
+
+    def give_back(self, attempt: Attempt) -> None:
+        """Queue the job again, as when its worker is shut down; no attempt is counted as lost."""
+        with self._write() as session:
+            self._return(session, attempt, lost=0, max_attempts=1)
+
+    def lose(self, attempt: Attempt, max_attempts: int) -> None:
+        """The attempt's process died: queue the job again, or fail it when that happened too often."""
+        with self._write() as session:
+            self._return(session, attempt, lost=1, max_attempts=max_attempts)
+
+    def take_back(self, max_attempts: int, owner: str | None = None) -> list[str]:
+        """Lose all attempts whose lease has lapsed, or that an owner known to be dead still holds. Returns job ids."""
+        gone = Job.lease_until < self._clock()
+        if owner is not None:
+            gone = or_(gone, Job.lease_owner == owner)
+        with self._write() as session:
+            found = session.execute(select(Job.id, Job.attempt).where(Job.state.in_(ACTIVE), gone)).all()
+            for job_id, number in found:
+                self._return(session, Attempt(job_id, number), lost=1, max_attempts=max_attempts)
+        return [job_id for job_id, _ in found]
+
+    def _return(self, session: Session, attempt: Attempt, *, lost: int, max_attempts: int) -> None:
+        fence = _fence(attempt)[1:]
+        free = {"lease_owner": None, "lease_until": None, "lost": Job.lost + lost}
+        if self._move(session, attempt.job_id, State.CANCELLED, [*fence, Job.state == State.CANCELLING], **free):
+            return
+        if lost:
+            too_often = [*fence, Job.lost + lost >= max_attempts]
+            reason = {
+                "failure_kind": "worker-lost",
+                "failure_detail": f"its process died {max_attempts} times",
+            }
+            if self._move(session, attempt.job_id, State.FAILED, too_often, **free, **reason):
+                return
+        self._move(session, attempt.job_id, State.QUEUED, fence, **free, sent_at=None)
+
+
+def _fence(attempt: Attempt) -> list[ColumnElement[bool]]:
+    return [Job.id == attempt.job_id, Job.attempt == attempt.number, Job.state.in_(ACTIVE)]

@@ -1,0 +1,58 @@
+"""Transactions on the record of jobs, and the one way in which a job changes its state."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from typing import Any
+
+from sqlalchemy import Engine, update
+from sqlalchemy.orm import Session
+from sqlalchemy.sql.elements import ColumnElement
+
+from services.jobs.models import Event, Job, State
+
+
+class Transactions:
+    """Sessions for reading and writing. `clock` gives the time of every write; tests set it."""
+
+    def __init__(self, engine: Engine, clock: Callable[[], datetime] = lambda: datetime.now(UTC)) -> None:
+        self._reads = engine
+        self._writes = engine.execution_options(writes=True)
+        self._clock = clock
+
+    @contextmanager
+    def _read(self) -> Iterator[Session]:
+        with Session(self._reads, expire_on_commit=False) as session:
+            yield session
+
+    @contextmanager
+    def _write(self) -> Iterator[Session]:
+        with Session(self._writes, expire_on_commit=False) as session, session.begin():
+            yield session
+
+    def _move(
+        self, session: Session, job_id: str, to: State, where: Sequence[ColumnElement[bool]], **values: Any
+    ) -> Job | None:
+        """Change a job's state where it still is as `where` says, and record the event. None if it was not."""
+        now = self._clock()
+        changed = (
+            update(Job)
+            .where(Job.id == job_id, *where)
+            .values({"state": to, f"{to.value}_at": now, "events": Job.events + 1, **values})
+            .returning(Job)
+            .execution_options(synchronize_session=False, populate_existing=True)
+        )
+        job = session.scalars(changed).one_or_none()
+        if job is not None:
+            session.add(Event(job_id=job_id, number=job.events, kind="state", data=story(job), created_at=now))
+        return job
+
+
+def story(job: Job) -> dict[str, Any]:
+    """The data of a state event."""
+    told: dict[str, Any] = {"state": job.state.value, "attempt": job.attempt}
+    if job.state == State.SUCCEEDED:
+        told["outcome"] = job.outcome
+    if job.state == State.FAILED:
+        told["failure"] = {"kind": job.failure_kind, "detail": job.failure_detail}
+    return told

@@ -1,0 +1,65 @@
+"""The part of docs/scene.md that follows from what is registered: attacks with their settings, renderers, groups.
+
+`python -m services.pipeline.field_tables` writes it again.
+"""
+
+import json
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from pydantic.fields import FieldInfo
+
+from services.pipeline.extensions import ATTACKS, RENDERERS
+
+PAGE = Path(__file__).parents[2] / "docs" / "scene.md"
+BEGIN = "<!-- written by python -m services.pipeline.field_tables -->"
+END = "<!-- end -->"
+
+
+def tables() -> str:
+    """Markdown: a section for each attack, and one for the renderers."""
+    lines: list[str] = []
+    for name, attack in ATTACKS.items():
+        lines += [f"## `attack` with `method: {name}`", "", " ".join((attack.settings.__doc__ or "").split()), ""]
+        fields = attack.settings.model_fields.items()
+        lines += _table(
+            ("field", "default", "meaning"), ([f"`{f}`", _default(i), i.description or ""] for f, i in fields)
+        )
+    lines += ["## Renderers and their parameter groups", ""]
+    lines += ["`method` may be left out; then it is the renderer's own.", ""]
+    columns = ("renderer", "method", "group", "shape", "unit", "step of fgsm")
+    return "\n".join(lines + list(_table(columns, _groups()))).rstrip()
+
+
+def page(text: str) -> str:
+    """A page with the part between its two marks written again."""
+    before, rest = text.split(BEGIN)
+    return f"{before}{BEGIN}\n\n{tables()}\n\n{END}{rest.split(END)[1]}"
+
+
+def _groups() -> Iterator[list[str]]:
+    for name, renderer in RENDERERS.items():
+        for group in renderer.groups:
+            step = "" if group.suggested_step is None else f"{group.suggested_step:g}"
+            shape = "×".join(group.shape)
+            yield [f"`{name}`", f"`{renderer.method}`", f"`{group.name}`", shape, group.unit, step]
+
+
+def _table(columns: Iterable[str], rows: Iterable[list[str]]) -> Iterator[str]:
+    yield f"| {' | '.join(columns)} |"
+    yield "|" + "---|" * len(list(columns))
+    for row in rows:
+        yield f"| {' | '.join(row)} |"
+    yield ""
+
+
+def _default(field: FieldInfo) -> str:
+    if field.default_factory is not None:
+        return "see meaning"
+    default: Any = field.default
+    return "required" if field.is_required() else json.dumps(list(default) if isinstance(default, tuple) else default)
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(PAGE.read_text("utf-8")), "utf-8")

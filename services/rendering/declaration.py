@@ -1,0 +1,184 @@
+"""What a renderer says of itself without being loaded: its parameter groups, and how attacks treat it.
+
+Requests are checked, pages worded and perceptibility measured by these declarations. Neither torch nor OpenGL is needed
+to read them: a declaration names its class by its address, which is imported when the first image is asked for.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from services.extensions import Registry
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from services.rendering.plan import Tolerance
+    from services.rendering.protocol import InactiveCoordinate, Parameters, Renderer
+    from services.scenes.resolve import ResolvedScene
+
+Labels = Callable[[tuple[int, ...]], list[str]]
+"""From the shape of a group's values to a label for each coordinate, in flat order."""
+
+
+def labelled(*axes: str | tuple[str, ...]) -> Labels:
+    """Labels made axis by axis: of a tuple its words, of a string with {} in it the index of the coordinate.
+
+    `labelled("object {}", ("red", "green"))` gives "object 0 red", "object 0 green", "object 1 red", …
+    """
+
+    def labels(shape: tuple[int, ...]) -> list[str]:
+        words = [
+            axis if isinstance(axis, tuple) else [axis.format(i) for i in range(size)]
+            for axis, size in zip(axes, shape, strict=True)
+        ]
+        return [" ".join(label) for label in product(*words)]
+
+    return labels
+
+
+@dataclass(frozen=True, kw_only=True)
+class Group:
+    """One parameter group of a renderer. Raises ValueError if it declares no shape, or more vector axes than axes."""
+
+    name: str
+    shape: tuple[str, ...] = ()
+    """A word for each axis of its values: ("H", "W", "2")."""
+    unit: str
+    words: str
+    """What pages call it: "surface normals"."""
+    labels: Labels | None = None
+    """Labels of its coordinates; None for image-like groups."""
+    vector_axes: int = 1
+    """How many trailing axes hold one vector. Perceptibility p is the root of the mean, over the other axes, of the
+    vectors' squared norms (paper, section 3.3)."""
+    suggested_step: float | None = None
+    """Learning rate of a method that steps by the sign of the gradient, in the group's unit (paper, section 4.1)."""
+
+    def __post_init__(self) -> None:
+        if not self.shape:
+            raise ValueError(f"group {self.name!r} declares no shape: name its axes, as in ('H', 'W', '3')")
+        if not 0 <= self.vector_axes <= len(self.shape):
+            raise ValueError(f"group {self.name!r} has {len(self.shape)} axes, not vectors of {self.vector_axes}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Declaration:
+    """A renderer as requests, pages and attacks know it. Raises ValueError for groups that are missing or repeated."""
+
+    name: str
+    groups: tuple[Group, ...]
+    """In the order of every table."""
+    differentiable: bool
+    method: str
+    """Attack method of requests that name none."""
+    base_renderer: str | None = None
+    """For a renderer that works on another's image: the renderer that draws it unless the request names another."""
+    renderer: "str | type[Any] | None" = None
+    """The class, or its address "module:class"."""
+
+    def __post_init__(self) -> None:
+        if not self.groups:
+            raise ValueError(f"renderer {self.name!r} declares no parameter group")
+        if len(set(self.group_names)) != len(self.groups):
+            raise ValueError(f"renderer {self.name!r} declares a group twice")
+
+    @property
+    def group_names(self) -> tuple[str, ...]:
+        """The names of the groups."""
+        return tuple(group.name for group in self.groups)
+
+    def group(self, name: str) -> Group:
+        """A group by its name. Raises KeyError."""
+        return {group.name: group for group in self.groups}[name]
+
+
+@dataclass(frozen=True)
+class BuildRequest:
+    """What a renderer is built for."""
+
+    scene: "ResolvedScene"
+    groups: tuple[str, ...]
+    """The attacked groups: only these change while the attack runs."""
+    tolerance: "Tolerance"
+    """Largest error of a displayed value that images inside the attack may have; "exact" for none."""
+    base: "Renderer | None"
+    """The exact renderer of the image that is worked on, for a renderer with a `base_renderer`."""
+
+    def base_image(self) -> "Tensor":
+        """The base renderer's image as it would be saved: float32 [H, W, 3], multiples of 1/255."""
+        from services.rendering.color import as_saved
+
+        assert self.base is not None, "the renderer declares no base renderer"
+        start = {group: value[None] for group, value in self.base.initial().items()}
+        return as_saved(self.base.render(start))[0]
+
+
+class DeclaredRenderer:
+    """Base of a renderer class: what of the protocol follows from its declaration.
+
+    A class sets `declaration` itself, where that has its address, or gets it from `@register(declaration)`.
+    """
+
+    declaration: Declaration
+    name: str
+    """The word of the request."""
+    groups: tuple[str, ...]
+    """Parameter groups, in the order of every table."""
+    differentiable: bool
+    """Whether gradients reach the input."""
+
+    def __init_subclass__(cls) -> None:
+        if "declaration" in cls.__dict__:
+            cls.declare(cls.declaration)
+
+    @classmethod
+    def declare(cls, declaration: Declaration) -> None:
+        """Takes name, groups and differentiability from a declaration."""
+        cls.declaration = declaration
+        cls.name, cls.groups = declaration.name, declaration.group_names
+        cls.differentiable = declaration.differentiable
+
+    def initial(self) -> "Parameters":
+        """The scene's own values; every renderer has its own."""
+        raise NotImplementedError
+
+    def names(self, group: str) -> list[str] | None:
+        """A label for each coordinate of a group, in flat order; None for image-like groups."""
+        labels = self.declaration.group(group).labels
+        return None if labels is None else labels(tuple(self.initial()[group].shape))
+
+    def inactive(
+        self,
+        parameters: "Mapping[str, Tensor]",  # noqa: ARG002 - the protocol's
+        reach: Mapping[str, float],  # noqa: ARG002
+    ) -> "Sequence[InactiveCoordinate]":
+        """None: nothing is known to change no pixel."""
+        return ()
+
+
+RENDERERS: Registry[Declaration] = Registry("renderer", "services.rendering")
+
+Class = TypeVar("Class", bound=type[DeclaredRenderer])
+
+
+def register(declaration: Declaration) -> Callable[[Class], Class]:
+    """Makes a renderer known: a decorator of its class, or a plain call where the declaration has the class's address.
+
+    The class derives from `DeclaredRenderer`, implements `services.rendering.protocol.Renderer` and has a class method
+    `build(request: BuildRequest)`. Raises ValueError for a name that is taken.
+    """
+    if declaration.renderer is not None:
+        RENDERERS.add(declaration.name, declaration)
+
+    def decorate(renderer: Class) -> Class:
+        missing = [name for name in ("build", "initial", "bounds", "render", "exact") if not hasattr(renderer, name)]
+        if missing:
+            raise ValueError(f"{renderer.__name__} has no {' and no '.join(missing)}")
+        declared = replace(declaration, renderer=renderer)
+        RENDERERS.add(declaration.name, declared)
+        renderer.declare(declared)
+        return renderer
+
+    return decorate

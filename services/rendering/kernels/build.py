@@ -1,0 +1,170 @@
+"""Compile the kernels, and find compiled ones: at set-up, in an image's build stage, or before the first use.
+
+    python -m services.rendering.kernels.build
+
+A library lies in the kernel folder beside a manifest that says what it was made from. It is loaded without a compiler,
+by a process whose sources, settings and processor are those of the manifest.
+"""
+
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from services.rendering.kernels import processor
+from services.settings import settings
+
+SOURCES = Path(__file__).parent
+SUFFIXES = (".cpp", ".h")
+FLAGS = (
+    "-O3", "-std=c++17", "-fopenmp", "-shared", "-fPIC", "-fno-math-errno", "-fno-trapping-math",
+    "-Wno-maybe-uninitialized", "-Wno-ignored-attributes", "-Wno-psabi",
+)  # fmt: skip
+PORTABLE = {"x86_64": "x86-64-v3", "aarch64": "armv8-a"}
+"""What SCENE_ATTACK_KERNEL_ARCH=portable means: x86-64 processors since 2015 (AVX2 and FMA), and every 64-bit ARM."""
+
+
+class KernelsMissingError(OSError):
+    """There is no library that this process may load, and no compiler to make one; the message says which and why."""
+
+
+class Manifest(BaseModel):
+    """What a compiled library was made from. Two libraries with the same manifest give the same bits."""
+
+    model_config = ConfigDict(frozen=True)
+
+    sources: str
+    """sha256 of all sources."""
+    machine: str
+    """As `platform.machine()` says it: "x86_64" or "aarch64"."""
+    flags: tuple[str, ...]
+    processor: str
+    """The processor's name and features where the flags compile for the one at hand, else empty."""
+    features: tuple[str, ...]
+    """What a processor must have to run it, in the words of /proc/cpuinfo."""
+    compiler: str
+    """Its version."""
+
+    @property
+    def identity(self) -> str:
+        """Sixteen hexadecimal digits for the manifest: part of every backend string."""
+        return hashlib.sha256(self.model_dump_json().encode()).hexdigest()[:16]
+
+    def refusal(self) -> str | None:
+        """Why this process may not load the library, as a clause; None where it may."""
+        if self.machine != platform.machine():
+            return f"they were compiled for {self.machine}, and this is {platform.machine()}"
+        if self.sources != sources_sha256():
+            return "they were compiled from other sources"
+        if self.flags != flags():
+            return "they were compiled with other flags; SCENE_ATTACK_KERNEL_ARCH differs"
+        if missing := sorted(set(self.features) - processor.features()):
+            return f"this processor lacks {', '.join(missing)}, which they were compiled to use"
+        if self.processor not in ("", processor.identity()):
+            return "they were compiled for another processor; SCENE_ATTACK_KERNEL_ARCH=portable would suit both"
+        return None
+
+
+def library_path() -> tuple[Path, Manifest]:
+    """The library to load and its manifest: compiled now (some 10 s) where there is none that suits.
+
+    Raises KernelsMissingError without a compiler, CalledProcessError where it fails, OSError where the folder cannot be
+    written.
+    """
+    wanted = _wanted()
+    found = _manifest(wanted.with_suffix(".json"))
+    if found is not None and wanted.exists() and found.refusal() is None:
+        return wanted, found
+    if _compiler() is None:
+        raise KernelsMissingError(f"{_why_none()}; install g++ and run scripts/setup, or set SCENE_ATTACK_KERNEL=torch")
+    return wanted, _compile(wanted)
+
+
+def sources_sha256() -> str:
+    """sha256 of the names and texts of all sources."""
+    texts = [f"{path.name}\n{path.read_text()}" for path in sorted(SOURCES.iterdir()) if path.suffix in SUFFIXES]
+    return hashlib.sha256("\n".join(texts).encode()).hexdigest()
+
+
+def flags() -> tuple[str, ...]:
+    """The compiler's flags for SCENE_ATTACK_KERNEL_ARCH on this machine."""
+    arch, machine = settings().kernel_arch, platform.machine()
+    if arch == "portable":
+        arch = PORTABLE.get(machine, "")
+    if machine != "x86_64":
+        return (*FLAGS, f"-{'mcpu' if arch == 'native' else 'march'}={arch}") if arch else FLAGS
+    return (*FLAGS, f"-march={arch}", "-mprefer-vector-width=512")
+
+
+def _wanted() -> Path:
+    """Where the library for these sources, flags and (where they name it) this processor belongs."""
+    about = [sources_sha256(), platform.machine(), *flags(), _processor()]
+    name = hashlib.sha256("\n".join(about).encode()).hexdigest()[:32]
+    return settings().kernel_folder / f"{name}.so"
+
+
+def _processor() -> str:
+    return processor.identity() if settings().kernel_arch == "native" else ""
+
+
+def _manifest(path: Path) -> Manifest | None:
+    try:
+        return Manifest.model_validate_json(path.read_bytes())
+    except (OSError, ValidationError):
+        return None
+
+
+def _why_none() -> str:
+    """Why no library in the folder may be loaded, by the newest of them."""
+    folder = settings().kernel_folder
+    newest = max(folder.glob("*.json"), key=lambda path: path.stat().st_mtime, default=None)
+    manifest = None if newest is None else _manifest(newest)
+    reason = None if manifest is None else manifest.refusal()
+    if reason is None:
+        return f"there are no compiled kernels in {folder}, and no C++ compiler"
+    return f"the compiled kernels in {folder} cannot be used ({reason}), and there is no C++ compiler"
+
+
+def _compiler() -> str | None:
+    return shutil.which(os.environ.get("CXX", "g++"))
+
+
+def _compile(path: Path) -> Manifest:
+    compiler = _compiler()
+    assert compiler is not None
+    path.parent.mkdir(parents=True, exist_ok=True)
+    manifest = Manifest(
+        sources=sources_sha256(),
+        machine=platform.machine(),
+        flags=flags(),
+        processor=_processor(),
+        features=tuple(sorted(processor.needed(_output(compiler, *flags(), "-dM", "-E", "-x", "c++", os.devnull)))),
+        compiler=_output(compiler, "--version").splitlines()[0],
+    )
+    with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+        library, words = Path(folder) / "kernels.so", Path(folder) / "kernels.json"
+        _output(compiler, *flags(), "-o", str(library), *map(str, sorted(SOURCES.glob("*.cpp"))))
+        words.write_text(manifest.model_dump_json(indent=1) + "\n")
+        library.replace(path)  # two builds at once: each file is whole, the last one stays
+        words.replace(path.with_suffix(".json"))  # last: a library counts once its manifest is there
+    return manifest
+
+
+def _output(*command: str) -> str:
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout
+
+
+if __name__ == "__main__":
+    try:
+        made, _ = library_path()
+    except subprocess.CalledProcessError as error:
+        sys.exit(f"the kernels do not compile:\n{error.stderr}")
+    except OSError as error:
+        sys.exit(str(error))
+    print(made)

@@ -1,0 +1,64 @@
+// What the library tells its caller about itself: the layout of each structure that crosses the border and the
+// signature of each function, written by the compiler that laid them out (services/rendering/kernels/layouts.py).
+//
+// STRUCTURE(S, NAME, FIELD(S, a) FIELD(S, b)) and FUNCTION(f) each add lines to one table that all sources share.
+
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <string>
+
+// One table in the whole library, whatever source adds to it.
+struct LayoutTable {
+    static std::string &lines() {
+        static std::string text;
+        return text;
+    }
+};
+
+namespace {
+
+// The word for a type. Structures have the name they were given.
+template <class T> struct Word {
+    static std::string of() { return T::layout_name(); }
+};
+template <> struct Word<void> { static std::string of() { return "void"; } };
+template <> struct Word<float> { static std::string of() { return "float32"; } };
+template <> struct Word<double> { static std::string of() { return "float64"; } };
+template <> struct Word<int32_t> { static std::string of() { return "int32"; } };
+template <> struct Word<int64_t> { static std::string of() { return "int64"; } };
+template <> struct Word<uint8_t> { static std::string of() { return "uint8"; } };
+template <class T> struct Word<const T> : Word<T> {};
+template <class T> struct Word<T *> { static std::string of() { return Word<T>::of() + "*"; } };
+template <class T, size_t n> struct Word<T[n]> {
+    static std::string of() { return Word<T>::of() + "[" + std::to_string(n) + "]"; }
+};
+
+inline void field_line(const std::string &name, size_t offset, size_t size, const std::string &word) {
+    LayoutTable::lines() += "field " + name + " " + std::to_string(offset) + " " + std::to_string(size) + " " + word + "\n";
+}
+
+template <class... A> struct SignatureLine {
+    SignatureLine(const char *name, void (*)(A...)) {
+        LayoutTable::lines() += std::string("function ") + name;
+        const std::string words[] = {Word<A>::of()...};
+        for (const std::string &word : words) LayoutTable::lines() += " " + word;
+        LayoutTable::lines() += "\n";
+    }
+};
+
+}  // namespace
+
+#define FIELD(S, NAME) field_line(#NAME, offsetof(S, NAME), sizeof(S::NAME), Word<decltype(S::NAME)>::of());
+
+// Parentheses around a type keep its commas together.
+#define STRUCTURE(S, ID, FIELDS)                                                                                       \
+    namespace {                                                                                                        \
+    const bool layout_of_##ID = [] {                                                                                   \
+        LayoutTable::lines() += "structure " + Word<S>::of() + " " + std::to_string(sizeof(S)) + "\n";                 \
+        FIELDS return true;                                                                                            \
+    }();                                                                                                               \
+    }
+
+#define FUNCTION(NAME) namespace { const SignatureLine signature_of_##NAME(#NAME, &NAME); }

@@ -1,0 +1,48 @@
+"""Textures as OpenGL holds them. Imports OpenGL, so import it only through `context.current()`."""
+
+import numpy as np
+from numpy.typing import NDArray
+from OpenGL import GL
+from pyrender.texture import Texture
+
+
+class LinearTexture(Texture):  # type: ignore[misc]
+    """An RGBA texture with mipmaps; `wrap`: OpenGL's modes for u and v."""
+
+    _format = GL.GL_RGBA8
+    _levels: list[NDArray[np.uint8]] | None = None
+    wrap: tuple[int, int] = (GL.GL_REPEAT, GL.GL_REPEAT)
+
+    def _add_to_context(self) -> None:
+        height, width = self.source.shape[:2]
+        self._texid = int(GL.glGenTextures(1))
+        GL.glBindTexture(GL.GL_TEXTURE_2D, self._texid)
+        # OpenGL's first row is v = 0, the bottom of the picture.
+        rows = np.ascontiguousarray(self.source[::-1])
+        GL.glTexImage2D(GL.GL_TEXTURE_2D, 0, self._format, width, height, 0, GL.GL_RGBA, GL.GL_UNSIGNED_BYTE, rows)
+        GL.glGenerateMipmap(GL.GL_TEXTURE_2D)
+        GL.glTexParameteri(GL.GL_TEXTURE_2D, GL.GL_TEXTURE_MIN_FILTER, GL.GL_LINEAR_MIPMAP_LINEAR)
+        GL.glTexParameteri(GL.GL_TEXTURE_2D, GL.GL_TEXTURE_MAG_FILTER, GL.GL_LINEAR)
+        GL.glTexParameteri(GL.GL_TEXTURE_2D, GL.GL_TEXTURE_WRAP_S, self.wrap[0])
+        GL.glTexParameteri(GL.GL_TEXTURE_2D, GL.GL_TEXTURE_WRAP_T, self.wrap[1])
+        GL.glBindTexture(GL.GL_TEXTURE_2D, 0)
+
+    def levels(self) -> list[NDArray[np.uint8]]:
+        """The driver's mipmaps, each [height, width, 4] sRGB with its first row at v = 0; from when it was uploaded."""
+        if self._levels is None:
+            self._levels = []
+            GL.glPixelStorei(GL.GL_PACK_ALIGNMENT, 1)
+            GL.glBindTexture(GL.GL_TEXTURE_2D, self._texid)
+            size = np.array(self.source.shape[:2])
+            for level in range(int(size.max()).bit_length()):
+                texels = np.empty((*np.maximum(size >> level, 1), 4), np.uint8)
+                GL.glGetTexImage(GL.GL_TEXTURE_2D, level, GL.GL_RGBA, GL.GL_UNSIGNED_BYTE, array=texels)
+                self._levels.append(texels)
+            GL.glBindTexture(GL.GL_TEXTURE_2D, 0)
+        return self._levels
+
+
+class SrgbTexture(LinearTexture):
+    """A texture in sRGB, decoded to linear before it is filtered (pyrender's are filtered as they are stored)."""
+
+    _format = GL.GL_SRGB8_ALPHA8

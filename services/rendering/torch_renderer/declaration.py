@@ -1,0 +1,38 @@
+"""The torch renderer's groups: normals, illumination and material, each differentiable."""
+
+from services.rendering.declaration import Declaration, Group, labelled, register
+
+TORCH = Declaration(
+    name="torch",
+    groups=(
+        Group(
+            name="normals",
+            shape=("H", "W", "2"),
+            unit="radians: azimuth and polar angle in the camera's frame",
+            words="surface normals",
+            suggested_step=0.004,
+        ),
+        Group(
+            name="illumination",
+            shape=("rows", "columns"),
+            unit="a tenth of the map's mean intensity, one value per texel of the environment map",
+            words="illumination",
+            vector_axes=0,
+            suggested_step=0.003,
+        ),
+        Group(
+            name="material",
+            shape=("objects", "3", "3", "2", "6"),
+            unit="1/30 of a natural logarithm: Bernstein coefficients of log κ and log γ, by object, channel and lobe",
+            words="material",
+            labels=labelled("object {}", ("red", "green", "blue"), "lobe {}", ("kappa", "gamma"), "{}"),
+            vector_axes=2,
+            suggested_step=0.003,
+        ),
+    ),
+    differentiable=True,
+    method="fgsm",
+    renderer="services.rendering.torch_renderer.renderer:TorchRenderer",
+)
+
+register(TORCH)

@@ -1,0 +1,256 @@
+"""From a binary glTF file to the parts of a mesh: every triangle of its scene in its place, with its material.
+
+Nothing is smoothed, welded or turned over: glTF states normals, winding and tangents, and says what holds where they
+are left out (flat normals; tangents along the texture). Khronos, glTF 2.0 specification, 3.5 to 3.9.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from services.scenes.gltf_file import GltfFile, numbers
+from services.scenes.gltf_materials import Material, read_material
+from services.scenes.mesh import Doubles, Longs, MetallicRoughness, Part, fitted
+from services.scenes.surfaces import MAX_COORDINATE, Textures
+from services.scenes.tangents import derive_tangents
+
+_TRIANGLES, _STRIP, _FAN = 4, 5, 6
+_MIN_HEIGHT = 1e-6
+"""Height to length of a triangle below which a normal from float32 coordinates is noise."""
+
+
+def read_gltf(data: bytes, max_faces: int) -> tuple[Part, ...]:
+    """The parts of a GLB file's scene, fitted to the frame; those that blend come last.
+
+    Raises ValueError, which names the part of the file, for what is wrong in it (`GltfFile`, `read_material`), for
+    vertices that are not finite or beyond MAX_COORDINATE, and for more than `max_faces` triangles or none with an area.
+    """
+    file = GltfFile(data)
+    placed = list(_instances(file))
+    primitives: dict[int, list[_Primitive]] = {}
+    textures = Textures()
+    materials: dict[Any, Material] = {}
+    count = 0
+    for index, _ in placed:
+        if index not in primitives:
+            entries = file.item("meshes", index).get("primitives", [])
+            read = (_primitive(file, p, f"meshes[{index}].primitives[{k}]") for k, p in enumerate(entries))
+            primitives[index] = [primitive for primitive in read if primitive is not None]
+        count += sum(len(primitive.faces) for primitive in primitives[index])
+    if count > max_faces:
+        raise ValueError(f"it has {count:,} triangles; at most {max_faces:,} are taken")
+    parts = []
+    for index, transform in placed:
+        for primitive in primitives[index]:
+            key = primitive.material
+            if key not in materials:
+                materials[key] = read_material(file, key, textures)
+            parts.append(primitive.placed(transform))
+    if not parts:
+        raise ValueError("it has no triangles")
+    return _parts(parts, [materials[primitive.material] for primitive in parts])
+
+
+class _Primitive:
+    """Triangles with their vertex attributes, all float64: in their node's frame, then in the file's."""
+
+    def __init__(self, vertices: Doubles, faces: Longs, attributes: dict[str, Doubles], material: Any) -> None:
+        self.vertices, self.faces, self.attributes, self.material = vertices, faces, attributes, material
+
+    def placed(self, transform: Doubles) -> "_Primitive":
+        """A copy in the file's frame. Mirroring turns the winding over, so that outsides stay outsides."""
+        linear = transform[:3, :3]
+        mirrored = np.linalg.det(linear) < 0
+        attributes = dict(self.attributes)
+        if "NORMAL" in attributes:
+            # The cofactors are the inverse transpose times the determinant; they exist for flat transforms too.
+            columns = linear.T
+            cofactors = np.stack([np.cross(columns[(k + 1) % 3], columns[(k + 2) % 3]) for k in range(3)], axis=1)
+            attributes["NORMAL"] = attributes["NORMAL"] @ cofactors.T * (-1.0 if mirrored else 1.0)
+        if "TANGENT" in attributes:
+            tangents = attributes["TANGENT"] * ((1, 1, 1, -1) if mirrored else (1, 1, 1, 1))
+            tangents[:, :3] = attributes["TANGENT"][:, :3] @ linear.T
+            attributes["TANGENT"] = tangents
+        faces = self.faces[:, [0, 2, 1]] if mirrored else self.faces
+        return _Primitive(self.vertices @ linear.T + transform[:3, 3], faces, attributes, self.material)
+
+    def taken(self, index: Longs, faces: Longs) -> "_Primitive":
+        """The vertices `index` in this order, and other faces."""
+        attributes = {name: values[index] for name, values in self.attributes.items()}
+        return _Primitive(self.vertices[index], faces, attributes, self.material)
+
+
+def _instances(file: GltfFile) -> Iterator[tuple[int, Doubles]]:
+    """The meshes of the scene and where they are [4,4], in the order of its tree of nodes."""
+    scenes = file.list("scenes")
+    if scenes:
+        roots = file.item("scenes", file.tree.get("scene", 0)).get("nodes", [])
+    else:
+        children = {child for node in file.list("nodes") for child in node.get("children", [])}
+        roots = [index for index in range(len(file.list("nodes"))) if index not in children]
+    waiting = [(index, np.eye(4)) for index in reversed(roots)]
+    seen: set[int] = set()
+    while waiting:
+        index, parent = waiting.pop()
+        if index in seen:
+            raise ValueError("its nodes are not a tree")
+        seen.add(index)
+        node = file.item("nodes", index)
+        transform = parent @ _transform(node, f"nodes[{index}]")
+        if "mesh" in node:
+            yield node["mesh"], transform
+        waiting += [(child, transform) for child in reversed(node.get("children", []))]
+
+
+def _transform(node: dict[str, Any], where: str) -> Doubles:
+    """A node's own matrix [4,4]: stated, or a translation after a rotation after a scale."""
+    limit = MAX_COORDINATE
+    if "matrix" in node:
+        return numbers(node, "matrix", tuple(np.eye(4).ravel()), -limit, limit, where).reshape(4, 4).T
+    matrix = np.eye(4)
+    x, y, z, w = numbers(node, "rotation", (0.0, 0.0, 0.0, 1.0), -1.001, 1.001, where)
+    length = x * x + y * y + z * z + w * w
+    if length < 0.1:
+        raise ValueError(f"{where}.rotation is not a unit quaternion")
+    s = 2 / length
+    rotation = np.array(
+        [
+            [1 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)],
+            [s * (x * y + z * w), 1 - s * (x * x + z * z), s * (y * z - x * w)],
+            [s * (x * z - y * w), s * (y * z + x * w), 1 - s * (x * x + y * y)],
+        ]
+    )
+    matrix[:3, :3] = rotation * numbers(node, "scale", (1.0, 1.0, 1.0), -limit, limit, where)
+    matrix[:3, 3] = numbers(node, "translation", (0.0, 0.0, 0.0), -limit, limit, where)
+    return matrix
+
+
+def _primitive(file: GltfFile, entry: Any, where: str) -> _Primitive | None:
+    """A primitive with only the vertices that its triangles use; None for points and lines."""
+    mode = entry.get("mode", _TRIANGLES)
+    if mode not in (_TRIANGLES, _STRIP, _FAN):
+        return None
+    accessors = entry["attributes"]
+    vertices = file.values(accessors.get("POSITION"), (3,))
+    columns = {"NORMAL": (3,), "TANGENT": (4,), "TEXCOORD_0": (2,), "TEXCOORD_1": (2,), "COLOR_0": (3, 4)}
+    attributes = {name: file.values(accessors[name], width) for name, width in columns.items() if name in accessors}
+    for name, values in attributes.items():
+        if len(values) != len(vertices):
+            raise ValueError(f"{where} has {len(values):,} of {name} for {len(vertices):,} vertices")
+        if not np.isfinite(values).all():
+            raise ValueError(f"{where}.attributes.{name} has values that are not finite numbers")
+    corners = file.indices(entry["indices"]) if "indices" in entry else np.arange(len(vertices))
+    if len(corners) and corners.max() >= len(vertices):
+        raise ValueError(f"{where}: a face names a vertex that is not there")
+    if mode == _TRIANGLES:
+        if len(corners) % 3:
+            raise ValueError(f"{where} has {len(corners):,} corners, which are no whole number of triangles")
+        faces = corners.reshape(-1, 3)
+    elif mode == _STRIP:
+        faces = (
+            np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1) if len(corners) > 2 else np.zeros((0, 3), int)
+        )
+        faces[1::2] = faces[1::2, [1, 0, 2]]
+    else:
+        faces = np.stack([np.full(max(len(corners) - 2, 0), corners[0]), corners[1:-1], corners[2:]], axis=1)
+    if not len(faces):
+        return None
+    used, local = np.unique(faces, return_inverse=True)
+    if not np.isfinite(vertices[used]).all():
+        raise ValueError(f"{where} has vertices that are not finite numbers")
+    if np.abs(vertices[used]).max() > MAX_COORDINATE:
+        raise ValueError(f"{where} has coordinates beyond {MAX_COORDINATE:g}")
+    whole = _Primitive(vertices, faces, attributes, entry.get("material"))
+    return whole.taken(used, local.reshape(-1, 3))
+
+
+def _parts(primitives: list[_Primitive], materials: list[Material]) -> tuple[Part, ...]:
+    """Scaled to the frame, without triangles of no area. Raises ValueError if none is left."""
+    points = np.concatenate([primitive.vertices for primitive in primitives])
+    if not np.isfinite(points).all() or np.abs(points).max() > MAX_COORDINATE:
+        raise ValueError(f"its nodes put vertices beyond {MAX_COORDINATE:g}")
+    extent = float((points.max(axis=0) - points.min(axis=0)).max())
+    if extent < 1 / MAX_COORDINATE:
+        raise ValueError("all its vertices are at one point: it has no area")
+    # Files come in every unit; in their own, areas could over- or underflow.
+    middle = points.mean(axis=0)
+    parts = []
+    for primitive, material in zip(primitives, materials, strict=True):
+        primitive.vertices = (primitive.vertices - middle) / extent
+        corners = primitive.vertices[primitive.faces]
+        edges = corners - np.roll(corners, 1, axis=1)
+        across = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+        proper = across > _MIN_HEIGHT * (edges**2).sum(axis=2).max(axis=1)
+        if proper.any():
+            used, local = np.unique(primitive.faces[proper], return_inverse=True)
+            parts.append(_part(primitive.taken(used, local.reshape(-1, 3)), material))
+    if not parts:
+        raise ValueError("none of its triangles has an area")
+    return fitted(tuple(sorted(parts, key=_blends)))
+
+
+def _blends(part: Part) -> bool:
+    return part.metallic_roughness is not None and part.metallic_roughness.alpha_mode == "BLEND"
+
+
+def _part(primitive: _Primitive, material: Material) -> Part:
+    given = primitive.attributes
+    flat = "NORMAL" not in given
+    if flat:  # each triangle has corners of its own
+        primitive = primitive.taken(primitive.faces.ravel(), np.arange(primitive.faces.size).reshape(-1, 3))
+    normals = _normals(primitive)
+    for name, texture in material.maps.items():
+        if f"TEXCOORD_{texture.uv_set}" not in given:
+            raise ValueError(
+                f"the {name.replace('_', ' ')} texture wants TEXCOORD_{texture.uv_set}, which is not there"
+            )
+    tangents = np.zeros((len(normals), 4))
+    if "normal" in material.maps:
+        if "TANGENT" in given and not flat:
+            tangents = primitive.attributes["TANGENT"]
+            tangents[:, :3] /= np.maximum(np.linalg.norm(tangents[:, :3], axis=1, keepdims=True), 1e-30)
+        else:
+            uv = _upwards(primitive.attributes[f"TEXCOORD_{material.maps['normal'].uv_set}"])
+            split = derive_tangents(primitive.vertices, normals, uv, primitive.faces)
+            primitive, normals = primitive.taken(split.source, split.faces), normals[split.source]
+            tangents = split.tangents
+    count = len(normals)
+    attributes = primitive.attributes
+    colors = np.ones((count, 4))
+    if "COLOR_0" in attributes:
+        colors[:, : attributes["COLOR_0"].shape[1]] = np.clip(attributes["COLOR_0"], 0, 1)
+    uv_sets = [_upwards(attributes.get(f"TEXCOORD_{k}", np.zeros((count, 2)))).astype(np.float32) for k in (0, 1)]
+    fields = {name: value for name, value in vars(material).items() if name != "color"}
+    return Part(
+        vertices=primitive.vertices.astype(np.float32),
+        normals=normals.astype(np.float32),
+        faces=primitive.faces.astype(np.int32),
+        uv=uv_sets[0],
+        color=material.color,
+        texture=None,
+        metallic_roughness=MetallicRoughness(
+            **fields,
+            tangents=tangents.astype(np.float32),
+            second_uv=uv_sets[1],
+            vertex_colors=colors.astype(np.float32),
+        ),
+    )
+
+
+def _normals(primitive: _Primitive) -> Doubles:
+    """Unit normals [V,3]: the file's, and a face's where the file has none or one without a length."""
+    corners = primitive.vertices[primitive.faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.empty_like(primitive.vertices)
+    normals[primitive.faces.ravel()] = np.repeat(across / np.linalg.norm(across, axis=1, keepdims=True), 3, axis=0)
+    if "NORMAL" in primitive.attributes:
+        stated = primitive.attributes["NORMAL"]
+        lengths = np.linalg.norm(stated, axis=1, keepdims=True)
+        normals = np.where(lengths > 1e-12, stated / np.maximum(lengths, 1e-30), normals)
+    return normals
+
+
+def _upwards(uv: Doubles) -> Doubles:
+    """Texture coordinates with v upwards, as OpenGL has them; glTF's run down."""
+    return np.stack([uv[:, 0], 1 - uv[:, 1]], axis=1)

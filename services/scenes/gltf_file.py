@@ -1,0 +1,182 @@
+"""A binary glTF 2.0 file (GLB): its JSON, its accessors as arrays, its images. Khronos, glTF 2.0 specification, 3.6."""
+
+import base64
+import binascii
+import json
+import struct
+from functools import cached_property
+from io import BytesIO
+from math import isfinite
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from services.scenes.mesh import Doubles, Longs
+
+READ_EXTENSIONS = ("KHR_mesh_quantization",)
+"""Extensions that a file may require."""
+
+_TYPES = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
+_COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+_JSON, _BINARY = 0x4E4F534A, 0x004E4942
+_BASE64 = ";base64,"
+
+
+class GltfFile:
+    """The parts of a GLB file. Every method raises ValueError, which names the part, if what it reads is wrong."""
+
+    def __init__(self, data: bytes) -> None:
+        """Raises ValueError if the chunks are not those of a glTF 2 file, or if the file requires an extension that is
+        not read."""
+        self._binary = b""
+        tree: Any = None
+        position = 12
+        while position + 8 <= len(data):
+            length, kind = struct.unpack_from("<II", data, position)
+            chunk = data[position + 8 : position + 8 + length]
+            if tree is None:
+                if kind != _JSON:
+                    raise ValueError("its first chunk is not JSON")
+                tree = json.loads(chunk)
+            elif kind == _BINARY and not self._binary:
+                self._binary = chunk
+            position += 8 + length
+        if not isinstance(tree, dict):
+            raise ValueError("its JSON is not an object")
+        self.tree: dict[str, Any] = tree
+        unread = [name for name in self.list("extensionsRequired") if name not in READ_EXTENSIONS]
+        if unread:
+            names = ", ".join(str(name) for name in unread)
+            raise ValueError(f"it requires the extension {names} (extensionsRequired), which is not read")
+        self._images: dict[int, Image.Image] = {}
+
+    def list(self, name: str) -> list[Any]:
+        """A top-level array of the JSON, empty if it is left out."""
+        found = self.tree.get(name, [])
+        if not isinstance(found, list):
+            raise ValueError(f"its {name} are not a list")
+        return found
+
+    def item(self, name: str, index: Any) -> dict[str, Any]:
+        """An element of a top-level array."""
+        entries = self.list(name)
+        if not isinstance(index, int) or isinstance(index, bool) or not 0 <= index < len(entries):
+            raise ValueError(f"it refers to {name}[{index!r}], which is not there")
+        if not isinstance(entries[index], dict):
+            raise ValueError(f"{name}[{index}] is not an object")
+        found: dict[str, Any] = entries[index]
+        return found
+
+    def values(self, index: Any, columns: tuple[int, ...]) -> Doubles:
+        """An accessor as float64 [count, columns]; normalized integers lie in [0,1] or [-1,1]."""
+        stored = self._array(index, columns)
+        if not self.item("accessors", index).get("normalized", False) or stored.dtype == np.float32:
+            return stored.astype(np.float64)
+        return np.maximum(stored / float(np.iinfo(stored.dtype).max), -1.0)
+
+    def indices(self, index: Any) -> Longs:
+        """An accessor of unsigned integers as int64 [count]."""
+        stored = self._array(index, (1,))
+        if stored.dtype.kind != "u":
+            raise ValueError(f"accessors[{index}] holds indices, but not as unsigned integers")
+        return stored[:, 0].astype(np.int64)
+
+    def image(self, index: Any) -> Image.Image:
+        """An image, not yet decoded; the same object each time."""
+        if index not in self._images:
+            entry = self.item("images", index)
+            if "bufferView" in entry:
+                view = self.item("bufferViews", entry["bufferView"])
+                data = self._view(view, entry["bufferView"])
+            else:
+                data = _embedded(entry.get("uri"), f"images[{index}]")
+            try:
+                self._images[index] = Image.open(BytesIO(data), formats=("PNG", "JPEG"))
+            except (OSError, SyntaxError) as error:
+                raise ValueError(f"images[{index}] is not a readable PNG or JPEG image") from error
+        return self._images[index]
+
+    def _array(self, index: Any, columns: tuple[int, ...]) -> NDArray[Any]:
+        accessor = self.item("accessors", index)
+        where = f"accessors[{index}]"
+        kind, width, count = accessor.get("componentType"), _COLUMNS.get(accessor.get("type", "")), accessor["count"]
+        if kind not in _TYPES or width not in columns:
+            names = " or ".join(name for name, width in _COLUMNS.items() if width in columns)
+            raise ValueError(f"{where} has the type {accessor.get('type')!r} of {kind!r} where {names} is due")
+        if "sparse" in accessor:
+            raise ValueError(f"{where} is sparse, which is not read")
+        dtype = np.dtype(_TYPES[kind])
+        view = self.item("bufferViews", accessor.get("bufferView"))
+        data = self._view(view, accessor["bufferView"])
+        offset = _size(accessor.get("byteOffset", 0), where)
+        packed = dtype.itemsize * width
+        stride = _size(view.get("byteStride", packed), where)
+        if stride < packed or _size(count, where) < 1 or offset + (count - 1) * stride + packed > len(data):
+            raise ValueError(f"{where} has {count!r} elements, which its buffer view does not hold")
+        rows = np.ndarray((count, packed), np.uint8, data, offset, (stride, 1))
+        return np.ascontiguousarray(rows).view(dtype.newbyteorder("<")).reshape(count, width).astype(dtype)
+
+    def _view(self, view: dict[str, Any], index: int) -> bytes:
+        where = f"bufferViews[{index}]"
+        buffer = self._buffer(view.get("buffer"))
+        start, length = _size(view.get("byteOffset", 0), where), _size(view.get("byteLength"), where)
+        if start + length > len(buffer):
+            raise ValueError(f"{where} reaches beyond its buffer")
+        return buffer[start : start + length]
+
+    def _buffer(self, index: Any) -> bytes:
+        if index not in self._buffers:
+            entry = self.item("buffers", index)
+            chunk = index == 0 and "uri" not in entry
+            self._buffers[index] = self._binary if chunk else _embedded(entry.get("uri"), f"buffers[{index}]")
+        return self._buffers[index]
+
+    @cached_property
+    def _buffers(self) -> dict[int, bytes]:
+        return {}
+
+
+def _embedded(uri: Any, where: str) -> bytes:
+    """The bytes of a data URI; other addresses are never followed."""
+    if not isinstance(uri, str) or not uri.startswith("data:") or _BASE64 not in uri:
+        raise ValueError(f"{where} is not in the file; only what is in the file is read")
+    try:
+        return base64.b64decode(uri.split(_BASE64, 1)[1], validate=True)
+    except binascii.Error as error:
+        raise ValueError(f"{where} is not base64") from error
+
+
+def _size(value: Any, where: str) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+        raise ValueError(f"{where} has {value!r} where a size or an offset is due")
+    return value
+
+
+def numbers(
+    entry: dict[str, Any], name: str, default: tuple[float, ...], low: float, high: float, where: str
+) -> Doubles:
+    """A property of as many finite numbers as `default` has, each in [low, high]; float64.
+
+    Raises ValueError, which names the property, for anything else.
+    """
+    given = entry.get(name, default)
+    if not isinstance(given, list | tuple) or len(given) != len(default):
+        raise ValueError(f"{where}.{name} is not a list of {len(default)} numbers")
+    return np.array([_checked(value, low, high, f"{where}.{name}") for value in given])
+
+
+def number(entry: Any, name: str, default: float, low: float, high: float, where: str) -> float:
+    """As `numbers`, a property of one number."""
+    if not isinstance(entry, dict):
+        raise ValueError(f"{where} is not an object")
+    return _checked(entry.get(name, default), low, high, f"{where}.{name}")
+
+
+def _checked(value: Any, low: float, high: float, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
+        raise ValueError(f"{where} is {value!r} where a finite number is due")
+    if not low <= value <= high:
+        raise ValueError(f"{where} is {value:g}, which is not in [{low:g}, {high:g}]")
+    return float(value)

@@ -1,0 +1,100 @@
+"""Metallic-roughness materials of a glTF file, validated. Khronos, glTF 2.0 specification, 3.9."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import inf
+from typing import Any
+
+import numpy as np
+
+from services.scenes.gltf_file import GltfFile, number, numbers
+from services.scenes.mesh import AlphaMode, Floats, MapName, TextureMap
+from services.scenes.surfaces import Textures
+
+_WRAPS = (10497, 33071, 33648)
+_MODES: tuple[AlphaMode, ...] = ("OPAQUE", "MASK", "BLEND")
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """What a glTF file says of a material, with glTF's defaults; the fields are those of `MetallicRoughness`."""
+
+    color: Floats
+    metallic: float
+    roughness: float
+    emissive: tuple[float, float, float]
+    alpha_mode: AlphaMode
+    alpha_cutoff: float
+    double_sided: bool
+    normal_scale: float
+    occlusion_strength: float
+    maps: Mapping[MapName, TextureMap]
+
+
+def read_material(file: GltfFile, index: Any, textures: Textures) -> Material:
+    """materials[index]; None is glTF's default material: white, metallic 1, roughness 1.
+
+    Raises ValueError, which names the property, for factors that are not finite or out of range, unknown alpha modes,
+    and textures that are not images.
+    """
+    entry = {} if index is None else file.item("materials", index)
+    where = "material" if index is None else f"materials[{index}]"
+    surface = entry.get("pbrMetallicRoughness", {})
+    if not isinstance(surface, dict):
+        raise ValueError(f"{where}.pbrMetallicRoughness is not an object")
+    inner = f"{where}.pbrMetallicRoughness"
+    mode = entry.get("alphaMode", "OPAQUE")
+    if mode not in _MODES:
+        raise ValueError(f"{where}.alphaMode is {mode!r}; glTF has {', '.join(_MODES)}")
+    double_sided = entry.get("doubleSided", False)
+    if not isinstance(double_sided, bool):
+        raise ValueError(f"{where}.doubleSided is {double_sided!r}, which is neither true nor false")
+    color = numbers(surface, "baseColorFactor", (1.0, 1.0, 1.0, 1.0), 0, 1, inner).astype(np.float32)
+    if mode == "OPAQUE":
+        color[3] = 1.0
+    red, green, blue = numbers(entry, "emissiveFactor", (0.0, 0.0, 0.0), 0, 1, where)
+    maps: dict[MapName, TextureMap] = {}
+    places: tuple[tuple[MapName, dict[str, Any], str], ...] = (
+        ("base_color", surface, "baseColorTexture"),
+        ("metallic_roughness", surface, "metallicRoughnessTexture"),
+        ("normal", entry, "normalTexture"),
+        ("occlusion", entry, "occlusionTexture"),
+        ("emissive", entry, "emissiveTexture"),
+    )
+    for name, owner, key in places:
+        if key in owner:
+            maps[name] = _map(file, owner[key], textures, f"{inner if owner is surface else where}.{key}")
+    return Material(
+        color=color,
+        metallic=number(surface, "metallicFactor", 1.0, 0, 1, inner),
+        roughness=number(surface, "roughnessFactor", 1.0, 0, 1, inner),
+        emissive=(float(red), float(green), float(blue)),
+        alpha_mode=mode,
+        alpha_cutoff=number(entry, "alphaCutoff", 0.5, 0, inf, where),
+        double_sided=double_sided,
+        normal_scale=number(entry.get("normalTexture", {}), "scale", 1.0, -1e3, 1e3, f"{where}.normalTexture"),
+        occlusion_strength=number(
+            entry.get("occlusionTexture", {}), "strength", 1.0, 0, 1, f"{where}.occlusionTexture"
+        ),
+        maps=maps,
+    )
+
+
+def _map(file: GltfFile, info: Any, textures: Textures, where: str) -> TextureMap:
+    if not isinstance(info, dict):
+        raise ValueError(f"{where} is not an object")
+    uv_set = info.get("texCoord", 0)
+    if uv_set not in (0, 1):
+        raise ValueError(f"{where}.texCoord is {uv_set!r}; TEXCOORD_0 and TEXCOORD_1 are read")
+    texture = file.item("textures", info.get("index"))
+    if "source" not in texture:
+        raise ValueError(f"{where} has no image in PNG or JPEG")
+    sampler = file.item("samplers", texture["sampler"]) if "sampler" in texture else {}
+    wrap = sampler.get("wrapS", _WRAPS[0]), sampler.get("wrapT", _WRAPS[0])
+    if not set(wrap) <= set(_WRAPS):
+        raise ValueError(f"{where} wraps as {wrap!r}, which glTF has not")
+    try:
+        texels = textures.read(file.image(texture["source"]))
+    except (OSError, SyntaxError) as error:  # damaged behind its header
+        raise ValueError(f"{where}: images[{texture['source']}] is not a readable PNG or JPEG image") from error
+    return TextureMap(texels, uv_set, wrap)

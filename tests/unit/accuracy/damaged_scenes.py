@@ -1,0 +1,182 @@
+"""Ways to break how a scene is meant: axes, units, maps and exposures."""
+
+from dataclasses import replace
+
+import torch
+
+from services.accuracy.stability import environments, plans, precision
+from services.rendering import compositing
+from services.rendering.compositing import Canvas
+from services.rendering.pyrender_renderer import parameters
+from services.rendering.pyrender_renderer import renderer as pyrender_renderer
+from services.rendering.torch_renderer import environment_light, shader
+from services.rendering.torch_renderer import renderer as torch_renderer
+from services.scenes import environment, reading, resolve, view
+
+
+def half_exposure(patch) -> None:
+    """pyrender's exposure."""
+    patch.setattr(pyrender_renderer, "EXPOSURE", pyrender_renderer.EXPOSURE / 2)
+
+
+def half_white(patch) -> None:
+    """The torch renderer's exposure."""
+    patch.setattr(environment_light, "WHITE", environment_light.WHITE / 2)
+
+
+def half_energy(patch) -> None:
+    patch.setattr(parameters, "ENERGY", parameters.ENERGY / 2)
+
+
+def no_inverse_pi(patch) -> None:
+    """The exposure takes a white surface's radiance for π times what it is."""
+    true = torch_renderer.illumination
+    patch.setattr(torch_renderer, "illumination", lambda map_: replace(m := true(map_), exposure=m.exposure / torch.pi))
+
+
+def swapped_axes(patch) -> None:
+    """x and z of point lights."""
+    true = parameters.SceneParameters.lit
+
+    def lit(self, illuminations, *given):
+        swapped = illuminations.copy()
+        swapped[:, 2::4], swapped[:, 4::4] = illuminations[:, 4::4], illuminations[:, 2::4]
+        return true(self, swapped, *given)
+
+    patch.setattr(parameters.SceneParameters, "lit", lit)
+
+
+def maps(change):
+    """Breaks the reading of map files."""
+
+    def apply(patch) -> None:
+        true = environment.from_picture
+        for module in (environment, environments):
+            patch.setattr(module, "from_picture", lambda image: change(true(image)))
+
+    return apply
+
+
+mirrored_maps = maps(lambda radiance: radiance[:, ::-1])
+maps_upside_down = maps(lambda radiance: radiance[::-1])
+maps_turned = maps(lambda radiance: torch.from_numpy(radiance.copy()).roll(8, 1).numpy())
+
+
+def map_turned_back(patch) -> None:
+    """Maps turn the other way."""
+    true = environments.average
+    patch.setattr(environments, "average", lambda map_, rows, cols, turn=0.0: true(map_, rows, cols, -turn))
+
+
+def directions_swapped(patch) -> None:
+    """x and z of the torch renderer's light."""
+    true = torch_renderer.directions
+    for module in (torch_renderer, environment_light):
+        patch.setattr(module, "directions", lambda rows, cols: true(rows, cols).flip(-1))
+
+
+def no_solid_angles(patch) -> None:
+    """Every texel counts alike."""
+    alike = lambda rows, cols: torch.full((rows * cols,), 4 * torch.pi / rows / cols, dtype=torch.float64)  # noqa: E731
+    for module in (torch_renderer, environment_light):
+        patch.setattr(module, "solid_angles", alike)
+
+
+def channels_swapped(patch) -> None:
+    """Red for blue, in pyrender's images."""
+    true = pyrender_renderer.PyrenderRenderer.render
+    patch.setattr(pyrender_renderer.PyrenderRenderer, "render", lambda self, given: true(self, given).flip(-1))
+
+
+def squared_coverage(patch) -> None:
+    """Of the torch renderer's images."""
+    true = Canvas.picture
+
+    def picture(canvas, radiance):
+        return true(replace(canvas, coverage=canvas.coverage**2), radiance)
+
+    patch.setattr(Canvas, "picture", picture)
+
+
+def squared_coverage_over_ground(patch) -> None:
+    """Of pyrender's images."""
+    true = pyrender_renderer.over_ground
+
+    def over_ground(radiance, *given):
+        coverage = radiance[..., 3:]
+        return true(torch.cat([radiance[..., :3] * coverage, coverage**2], dim=-1), *given)
+
+    patch.setattr(pyrender_renderer, "over_ground", over_ground)
+
+
+def other_gamma(patch) -> None:
+    """The display curve with 2.2 for 2.4."""
+    true = compositing.to_display
+
+    def to_display(linear):
+        shown = true(linear)
+        return torch.where(
+            shown > 0.04045, ((shown + 0.055) / 1.055).clamp_min(0) ** (2.4 / 2.2) * 1.055 - 0.055, shown
+        )
+
+    for module in (compositing, precision):
+        patch.setattr(module, "to_display", to_display)
+
+
+def other_inverse_gamma(patch) -> None:
+    """The inverse display curve with 2.2 for 2.4."""
+    true = precision.to_linear
+    patch.setattr(precision, "to_linear", lambda shown: true(shown) ** (2.2 / 2.4))
+
+
+def turned_back(patch) -> None:
+    """Objects are turned the other way by their description."""
+    true = view.rotation_matrix
+    patch.setattr(view, "rotation_matrix", lambda vectors: true(-vectors))
+
+
+def turned_back_by_attacks(patch) -> None:
+    """Objects are turned the other way by pyrender's parameters."""
+    true = parameters.rotation_matrix
+    patch.setattr(parameters, "rotation_matrix", lambda vectors: true(-vectors))
+
+
+def mirrored_camera(patch) -> None:
+    """The camera's right is its left."""
+    true = resolve.camera_to_world
+
+    def camera_to_world(camera):
+        pose = true(camera)
+        pose[:3, 0] *= -1
+        return pose
+
+    patch.setattr(resolve, "camera_to_world", camera_to_world)
+
+
+def files_upside_down(patch) -> None:
+    """Textures of files are read from the bottom."""
+    true = reading.to_parts
+
+    def to_parts(surfaces):
+        parts = true(surfaces)
+        return tuple(part if part.texture is None else replace(part, texture=part.texture[::-1]) for part in parts)
+
+    patch.setattr(reading, "to_parts", to_parts)
+
+
+def unchecked_tables(patch) -> None:
+    """What is looked up is 1 % too bright, and the pixels that are summed beside it are not compared."""
+    true = shader.look_up
+    patch.setattr(shader, "look_up", lambda table, angles: 1.01 * true(table, angles))
+    patch.setattr(shader, "displayed_error", lambda *_: 0.0)
+
+
+def linear_tables(patch) -> None:
+    """Tables between whose nodes nothing is curved: the mean of what is looked up around."""
+    true = plans.look_up
+
+    def look_up(table, angles):
+        sides = [true(table, angles + torch.tensor(side, dtype=angles.dtype)) for side in ((0.02, 0.0), (-0.02, 0.0))]
+        return (sides[0] + sides[1]) / 2
+
+    patch.setattr(plans, "look_up", look_up)

@@ -1,0 +1,152 @@
+"""Ways to break gradients, differences and the steps made of them."""
+
+from dataclasses import replace
+
+import torch
+
+from services.accuracy.stability import differences as difference_cases
+from services.accuracy.stability import recurrences
+from services.attacks import differences, goal, problem, zoo
+from services.attacks.differences import Estimate, evaluate, layout
+from services.attacks.fgsm import FgsmMethod
+from services.attacks.goal import ResolvedGoal
+from services.attacks.zoo import ZooMethod
+
+
+def estimates(change):
+    """Breaks every estimate of a gradient by differences: `change`(true, problem, at, coordinates, deltas, noise)."""
+
+    def apply(patch) -> None:
+        true = differences.estimate
+        for module in (difference_cases, recurrences, zoo, differences):
+            patch.setattr(module, "estimate", lambda *given: change(true, *given))
+
+    return apply
+
+
+def _one_sided(_, problem, at, coordinates, deltas, noise):
+    where = layout(problem)
+    moved = at.repeat(len(coordinates) + 1, 1)
+    moved[torch.arange(len(coordinates)), coordinates] += deltas.to(moved.dtype)
+    scores = evaluate(problem, moved, where)
+    change = scores[:-1] - scores[-1]
+    flat = change.abs() <= noise
+    return Estimate(torch.where(flat, 0.0, change / deltas), flat)
+
+
+def _scaled(true, *given):
+    found = true(*given)
+    return replace(found, slopes=2 * found.slopes)
+
+
+one_sided_differences = estimates(_one_sided)
+differences_over_one_step = estimates(_scaled)
+
+
+def negative_weight(patch) -> None:
+    """λ rewards large changes."""
+    true = differences.objective
+
+    def objective(problem, images):
+        plain = problem.goal.advantage(problem.logits(images)).double()
+        return 2 * plain - true(problem, images)
+
+    patch.setattr(differences, "objective", objective)
+
+
+def weight_of_distance(patch) -> None:
+    """λ times the length of the change, not its square."""
+    true = differences.distances
+    patch.setattr(differences, "distances", lambda *given: true(*given).sqrt())
+
+
+def gradient_through_held_pixels(patch) -> None:
+    true = problem.truncate
+
+    def truncate(images, original, limit):
+        held, which = true(images, original, limit)
+        return images + (held - images).detach(), which
+
+    patch.setattr(problem, "truncate", truncate)
+
+
+def truncated_around_grey(patch) -> None:
+    true = problem.truncate
+
+    def truncate(images, original, limit):
+        return true(images, torch.full_like(original, 0.5), limit)
+
+    patch.setattr(problem, "truncate", truncate)
+
+
+def twice_the_limit(patch) -> None:
+    true = problem.truncate
+    patch.setattr(problem, "truncate", lambda images, original, limit: true(images, original, limit and 2 * limit))
+
+
+def settings(**changed):
+    """Breaks FGSM by ignoring settings."""
+
+    def apply(patch) -> None:
+        true = FgsmMethod.__init__
+        patch.setattr(
+            FgsmMethod, "__init__", lambda self, spec, problem: true(self, spec.model_copy(update=changed), problem)
+        )
+
+    return apply
+
+
+no_momentum = settings(momentum=0.0)
+no_decay = settings(weight_decay=0.0)
+
+
+def cut_velocity(patch) -> None:
+    """What bounds take from a step they take from the momentum too."""
+    true = FgsmMethod.advance
+
+    def advance(self, problem, seen, step):
+        before = {group: value.clone() for group, value in self.perturbation.items()}
+        found = true(self, problem, seen, step)
+        rates = self.settings.learning_rate
+        self.velocity = {g: (before[g] - v) / max(rates[g], 1e-9) for g, v in self.perturbation.items()}
+        return found
+
+    patch.setattr(FgsmMethod, "advance", advance)
+
+
+def uphill(patch) -> None:
+    """The objective's sign."""
+    true = ResolvedGoal.objective
+    patch.setattr(ResolvedGoal, "objective", lambda self, logits: -true(self, logits))
+
+
+def negative_advantage(patch) -> None:
+    true = goal.advantage
+    patch.setattr(goal, "advantage", lambda logits, label: -true(logits, label))
+
+
+def hinged_advantage(patch) -> None:
+    """The advantage stops at 0, as the paper's loss does."""
+    true = goal.advantage
+    patch.setattr(goal, "advantage", lambda logits, label: true(logits, label).clamp_min(0))
+
+
+def no_bias_correction(patch) -> None:
+    """Adam's moments count as if there had been a million steps."""
+    true = ZooMethod.start
+
+    def start(self, problem):
+        found = true(self, problem)
+        self.moves += 10**6
+        return found
+
+    patch.setattr(ZooMethod, "start", start)
+
+
+def swapped_betas(patch) -> None:
+    patch.setattr(zoo, "BETAS", zoo.BETAS[::-1])
+
+
+def unmeasured_step(patch) -> None:
+    """The difference step is not measured."""
+    patch.setattr(zoo, "measure_deltas", lambda problem, *_: dict.fromkeys(problem.groups, 1e-4))

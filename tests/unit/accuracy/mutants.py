@@ -1,0 +1,72 @@
+"""The sabotage table of the formulas: what is wrong in the product, and in each family the cases that notice it."""
+
+from tests.unit.accuracy import damaged_scenes as scenes
+from tests.unit.accuracy import damaged_shaders as shaders
+from tests.unit.accuracy import damaged_steps as steps
+
+DIFFERENCES = ["difference, λ 3, δ 0.05", "difference, λ 0.3, δ 0.01", "difference, λ 10, δ 0.1"]
+FILES = ["pixel 15 of row 2 lit", "pixel 2 of row 5 lit", "pixel 31 of row 8 lit", "pixel 30 of row 12 lit"]
+QUARTERS = ["four quarters", "repeated three times", "four quarters from a file"]
+
+MUTANTS = [
+    # pyrender's light
+    (shaders.no_inverse_pi, {"lights": ["0.5 to 3 away", "grazing light"], "sizes": ["1 px, pyrender"]}),
+    (shaders.inverse_distance, {"lights": ["0.5 to 3 away", "1e4 away"], "sizes": ["300×7 px, pyrender"]}),
+    (shaders.no_gloss, {"lights": ["0.5 to 3 away", "sky from above"], "views": ["filling the frame"]}),
+    (shaders.flat_sky, {"lights": ["sky from above", "sky from below"], "views": ["camera inside the object"]}),
+    (shaders.color_squared, {"lights": ["four lights on a coloured cube"], "textures": ["four quarters"]}),
+    (shaders.no_fresnel, {"lights": ["four lights on a coloured cube", "grazing light"]}),
+    (shaders.other_half_vector, {"lights": ["1e4 away", "1e15 away"]}),
+    (shaders.light_on_both_sides, {"lights": ["in the object's centre"]}),
+    (shaders.short_normals, {"lights": ["smooth normals on large faces"]}),
+    (scenes.half_exposure, {"lights": ["1e4 away"], "sizes": ["1 px, pyrender"], "textures": ["four quarters"]}),
+    (scenes.half_energy, {"lights": ["0.5 to 3 away", "energy of 1e-30 to 1e6"]}),
+    (scenes.swapped_axes, {"lights": ["0.5 to 3 away", "1e-4 above the surface"]}),
+    (scenes.channels_swapped, {"textures": ["four quarters"]}),
+    # textures
+    (shaders.texture_upside_down, {"textures": [*QUARTERS, "a quarter cut out"]}),
+    (shaders.texture_mirrored, {"textures": [*QUARTERS, "a quarter cut out"]}),
+    (shaders.texture_not_repeated, {"textures": ["repeated three times"]}),
+    (shaders.texture_as_displayed, {"textures": ["texels smaller than a pixel"]}),
+    (shaders.other_texture_curve, {"textures": ["four quarters"]}),
+    (shaders.holes_everywhere, {"textures": ["a quarter cut out"]}),
+    (scenes.files_upside_down, {"textures": ["four quarters from a file"]}),
+    # the torch renderer's light
+    (scenes.half_white, {"environments": ["constant map", *FILES], "plans": ["tolerance exact"]}),
+    (scenes.no_inverse_pi, {"environments": ["constant map", *FILES], "plans": ["tolerance exact"]}),
+    (scenes.mirrored_maps, {"environments": FILES}),
+    (scenes.maps_upside_down, {"environments": FILES}),
+    (scenes.maps_turned, {"environments": FILES}),
+    (scenes.map_turned_back, {"environments": ["map turned by 0.7"]}),
+    (scenes.directions_swapped, {"environments": FILES, "plans": ["tolerance exact"], "sizes": ["1 px, torch"]}),
+    (scenes.no_solid_angles, {"environments": ["map × 1e30", "map × 1e-36"], "sizes": ["white albedo"]}),
+    (scenes.unchecked_tables, {"plans": ["normals only, broad sun", "tolerance 0.01"]}),
+    (scenes.linear_tables, {"plans": ["table of a known function"]}),
+    # display, coverage, poses
+    (scenes.other_gamma, {"precision": ["display curve"]}),
+    (scenes.other_inverse_gamma, {"precision": ["display curve"]}),
+    (scenes.squared_coverage, {"poses": ["silhouette of a square"]}),
+    (scenes.squared_coverage_over_ground, {"poses": ["silhouette of a square"]}),
+    (scenes.turned_back, {"poses": ["turned object"]}),
+    (scenes.turned_back_by_attacks, {"poses": ["object turned by an attack"]}),
+    (scenes.mirrored_camera, {"poses": ["turned object"]}),
+    # attacks
+    (steps.one_sided_differences, {"recurrences": [*DIFFERENCES, "ZOO, 8 steps, λ 0.5"], "differences": ["δ = 1"]}),
+    (steps.differences_over_one_step, {"recurrences": DIFFERENCES, "differences": ["δ = 1", "δ from 1e-1 to 1e-12"]}),
+    (steps.negative_weight, {"recurrences": [*DIFFERENCES, "ZOO, 8 steps, λ 0.5"]}),
+    (steps.weight_of_distance, {"recurrences": [*DIFFERENCES, "ZOO, 8 steps, λ 0.5"]}),
+    (steps.gradient_through_held_pixels, {"recurrences": ["all beyond U", "a third beyond U"]}),
+    (steps.truncated_around_grey, {"recurrences": ["all beyond U"], "sizes": ["1 px, its own value"]}),
+    (steps.twice_the_limit, {"recurrences": ["all beyond U"], "sizes": ["1 px, attacked"]}),
+    (steps.no_momentum, {"recurrences": ["momentum"], "steps": ["momentum, no gradient"]}),
+    (steps.no_decay, {"recurrences": ["decay"], "steps": ["momentum, no gradient"]}),
+    (steps.cut_velocity, {"recurrences": ["momentum against bounds"]}),
+    (steps.uphill, {"recurrences": ["signs alone"], "logits": ["two classes", "1000 tied"]}),
+    (steps.negative_advantage, {"recurrences": ["ZOO, 8 steps"], "logits": ["margin of 20", "1000 behind"]}),
+    (steps.hinged_advantage, {"recurrences": ["ZOO, 8 steps"], "logits": ["1000 behind"]}),
+    (steps.no_bias_correction, {"recurrences": ["ZOO, 8 steps"]}),
+    (steps.swapped_betas, {"recurrences": ["ZOO, 8 steps, λ 0.5"]}),
+    (steps.unmeasured_step, {"recurrences": ["measured δ"]}),
+]
+"""No 1/π, 1/d for 1/d², no gloss, a flat sky, colours squared, half the exposure, textures upside down, mirrored maps,
+one-sided differences, λ's sign and gradients through truncated pixels are the eleven that the cases once missed."""

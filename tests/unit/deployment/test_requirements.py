@@ -1,0 +1,88 @@
+"""pyproject.toml against the requirements files: names, bounds and pins cannot drift apart."""
+
+import re
+import tomllib
+from importlib.metadata import PackageNotFoundError, distribution
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+from packaging.version import Version
+
+ROOT = Path(__file__).parents[3]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+DIRECT = {"requirements.txt": PROJECT["dependencies"], "requirements-dev.txt": PROJECT["optional-dependencies"]["dev"]}
+
+
+def pins(path: str) -> dict[str, Version]:
+    """The exact versions in a requirements file for this Python, by canonical name; included files are left out."""
+    lines = [line for line in (ROOT / path).read_text().splitlines() if line and not line.startswith(("#", "-r"))]
+    found = [one for one in map(Requirement, lines) if one.marker is None or one.marker.evaluate()]
+    assert all(str(one.specifier).startswith("==") for one in found)
+    names = [canonicalize_name(one.name) for one in found]
+    assert len(names) == len(set(names))
+    return {name: Version(str(one.specifier)[2:]) for name, one in zip(names, found, strict=True)}
+
+
+def pulled_in(names: list[str]) -> set[str]:
+    """These packages and all that they need, by what is installed."""
+    found: set[str] = set()
+    wanted = [(name, "") for name in names]
+    while wanted:
+        name, extra = wanted.pop()
+        new = canonicalize_name(name) not in found
+        if not new and not extra:
+            continue
+        found.add(canonicalize_name(name))
+        for text in distribution(name).requires or []:
+            need = Requirement(text)
+            if need.marker is None or need.marker.evaluate({"extra": extra}):
+                wanted += [(need.name, one) for one in ("", *need.extras)]
+    return found
+
+
+@pytest.mark.parametrize("path", DIRECT)
+def test_each_direct_dependency_has_a_lower_bound_that_its_pin_satisfies(path: str) -> None:
+    everything = pins("requirements.txt") | pins(path)
+    for text in DIRECT[path]:
+        need = Requirement(text)
+        assert [one.operator for one in need.specifier] == [">="], text
+        assert everything[canonicalize_name(need.name)] in need.specifier, text
+
+
+def test_the_runtime_pins_are_what_the_runtime_dependencies_pull_in() -> None:
+    assert set(pins("requirements.txt")) == pulled_in([Requirement(text).name for text in DIRECT["requirements.txt"]])
+
+
+def test_the_development_pins_are_what_the_extra_pulls_in_beside_them() -> None:
+    names = [Requirement(text).name for text in DIRECT["requirements-dev.txt"]]
+    try:
+        wanted = pulled_in(names) - set(pins("requirements.txt"))
+    except PackageNotFoundError as missing:
+        pytest.fail(f"run scripts/setup --test: {missing}")
+    assert set(pins("requirements-dev.txt")) == wanted
+    assert "-r requirements.txt" in (ROOT / "requirements-dev.txt").read_text().splitlines()
+
+
+def test_the_extra_for_benchmarks_is_among_their_requirements() -> None:
+    pinned = pins("benchmarks/requirements.txt")
+    for text in PROJECT["optional-dependencies"]["bench"]:
+        need = Requirement(text)
+        assert pinned[canonicalize_name(need.name)] in need.specifier, text
+
+
+@pytest.mark.parametrize("package", ["services", "api", "worker", "client"])
+def test_each_package_says_that_it_is_typed(package: str) -> None:
+    assert (ROOT / package / "py.typed").is_file()
+    patterns = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]["*"]
+    assert "py.typed" in patterns
+
+
+def test_what_the_package_declares_as_its_licence_is_there_also_in_the_image() -> None:
+    copied = re.search(r"^COPY requirements.txt (.+) \./$", (ROOT / "Dockerfile").read_text(), re.MULTILINE)
+    assert copied is not None
+    for name in PROJECT["license-files"]:
+        assert (ROOT / name).is_file()
+        assert name in copied[1].split()
+        assert f"!{name}" in (ROOT / ".dockerignore").read_text().splitlines()

@@ -1,0 +1,26 @@
+import pytest
+
+from services.pipeline.names import attack_name, group_words
+
+TORCH = ("normals", "illumination", "material")
+
+
+@pytest.mark.parametrize(
+    ("attack", "name"),
+    [
+        ({"renderer": "image", "groups": ["image"], "method": "fgsm"}, "image fgsm"),
+        ({"renderer": "torch", "groups": TORCH[::-1], "method": "fgsm"}, "torch combined fgsm"),
+        ({"renderer": "torch", "groups": ["normals", "material"], "method": "zoo"}, "torch normals+material zoo"),
+        ({"renderer": "pyrender", "groups": ["color"], "method": "zoo"}, "pyrender color zoo"),
+        ({"renderer": "not-installed", "groups": ["fog"], "method": "hill"}, "not-installed fog hill"),
+    ],
+)
+def test_an_attack_has_a_name(attack: dict[str, object], name: str) -> None:
+    assert attack_name({"attack": attack}) == name
+    assert attack_name({"attack": attack, "goal": {"reach": "teapot"}}) == f"{name} targeted"
+
+
+def test_a_group_is_worded_by_its_renderer() -> None:
+    assert group_words({"attack": {"renderer": "torch"}}, "normals") == "surface normals"
+    assert group_words({"attack": {"renderer": "pyrender"}}, "color") == "colour"
+    assert group_words({"attack": {"renderer": "not-installed"}}, "fog") == "fog"

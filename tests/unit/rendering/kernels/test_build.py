@@ -1,0 +1,110 @@
+"""Kernels that were compiled before: loaded without a compiler, or refused with the reason."""
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import torch
+
+from services.errors import JobFailure
+from services.rendering.kernels import build, compiled, processor
+from services.rendering.torch_renderer import normals
+from services.settings import settings
+
+pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with kernels compiled for any processor of this kind."""
+    found = tmp_path_factory.mktemp("kernels")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SCENE_ATTACK_KERNEL_DIR", str(found))
+        patch.setenv("SCENE_ATTACK_KERNEL_ARCH", "portable")
+        settings.cache_clear()
+        build.library_path()
+    settings.cache_clear()
+    return found
+
+
+@pytest.fixture
+def prebuilt(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """That folder in a process that has no compiler and loads no other kernels."""
+    monkeypatch.setenv("SCENE_ATTACK_KERNEL_DIR", str(folder))
+    monkeypatch.setenv("SCENE_ATTACK_KERNEL_ARCH", "portable")
+    monkeypatch.setenv("SCENE_ATTACK_KERNEL", "native")
+    monkeypatch.setenv("CXX", "no-such-compiler")
+    settings.cache_clear()
+    compiled.library.cache_clear()
+    yield folder
+    monkeypatch.undo()
+    settings.cache_clear()
+    compiled.library.cache_clear()
+
+
+def test_kernels_are_loaded_without_a_compiler(prebuilt: Path) -> None:
+    path, manifest = build.library_path()
+    assert path.parent == prebuilt
+    assert compiled.backend() == f"native {manifest.identity}"
+
+
+@pytest.mark.usefixtures("prebuilt")
+def test_portable_kernels_compute_what_torch_does() -> None:
+    angles = torch.linspace(-5, 5, 200, dtype=torch.float32).reshape(-1, 2)
+    found = normals.to_vectors(angles)
+    exact = normals.to_vectors(angles.double())
+    assert compiled.library() is not None
+    torch.testing.assert_close(found.double(), exact, rtol=0, atol=2e-7)  # rounded to float32 once or twice
+
+
+@pytest.mark.usefixtures("prebuilt")
+def test_kernels_of_other_sources_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sources = tmp_path / "sources"
+    shutil.copytree(build.SOURCES, sources)
+    with (sources / "shading.cpp").open("a") as file:
+        file.write("// edited\n")
+    monkeypatch.setattr(build, "SOURCES", sources)
+    with pytest.raises(build.KernelsMissingError, match=r"compiled from other sources.*install g\+\+"):
+        build.library_path()
+
+
+@pytest.mark.usefixtures("prebuilt")
+def test_kernels_for_a_better_processor_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, manifest = build.library_path()
+    lacking = processor.features() - {manifest.features[-1]}
+    monkeypatch.setattr(processor, "features", lambda: lacking)
+    with pytest.raises(JobFailure, match=f"this processor lacks {manifest.features[-1]}"):
+        compiled.library()
+
+
+@pytest.mark.usefixtures("prebuilt")
+def test_kernels_for_another_setting_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SCENE_ATTACK_KERNEL_ARCH", "native")
+    settings.cache_clear()
+    with pytest.raises(build.KernelsMissingError, match="other flags; SCENE_ATTACK_KERNEL_ARCH"):
+        build.library_path()
+
+
+@pytest.mark.usefixtures("prebuilt")
+def test_no_kernels_and_no_compiler_leave_torch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SCENE_ATTACK_KERNEL_DIR", str(tmp_path))
+    monkeypatch.setenv("SCENE_ATTACK_KERNEL", "auto")
+    settings.cache_clear()
+    assert compiled.library() is None
+    assert compiled.backend() == "torch"
+
+
+@pytest.mark.usefixtures("prebuilt")
+def test_a_manifest_that_is_damaged_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, _ = build.library_path()
+    shutil.copy(path, tmp_path)
+    (tmp_path / path.with_suffix(".json").name).write_text("{")
+    monkeypatch.setenv("SCENE_ATTACK_KERNEL_DIR", str(tmp_path))
+    settings.cache_clear()
+    with pytest.raises(build.KernelsMissingError, match="no compiled kernels"):
+        build.library_path()
+
+
+def test_what_compiled_code_needs_is_read_off_the_compilers_macros() -> None:
+    assert processor.needed("#define __AVX2__ 1\n#define __FMA__ 1\n#define __GNUC__ 12\n") == {"avx2", "fma"}

@@ -1,0 +1,58 @@
+"""Declarations: what they say of the built-in renderers, and what cannot be declared."""
+
+import pytest
+
+from services.rendering.declaration import RENDERERS, Declaration, DeclaredRenderer, Group, labelled, register
+from services.rendering.pyrender_renderer.declaration import PYRENDER
+from services.rendering.torch_renderer.declaration import TORCH
+
+FOG = Group(name="fog", shape=("H", "W"), unit="1/m", words="fog")
+
+
+def test_the_built_in_renderers_are_found() -> None:
+    assert RENDERERS["image"].group_names == ("image",)
+    assert RENDERERS["pyrender"].group_names == ("illumination", "color", "translation", "rotation")
+    assert RENDERERS["torch"].group_names == ("normals", "illumination", "material")
+
+
+def test_labels_follow_the_axes() -> None:
+    labels = labelled("object {}", ("red", "green"))
+    assert labels((2, 2)) == ["object 0 red", "object 0 green", "object 1 red", "object 1 green"]
+    with pytest.raises(ValueError, match="zip"):
+        labels((2, 2, 2))
+
+
+def test_labels_of_the_built_in_groups() -> None:
+    lights = PYRENDER.group("illumination").labels
+    material = TORCH.group("material").labels
+    assert lights is not None
+    assert material is not None
+    assert lights((9,))[:2] + lights((9,))[-1:] == ["ambient", "point 0 energy", "point 1 z"]
+    assert len(lights((9,))) == 9
+    assert material((2, 3, 3, 2, 6))[-1] == "object 1 blue lobe 2 gamma 5"
+    assert len(material((2, 3, 3, 2, 6))) == 2 * 3 * 3 * 2 * 6
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [({"shape": ()}, "declares no shape"), ({"vector_axes": 3}, "has 2 axes, not vectors of 3")],
+)
+def test_a_group_that_cannot_be(changes: dict[str, object], why: str) -> None:
+    with pytest.raises(ValueError, match=why):
+        Group(**{"name": "fog", "shape": ("H", "W"), "unit": "1/m", "words": "fog"} | changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("groups", "why"), [((), "no parameter group"), ((FOG, FOG), "a group twice")])
+def test_a_renderer_that_cannot_be(groups: tuple[Group, ...], why: str) -> None:
+    with pytest.raises(ValueError, match=why):
+        Declaration(name="foggy", groups=groups, differentiable=True, method="fgsm")
+
+
+def test_a_class_without_its_methods_is_refused() -> None:
+    class Foggy(DeclaredRenderer):
+        def render(self) -> None: ...
+
+    declaration = Declaration(name="foggy", groups=(FOG,), differentiable=True, method="fgsm")
+    with pytest.raises(ValueError, match="Foggy has no build and no bounds and no exact"):
+        register(declaration)(Foggy)
+    assert "foggy" not in RENDERERS

@@ -1,0 +1,112 @@
+"""Registries and files that add to them, with a registry of the test's own."""
+
+import hashlib
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from services import extensions
+from services.extensions import Extension, Registry, load
+
+SHAPES: Registry[int] = Registry("shape", "services.targets")
+REGISTER = "from tests.unit.test_extensions import SHAPES\n"
+
+
+@pytest.fixture
+def shapes() -> Iterator[Registry[int]]:
+    # The module that files import is another object than this one where pytest imports by path.
+    sys.modules["tests.unit.test_extensions"] = sys.modules[__name__]
+    SHAPES.restore({"triangle": 3})
+    yield SHAPES
+    SHAPES.restore({})
+
+
+def loaded(folder: Path, **files: str) -> dict[str, Extension]:
+    for name, code in files.items():
+        (folder / f"{name}.py").write_text(code)
+    return {one.path.stem: one for one in load([folder], [SHAPES])}
+
+
+def test_a_file_registers_by_running(shapes: Registry[int], tmp_path: Path) -> None:
+    code = REGISTER + "SHAPES.add('square', 4)\n"
+    found = loaded(tmp_path, four=code)["four"]
+    assert shapes["square"] == 4
+    assert found.adds == {("shape", "square")}
+    assert found.error is None
+    assert found.sha256 == hashlib.sha256(code.encode()).hexdigest()
+
+
+@pytest.mark.parametrize(
+    ("code", "why"),
+    [
+        ("SHAPES.add('square', 4)\nraise OSError('no disk')\n", "line 3: OSError: no disk"),
+        ("SHAPES.add('square', 4)\nSHAPES.add('triangle', 3)\n", "there is a shape 'triangle' already"),
+        ("SHAPES.add('square', 4)\nimport sys\nsys.exit(3)\n", "SystemExit: 3"),
+        ("SHAPES.add('square', 4)\nSHAPES.add('no spaces', 4)\n", "'no spaces' is no name for a shape"),
+        ("SHAPES.add('square', 4)\nx = = 1\n", "SyntaxError"),
+        ("SHAPES.add('square', 4)\nimport a_module_that_is_not_there\n", "ModuleNotFoundError"),
+    ],
+)
+def test_a_file_that_fails_leaves_nothing_but_its_error(
+    shapes: Registry[int], tmp_path: Path, code: str, why: str
+) -> None:
+    found = loaded(tmp_path, bad=REGISTER + code, good=REGISTER + "SHAPES.add('pentagon', 5)\n")
+    assert why in (found["bad"].error or "")
+    assert found["bad"].adds == frozenset()
+    assert set(shapes) == {"pentagon", "triangle"}  # and the next file is loaded
+    assert not any(name.endswith("_bad") for name in sys.modules)
+
+
+def test_the_same_file_twice_is_left_out_the_second_time(shapes: Registry[int], tmp_path: Path) -> None:
+    file = tmp_path / "four.py"
+    file.write_text(REGISTER + "SHAPES.add('square', 4)\n")
+    first, second = load([file, file], [SHAPES])
+    assert first.error is None
+    assert "'square' already" in (second.error or "")
+    assert shapes["square"] == 4
+
+
+def test_files_of_a_folder_come_in_order_and_underscores_are_skipped(tmp_path: Path) -> None:
+    found = loaded(tmp_path, b="", a="", _helper="raise OSError", c="")
+    assert list(found) == ["a", "b", "c"]
+    assert all(one.error is None for one in found.values())
+
+
+def test_a_path_where_nothing_is_has_an_error(tmp_path: Path) -> None:
+    [found] = load([tmp_path / "none.py"], [SHAPES])
+    assert (found.sha256, found.adds) == (None, frozenset())
+    assert "No such file" in (found.error or "")
+
+
+def test_entries_are_in_alphabetical_order_whatever_order_they_came_in() -> None:
+    numbers: Registry[int] = Registry("number", "services.targets")
+    for name in ("two", "one", "three"):
+        numbers.add(name, 0)
+    assert list(numbers) == ["one", "three", "two"]
+
+
+def test_built_in_modules_are_those_that_register(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A package with a module that registers, one that only mentions it, and one in a folder."""
+    package = tmp_path / "built"
+    (package / "inner").mkdir(parents=True)
+    for folder in (package, package / "inner"):
+        (folder / "__init__.py").write_text("")
+    (package / "registry.py").write_text(
+        "from services.extensions import Registry\nTHINGS = Registry('thing', 'built')\nregister = THINGS.add\n"
+    )
+    (package / "one.py").write_text("from built.registry import register\nregister('one', 1)\n")
+    (package / "inner" / "two.py").write_text("from built.registry import register\nregister('two', 2)\n")
+    (package / "heavy.py").write_text('"""Whoever wants may call register(…)."""\nraise ImportError\n')
+    monkeypatch.syspath_prepend(tmp_path)
+    from importlib import import_module
+
+    things = import_module("built.registry").THINGS
+    assert things.snapshot() == {"one": 1, "two": 2}
+    for name in [name for name in sys.modules if name.partition(".")[0] == "built"]:
+        del sys.modules[name]
+
+
+def test_the_module_under_test_is_the_one_that_is_used() -> None:
+    assert extensions.load is load
