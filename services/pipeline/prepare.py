@@ -46,8 +46,12 @@ class Prepared:
 
 
 def preflight(spec: JobSpec, library: Library) -> JobSpec:
-    """The spec as it would run. Raises InvalidRequest for whatever would keep it from running."""
-    return prepare(spec, library).spec
+    """The spec as it would run. Raises InvalidRequest for whatever would keep it from running.
+
+    Only the exact renderer is made: whether the request can run is asked of its image alone.
+    """
+    exact = prepare(spec.model_copy(update={"tolerance": "exact"}), library)
+    return exact.spec.model_copy(update={"tolerance": spec.tolerance})
 
 
 def plan(spec: JobSpec, library: Library) -> Plan:

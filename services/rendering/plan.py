@@ -41,7 +41,12 @@ class Stage(_Record):
     evaluations: int = Field(description="units of work each time it is done")
     unit: str = Field(description='what is counted: "lobe values", "lookups", "frames", …')
     why: str = Field(description="why this method")
-    error: float = Field(0.0, description="estimated error of a displayed value that the method costs")
+    error: float = Field(
+        0.0, description="estimated error of a displayed value that the method costs; of rasterised images the mean"
+    )
+    share: float = Field(
+        0.0, description="of rasterised images: estimated share of covered pixels off by more than 1/255"
+    )
 
 
 class GradientError(_Record):
@@ -66,7 +71,8 @@ class Plan(_Record):
     stages: tuple[Stage, ...]
 
     error: float = Field(
-        description="estimated largest error of any displayed value: the errors that meet in a part add up at worst"
+        description="estimated largest error of any displayed value, of rasterised images their mean over covered "
+        "pixels: the errors that meet in a part add up at worst"
     )
     gradients: tuple[GradientError, ...] = Field(
         (), description="errors of the gradients; empty where nothing is shortened or nothing is differentiated"

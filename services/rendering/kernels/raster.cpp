@@ -1,6 +1,5 @@
-#pragma GCC optimize("fp-contract=off")
-// Pictures as llvmpipe draws them, bit for bit, without what it spends on every small triangle (services/rendering/
-// raster.py): faces first (coverage.h), then only what shows of them is shaded (radiance.h), once for all pictures.
+// Images of a scene: which faces are seen first (coverage.h), then only these are shaded (radiance.h), each pixel of
+// each once for all images of a pass.
 
 #include <atomic>
 #include <thread>
@@ -10,197 +9,186 @@
 
 namespace {
 
-struct Owner {
+// Position, normal and texture coordinates.
+typedef float Attributes __attribute__((vector_size(8 * sizeof(float))));
+enum { POSITION = 0, NORMAL = 3, UV = 6 };
+
+// What a face is shaded by, at any place of the image.
+struct Surface {
+    Weights weights;
+    float w[3], flat[3];  // 1 / w of the corners; a normal of the plane, on the viewer's side
+    Attributes corners[3];
+
+    Surface(const Piece &piece, const Corners &of, const int32_t *t, const float *world, const float *turn)
+        : weights(of, t) {
+        for (int i = 0; i < 3; ++i) {
+            const float *p = piece.positions + 3 * t[i], *n = piece.normals + 3 * t[i];
+            w[i] = of.w[t[i]];
+            for (int k = 0; k < 3; ++k) {
+                const float *a = world + 4 * k, *b = turn + 3 * k;
+                corners[i][POSITION + k] = a[0] * p[0] + a[1] * p[1] + a[2] * p[2] + a[3];
+                corners[i][NORMAL + k] = b[0] * n[0] + b[1] * n[1] + b[2] * n[2];
+            }
+            for (int k = 0; k < 2; ++k) corners[i][UV + k] = piece.uv ? piece.uv[2 * t[i] + k] : 0;
+        }
+        const Attributes b = corners[1] - corners[0], c = corners[2] - corners[0];
+        for (int k = 0; k < 3; ++k) flat[k] = b[(k + 1) % 3] * c[(k + 2) % 3] - b[(k + 2) % 3] * c[(k + 1) % 3];
+    }
+
+    // 1 / w, and the attributes times that: linear in the image.
+    float inverse(float x, float y) const {
+        return w[0] + weights.at(0, x, y) * (w[1] - w[0]) + weights.at(1, x, y) * (w[2] - w[0]);
+    }
+    Attributes over_w(float x, float y) const {
+        const float b = weights.at(0, x, y), c = weights.at(1, x, y);
+        return (1 - b - c) * w[0] * corners[0] + b * w[1] * corners[1] + c * w[2] * corners[2];
+    }
+};
+
+struct Face {
     int32_t piece, corners[3];
 };
 
-// A face in a pixel.
+// A face in a pixel, and its share of the pixel's light.
 struct Fragment {
-    const Taken *of;
+    Coverage of;
     int32_t pixel;
+    float weight;
 };
 
-// What fragments are shaded by, one a lane: where they are, how far to the next pixels, and their own.
-struct Seen {
-    Floats place[3], right[3], up[3], normal[3], texel[3], opacity;
-    int32_t pieces[WIDTH];
+// What WIDTH fragments are shaded by, one a lane.
+struct FragmentInputs {
+    Floats position[3], normal[3], flat[3], texel[3];
 };
-
-inline Vector vector(const Floats *of) { return {of[0], of[1], of[2]}; }
 
 struct Drawing {
     const Frame &frame;
     const Pass &pass;
-    Picture picture;
+    Visibility seen;
     std::vector<Corners> corners;
-    std::vector<Owner> owners;  // of the faces drawn
+    std::vector<Face> faces;  // those drawn
     std::vector<Fragment> fragments;
-    std::vector<int32_t> shown;  // of each sample, its fragment
-    std::vector<int32_t> laid;  // of each layer and pixel, its fragment
-    std::vector<float> colors;  // [pictures, 3, fragments]
     std::vector<Surface> surfaces;  // of the faces that show
-    std::vector<int32_t> number;  // of each face, among them
-    int64_t padded = 0;
+    std::vector<int32_t> surface_of;  // [faces]
 
-    Drawing(const Frame &frame, const Pass &pass) : frame(frame), pass(pass), picture(frame, pass.part) {}
+    Drawing(const Frame &frame, const Pass &pass) : frame(frame), pass(pass), seen(frame, pass.part) {}
 
-    // False if the driver would have cut faces.
+    Surface surface(const Face &face) const {
+        const int64_t i = face.piece;
+        return {frame.piece[i], corners[i], face.corners, pass.world + 16 * i, pass.normal + 9 * i};
+    }
+
+    // The attributes of a face at a place in a pixel.
+    Attributes at(const Surface &surface, const Coverage &of, int pixel, int place) const {
+        const int32_t x = of.x(pixel), y = of.y(pixel);
+        return surface.over_w(x + seen.place_x[place], y + seen.place_y[place]) / surface.inverse(x + 0.5f, y + 0.5f);
+    }
+
+    // The texture of a face in a pixel; its changes from pixel to pixel are those of the block's first.
+    Texel texel(const Texture &texture, const Surface &surface, const Coverage &of, int pixel) const {
+        if (!texture.levels) return {1, 1, 1, 1};
+        float u[PIXELS], v[PIXELS];
+        for (int p = 0; p < PIXELS; ++p) {
+            const Attributes there = at(surface, of, p, of.place(p));
+            u[p] = there[UV], v[p] = there[UV + 1];
+        }
+        return sample(texture, u[pixel], v[pixel], u[1] - u[0], v[1] - v[0], u[SIDE] - u[0], v[SIDE] - v[0]);
+    }
+
+    // False if a face reaches to the near plane or far beyond the frame.
     bool cover() {
         for (int64_t i = 0; i < frame.pieces; ++i) {
-            corners.emplace_back(frame.piece[i], pass.clip + 16 * i, pass.world + 16 * i, pass.normal + 9 * i, frame);
-            if (!corners.back().whole) return false;
+            corners.emplace_back(frame.piece[i], pass.clip + 16 * i, frame);
+            if (!corners.back().drawable) return false;
         }
         for (int64_t k = 0; k < frame.pieces; ++k) {
             const int64_t i = pass.order[k];
             const Piece &piece = frame.piece[i];
             for (int64_t f = 0; f < piece.faces; ++f) {
                 const int32_t *t = piece.triangles + 3 * f;
-                Owner owner{int32_t(i), {t[0], t[1], t[2]}};
-                if (picture.draw(piece, corners[i], owner.corners, f < pass.closed[i], owners.size()))
-                    owners.push_back(owner);
+                Face face{int32_t(i), {t[0], t[1], t[2]}};
+                auto is_hole = [&](const Coverage &of, int pixel) {
+                    return piece.holes && texel(piece.texture, surface(face), of, pixel).c[3] < 0.5f;
+                };
+                if (seen.draw(corners[i], face.corners, f < pass.closed[i], faces.size(), piece.opacity < 1, is_hole))
+                    faces.push_back(face);
             }
         }
         return true;
     }
 
-    // Each face in a pixel once, whatever samples of it show.
+    void add(const Coverage &of, int pixel, float weight) {
+        const int32_t x = of.x(pixel), y = of.y(pixel);
+        if (y < pass.part[0] || y >= pass.part[1] || x < pass.part[2] || x >= pass.part[3]) return;
+        if (surface_of[of.face] == NONE) {
+            surface_of[of.face] = surfaces.size();
+            surfaces.push_back(surface(faces[of.face]));
+        }
+        fragments.push_back({of, pixel, weight});
+    }
+
+    // Each face in a pixel once, with the part of the pixel's light that reaches the eye from its samples.
     void collect() {
-        shown.assign(picture.top.size() * WIDTH, NONE);
-        for (size_t block = 0; block < picture.top.size(); ++block) {
-            const Ints top = picture.top[block];
-            for (int i = 0; i < WIDTH; ++i) {
-                if (top[i] == NONE) continue;
-                int32_t &mine = shown[block * WIDTH + i];
-                for (int k = i & -SAMPLES; k < i; ++k)
-                    if (top[k] == top[i]) mine = shown[block * WIDTH + k];
-                if (mine == NONE) {
-                    mine = fragments.size();
-                    fragments.push_back({&picture.taken[top[i]], i / SAMPLES});
-                }
-            }
-        }
-        for (const Taken &layer : picture.layers)
+        surface_of.assign(faces.size(), NONE);
+        std::vector<Floats> passed(seen.top.size(), Floats{} + 1.0f / SAMPLES);  // through the layers in front
+        for (auto layer = seen.layers.rbegin(); layer != seen.layers.rend(); ++layer) {
+            Floats &through = passed[seen.block(*layer)];
             for (int p = 0; p < PIXELS; ++p) {
-                laid.push_back(layer.samples >> SAMPLES * p & 15 ? int32_t(fragments.size()) : NONE);
-                if (laid.back() != NONE) fragments.push_back({&layer, p});
+                float weight = 0;
+                for (int i = SAMPLES * p; i < SAMPLES * (p + 1); ++i)
+                    if (layer->samples >> i & 1) {
+                        weight += through[i];
+                        through[i] *= 1 - float(frame.piece[faces[layer->face].piece].opacity);
+                    }
+                if (weight > 0) add(*layer, p, weight);
             }
-    }
-
-    const Surface &surface_of(const Taken &of) {
-        int32_t &mine = number[of.face];
-        if (mine == NONE) {
-            mine = surfaces.size();
-            surfaces.emplace_back(corners[owners[of.face].piece], owners[of.face].corners);
         }
-        return surfaces[mine];
+        for (size_t block = 0; block < seen.top.size(); ++block) {
+            const Ints top = seen.top[block];
+            for (int i = 0; i < WIDTH; ++i) {
+                bool counted = top[i] == NONE;
+                for (int k = i & -SAMPLES; k < i; ++k) counted |= top[k] == top[i];
+                if (counted) continue;
+                float weight = 0;
+                for (int k = i; k < (i | (SAMPLES - 1)) + 1; ++k) weight += top[k] == top[i] ? passed[block][k] : 0;
+                add(seen.opaque[top[i]], i / SAMPLES, weight);
+            }
+        }
     }
 
-    void see(const Fragment &fragment, int i, Seen &seen) {
-        const Taken &of = *fragment.of;
-        const Surface &surface = surface_of(of);
-        const int32_t px = SIDE * of.column + fragment.pixel % SIDE, py = SIDE * of.row + fragment.pixel / SIDE;
-        // World positions in the middles of the pixel and of its neighbours in the block.
-        auto middle = [&](int32_t x, int32_t y, float *out) {
-            const float w = 1.0f / surface.w.at(x + 0.5f, y + 0.5f);
-            const Channels values = surface.channels.at(x + 0.5f, y + 0.5f);
-            for (int k = 0; k < 3; ++k) out[k] = values[k] * w;
-            return w;
-        };
-        float here[3], beside[3], above[3];
-        const float w = middle(px, py, here);
-        middle(px ^ 1, py, beside), middle(px, py ^ 1, above);
-        const int place = of.places[fragment.pixel];
-        const Channels there = surface.channels.at(px + picture.place_x[place], py + picture.place_y[place]);
-        const float to_right = px & 1 ? -1 : 1, to_top = py & 1 ? -1 : 1;
+    void look(const Fragment &f, int i, FragmentInputs &inputs) const {
+        const Surface &surface = surfaces[surface_of[f.of.face]];
+        const Attributes centre = at(surface, f.of, f.pixel, CENTRE), there = at(surface, f.of, f.pixel, f.of.place(f.pixel));
+        const Texel texel = this->texel(frame.piece[faces[f.of.face].piece].texture, surface, f.of, f.pixel);
         for (int k = 0; k < 3; ++k) {
-            seen.place[k][i] = here[k];
-            seen.right[k][i] = to_right * (beside[k] - here[k]), seen.up[k][i] = to_top * (above[k] - here[k]);
-            seen.normal[k][i] = there[3 + k] * w;
+            inputs.position[k][i] = centre[POSITION + k], inputs.normal[k][i] = there[NORMAL + k];
+            inputs.flat[k][i] = surface.flat[k], inputs.texel[k][i] = texel.c[k];
         }
-        seen.pieces[i] = owners[of.face].piece;
-        const Piece &piece = frame.piece[seen.pieces[i]];
-        seen.opacity[i] = float(piece.opacity);
-        Texel texel{1, 1, 1, 1};
-        if (piece.texture.levels) texel = picture.texel(piece.texture, surface, of, fragment.pixel);
-        for (int c = 0; c < 3; ++c) seen.texel[c][i] = texel.c[c];
     }
 
-    float color(int64_t k, int c, int32_t fragment) const { return colors[(3 * k + c) * padded + fragment]; }
-
-    void shade() {
-        const int64_t count = fragments.size();
-        padded = (count + WIDTH - 1) / WIDTH * WIDTH;
-        colors.resize(pass.pictures * 3 * padded);
-        number.assign(owners.size(), NONE);
+    void shade() const {
+        const int64_t count = fragments.size(), high = pass.part[1] - pass.part[0], wide = pass.part[3] - pass.part[2];
+        std::fill(pass.images, pass.images + pass.pictures * high * wide * 4, 0.0f);
         for (int64_t first = 0; first < count; first += WIDTH) {
-            Seen seen;
-            for (int i = 0; i < WIDTH; ++i) see(fragments[std::min(first + i, count - 1)], i, seen);
-            const Vector place = vector(seen.place);
-            const Vector v = unit(all(frame.eye) - place);
-            const Vector n = surface_normal(vector(seen.normal), vector(seen.right), vector(seen.up), v);
-            const Floats facing = dot(n, v);
+            const int together = std::min<int64_t>(WIDTH, count - first);
+            FragmentInputs inputs;
+            for (int i = 0; i < WIDTH; ++i) look(fragments[first + std::min(i, together - 1)], i, inputs);
+            const Vector position = vector(inputs.position), v = unit(all(frame.eye) - position);
+            const Vector n = surface_normal(vector(inputs.normal), vector(inputs.flat), v);
             for (int64_t k = 0; k < pass.pictures; ++k) {
-                const Light light{pass.ambients[k], pass.points + 4 * pass.lights * k, pass.lights};
-                const Shade sum = radiance(light, place, v, n, facing);
-                for (int c = 0; c < 3; ++c) {
-                    float *out = &colors[(3 * k + c) * padded + first];
-                    const float *base = pass.colors + 3 * frame.pieces * k + c;
-                    for (int i = 0; i < WIDTH; ++i) {
-                        const float opaque = base[3 * seen.pieces[i]] * seen.texel[c][i] * seen.opacity[i];
-                        out[i] = opaque * sum.body[i] + sum.gloss[i];
-                    }
+                const float *points = pass.points + 4 * pass.lights * k;
+                const BrdfTerms terms = radiance(pass.ambients[k], points, pass.lights, position, v, n);
+                for (int i = 0; i < together; ++i) {
+                    const Fragment &f = fragments[first + i];
+                    const int64_t piece = faces[f.of.face].piece, row = f.of.y(f.pixel) - pass.part[0];
+                    const float *base = pass.colors + 3 * (k * frame.pieces + piece), opacity = frame.piece[piece].opacity;
+                    float *out = pass.images + ((k * high + row) * wide + f.of.x(f.pixel) - pass.part[2]) * 4;
+                    for (int c = 0; c < 3; ++c)
+                        out[c] += f.weight * (base[c] * inputs.texel[c][i] * opacity * terms.body[i] + terms.coat[i]);
+                    out[3] += f.weight * opacity;
                 }
             }
         }
-    }
-
-    // The samples of a block in a picture: red, green, blue, opacity; nothing where no face is.
-    void show(int64_t block, int64_t k, float (*samples)[4]) const {
-        for (int i = 0; i < WIDTH; ++i) {
-            const int32_t fragment = shown[block * WIDTH + i];
-            for (int c = 0; c < 3; ++c) samples[i][c] = fragment == NONE ? 0 : color(k, c, fragment);
-            samples[i][3] = fragment == NONE ? 0 : 1;
-        }
-    }
-
-    // And what a layer lets through of them.
-    void lay_over(int64_t layer, int64_t k, float (*samples)[4]) const {
-        const Taken &of = picture.layers[layer];
-        const float opacity = frame.piece[owners[of.face].piece].opacity, through = 1.0f - opacity;
-        for (int i = 0; i < WIDTH; ++i) {
-            if (!(of.samples >> i & 1)) continue;
-            const int32_t fragment = laid[layer * PIXELS + i / SAMPLES];
-            for (int c = 0; c < 3; ++c) samples[i][c] = color(k, c, fragment) + samples[i][c] * through;
-            samples[i][3] = opacity + samples[i][3] * through;
-        }
-    }
-
-    void average() const {
-        // The first layer of each block, and the one after each.
-        std::vector<int32_t> first(picture.top.size(), NONE), next(picture.layers.size());
-        for (int64_t l = int64_t(next.size()) - 1; l >= 0; --l) {
-            int32_t &mine = first[picture.block(picture.layers[l].row, picture.layers[l].column)];
-            next[l] = mine, mine = l;
-        }
-        const int64_t *part = pass.part, wide = part[3] - part[2];
-        for (int64_t k = 0; k < pass.pictures; ++k)
-            for (int64_t row = picture.rows[0]; row < picture.rows[1]; ++row)
-                for (int64_t column = picture.columns[0]; column < picture.columns[1]; ++column) {
-                    const int64_t block = picture.block(row, column);
-                    float samples[WIDTH][4];
-                    show(block, k, samples);
-                    for (int32_t l = first[block]; l != NONE; l = next[l]) lay_over(l, k, samples);
-                    for (int p = 0; p < PIXELS; ++p) {
-                        const int64_t y = SIDE * row + p / SIDE, x = SIDE * column + p % SIDE;
-                        if (y < part[0] || y >= part[1] || x < part[2] || x >= part[3]) continue;
-                        float *out = pass.images + ((k * (part[1] - part[0]) + y - part[0]) * wide + x - part[2]) * 4;
-                        for (int c = 0; c < 4; ++c) {
-                            float sum = 0;
-                            for (int s = 0; s < SAMPLES; ++s) sum += samples[SAMPLES * p + s][c];
-                            out[c] = sum * (1.0f / SAMPLES);
-                        }
-                    }
-                }
     }
 };
 
@@ -211,11 +199,10 @@ EXPORT void raster_float(const Frame *frame, int64_t passes, Pass *pass, int thr
     auto work = [&] {
         for (int64_t p; (p = next++) < passes;) {
             Drawing drawing(*frame, pass[p]);
-            pass[p].drawn = drawing.cover();
-            if (!pass[p].drawn) continue;
+            pass[p].shown = -1;
+            if (!drawing.cover()) continue;
             drawing.collect();
             drawing.shade();
-            drawing.average();
             pass[p].shown = drawing.surfaces.size();
         }
     };
@@ -229,12 +216,12 @@ EXPORT void raster_float(const Frame *frame, int64_t passes, Pass *pass, int thr
 STRUCTURE(Texture, Texture, FIELD(Texture, levels) FIELD(Texture, texels) FIELD(Texture, sizes))
 STRUCTURE(Piece, Piece,
           FIELD(Piece, corners) FIELD(Piece, faces) FIELD(Piece, positions) FIELD(Piece, normals) FIELD(Piece, uv)
-          FIELD(Piece, triangles) FIELD(Piece, holes) FIELD(Piece, blended) FIELD(Piece, opacity) FIELD(Piece, texture))
+          FIELD(Piece, triangles) FIELD(Piece, holes) FIELD(Piece, opacity) FIELD(Piece, texture))
 STRUCTURE(Frame, Frame,
           FIELD(Frame, width) FIELD(Frame, height) FIELD(Frame, pieces) FIELD(Frame, piece) FIELD(Frame, x)
           FIELD(Frame, y) FIELD(Frame, eye))
 STRUCTURE(Pass, Pass,
           FIELD(Pass, clip) FIELD(Pass, world) FIELD(Pass, normal) FIELD(Pass, order) FIELD(Pass, closed)
           FIELD(Pass, part) FIELD(Pass, pictures) FIELD(Pass, lights) FIELD(Pass, ambients) FIELD(Pass, points)
-          FIELD(Pass, colors) FIELD(Pass, images) FIELD(Pass, drawn) FIELD(Pass, shown))
+          FIELD(Pass, colors) FIELD(Pass, images) FIELD(Pass, shown))
 FUNCTION(raster_float)

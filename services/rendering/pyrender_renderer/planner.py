@@ -1,6 +1,7 @@
 """The plan of the pyrender renderer: which stage each coordinate touches, and what is not drawn."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import torch
@@ -10,6 +11,7 @@ from services.rendering.opengl.screen_bounds import Rectangle
 from services.rendering.plan import Item, Plan, Stage, Tolerance
 from services.rendering.protocol import InactiveCoordinate
 from services.rendering.pyrender_renderer.batching import SharedPass, alone, shared
+from services.rendering.pyrender_renderer.errors import DRAWS, EVERY, ImageError, estimated
 from services.rendering.pyrender_renderer.inactive import REACH
 
 if TYPE_CHECKING:
@@ -24,6 +26,17 @@ WHY = {
 }
 
 
+@dataclass(frozen=True)
+class Rasterised:
+    """How well the rasteriser draws a scene: its largest error at `1 + DRAWS` places, the fewest pixels covered there,
+    the faces seen at the start; or why OpenGL draws instead."""
+
+    error: ImageError = field(default_factory=ImageError)
+    covered: int = 1
+    shown: int = 0
+    refusal: str | None = None
+
+
 def compile_plan(
     renderer: "Renderer",
     drawing: "Drawing",
@@ -31,15 +44,15 @@ def compile_plan(
     tolerance: Tolerance,
     extent: Rectangle,
     closed: bool,
-    shown: int | None,
+    rasterised: Rasterised | None,
     most: int,
     idle: Sequence[InactiveCoordinate],
 ) -> Plan:
     """The plan for attacks on `groups`, with objects within `extent` at the start; `closed`: closed surfaces are
-    without inside; `shown`: faces that show at the start, None: OpenGL draws; `most`: pictures to a pass; `idle`:
-    coordinates that change nothing at the start, moved by REACH.
+    without inside; `rasterised`: whether and how well the rasteriser draws, None for "exact"; `most`: images to a pass;
+    `idle`: coordinates that change nothing at the start, moved by REACH.
 
-    Its errors are 0: everything it leaves out or shares gives a picture the very bits it has without.
+    Errors are the rasteriser's alone: all else that is left out or shared gives an image the very bits it has without.
     """
     height, width = renderer.size
     top, bottom, left, right = extent
@@ -48,6 +61,7 @@ def compile_plan(
     sheets = faces - (sum(piece.closed for piece in drawing.pieces) if closed else 0)
     textured = [piece for piece in drawing.pieces if piece.texture is not None]
     start = renderer.initial()
+    shown = None if rasterised is None or rasterised.refusal is not None else rasterised.shown
 
     def passes_for(touched: Sequence[str]) -> list[SharedPass]:
         sides = both_sides(start, touched)
@@ -79,10 +93,10 @@ def compile_plan(
             of=passes,
             why="exact: all are drawn by pyrender's OpenGL"
             if plain
-            else "loops for this driver's pictures would not give the start's picture its bits, or cannot be had"
+            else _why_opengl(rasterised)
             if shown is None
-            else "loops of our own give the start's picture the driver's bits, and draw passes side by side; OpenGL "
-            "draws where the frame cuts an object",
+            else "the rasteriser draws, with passes side by side; OpenGL draws what reaches to the near plane or far "
+            "beyond the frame",
         ),
         Item(
             what="faces shaded",
@@ -117,6 +131,8 @@ def compile_plan(
             why="no coordinate changes them",
         )
     ]
+    if rasterised is not None and rasterised.refusal is None:
+        stages.append(_rasterise(rasterised, faces))
     for name, touched in STAGES.items():
         attacked = [group for group in groups if group in touched]
         if attacked:
@@ -142,6 +158,32 @@ def compile_plan(
         items=tuple(items),
         stages=tuple(stages),
     )
+
+
+def _rasterise(rasterised: Rasterised, faces: int) -> Stage:
+    error = estimated(rasterised.error, rasterised.covered)
+    return Stage(
+        name="rasterise",
+        method="faces and their samples by rules of our own (kernels/coverage.h), what is seen shaded once a pass",
+        when="every picture",
+        evaluations=faces,
+        unit="faces",
+        why=f"off from OpenGL by {_words(rasterised.error)} at most in {1 + DRAWS} images around the start; estimated "
+        f"elsewhere: {_words(error)}; one image in {EVERY} is compared again, and is OpenGL's if it is off by more "
+        "than the tolerance",
+        error=error.mean,
+        share=error.share,
+    )
+
+
+def _why_opengl(rasterised: Rasterised | None) -> str:
+    assert rasterised is not None
+    found = f" ({_words(rasterised.error)} in {1 + DRAWS} images around the start)" if rasterised.error.mean else ""
+    return f"the rasteriser does not draw: {rasterised.refusal}{found}"
+
+
+def _words(error: ImageError) -> str:
+    return f"{error.mean:.1e} in the mean over covered pixels and more than 1/255 in {error.share:.2%} of them"
 
 
 def both_sides(start: Mapping[str, Tensor], groups: Sequence[str], step: float = 0.01) -> dict[str, Tensor]:

@@ -22,25 +22,25 @@ from services.rendering.protocol import InactiveCoordinate, Parameters
 from services.rendering.pyrender_renderer import rasteriser
 from services.rendering.pyrender_renderer.batching import SharedPass, alone, shared
 from services.rendering.pyrender_renderer.declaration import PYRENDER
+from services.rendering.pyrender_renderer.errors import MARGIN, ImageError, image_error, is_sampled, measure
 from services.rendering.pyrender_renderer.inactive import inactive_coordinates
 from services.rendering.pyrender_renderer.parameters import SceneParameters
-from services.rendering.pyrender_renderer.planner import compile_plan
+from services.rendering.pyrender_renderer.planner import Rasterised, compile_plan
 from services.scenes.resolve import ResolvedScene
 
 EXPOSURE = 0.5
 """Radiance times this is the linear picture: a white surface that faces the default light from 2.5 away (radiance 2.0
 with the ambient light) is just the display's white. EfficientNet-Lite0 does as well from 0.4 to 0.8."""
 
-MOST = 8
-"""Pictures drawn in one pass over the geometry: as many outputs as every driver has."""
+MAX_IMAGES_PER_PASS = 8
+"""Images drawn in one pass over the geometry: as many outputs as every driver has."""
 
-MEMORY = 2**26
-"""Bytes of samples that the pictures of a pass may take; a single one may take more."""
+MAX_SAMPLE_BYTES = 2**26
+"""Bytes of samples that the images of a pass may take; a single one may take more."""
 
-ODD = 0.01
-"""Share of covered pixels that the insides of closed surfaces may change. They do change some at silhouettes, where the
-depths of both sides round to the same; a surface that passes through itself shows more, and is not taken for closed."""
-
+MAX_BACKFACE_MISMATCH = 0.01
+"""Share of covered pixels that the insides of watertight surfaces may change. They do change some at silhouettes, where
+the depths of both sides round to the same; a surface that passes through itself shows more, and is not taken for it."""
 
 ROUNDING = 1e-3
 """Scene units, and share, that an object must be further out of the frame than it could move, for it to be sure."""
@@ -60,9 +60,9 @@ class PyrenderRenderer(DeclaredRenderer):
     displayed, by coverage. Of closed surfaces only the outside is seen. Everything is drawn in the process's one OpenGL
     context, so only the thread that used it first may render.
 
-    The pictures of a batch share what they can (`sharing`), nothing is drawn where no object is, and loops draw what
-    they can instead of OpenGL (`raster`), if they give the start's picture its bits. `plan` says how much that is. It
-    costs no accuracy: a picture has the bits that `exact`, which has OpenGL draw each by itself and whole, gives it.
+    The images of a batch share what they can (`batching`), and nothing is drawn where no object is, at no cost. Without
+    a GPU the rasteriser draws instead of OpenGL if its error, measured when the renderer is made, is within tolerance
+    (`errors`). `exact` has OpenGL draw every image by itself and whole.
     """
 
     declaration = PYRENDER
@@ -70,7 +70,7 @@ class PyrenderRenderer(DeclaredRenderer):
     def __init__(
         self, scene: ResolvedScene, groups: Sequence[str] | None = None, tolerance: Tolerance = DEFAULT_TOLERANCE
     ) -> None:
-        """For attacks on `groups` (None: all). Any tolerance but "exact" is kept with an error of nothing."""
+        """For attacks on `groups` (None: all). For the meaning of a tolerance see `errors`."""
         current = context.current()
         from services.rendering.opengl.mesh_upload import Drawing  # imports OpenGL, so after the context
 
@@ -81,36 +81,71 @@ class PyrenderRenderer(DeclaredRenderer):
         self._view = CameraMatrices.of(scene.view, scene.projection)
         self._ground = torch.tensor(description.ground, dtype=torch.float32)
         self._numbers = SceneParameters(description)
-        self._most = max(1, min(MOST, MEMORY // (16 * rasteriser.SAMPLES * self.size[0] * self.size[1])))
-        self._plain = tolerance == "exact"
-        self._closed = False
-        self._shown: int | None = None
-        self._try_at_start()
-        self._plan: Plan | None = None
-        self._attacked = tuple(groups or self.groups)
-        self._tolerance = tolerance
+        samples = rasteriser.SAMPLES * self.size[0] * self.size[1]
+        self._most = max(1, min(MAX_IMAGES_PER_PASS, MAX_SAMPLE_BYTES // (16 * samples)))
+        groups = tuple(groups or self.groups)
+        self._tolerance: Tolerance = "exact"
+        self._rasterises = False
+        self._sampled = ImageError()
+        self._closed = self._is_watertight_at_start()
+        self.plan = self._compile(groups, None)
+        self._twin: PyrenderRenderer = self
+        if tolerance != "exact":
+            self._twin = copy(self)
+            self._twin._twin, self._tolerance = self._twin, tolerance
+            self.plan = self._compile(groups, self._try_rasteriser(groups))
 
     @classmethod
     def build(cls, request: BuildRequest) -> "PyrenderRenderer":
         """The renderer of a scene."""
         return cls(request.scene, request.groups, request.tolerance)
 
+    def _compile(self, groups: tuple[str, ...], rasterised: Rasterised | None) -> Plan:
+        return compile_plan(
+            self,
+            self._drawing,
+            groups,
+            self._tolerance,
+            extent=self.extent(self.initial()),
+            closed=self._closed,
+            rasterised=rasterised,
+            most=self._most,
+            idle=[] if self._plain else self.inactive(self.initial(), {}),
+        )
+
+    def _try_rasteriser(self, groups: tuple[str, ...]) -> Rasterised:
+        """Whether the rasteriser draws within the tolerance, and with which error; sets `_rasterises`."""
+        assert self._tolerance != "exact"
+        why = rasteriser.refusal(self._drawing, start := self._at_start())
+        if why is None and not context.current().software:
+            why = "a graphics card is faster"
+        if why is None and start.part[0] == start.part[1]:
+            why = "nothing is in the image at the start, so that its error cannot be measured"
+        if why is not None:
+            return Rasterised(refusal=why)
+        self._twin.render({})  # uploads the textures, whose mipmaps the rasteriser takes
+        [drawn] = self._by_rasteriser([start])
+        self._rasterises = True
+        error, covered = measure(self, self._ground, groups)
+        self._sampled = ImageError()
+        if not ImageError(MARGIN * error.mean, MARGIN * error.share).within(self._tolerance):
+            self._rasterises = False
+            return Rasterised(error, covered, refusal="its error is beyond the tolerance")
+        return Rasterised(error, covered, shown=0 if drawn is None else drawn[1])
+
     @property
-    def plan(self) -> Plan:
-        """What is drawn, shared and left out for the attacked groups. Made when first asked for: it draws proofs."""
-        if self._plan is None:
-            self._plan = compile_plan(
-                self,
-                self._drawing,
-                self._attacked,
-                self._tolerance,
-                extent=self.extent(self.initial()),
-                closed=self._closed,
-                shown=self._shown,
-                most=self._most,
-                idle=[] if self._plain else self.inactive(self.initial(), {}),
-            )
-        return self._plan
+    def _plain(self) -> bool:
+        return self._tolerance == "exact"
+
+    @property
+    def rasterises(self) -> bool:
+        """Whether the rasteriser draws what it can, and not OpenGL."""
+        return self._rasterises
+
+    @property
+    def sampled_error(self) -> ImageError:
+        """The largest error of the images that were asked for and drawn by OpenGL too; zero if none was."""
+        return self._sampled
 
     def initial(self) -> Parameters:
         """The scene's own values, float64."""
@@ -125,12 +160,8 @@ class PyrenderRenderer(DeclaredRenderer):
         return self._numbers.bounds()
 
     def exact(self) -> "PyrenderRenderer":
-        """The twin that draws every picture by itself, whole, with the insides of closed surfaces."""
-        if self._plain:
-            return self
-        twin = copy(self)
-        twin._plain, twin._tolerance, twin._plan, twin._shown = True, "exact", None, None
-        return twin
+        """The twin that has OpenGL draw every image by itself, whole, with the insides of watertight surfaces."""
+        return self._twin
 
     @property
     def closed(self) -> bool:
@@ -143,8 +174,19 @@ class PyrenderRenderer(DeclaredRenderer):
         Raises JobFailure("non-finite") for parameters or radiances that are not finite, ValueError for unknown groups
         and wrong shapes.
         """
+        images = self._draw(parameters, self._ground, lambda radiance: over_ground(radiance, EXPOSURE, self._ground))
+        for row in range(len(images)):
+            if self._rasterises and is_sampled(parameters, row):
+                images[row] = self._verified(images[row], {g: v[row : row + 1] for g, v in parameters.items()})
+        return images
 
-        return self._draw(parameters, self._ground, lambda radiance: over_ground(radiance, EXPOSURE, self._ground))
+    def _verified(self, image: Tensor, parameters: Mapping[str, Tensor]) -> Tensor:
+        """The image, or OpenGL's where it is off by more than the tolerance allows."""
+        assert self._tolerance != "exact"
+        exact = self._twin.render(parameters)[0]
+        error, _ = image_error(image, exact, self._ground)
+        self._sampled = self._sampled.or_worse(error)
+        return image if error.within(self._tolerance) else exact
 
     def radiance(self, parameters: Mapping[str, Tensor]) -> Tensor:
         """Linear, unclamped radiance times coverage, and coverage: float32 [B, H, W, 4]. Before exposure and display.
@@ -178,8 +220,7 @@ class PyrenderRenderer(DeclaredRenderer):
         return inactive_coordinates(self, parameters, reach)
 
     def _draw(self, parameters: Mapping[str, Tensor], empty: Tensor, finish: Callable[[Tensor], Tensor]) -> Tensor:
-        """Pictures [B, H, W, C]: `empty` [C] where no object is, and `finish` of radiance [..., 4] elsewhere.
-
+        """Images [B, H, W, C]: `empty` [C] where no object is, and `finish` of radiance [..., 4] elsewhere.
         First all is drawn, then all is finished: threads of torch that wait for work in between would be in the way of
         those that draw.
         """
@@ -217,12 +258,12 @@ class PyrenderRenderer(DeclaredRenderer):
 
     def _frames(self, passes: Sequence[RenderPass]) -> list[NDArray[np.float32]]:
         """Radiance [pictures, rows, columns, 4] of each pass's part, the bottom row first."""
-        if self._shown is None or not passes:
+        if not self._rasterises or not passes:
             return [self._by_opengl(lit) for lit in passes]
-        drawn = self._by_loops(passes)
+        drawn = self._by_rasteriser(passes)
         return [self._by_opengl(lit) if own is None else own[0] for lit, own in zip(passes, drawn, strict=True)]
 
-    def _by_loops(self, passes: Sequence[RenderPass]) -> list[tuple[NDArray[np.float32], int] | None]:
+    def _by_rasteriser(self, passes: Sequence[RenderPass]) -> list[tuple[NDArray[np.float32], int] | None]:
         positions = context.current().renderer.sample_positions
         return rasteriser.draw(self._drawing, self._view, passes, self.size, positions, self._closed)
 
@@ -251,22 +292,12 @@ class PyrenderRenderer(DeclaredRenderer):
         [start] = alone(self._numbers.checked({}))
         return self._lit(start)
 
-    def _try_at_start(self) -> None:
-        """Finds out whether closed surfaces may be taken for closed (`_closed`), and whether the loops draw with
-        OpenGL's bits; `_shown` is then how many faces show."""
-        start = replace(seen := self._at_start(), part=(0, self.size[0], 0, self.size[1]))
-        frame = None
-        if any(piece.closed for piece in self._drawing.pieces):
-            natural, self._closed = self._by_opengl(start), True
-            frame = self._by_opengl(start)
-            changed = np.abs(EXPOSURE * (frame - natural)).max(axis=-1) > 1 / 255
-            if changed.sum() > ODD * (natural[..., 3] > 0).sum():
-                frame, self._closed = natural, False
-        in_frame = seen.part[0] < seen.part[1]
-        if self._plain or not (rasteriser.available() and context.current().software and in_frame):
-            return
-        if frame is None:
-            frame = self._by_opengl(start)
-        [drawn] = self._by_loops([start])  # after OpenGL, which is asked for its textures
-        if drawn is not None and np.array_equal(drawn[0], frame):
-            self._shown = drawn[1]
+    def _is_watertight_at_start(self) -> bool:
+        """Whether watertight surfaces may be drawn without their insides: there are some, and these do not show."""
+        self._closed = False
+        if not any(piece.closed for piece in self._drawing.pieces):
+            return False
+        start = replace(self._at_start(), part=(0, self.size[0], 0, self.size[1]))
+        natural, self._closed = self._by_opengl(start), True
+        changed = np.abs(EXPOSURE * (self._by_opengl(start) - natural)).max(axis=-1) > 1 / 255
+        return bool(changed.sum() <= MAX_BACKFACE_MISMATCH * (natural[..., 3] > 0).sum())

@@ -21,14 +21,23 @@ def shifted(of: Part, x: float) -> Part:
     return part(of.vertices + np.array([x, 0, 0]), of.faces, of.normals)
 
 
-def subject() -> PyrenderRenderer:
+def subject(tolerance: float = 1.0) -> PyrenderRenderer:
     """A ball, which is closed, a sheet seen from behind, a textured cube; one light of two is dark."""
     ball = sphere(0.2, 24)
     ball = shifted(part(np.round(ball.vertices, 6), ball.faces, ball.normals), -0.6)
     sheet = quad(0.2)
     sheet = shifted(part(sheet.vertices, sheet.faces[:, ::-1], sheet.normals), 0.6)
     lights = Lights(ambient=0.3, points=(PointLight(), PointLight(energy=0.0, position=(0.5, 0.5, 2.0))))
-    return PyrenderRenderer(placed(scene((48, 64), 3, lights), mesh(ball), mesh(sheet), six_parts()))
+    renderer = PyrenderRenderer(
+        placed(scene((48, 64), 3, lights), mesh(ball), mesh(sheet), six_parts()), tolerance=tolerance
+    )
+    assert renderer.rasterises == (tolerance == 1.0)  # the texture of noise is beyond the default
+    return renderer
+
+
+def far_from(images: Tensor, others: Tensor) -> bool:
+    """Whether they differ by more than the rasteriser's rules do from OpenGL's: here 1e-4 of radiance in the mean."""
+    return bool((images - others).abs().mean() > 3e-4)
 
 
 def picture(renderer: PyrenderRenderer) -> Tensor:
@@ -79,9 +88,9 @@ def test_without_what_is_kept_the_picture_is_another(
     renderer = subject()
     moved = torch.stack([renderer.initial()["translation"], renderer.initial()["translation"] + 0.05])
     whole = renderer.radiance({"translation": moved})
-    assert torch.equal(whole, renderer.exact().radiance({"translation": moved}))
+    assert not far_from(whole, renderer.exact().radiance({"translation": moved}))
     less(renderer, monkeypatch)
-    assert not torch.equal(renderer.radiance({"translation": moved}), whole)
+    assert far_from(renderer.radiance({"translation": moved}), whole)
 
 
 def test_every_coordinate_that_is_kept_changes_the_picture_and_no_other_does() -> None:
@@ -117,20 +126,18 @@ def test_a_look_at_a_white_texture_changes_no_bit() -> None:
     assert torch.equal(picture(renderer), start)
 
 
-def test_opengl_and_faces_that_do_not_show_change_no_bit() -> None:
+def test_opengl_and_faces_that_do_not_show_change_little() -> None:
     renderer = subject()
     found = {item.what: (item.kept, item.of) for item in renderer.plan.items}
     assert found["passes through OpenGL"][0] == 0 < found["passes through OpenGL"][1]
     assert 0 < found["faces shaded"][0] < found["faces shaded"][1]
-    start = picture(renderer)
-    renderer._shown = None  # OpenGL shades all
-    assert torch.equal(picture(renderer), start)
+    assert not far_from(picture(renderer), renderer.exact().radiance({}))
 
 
 def test_insides_and_the_rest_of_the_frame_change_no_bit() -> None:
-    renderer = subject()
-    [faces] = [[item.kept, item.of] for item in renderer.plan.items if item.what == "faces with two sides"]
+    by_opengl = subject(1e-3)
+    [faces] = [[item.kept, item.of] for item in by_opengl.plan.items if item.what == "faces with two sides"]
     assert 0 < faces[0] < faces[1]  # the sheet, not the ball
-    exact = renderer.exact()
-    [[frame]] = exact._frames([exact._at_start()])
-    assert torch.equal(torch.from_numpy(frame[::-1].copy())[None], picture(renderer))
+    [pixels] = [[item.kept, item.of] for item in by_opengl.plan.items if item.what == "pixels"]
+    assert 0 < pixels[0] < pixels[1]
+    assert torch.equal(by_opengl.radiance({}), by_opengl.exact().radiance({}))

@@ -1,0 +1,134 @@
+"""Images that the rasteriser draws in attacks, against OpenGL's: none may be off by more than its plan says.
+
+    python -m services.accuracy.rasterised_images [--scenes 60] [--images 5000] [--out FILE]
+
+Scenes are drawn at random: one to five objects of furniture and primitives, of colours below 1, in one to three lamps.
+Around several places that an attack may come to, both sides of the differences of every coordinate are drawn in one
+batch, as ZOO asks for them; each assembled image is compared with the exact renderer's, and gradients of a random
+linear objective with those of the exact images.
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from services.rendering.opengl import context
+from services.rendering.pyrender_renderer.errors import REACH, ImageError, image_error
+from services.rendering.pyrender_renderer.planner import both_sides
+from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
+from services.scenes.description import Scene
+from services.scenes.library import Library
+from services.scenes.resolve import resolve
+from services.settings import settings
+
+MESHES = (
+    *("primitive/sphere", "primitive/cube", "primitive/torus", "primitive/cylinder"),
+    *("furniture/grand-piano", "furniture/helmet", "furniture/speaker", "furniture/couch", "furniture/folding-chair"),
+    *("furniture/barrel", "furniture/clock", "furniture/soccer-ball", "furniture/toaster", "furniture/video-projector"),
+)
+SEED = 0
+STEP = 0.01
+"""Half the difference of a gradient."""
+
+
+def scenes(count: int) -> Iterator[Scene]:
+    """Random scenes, the same ones every time. Every second has three objects or more."""
+    random = np.random.default_rng(SEED)
+    for index in range(count):
+        objects = int(random.integers(3, 6)) if index % 2 else int(random.integers(1, 3))
+        things = [
+            {
+                "mesh": str(random.choice(MESHES)),
+                "color": random.uniform(0.2, 0.9, 3).tolist(),
+                "scale": 1.0 if objects == 1 else 0.5,
+                "translation": [0.0, 0.0, 0.0] if objects == 1 else random.uniform(-0.4, 0.4, 3).tolist(),
+                "rotation": random.uniform(-1.0, 1.0, 3).tolist(),
+            }
+            for _ in range(objects)
+        ]
+        lamps = [
+            {"energy": float(random.uniform(5, 30)), "position": random.uniform((-2, 0.5, 0.5), 2).tolist()}
+            for _ in range(int(random.integers(1, 4)))
+        ]
+        camera = {"azimuth": float(random.uniform(0, 6)), "size": [112, 112]}
+        yield Scene.model_validate({"objects": things, "camera": camera, "lights": {"ambient": 0.4, "points": lamps}})
+
+
+def compare(scene: Scene, library: Library, images: int) -> dict[str, Any]:
+    """A scene's row: how many images were compared, the largest errors, what its plan says, and the gradients' error
+    as the largest difference over the largest gradient of its group."""
+    renderer = PyrenderRenderer(resolve(scene, library))
+    stage = next((stage for stage in renderer.plan.stages if stage.name == "rasterise"), None)
+    random = torch.Generator().manual_seed(SEED)
+    ground = torch.tensor(scene.ground)
+    worst, compared, gradients = ImageError(), 0, 0.0
+    while compared < images:
+        at = {
+            group: torch.clamp(
+                value + REACH[group] * (2 * torch.rand(value.shape, generator=random, dtype=value.dtype) - 1),
+                *renderer.bounds()[group],
+            )
+            for group, value in renderer.initial().items()
+        }
+        sides = both_sides(at, renderer.groups, STEP)
+        ours, exact = renderer.render(sides), renderer.exact().render(sides)
+        for image, true in zip(ours, exact, strict=True):
+            worst = worst.or_worse(image_error(image, true, ground)[0])
+        compared += len(ours)
+        weight = torch.rand(ours.shape[1:], generator=random).flatten() / ours[0].numel()
+        gradients = max(gradients, _gradient_error(ours, exact, weight, at))
+    return {
+        "meshes": [thing.mesh for thing in scene.objects],
+        "images": compared,
+        "rasterised": renderer.rasterises,
+        "mean": worst.mean,
+        "share": worst.share,
+        "plan_mean": 0.0 if stage is None else stage.error,
+        "plan_share": 0.0 if stage is None else stage.share,
+        "gradients": gradients,
+    }
+
+
+def _gradient_error(ours: Tensor, exact: Tensor, weight: Tensor, at: dict[str, Tensor]) -> float:
+    """Largest over the groups."""
+    sides = [(of[::2] - of[1::2]).double().flatten(1) for of in (ours, exact)]
+    found, true = (side @ weight.double() / (2 * STEP) for side in sides)
+    worst, first = 0.0, 0
+    for value in at.values():
+        own = slice(first, first := first + value.numel())
+        worst = max(worst, float((found[own] - true[own]).abs().max() / true[own].abs().max().clamp_min(1e-12)))
+    return worst
+
+
+def beyond(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The scenes of which an image is off by more than its plan says."""
+    return [row for row in rows if row["mean"] > row["plan_mean"] or row["share"] > row["plan_share"]]
+
+
+def main() -> None:
+    """Measures, prints and writes; ends with status 1 if an image was off by more than its plan says."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scenes", type=int, default=60)
+    parser.add_argument("--images", type=int, default=5000, help="altogether, at least")
+    parser.add_argument("--out", type=Path, default=Path("docs/results/rasterised_images.json"))
+    options = parser.parse_args()
+    library = Library(settings().cache_dir, settings().data_dir)
+    rows = []
+    for scene in scenes(options.scenes):
+        rows.append(row := compare(scene, library, -(-options.images // options.scenes)))
+        print(json.dumps(row), flush=True)
+    found = {"backend": context.gl_backend(), "images": sum(row["images"] for row in rows), "scenes": rows}
+    options.out.write_text(json.dumps(found, indent=1) + "\n", "utf-8")
+    print(f"{found['images']} images; beyond the plan: {len(beyond(rows))} scenes")
+    sys.exit(bool(beyond(rows)))
+
+
+if __name__ == "__main__":
+    main()
