@@ -49,11 +49,8 @@ ROUNDING = 1e-3
 class PyrenderRenderer(DeclaredRenderer):
     """Images of a scene as a function of its lights, colours and poses.
 
-    Groups, all float tensors: `illumination` [1 + 4 points + 4 directional + 7 spots] (ambient; then per point light
-    its energy / 30 and x, y, z; per directional light its energy / 3 and the direction it travels in; per spot light
-    its energy / 30, position and direction), `color` [objects, 3] (linear factor on the mesh's own colours),
-    `translation` [objects, 3] (scene units), `rotation` [objects, 3] (rotation vectors, radians). With one object and
-    one point light these are the paper's 14 numbers.
+    Groups, all float tensors, are declared in `declaration`: `illumination`, `color`, `translation` and `rotation`.
+    With one object and one point light these are the paper's 14 numbers.
 
     A Lambertian body under a thin glossy coat, or the metallic-roughness material of a glTF file, lit without shadows
     or bounces: `shaders/radiance.frag` has the formulas. Silhouettes are multisampled; the ground is composited as
