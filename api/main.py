@@ -17,6 +17,7 @@ from api.preflight import Preflight
 from api.problems import Answers, install
 from api.routes import artifacts, assets, events, health, jobs, library
 from api.state import Services
+from services.device import check_device
 from services.errors import JobFailure
 from services.jobs.artifacts import ArtifactStore
 from services.jobs.database import connect as connect_database
@@ -82,7 +83,11 @@ def create_app(values: Settings | None = None) -> FastAPI:
 
 
 def run(listener: socket.socket | None = None) -> int:
-    """Serve until SIGTERM or SIGINT, on a socket already listening or else on the settings' address."""
+    """Serve until SIGTERM or SIGINT, on a socket already listening or else on the settings' address.
+
+    Raises InvalidRequest if the device of the settings is not there.
+    """
+    check_device()
     configure("api")
     values = settings()
     listener = listener or socket.create_server((values.host, values.port))

@@ -62,13 +62,19 @@ def main() -> None:
 
 
 def _end_of_talk(error: Exception) -> NoReturn:
-    """Errors of talking to a service; any other is raised again."""
+    """A bad setting, or an error of talking to a service; any other is raised again."""
     from httpx import HTTPError
+    from pydantic import ValidationError
 
     from client.api_client import ApiError
+    from services.settings import Settings
 
     if isinstance(error, ApiError):
         _end(2 if 400 <= error.status < 500 else 1, f"refused: {error}")
+    if isinstance(error, ValidationError) and error.title == Settings.__name__:
+        first = error.errors()[0]
+        name = f"SCENE_ATTACK_{str(first['loc'][0]).upper()}"
+        _end(2, f"bad input: {name}: {first['msg']}, not {first['input']!r}")
     if isinstance(error, HTTPError):
         reason = str(error) or type(error).__name__
         _end(1, f"no answer from the service ({reason}); start one with scene-attack serve, or name it with --url")

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from redis.exceptions import RedisError
 from sqlalchemy.exc import SQLAlchemyError
 
+from services.device import check_device
 from services.errors import JobFailure
 from services.jobs.database import connect as connect_database
 from services.jobs.database import migrate
@@ -26,7 +27,11 @@ log = logger(__name__)
 
 
 def run() -> int:
-    """Supervise the workers until SIGTERM or SIGINT. Returns the exit status."""
+    """Supervise the workers until SIGTERM or SIGINT. Returns the exit status.
+
+    Raises InvalidRequest if the device of the settings is not there.
+    """
+    check_device()
     configure("worker-supervisor")
     values = settings()
     if values.redis_url is None:

@@ -5,6 +5,7 @@ import sys
 
 import httpx
 
+from services.device import check_device
 from services.jobs.database import connect as connect_database
 from services.jobs.database import migrate
 from services.jobs.repository import Repository
@@ -20,8 +21,9 @@ log = logger(__name__)
 def serve(values: Settings) -> int:
     """Run the whole service until SIGTERM or SIGINT; prints "ready URL" once it takes jobs. Returns the exit status.
 
-    Raises OSError if the address is taken.
+    Raises OSError if the address is taken, InvalidRequest if the device of the settings is not there.
     """
+    check_device()
     configure("supervisor")
     engine = connect_database(values)
     migrate(engine, values)

@@ -34,8 +34,10 @@ def stability(
     from services.accuracy.stability.case import Case
     from services.accuracy.stability.cases import cases, run
     from services.accuracy.stability.report import report, write
+    from services.device import check_device
     from services.settings import settings
 
+    check_device()
     torch.set_num_threads(settings().threads)
     chosen = cases(quick)
     with err().status("") as line:
@@ -89,8 +91,10 @@ def work_precision(
     from services.accuracy.work_precision.progress import Progress
     from services.accuracy.work_precision.report import load, report, write
     from services.accuracy.work_precision.words import conclusions
+    from services.device import check_device
     from services.settings import settings
 
+    check_device()
     torch.set_num_threads(settings().threads)
     extent = QUICK if quick else FULL
     with err().status("") as line:

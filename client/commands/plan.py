@@ -1,6 +1,5 @@
 """`plan`: what a job would do to make its pictures, before it runs."""
 
-import gc
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -24,11 +23,12 @@ def plan(
 
     Nothing is attacked and the network is not asked. The scene is rasterised, and errors of tables are measured on it.
     """
-    gc.disable()  # looking for garbage while all is imported takes longer than this process leaves any
     from client import spec_input
     from client.console import print_json, report_extensions
+    from services.device import check_device
     from services.pipeline.spec import parse
 
+    check_device()
     report_extensions()
     job = parse(spec_input.read(spec))
     from client.commands.run import library

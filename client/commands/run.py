@@ -42,9 +42,11 @@ def run(
     from client.console import out as stdout
     from client.live import JobLine
     from client.outcomes import COLUMNS, cells
+    from services.device import check_device
     from services.pipeline.names import attack_name, scene_name
     from services.pipeline.spec import parse
 
+    check_device()
     _keep_memory()
     report_extensions()
     data = spec_input.read(spec, seed)
@@ -75,7 +77,9 @@ def replay(
     """
     from client.console import answer_text, err, print_json, table, yes
     from client.console import out as stdout
+    from services.device import check_device
 
+    check_device()
     with err().status("rendering"):
         from services.pipeline.replay import replay as render_again
 

@@ -70,18 +70,11 @@ def _settings(**given: str | int | Path | None) -> "Settings":
 
     Comes before the imports of the service, which read the settings once.
     """
-    from pydantic import ValidationError
-
-    from services.errors import InvalidRequest
+    from services.device import check_device
     from services.settings import settings
 
     os.environ.update(
         {f"SCENE_ATTACK_{name.upper()}": str(value) for name, value in given.items() if value is not None}
     )
-    try:
-        return settings()
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise InvalidRequest(
-            f"SCENE_ATTACK_{str(first['loc'][0]).upper()}", f"{first['msg']}, not {first['input']!r}"
-        ) from error
+    check_device()
+    return settings()

@@ -33,7 +33,7 @@ def objective(problem: AttackProblem, images: Tensor) -> Tensor:
 
 @torch.no_grad()
 def evaluate(problem: AttackProblem, vectors: Tensor) -> Tensor:
-    """The objective at perturbations [B, total], [B] float64, rendered and asked in chunks of bounded memory."""
+    """The objective at perturbations [B, total], [B] float64 on the CPU, in chunks of bounded memory."""
     height, width = problem.renderer.size
     size = max(1, min(28, CHUNK_VALUES // (height * width * 3)))
     start = problem.layout.flatten(problem.initial)
@@ -42,7 +42,7 @@ def evaluate(problem: AttackProblem, vectors: Tensor) -> Tensor:
         images = problem.render(problem.layout.unflatten(start + chunk))
         if problem.truncation is not None:
             images = torch.cat([truncate(image[None], problem.original, problem.truncation)[0] for image in images])
-        scores.append(objective(problem, images))
+        scores.append(objective(problem, images).cpu())
     return torch.cat(scores)
 
 
@@ -94,7 +94,7 @@ def measure_noise(problem: AttackProblem, delta: Tensor, samples: int = 8) -> fl
         image = problem.render(layout.unflatten((layout.flatten(problem.initial) + delta)[None]))
         scores = []
         for _ in range(samples):
-            jitter = torch.rand(image.shape, generator=random, dtype=image.dtype) - 0.5
+            jitter = torch.rand(image.shape, generator=random, dtype=image.dtype).to(image.device) - 0.5
             scores.append(objective(problem, image + 2 * torch.finfo(image.dtype).eps * jitter))
     values = torch.cat(scores)
     return 2 * float(values.max() - values.min())

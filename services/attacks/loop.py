@@ -102,11 +102,11 @@ class _Running:
         problem, verifier = attack.problem, attack.verifier
         row = _row(problem, verifier, view, logits, state, self.seconds)
         fooled = bool(problem.goal.fooled(logits))
-        state.ever |= view.truncated
+        state.ever |= view.truncated.cpu()
         if fooled or not state.fooled:
             state.stored = {g: v.detach().clone() for g, v in view.perturbation.items()}
             state.stored_step = state.step
-            state.picture, state.scores = image.clone(), logits.clone()
+            state.picture, state.scores = image.cpu().clone(), logits.cpu().clone()
         if fooled:
             state.fooled = True
             state.verified = verifier.fooled(state.stored, problem.goal)

@@ -171,7 +171,7 @@ def truncate(images: Tensor, original: Tensor, limit: float | None) -> tuple[Ten
 
     `images` [1, H, W, 3]; the mask is bool [H, W]. A held-back value passes no gradient (paper, section 3.3).
     """
-    nowhere = torch.zeros(images.shape[1:3], dtype=torch.bool)
+    nowhere = torch.zeros(images.shape[1:3], dtype=torch.bool, device=images.device)
     if limit is None:
         return images, nowhere
     change = images.detach() - original

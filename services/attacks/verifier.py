@@ -34,7 +34,7 @@ class Verifier:
 
     def picture(self, perturbation: Mapping[str, Tensor]) -> Tensor:
         """The exact image as saved, uint8 [H, W, 3]."""
-        return to_bytes(self.render(perturbation))
+        return to_bytes(self.render(perturbation)).cpu()
 
     @torch.no_grad()
     def logits(self, image: Tensor) -> Tensor:

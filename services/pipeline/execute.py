@@ -99,7 +99,7 @@ def _write(prepared: Prepared, problem: AttackProblem, found: AttackState, out: 
     verifier, goal, labels, original = prepared.verifier, prepared.goal, prepared.target.labels, prepared.original
     queries, renders = problem.queries + verifier.queries, problem.renders + verifier.renders
     exact = verifier.render(found.stored)
-    attacked = to_bytes(exact)
+    attacked = to_bytes(exact).cpu()
     logits = verifier.logits(attacked)
     limit = prepared.spec.attack.truncation
     result = Result(

@@ -48,15 +48,16 @@ class ImageRenderer(DeclaredRenderer):
 
     def initial(self) -> "Parameters":
         """The image, {"image": [H, W, 3]}."""
-        return {"image": self._image.clone()}
+        return {"image": self._image.cpu().clone()}
 
     def bounds(self) -> "Mapping[str, tuple[Tensor, Tensor]]":
         """Pixels are in [0,1]."""
-        return {"image": (self._image.new_tensor(0.0), self._image.new_tensor(1.0))}
+        image = self._image.cpu()
+        return {"image": (image.new_tensor(0.0), image.new_tensor(1.0))}
 
     def render(self, parameters: "Mapping[str, Tensor]") -> "Tensor":
-        """The pixels [B, H, W, 3], clipped to [0,1]."""
-        return parameters["image"].clamp(0.0, 1.0)
+        """The pixels [B, H, W, 3], clipped to [0,1], on the device of the base renderer."""
+        return parameters["image"].to(self._image.device).clamp(0.0, 1.0)
 
     def exact(self) -> "ImageRenderer":
         """Itself: nothing is approximated."""

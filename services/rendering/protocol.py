@@ -9,7 +9,8 @@ from torch import Tensor
 from services.rendering.plan import Plan
 
 Parameters = dict[str, Tensor]
-"""Group name to values. Without a batch dimension for a state or a perturbation, with one ([B, …]) to render."""
+"""Group name to values. Without a batch dimension for a state or a perturbation, with one ([B, …]) to render.
+On the CPU, wherever images are made."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,8 @@ class Renderer(Protocol):
         ...
 
     def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
-        """Images [B, H, W, 3] in [0,1], as displayed. Groups left out keep their initial values; B is shared by all."""
+        """Images [B, H, W, 3] in [0,1], as displayed, on the renderer's device. Groups left out keep their initial
+        values; B is shared by all."""
         ...
 
     def inactive(self, parameters: Mapping[str, Tensor], reach: Mapping[str, float]) -> Sequence[InactiveCoordinate]:

@@ -1,7 +1,7 @@
 """What the camera sees, before any light: normals, coverage, base colour, depth and objects per pixel."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -27,7 +27,8 @@ THRESHOLDS = (np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13
 
 @dataclass(frozen=True)
 class GBuffer:
-    """Geometry and base colour of a picture, torch CPU tensors. Values mean nothing where `coverage` is 0 (they are 0).
+    """Geometry and base colour of a picture. OpenGL draws it on the CPU; `to` copies it elsewhere. Values mean
+    nothing where `coverage` is 0 (they are 0).
 
     normals float32 [H, W, 3], unit, world space, on the viewer's side; coverage float32 [H, W] in [0,1];
     base_color float32 [H, W, 3], linear; depth float32 [H, W], along the viewing direction, scene units;
@@ -40,6 +41,17 @@ class GBuffer:
     depth: Tensor
     object_index: Tensor
     backend: str
+
+    def to(self, device: torch.device) -> "GBuffer":
+        """The same on a device; itself where it is there already."""
+        return replace(
+            self,
+            normals=self.normals.to(device),
+            coverage=self.coverage.to(device),
+            base_color=self.base_color.to(device),
+            depth=self.depth.to(device),
+            object_index=self.object_index.to(device),
+        )
 
 
 def rasterise(scene: ResolvedScene) -> GBuffer:

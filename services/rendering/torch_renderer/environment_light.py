@@ -37,10 +37,10 @@ def illumination(environment: Tensor) -> Illumination:
     radiance = environment.to(torch.float64)
     # A common factor first: squares and sums of very large or very small maps stay in range.
     radiance = radiance / radiance.max().clamp_min(torch.finfo(torch.float64).tiny)
-    luminance = radiance @ torch.tensor(LUMINANCE, dtype=torch.float64)
+    luminance = radiance @ torch.tensor(LUMINANCE, dtype=torch.float64, device=radiance.device)
     lit = luminance > 0
     chroma = torch.where(lit[..., None], radiance / torch.where(lit, luminance, 1.0)[..., None], 1.0)
-    angles = solid_angles(rows, cols).reshape(rows, cols)
+    angles = solid_angles(rows, cols).reshape(rows, cols).to(radiance.device)
     mean = float((luminance * angles).sum() / (4 * pi))
     intensity = luminance * (ILLUMINATION_MEAN / mean) if mean > 0 else luminance
     brightest = float(_white_surfaces(intensity, chroma).max())
@@ -50,6 +50,6 @@ def illumination(environment: Tensor) -> Illumination:
 def _white_surfaces(intensity: Tensor, chroma: Tensor) -> Tensor:
     """Radiance [surfaces, 3] of white Lambertian surfaces facing the probe directions."""
     rows, cols = intensity.shape
-    power = (chroma * intensity[..., None]).reshape(-1, 3) * solid_angles(rows, cols)[:, None]
-    cosines = (directions(*PROBES) @ directions(rows, cols).T).clamp_min(0.0)
+    power = (chroma * intensity[..., None]).reshape(-1, 3) * solid_angles(rows, cols)[:, None].to(chroma.device)
+    cosines = (directions(*PROBES) @ directions(rows, cols).T).clamp_min(0.0).to(power.device)
     return cosines @ power / pi

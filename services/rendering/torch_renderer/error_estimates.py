@@ -87,7 +87,9 @@ def too_narrow(
     """Whether the recipe's table holds a highlight that can be seen (more than a tenth of `left`) and is narrower than
     its mesh: pixels beside it may all miss it when an error is measured."""
     assert recipe.rows is not None
-    held = recipe.active_texels[~torch.isin(recipe.active_texels, recipe.per_pixel_texels)]
+    held = recipe.active_texels[
+        ~torch.isin(recipe.active_texels, recipe.per_pixel_texels.to(recipe.active_texels.device))
+    ]
     log_kappa, gamma = dsbrdf.lobes(surface.material, sky.curves[held])
     exponent = log_kappa.clamp(*dsbrdf.LOG_EXPONENT_RANGE).exp()
     light = _brightest(surface, sky, _reached(illumination, groups), held)
@@ -105,7 +107,7 @@ def of_float32(surface: Surface, sky: Sky, illumination: Tensor, recipe: Recipe)
     if recipe.moving:
         random = torch.Generator().manual_seed(1)
         anywhere = torch.rand(some.angles.shape, generator=random, dtype=torch.float64)
-        anywhere = anywhere * torch.tensor([2 * pi, pi]) - torch.tensor([pi, 0.0])
+        anywhere = (anywhere * torch.tensor([2 * pi, pi]) - torch.tensor([pi, 0.0])).to(some.angles.device)
         some = replace(
             some,
             angles=torch.cat([some.angles, anywhere]),
@@ -167,13 +169,15 @@ def spread(surface: Surface, moving: bool, random: torch.Generator) -> Surface:
     angles, again = surface.angles, 1
     if moving:
         again += max(2, min(MAX_COPIES, POINTS // len(angles)))
-        steps = [torch.rand(angles.shape, generator=random, dtype=torch.float64) for _ in range(again - 1)]
+        steps = [
+            torch.rand(angles.shape, generator=random, dtype=torch.float64).to(angles.device) for _ in range(again - 1)
+        ]
         angles = torch.cat([angles, *(angles + REACH["normals"] * (2 * step - 1) for step in steps)])
     return replace(surface, angles=angles, base_color=surface.base_color.repeat(again, 1))
 
 
 def _signs(like: Tensor, random: torch.Generator) -> Tensor:
-    return (torch.rand(like.shape, generator=random, dtype=torch.float64) - 0.5).sign()
+    return (torch.rand(like.shape, generator=random, dtype=torch.float64) - 0.5).sign().to(like.device)
 
 
 def subset(surface: Surface, most: int) -> Surface:

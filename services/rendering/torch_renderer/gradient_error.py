@@ -29,7 +29,7 @@ def gradient_errors(
     some = subset(surface, most)
     if surface.viewers is None:
         some = subset(spread(some, "normals" in groups, random), most)
-    weights = torch.randn(len(some.angles), 3, generator=random, dtype=torch.float64)
+    weights = torch.randn(len(some.angles), 3, generator=random, dtype=torch.float64).to(some.angles.device)
     values = {"normals": some.angles, "illumination": illumination, "material": some.material}
     found = []
     for one in (replace(recipe, guard=None), exact):

@@ -16,6 +16,7 @@ from torch.autograd.function import once_differentiable
 from services.rendering.kernels import compiled
 from services.rendering.torch_renderer.normals import to_vectors
 
+CPU = torch.device("cpu")
 TILE = 4
 """Nodes a side of the squares in which a table is filled: neighbours, so that they see much the same directions."""
 
@@ -36,25 +37,25 @@ def touched(angles: Tensor, rows: int) -> Tensor:
         found, plain = torch.zeros(len(tiles(rows)), dtype=torch.bool), angles.detach().contiguous()
         compiled.call("touch", angles.dtype, len(plain), rows, plain, found, compiled.threads())
         return found
-    nodes = torch.zeros(2 * rows * rows, dtype=torch.bool)
-    nodes[_spots(angles.detach(), rows)[0].flatten().cpu()] = True
-    return nodes[tiles(rows)].any(1)
+    nodes = torch.zeros(2 * rows * rows, dtype=torch.bool, device=angles.device)
+    nodes[_spots(angles.detach(), rows)[0].flatten()] = True
+    return nodes[tiles(rows, angles.device)].any(1)
 
 
 @lru_cache(maxsize=16)
-def tiles(rows: int) -> Tensor:
+def tiles(rows: int, device: torch.device = CPU) -> Tensor:
     """The nodes of each tile, int64 [tiles, TILE²], as places in the flattened table. `rows` is a multiple of TILE."""
-    flat = torch.arange(2 * rows * rows).reshape(rows // TILE, TILE, 2 * rows // TILE, TILE)
+    flat = torch.arange(2 * rows * rows, device=device).reshape(rows // TILE, TILE, 2 * rows // TILE, TILE)
     return flat.permute(0, 2, 1, 3).reshape(-1, TILE**2)
 
 
 @lru_cache(maxsize=16)
-def node_vectors(rows: int) -> Tensor:
+def node_vectors(rows: int, device: torch.device = CPU) -> Tensor:
     """The normals of a table's nodes, float64 [rows · 2 rows, 3], in the camera's frame."""
     polar = (torch.arange(rows, dtype=torch.float64) + 0.5) * (pi / rows)
     azimuth = (torch.arange(2 * rows, dtype=torch.float64) + 0.5) * (pi / rows) - pi
     grid = torch.stack(torch.meshgrid(polar, azimuth, indexing="ij"), dim=-1).reshape(-1, 2)
-    return to_vectors(grid.flip(-1))
+    return to_vectors(grid.flip(-1)).to(device)
 
 
 def nearest(angles: Tensor, rows: int) -> Tensor:
@@ -76,7 +77,7 @@ def unevenness(table: Tensor, filled: Tensor) -> Tensor:
     """
     rows = _rows(table)
     values = torch.full((len(table),), torch.nan, dtype=table.dtype, device=table.device)
-    places = tiles(rows)[filled].flatten()
+    places = tiles(rows, filled.device)[filled].flatten()
     values[places] = table.detach()[places].sum(1)
     values = values.reshape(rows, 2 * rows)
     beyond = values.roll(rows, 1)  # past a pole: rows come back half a turn further round

@@ -52,8 +52,8 @@ TRANSPORT_BYTES = 2**28
 
 def exact_recipe(sky: Sky) -> Recipe:
     """A recipe that sums every direction and lobe at every pixel in float64."""
-    every = torch.ones(dsbrdf.CHANNELS, dsbrdf.LOBES, dtype=torch.bool)
-    texels = torch.arange(sky.power.shape[1])
+    every = torch.ones(dsbrdf.CHANNELS, dsbrdf.LOBES, dtype=torch.bool, device=sky.power.device)
+    texels = torch.arange(sky.power.shape[1], device=sky.power.device)
     return Recipe(texels, False, every, ~every, "summed", moving=True, dtype=torch.float64)
 
 
@@ -110,7 +110,7 @@ class _Needs:
 def _needs(surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str], tolerance: float) -> _Needs:
     kept, why = _directions(surface, sky, illumination, groups)
     items = [_item(surface, "directions", len(kept), sky.power.shape[1], why)]
-    every = torch.ones(dsbrdf.CHANNELS, dsbrdf.LOBES, dtype=torch.bool)
+    every = torch.ones(dsbrdf.CHANNELS, dsbrdf.LOBES, dtype=torch.bool, device=sky.power.device)
     varying, straight, gray = every, ~every, False
     if "material" not in groups and surface.viewers is None:
         bounds = errors.lobe_bounds(surface, sky, illumination, groups, kept)

@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor
 
+from services.device import describe, device
 from services.rendering.compositing import Canvas
 from services.rendering.declaration import BuildRequest, DeclaredRenderer
 from services.rendering.kernels import compiled
@@ -61,15 +62,18 @@ class TorchRenderer(DeclaredRenderer):
         Raises InvalidRequest for an unknown material preset.
         """
         dtype = torch.float64 if tolerance == "exact" else torch.float32
-        self._attacked, self._dtype = tuple(groups), dtype
+        self._attacked, self._dtype, self._device = tuple(groups), dtype, device()
+        where = describe(self._device)
+        shaded_by = compiled.backend() if self._device.type == "cpu" else "torch"
         height, width = gbuffer.coverage.shape
         self.size = (height, width)
         self.backend = (
-            f"torch {torch.__version__} cpu {str(dtype).removeprefix('torch.')} threads {torch.get_num_threads()}, "
-            f"shading {compiled.backend()}; {gbuffer.backend}"
+            f"torch {torch.__version__} {where} {str(dtype).removeprefix('torch.')} threads {torch.get_num_threads()}, "
+            f"shading {shaded_by}; {gbuffer.backend}"
         )
-        to_camera = torch.as_tensor(scene.view, dtype=torch.float64)[:3, :3]
-        light = illumination(torch.as_tensor(scene.environment))
+        gbuffer = gbuffer.to(self._device)  # OpenGL drew it on the CPU
+        to_camera = torch.as_tensor(scene.view, dtype=torch.float64)[:3, :3].to(self._device)
+        light = illumination(torch.as_tensor(scene.environment).to(self._device))
         sky = sky_of(light, to_camera)
         materials = [
             preset(thing.material, f"scene.objects.{i}.material") for i, thing in enumerate(scene.description.objects)
@@ -79,7 +83,7 @@ class TorchRenderer(DeclaredRenderer):
         initial = {
             "normals": to_angles(normals) * (gbuffer.coverage > 0)[..., None],
             "illumination": light.intensity,
-            "material": torch.stack(materials) * MATERIAL_UNIT,
+            "material": torch.stack(materials).to(self._device) * MATERIAL_UNIT,
         }
         # Rounded to float32 whatever the dtype: the exact twin means the same scene.
         rounded = {group: value.to(torch.float32).to(torch.float64) for group, value in initial.items()}
@@ -92,7 +96,7 @@ class TorchRenderer(DeclaredRenderer):
         pixels = order[owner[order] >= 0]
         self._counts = torch.bincount(owner[pixels], minlength=len(materials)).tolist()
         base_color = gbuffer.base_color.reshape(-1, 3)[pixels]
-        ground = torch.tensor(scene.description.ground, dtype=dtype)
+        ground = torch.tensor(scene.description.ground, dtype=dtype, device=self._device)
         self._canvas = Canvas(self.size, pixels, base_color.to(dtype), coverage[pixels, None].to(dtype), ground)
 
         near = scene.description.camera.viewer == "perspective"
@@ -103,7 +107,7 @@ class TorchRenderer(DeclaredRenderer):
                     torch.split(angles[pixels], self._counts),
                     torch.split(base_color, self._counts),
                     rounded["material"],
-                    torch.split(viewers_of(scene, self.size)[pixels], self._counts),
+                    torch.split(viewers_of(scene, self.size).to(self._device)[pixels], self._counts),
                     strict=True,
                 )
             )
@@ -128,7 +132,7 @@ class TorchRenderer(DeclaredRenderer):
 
     def initial(self) -> Parameters:
         """The scene's own values, in the renderer's dtype; all are float32 numbers."""
-        return {group: value.clone() for group, value in self._initial.items()}
+        return {group: value.cpu().clone() for group, value in self._initial.items()}
 
     def bounds(self) -> Mapping[str, tuple[Tensor, Tensor]]:
         """Light is not negative; κ and γ stay in the ranges of `dsbrdf`; any angle is a normal, and is held where
@@ -143,7 +147,10 @@ class TorchRenderer(DeclaredRenderer):
         }
 
     def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
-        """Images [B, H, W, 3] in [0,1], in the renderer's dtype. ValueError for a wrong shape or an unknown group."""
+        """Images [B, H, W, 3] in [0,1], in the renderer's dtype and on its device.
+
+        Raises ValueError for a wrong shape or an unknown group.
+        """
         batch = {len(value) for value in parameters.values()} or {1}
         if len(batch) > 1:
             raise ValueError(f"groups with different batch sizes {sorted(batch)}")
@@ -155,7 +162,9 @@ class TorchRenderer(DeclaredRenderer):
                 raise ValueError(f"group {group!r} is not among {self._attacked}, which this renderer is compiled for")
         # One image at a time: the same operations on the same shapes whatever else is in the batch, so the same bits.
         images = [
-            self._image(**self._initial | {group: value[b].to(self._dtype) for group, value in parameters.items()})
+            self._image(
+                **self._initial | {group: value[b].to(self._device, self._dtype) for group, value in parameters.items()}
+            )
             for b in range(batch.pop())
         ]
         return torch.stack(images) if len(images) > 1 else images[0][None]
@@ -182,9 +191,9 @@ class TorchRenderer(DeclaredRenderer):
 def sky_of(light: Illumination, to_camera: Tensor) -> Sky:
     """A map's directions and powers, seen from the camera: `to_camera` [3, 3] turns world vectors, as rows, into it."""
     rows, cols = light.intensity.shape
-    towards = directions(rows, cols) @ to_camera
-    half, theta_d = dsbrdf.half_vectors(towards, torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
-    power = (light.exposure * light.chroma).reshape(-1, 3).T * solid_angles(rows, cols)
+    towards = directions(rows, cols).to(to_camera) @ to_camera
+    half, theta_d = dsbrdf.half_vectors(towards, torch.tensor([0.0, 0.0, 1.0]).to(towards))
+    power = (light.exposure * light.chroma).reshape(-1, 3).T * solid_angles(rows, cols).to(to_camera)
     return Sky(Directions.of(towards, half), dsbrdf.basis(theta_d) / MATERIAL_UNIT, power)
 
 

@@ -109,7 +109,7 @@ class Shader:
         still = pixels if recipe.rows is None else None
         self._whole = _Sum(recipe, recipe.active_texels, sky, frozen, still, surface.viewers)
         if recipe.rows is not None:
-            among = torch.isin(recipe.active_texels, recipe.per_pixel_texels)
+            among = torch.isin(recipe.active_texels, recipe.per_pixel_texels.to(recipe.active_texels.device))
             self._still_tiles = None if recipe.moving else touched(angles, recipe.rows)
             self._still_nodes = None if self._still_tiles is None else _of_tiles(self._still_tiles, recipe)
             at_nodes = None if self._still_nodes is None else self._still_nodes.vectors
@@ -120,10 +120,12 @@ class Shader:
             if (
                 recipe.method == "precomputed_transport" and pixels is not None
             ):  # their factors are stored, so they stay
-                self._fixed_check = torch.arange(0, len(angles), max(1, len(angles) // CHECKED_AT_FIXED_NORMALS))
+                self._fixed_check = torch.arange(
+                    0, len(angles), max(1, len(angles) // CHECKED_AT_FIXED_NORMALS), device=angles.device
+                )
                 self._checked_sum = _Sum(recipe, recipe.active_texels, sky, frozen, pixels[self._fixed_check])
-            self._known = torch.zeros(len(tiles(recipe.rows)), dtype=torch.bool)
-            self._table = torch.zeros(2 * recipe.rows**2, 3, dtype=recipe.dtype)
+            self._known = torch.zeros(len(tiles(recipe.rows)), dtype=torch.bool, device=angles.device)
+            self._table = torch.zeros(2 * recipe.rows**2, 3, dtype=recipe.dtype, device=angles.device)
         self.summed_after_all = 0
 
     def __call__(self, angles: Tensor, illumination: Tensor, material: Tensor) -> Tensor:
@@ -163,7 +165,7 @@ class Shader:
             return self._table.index_copy(0, nodes.places, self._smooth(nodes.vectors, illumination, material))
         missing = wanted & ~self._known
         if bool(missing.any()):
-            if compiled.library() is None:  # in torch a value's last bits depend on its neighbours: all at once
+            if not compiled.runs(self._table):  # in torch a value's last bits depend on its neighbours: all at once
                 missing = torch.ones_like(missing)
             nodes = _of_tiles(missing, recipe)
             values = self._smooth(nodes.vectors, illumination, material)
@@ -250,8 +252,8 @@ class _Nodes:
 
 def _of_tiles(wanted: Tensor, recipe: Recipe) -> _Nodes:
     assert recipe.rows is not None
-    places = tiles(recipe.rows)[wanted].flatten()
-    return _Nodes(places, node_vectors(recipe.rows)[places].to(recipe.dtype))
+    places = tiles(recipe.rows, wanted.device)[wanted].flatten()
+    return _Nodes(places, node_vectors(recipe.rows, wanted.device)[places].to(recipe.dtype))
 
 
 def straightened(log_kappa: Tensor, gamma: Tensor, varying: Tensor, straight: Tensor) -> Lobes:

@@ -114,6 +114,25 @@ def test_a_bad_setting_is_named() -> None:
     assert "SCENE_ATTACK_WORKERS" in done.stderr
 
 
+@pytest.mark.parametrize("command", ["run - --out {out}", "plan -", "replay {out}", "serve", "api", "worker"])
+def test_a_device_that_is_not_there_is_named_before_anything_starts(command: str, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    data = {"SCENE_ATTACK_DATA": str(tmp_path / "data"), "SCENE_ATTACK_REDIS_URL": "redis://127.0.0.1:1"}
+    arguments = command.format(out=out).split()
+    done = cli(*arguments, stdin=PLANNED % "1e-3", SCENE_ATTACK_DEVICE="cuda:99", **data)
+    assert done.returncode == 2, done.stderr
+    assert "SCENE_ATTACK_DEVICE=cuda:99: this machine has" in done.stderr
+    assert "use auto or cpu" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_device_with_another_name_is_a_bad_setting() -> None:
+    done = cli("plan", "-", stdin=PLANNED % "1e-3", SCENE_ATTACK_DEVICE="gpu")
+    assert done.returncode == 2
+    assert "bad input: SCENE_ATTACK_DEVICE:" in done.stderr
+
+
 def test_an_upload_of_an_unknown_kind_is_refused_before_it_is_sent(tmp_path: Path) -> None:
     (tmp_path / "scene.blend").write_bytes(b"x")
     done = cli("assets", "add", str(tmp_path / "scene.blend"), "--url", "http://127.0.0.1:1")

@@ -1,0 +1,96 @@
+"""The device of the setting: networks and the torch renderer compute there, attacks remember on the CPU."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import torch
+
+from services.attacks.seeds import generator
+from services.device import check_device, describe, device
+from services.errors import InvalidRequest
+from services.pipeline.execute import execute
+from services.pipeline.spec import parse
+from services.rendering.factory import build
+from services.scenes.library import Library
+from services.scenes.resolve import resolve
+from services.settings import settings
+from services.targets import registry
+
+PRESENT = ["cpu", *(f"cuda:{i}" for i in range(min(1, torch.cuda.device_count())))]
+"""The devices of this machine."""
+
+
+def choose(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SCENE_ATTACK_DEVICE", name)
+    settings.cache_clear()
+    registry.load.cache_clear()
+
+
+@pytest.fixture(params=PRESENT)
+def chosen(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """A device that is there, chosen by the setting."""
+    choose(request.param, monkeypatch)
+    yield request.param
+    monkeypatch.undo()
+    settings.cache_clear()
+    registry.load.cache_clear()
+
+
+@pytest.mark.parametrize("name", ["cuda:99", *([] if torch.cuda.is_available() else ["cuda", "cuda:0"])])
+def test_a_device_that_is_not_there_is_named(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SCENE_ATTACK_DEVICE", name)
+    settings.cache_clear()
+    with pytest.raises(InvalidRequest, match=f"SCENE_ATTACK_DEVICE={name}: .*CUDA device.*; use auto or cpu"):
+        check_device()
+    monkeypatch.undo()
+    settings.cache_clear()
+
+
+def test_auto_is_a_device_that_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    choose("auto", monkeypatch)
+    check_device()
+    assert describe(device()).startswith("cuda:0 (" if torch.cuda.is_available() else "cpu")
+
+
+def test_the_network_answers_alike_on_every_device(chosen: str) -> None:
+    target = registry.load("efficientnet-lite0")
+    images = torch.rand(1, 224, 224, 3, generator=torch.Generator().manual_seed(0), requires_grad=True)
+    logits = target.logits(images)
+    assert logits.device == images.device
+    assert f" {chosen}" in target.backend
+    [gradient] = torch.autograd.grad(logits[0, 3], images)
+    exact = registry.load("efficientnet-lite0", torch.float64).logits(images.detach())
+    torch.testing.assert_close(logits.detach().double(), exact.cpu(), rtol=0, atol=2e-4)  # as in float64 on the CPU
+    assert bool(gradient.any())
+
+
+SCENE = {"objects": [{"mesh": "primitive/sphere"}], "camera": {"size": [48, 48]}}
+
+
+def test_images_are_made_on_the_device_and_parameters_stay_on_the_cpu(chosen: str, tmp_path: Path) -> None:
+    scene = resolve(parse({"scene": SCENE}).scene, Library(settings().cache_dir, tmp_path))
+    for name in ("torch", "image"):
+        renderer = build(scene, name)
+        assert all(value.device.type == "cpu" for value in renderer.initial().values())
+        leaves = {group: value[None].requires_grad_() for group, value in renderer.initial().items()}
+        images = renderer.render(leaves)
+        assert images.device == torch.device(chosen)
+        assert f" {chosen}" in renderer.exact().backend
+        gradients = torch.autograd.grad(images.sum(), list(leaves.values()))
+        assert all(gradient.device.type == "cpu" for gradient in gradients)
+
+
+@pytest.mark.parametrize("method", [{"method": "fgsm"}, {"method": "zoo", "coordinates": 4}], ids=["fgsm", "zoo"])
+@pytest.mark.parametrize("renderer", ["torch", "image"])
+def test_a_job_runs_on_every_device(chosen: str, method: dict[str, object], renderer: str, tmp_path: Path) -> None:
+    attack = {"renderer": renderer, "steps": 2, **method}
+    result = execute(
+        parse({"scene": SCENE, "attack": attack}), tmp_path / "out", Library(settings().cache_dir, tmp_path)
+    )
+    assert result.provenance.backend.count(f" {chosen}") == 2  # the renderer's and the network's
+    assert len(result.trace) > 0
+
+
+def test_random_numbers_come_from_the_cpu() -> None:
+    assert generator(0, "zoo", 1).device.type == "cpu"
