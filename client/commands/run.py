@@ -126,7 +126,7 @@ def library() -> "Library":
     """Meshes and maps of this machine, and torch with as many threads as the settings say."""
     import gc
 
-    gc.disable()  # importing torch makes objects by the hundred thousand, all to stay: looking for garbage costs 0.2 s
+    gc.disable()  # importing torch makes objects by the hundred thousand, all to stay; looking for garbage takes 0.3 s
     import torch
 
     gc.freeze()

@@ -1,6 +1,5 @@
 """What every process that renders and asks networks does first; all of them alike, or their pictures might not be."""
 
-import gc
 import resource
 
 import torch
@@ -18,6 +17,4 @@ def warm_up(values: Settings) -> str:
     torch.set_num_threads(values.threads)
     log_extensions()
     registry.load(DEFAULT_TARGET)
-    backend = gl_backend()
-    gc.freeze()  # what is here stays: looking through it again took a tenth of a second every few jobs
-    return backend
+    return gl_backend()

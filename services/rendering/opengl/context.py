@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from services.errors import JobFailure
-from services.rendering.opengl import bare_pyrender, probe
+from services.rendering.opengl import probe
 from services.settings import settings
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ def choose_platform() -> str:
 
 def try_egl_devices() -> str:
     """The number of the first EGL device that can draw in floating point. Runs in the probe's own process."""
-    bare_pyrender.install()
+    _check_once_a_draw("egl")
     from pyrender.platforms import egl
 
     given = os.environ.get("EGL_DEVICE_ID")
@@ -109,8 +109,19 @@ def try_egl_devices() -> str:
     raise RuntimeError("; ".join(errors) or "no EGL device")
 
 
+def _check_once_a_draw(platform: str) -> None:
+    """Tell PyOpenGL not to ask for errors after every call, which takes as long as drawing a small part: `draw` asks
+    once, at its end. Read when OpenGL.GL is imported, which importing pyrender does."""
+    import OpenGL
+
+    if platform == "egl":
+        import OpenGL.EGL  # PyOpenGL cannot import this part without its checks
+
+    OpenGL.ERROR_CHECKING = False
+
+
 def _create(platform: str) -> Context:
-    bare_pyrender.install()
+    _check_once_a_draw(platform)
     try:
         # A 1x1 window surface: everything is drawn into framebuffers of our own.
         if platform == "egl":
@@ -124,11 +135,6 @@ def _create(platform: str) -> Context:
             surface = OSMesaPlatform(1, 1)
         surface.init_context()
         surface.make_current()
-        import OpenGL
-
-        # Read when OpenGL.GL is imported. Asking after every call takes as long as drawing a small part; `draw` asks
-        # once, at its end.
-        OpenGL.ERROR_CHECKING = False
         from services.rendering.opengl.render_pass import FloatRenderer, describe
 
         renderer = FloatRenderer(surface)

@@ -2,6 +2,8 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from services.scenes.mesh import Integers, Mesh, Part
 
@@ -64,21 +66,7 @@ def _surfaces(faces: NDArray[np.int64], points: int) -> tuple[NDArray[np.int64],
     order = np.argsort(edge, kind="stable")
     first = (np.cumsum(uses) - uses)[uses == 2]
     one, other = owner[order[first]], owner[order[first + 1]]
-    surface = components(len(faces), one, other)
+    links = coo_array((np.ones(len(one), bool), (one, other)), shape=(len(faces), len(faces)))
+    _, surface = connected_components(links, directed=False)
     broken = ((uses != 2) | (balance != 0))[edge]
     return surface, np.bincount(surface[owner], broken, surface.max(initial=-1) + 1) == 0
-
-
-def components(count: int, one: NDArray[np.int64], other: NDArray[np.int64]) -> NDArray[np.int64]:
-    """What hangs together of things 0 to `count` by links between `one` and `other` [L]: a number [count] each, from 0.
-
-    Importing scipy, which has this too, takes as long as the rest of what a small scene needs before it is drawn.
-    """
-    least = np.arange(count)
-    while True:
-        low, high = np.sort([least[one], least[other]], axis=0)
-        if (low == high).all():
-            return np.unique(least, return_inverse=True)[1]
-        np.minimum.at(least, high, low)
-        while not np.array_equal(shorter := least[least], least):
-            least = shorter

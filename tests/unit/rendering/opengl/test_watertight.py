@@ -1,11 +1,9 @@
 import numpy as np
 import pytest
 import torch
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
-from services.rendering.opengl.watertight import components, outsides
+from services.rendering.opengl.watertight import outsides
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.scenes.mesh import Mesh, Part
 from tests.unit.rendering.shapes import disk, mesh, part, placed, quad, scene, six_parts, sphere
@@ -123,18 +121,3 @@ def _bow_tie() -> Mesh:
     walls = [f for k in range(4) for f in ([k, k + 4, (k + 1) % 4], [(k + 1) % 4, k + 4, (k + 1) % 4 + 4])]
     caps = [[0, 1, 2], [0, 2, 3], [4, 6, 5], [4, 7, 6]]
     return mesh(part(corners, [*walls, *caps], np.zeros((8, 3))))
-
-
-@pytest.mark.parametrize(("count", "links"), [(1, 0), (5, 0), (500, 200), (500, 450), (2000, 5000)])
-def test_components_are_those_of_scipy(count: int, links: int) -> None:
-    random = np.random.default_rng(links)
-    one, other = random.integers(0, count, (2, links))
-    _, expected = connected_components(coo_matrix((np.ones(links), (one, other)), (count, count)), False)
-    found = components(count, one, other)
-    assert len(np.unique(found)) == found.max() + 1 == expected.max() + 1 == len(set(zip(found, expected, strict=True)))
-
-
-def test_a_long_strip_is_one_component() -> None:
-    order = np.random.default_rng(0).permutation(20000)
-    assert not components(20000, order[:-1], order[1:]).any()
-    assert components(20000, order[:-2], order[1:-1]).sum() in (1, 19999)
