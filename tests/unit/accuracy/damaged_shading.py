@@ -100,22 +100,6 @@ def far_too_bright_light(patch) -> None:
     brighter_light(patch, 10.0)
 
 
-def turned_gradients(patch) -> None:
-    """Gradients of normals in a table that mix up rows and columns."""
-    true = shader.look_up
-
-    class Turned(torch.autograd.Function):
-        @staticmethod
-        def forward(_, angles):
-            return angles.clone()
-
-        @staticmethod
-        def backward(_, gradient):
-            return gradient.flip(-1)
-
-    patch.setattr(shader, "look_up", lambda values, angles: true(values, Turned.apply(angles)))
-
-
 def unguarded_light(patch) -> None:
     """A map taken apart by dividing by whatever its mean is, float32 throughout."""
 
