@@ -1,7 +1,8 @@
 """Do the torch renderer's estimates hold while a scene is attacked? Writes results/attack_bounds.json.
 
 60 random odd scenes and 16 chosen to break the estimates go through a whole attack of 120 steps; every image is
-compared with the exact renderer's. A run that was stopped goes on where it was.
+compared with the exact renderer's. A run that was stopped goes on where it was; its file must be removed when the code
+has changed.
 """
 
 import argparse
