@@ -173,8 +173,8 @@ def evaluations(recipe: Recipe, angles: Tensor) -> int:
 
 
 def too_fine(recipe: Recipe, angles: Tensor) -> bool:
-    """Whether the shader sums at the pixels, as the table that is filled anew for each image has no fewer nodes."""
-    if recipe.rows is None or not recipe.moving or recipe.method != "summed":
+    """Whether the shader sums at the pixels, as a plan's table that is filled for each image has no fewer nodes."""
+    if recipe.rows is None or recipe.guard is None or not recipe.moving or recipe.method != "summed":
         return False
     return int(touched(angles, recipe.rows).sum()) * TILE**2 >= len(angles)
 

@@ -136,8 +136,13 @@ def test_a_wrong_table_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_tables_that_are_not_used_say_so(small: Subject) -> None:
-    """With more nodes than pixels the shader sums: to rounding, and with the evaluations of a sum."""
-    row, plain = one("table", small, rows=256, per_pixel_texels=8, dtype="float32"), one("sum", small, dtype="float64")
+    """A plan's table with more nodes than pixels is summed: to rounding, and with the evaluations of a sum."""
+    [table] = [
+        m for m in methods(False) if (m.name, m.rows, m.per_pixel_texels, m.dtype) == ("table", 256, 8, "float32")
+    ]
+    recipe = dataclasses.replace(table.recipe(small)[0], guard=1.0)
+    as_planned = dataclasses.replace(table, recipe=lambda _: (recipe, None))
+    row, plain = shading_rows.row(as_planned, small, truth(small, GROUPS), 0.0), one("sum", small, dtype="float64")
     assert row.note == TOO_FINE
     assert row.largest is not None
     assert row.largest < 1e-5
