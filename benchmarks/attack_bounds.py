@@ -30,10 +30,10 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=HERE / "results" / "attack_bounds.json")
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
-    command = f"python -m benchmarks.attack_bounds --random {options.random} --seed {options.seed}"
+    given = f"--random {options.random} --seed {options.seed} --threads {options.threads}"
     cases = [*adversarial_scenes(), *random_scenes(options.random, options.seed)]
     made_by = {
-        "command": command,
+        "command": f"python -m benchmarks.attack_bounds {given}",
         "machine": platform.platform(),
         "versions": versions(*PACKAGES),
         "backend": backend(),

@@ -78,26 +78,35 @@ def work_precision(
 ) -> None:
     """Measure error against run time: ways of shading, estimates of gradients, whole attacks; and write the report.
 
-    Its seconds mean something only on a machine that does nothing else.
+    Its seconds mean something only on a machine that does nothing else. What a run has measured stays in
+    work-precision.partial.jsonl beside the report; the same command goes on from there.
     """
     import torch
 
     from client.console import err, print_json
     from client.console import out as stdout
-    from services.accuracy.work_precision.collect import FULL, QUICK, collect
-    from services.accuracy.work_precision.report import report, write
-    from services.accuracy.work_precision.words import findings
+    from services.accuracy.work_precision.collect import FULL, QUICK, about, collect
+    from services.accuracy.work_precision.progress import Progress
+    from services.accuracy.work_precision.report import load, report, write
+    from services.accuracy.work_precision.words import conclusions
     from services.settings import settings
 
     torch.set_num_threads(settings().threads)
+    extent = QUICK if quick else FULL
     with err().status("") as line:
-        found = collect(QUICK if quick else FULL, line.update)
+
+        def say(what: str) -> None:
+            line.update(what)
+
+        progress = Progress(out / "work-precision.partial.jsonl", about(extent), say)
+        found = collect(extent, progress)
     command = "scene-attack accuracy work-precision" + (" --quick" if quick else "")
-    made = report(found, command + (f" --out {out}" if out != OUT else ""))
+    made = report(found, command + (f" --out {out}" if out != OUT else ""), load())
     write(made, out)
+    progress.finish()
     if as_json:
         print_json(made.model_dump(mode="json"))
     else:
-        for words in findings(made.shading, made.slopes, made.attacks):
+        for words in conclusions(found):
             stdout().print(words, markup=False, highlight=False)
     err().print(f"Report in {out}", markup=False, highlight=False)

@@ -12,7 +12,7 @@ from services.accuracy.stability.case import Case, Measured, need
 from services.accuracy.stability.point_lights import Lamps, expected
 from services.accuracy.stability.shapes import ball
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
-from services.scenes.mesh import FIT_RADIUS
+from services.scenes.mesh import FIT_RADIUS, Part
 
 FRONT = {"azimuth": 0.0, "elevation": 0.0}
 """The camera on +z; with an odd size the ray through the middle pixel meets the origin."""
@@ -67,7 +67,9 @@ def _on() -> Measured:
     return Measured(float((lit - dark).abs().max()), 0.0, "largest difference from the image without the light")
 
 
-def _against_formula(mesh: str, lamps: Lamps, thing: dict[str, Any] | None = None, spread: float = 1.0) -> Measured:
+def _against_formula(
+    mesh: str | tuple[Part, ...], lamps: Lamps, thing: dict[str, Any] | None = None, spread: float = 1.0
+) -> Measured:
     """Radiance and displayed values under any light, where the surface is flat, against their formula.
 
     `spread`: by how much the relative rounding of what is measured exceeds that of a few float32 products.

@@ -42,7 +42,7 @@ def expected(scene: ResolvedScene, lamps: Lamps | None = None, pixels: Longs | N
     """The image by its definition, of `pixels` (None: all). `lamps`: None for the scene's own."""
     height, width = scene.description.camera.size
     pixels = np.arange(height * width) if pixels is None else pixels
-    pixels = pixels[cast(scene, 4, pixels).flat]
+    pixels = pixels[cast(scene, 4, pixels).coplanar]
     middle = cast(scene, 1, pixels)
     values = radiance(
         middle.positions[:, 0],

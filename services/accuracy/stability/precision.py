@@ -15,8 +15,9 @@ from services.attacks.goal import ResolvedGoal
 from services.attacks.seeds import generator
 from services.attacks.spec import LARGEST_SEED, Seed
 from services.errors import InvalidRequest
-from services.rendering.color import as_saved, to_display, to_linear
+from services.rendering.color import as_saved, to_display
 from services.rendering.image_renderer import ImageRenderer
+from services.scenes.srgb import to_linear
 
 
 def _parameters() -> Measured:
@@ -54,8 +55,7 @@ def _curve() -> Measured:
         steep = (displayed(linear[inside] + 1e-6) - displayed(linear[inside] - 1e-6)) / 2e-6
         worst = max(worst, 0.1 * float(np.abs(gradient.double().numpy()[inside] / steep - 1).max()))
         need(not bool(gradient[(given < 0) | (given > 1)].any()), "what is clipped has a gradient")
-        back = to_linear(torch.from_numpy(wanted).to(dtype)).double().numpy()
-        worst = max(worst, float(np.abs(back - np.clip(linear, 0, 1)).max()))
+    worst = max(worst, float(np.abs(to_linear(wanted) - np.clip(linear, 0, 1)).max()))
     # Float32 has 1e-7, three times over; the standard's constants meet at the knee to 3e-8.
     return Measured(worst, 5e-7, "error of displayed and linear values, and a tenth of the gradient's relative one")
 

@@ -38,7 +38,7 @@ class Hits:
         return np.asarray(np.isfinite(self.depth).mean(axis=1))
 
     @property
-    def flat(self) -> Bools:
+    def coplanar(self) -> Bools:
         """Whether all samples of a pixel lie in one plane, bool [P]."""
         alike = np.abs(self.planes - self.planes[:, :1]).max(axis=(1, 2)) < 1e-9
         return np.asarray(alike & np.isfinite(self.depth).all(axis=1))

@@ -9,12 +9,11 @@ import torch
 from services.accuracy.stability.case import Case, Measured, need
 from services.accuracy.stability.linear import linear_gradient, linear_problem, pixels
 from services.attacks.differences import CANDIDATES, estimate, measure_noise
-from services.attacks.fgsm import FgsmMethod
+from services.attacks.fgsm import Fgsm, FgsmMethod
 from services.attacks.loop import Budget, run
-from services.attacks.spec import Fgsm, Zoo
 from services.attacks.state import AttackState
 from services.attacks.verifier import Verifier
-from services.attacks.zoo import ZooMethod
+from services.attacks.zoo import Zoo, ZooMethod
 from services.scenes.mesh import Doubles
 
 LIMIT = 18 / 255
@@ -93,7 +92,7 @@ def _with_weight(at: float, delta: float, weight: float) -> Measured:
     deltas = torch.full((len(where),), delta, dtype=torch.float64)
     found = estimate(problem, start, torch.arange(len(where)), deltas, measure_noise(problem, start))
     wanted = linear_gradient().flatten().numpy() + 2 * weight * where
-    error = np.abs(found.slopes.double().numpy() - wanted).max() / np.abs(wanted).max()
+    error = np.abs(found.gradients.double().numpy() - wanted).max() / np.abs(wanted).max()
     # float32 scores of about 1 have 1e-6, over twice the step.
     return Measured(float(error), 1e-6 / delta, "relative error of a gradient, closed form")
 
@@ -104,10 +103,10 @@ def _chosen_step() -> Measured:
     method = ZooMethod(Zoo(method="zoo", renderer="image", delta="measured", learning_rate=0.01), problem)
     chosen = method.start(problem)["delta"]
     need(isinstance(chosen, dict) and chosen["image"] in CANDIDATES[1:-1], f"it chose {chosen}")
-    deltas = method.deltas
+    deltas = method.half_steps
     found = estimate(problem, torch.zeros(len(deltas)), torch.arange(len(deltas)), deltas, method.noise)
     wanted = linear_gradient().flatten()
-    error = (found.slopes.double() - wanted).abs().max() / wanted.abs().max()
+    error = (found.gradients.double() - wanted).abs().max() / wanted.abs().max()
     return Measured(float(error), 1e-3, "relative error of a gradient, closed form")
 
 
@@ -121,8 +120,8 @@ def _adam(steps: int, weight: float) -> Measured:
     w = linear_gradient().numpy().ravel()
     delta, first, second = (np.zeros_like(w) for _ in range(3))
     for step in range(1, steps + 1):
-        flat = method.advance(problem, problem.view(method.perturbation), step)
-        need(flat <= 2, f"{flat} differences are below the noise")
+        below = method.advance(problem, problem.view(method.perturbation), step)
+        need(below <= 2, f"{below} differences are below the noise")
         gradient = w + 2 * weight * delta
         first, second = 0.9 * first + 0.1 * gradient, 0.999 * second + 0.001 * gradient**2
         delta = delta - rate * (first / (1 - 0.9**step)) / (np.sqrt(second / (1 - 0.999**step)) + 1e-8)

@@ -85,7 +85,8 @@ def markdown(found: Report) -> str:
         *(f"- *{word}*: {meaning}" for word, meaning in WORDS.items()),
         "",
         "*Measured* must be at most its *tolerance*; what it is, and what it was compared with, stands beside it.",
-        "Every assertion has been seen to fail with the method broken on purpose (`tests/unit/accuracy`).",
+        "Every case has been seen to fail with the product broken on purpose (`tests/unit/accuracy/sabotage.py` and",
+        "`mutants.py` list how).",
     ]
     for family in dict.fromkeys(row.family for row in found.cases):
         lines += ["", f"## {family.capitalize()}", ""]

@@ -85,12 +85,15 @@ class Shading:
     def defined(self, parameters: Parameters) -> tuple[Doubles, Doubles]:
         """Displayed values [P, 3] by definition at the pixels, and the linear values before clipping."""
         values = {group: value.detach().double().numpy() for group, value in self._all(parameters).items()}
+        map_ = np.asarray(self.scene.environment, np.float64)
+        if "illumination" not in parameters:
+            values["illumination"] = definition.taken_apart(map_)[1]
         angles = values["normals"].reshape(-1, 2)[self.pixels.numpy()]
         shaded = definition.linear(
             definition.vectors(angles, self.scene.view),
             values["material"][0],
             values["illumination"],
-            np.asarray(self.scene.environment, np.float64),
+            map_,
             self.scene.view[:3, 2],
             self.gbuffer.base_color.reshape(-1, 3)[self.pixels].double().numpy(),
         )

@@ -41,10 +41,13 @@ def decoded(values: "Bytes | list[int]") -> Doubles:
     return np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
 
 
-def _seen(parts: tuple[Part, ...], side: float, points: list[tuple[float, float]], wanted: Doubles) -> Measured:
+def _seen(
+    parts: tuple[Part, ...], side: float, points: list[tuple[float, float]], wanted: Doubles, plain: bool = True
+) -> Measured:
     """The linear base colours `wanted` [N, 3] at points of the square, from (0, 0) at its upper left to (1, 1).
 
-    In the G-buffer as they are, in pyrender's image under the sky alone. Under a coloured factor, which counts too.
+    In the G-buffer as they are; of a `plain` surface in pyrender's image under the sky alone, too (a file's surface is
+    shaded as glTF says, by another formula). Under a coloured factor, which counts.
     """
     factor = np.array([1.0, 0.6, 0.3])
     scene = placed(
@@ -66,7 +69,7 @@ def _seen(parts: tuple[Part, ...], side: float, points: list[tuple[float, float]
     positions = np.stack([x * reach, y * reach, 0 * x], axis=1)
     normals = np.tile([0.0, 0.0, 1.0], (len(points), 1))
     shown = displayed(EXPOSURE * radiance(positions, normals, colors, scene.view[:3, 3], Lamps(0.9)))
-    for renderer in drawn_by(scene, "pyrender"):
+    for renderer in drawn_by(scene, "pyrender") if plain else ():
         image = renderer.render({})[0][rows, columns].double().numpy()
         worst = max(worst, float(np.abs(image - shown).max()))
     return Measured(worst, TEXEL, "largest error of a linear base colour and of a displayed value")
@@ -155,7 +158,7 @@ def _file() -> Measured:
     """The same square from a file, fitted to the frame: half its diagonal is FIT_RADIUS."""
     parts = read_mesh(as_glb(quartered()), "glb", 10)
     points = [(x, y) for y in (0.25, 0.75) for x in (0.25, 0.75)]
-    return _seen(parts, FIT_RADIUS * 2**0.5, points, decoded(CORNERS.reshape(-1, 3)))
+    return _seen(parts, FIT_RADIUS * 2**0.5, points, decoded(CORNERS.reshape(-1, 3)), plain=False)
 
 
 def cases() -> list[Case]:

@@ -8,9 +8,10 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
-from services.accuracy.work_precision.attack_runs import Attacked, success
-from services.accuracy.work_precision.shading_methods import ShadingRow
-from services.accuracy.work_precision.slopes import PICTURE, SlopeRow
+from services.accuracy.work_precision.attack_runs import AttackRow
+from services.accuracy.work_precision.gradients import IMAGE, GradientRow
+from services.accuracy.work_precision.shading_rows import ShadingRow
+from services.accuracy.work_precision.success import curve
 
 COLORS = ("#4a2fd6", "#0a5a94", "#0b6b3a", "#b26a00", "#a3182f", "#8b1a86", "#5d5875")
 """The dashboard's, as they stand on white paper."""
@@ -35,7 +36,9 @@ STYLE: Any = {
 }
 
 
-def draw(shading: Sequence[ShadingRow], slopes: Sequence[SlopeRow], attacks: Sequence[Attacked], path: Path) -> None:
+def draw(
+    shading: Sequence[ShadingRow], gradients: Sequence[GradientRow], attacks: Sequence[AttackRow], path: Path
+) -> None:
     """Twelve panels into a PNG."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(13, 27), layout="constrained")
@@ -44,15 +47,15 @@ def draw(shading: Sequence[ShadingRow], slopes: Sequence[SlopeRow], attacks: Seq
         first = [row for row in measured if row.mesh == measured[0].mesh]
         finest = max(first, key=lambda row: row.map[0] if row.map[0] <= 16 else 0).map
         middle = [row for row in first if row.map == finest]
-        _picture_error(panels[0], middle)
+        _image_error(panels[0], middle)
         _gradient_error(panels[1], middle)
         _map_sizes(panels[2], first)
         _single_groups(panels[3], middle)
-        _steps(panels[4], [row for row in slopes if row.renderer == "torch"], "torch: slopes, against δ")
-        drawn = [row for row in slopes if row.renderer == "pyrender" and row.samples == 4]
-        _steps(panels[5], drawn, "pyrender, 4 samples a pixel: slopes, against δ")
-        _samples(panels[6], [row for row in slopes if row.renderer == "pyrender"])
-        _evaluations(panels[7], slopes)
+        _steps(panels[4], [row for row in gradients if row.renderer == "torch"], "torch: gradients, against δ")
+        drawn = [row for row in gradients if row.renderer == "pyrender" and row.samples == 4]
+        _steps(panels[5], drawn, "pyrender, 4 samples a pixel: gradients, against δ")
+        _samples(panels[6], [row for row in gradients if row.renderer == "pyrender"])
+        _evaluations(panels[7], gradients)
         _success(panels[8], attacks, "queries")
         _perceptibility(panels[9], attacks, "queries")
         _success(panels[10], attacks, "seconds")
@@ -75,39 +78,46 @@ def _finish(panel: Any, title: str, across: str, up: str, logarithmic: str = "xy
         panel.legend(ncols=2)
 
 
-def _tables(rows: Sequence[ShadingRow], sharp: int) -> list[ShadingRow]:
-    return [r for r in rows if r.method == "table" and r.sharp == sharp and r.dtype == "float32"]
+def _seconds(row: ShadingRow) -> float | None:
+    return None if row.both is None else row.both.median
+
+
+def _tables(rows: Sequence[ShadingRow], per_pixel: int) -> list[ShadingRow]:
+    return [r for r in rows if r.method == "table" and r.per_pixel_texels == per_pixel and r.dtype == "float32"]
 
 
 def _plans(rows: Sequence[ShadingRow], groups: tuple[str, ...]) -> list[ShadingRow]:
     return [row for row in rows if row.method == "plan" and row.groups == groups and row.tolerance != "exact"]
 
 
-def _picture_error(panel: Any, rows: Sequence[ShadingRow]) -> None:
-    for color, sharp in zip(COLORS, sorted({row.sharp for row in rows if row.method == "table"}), strict=False):
-        own = _tables(rows, sharp)
-        panel.plot([r.both for r in own], [r.largest for r in own], "o-", color=color, label=f"table, {sharp} sharp")
+def _image_error(panel: Any, rows: Sequence[ShadingRow]) -> None:
+    counts = sorted({row.per_pixel_texels for row in rows if row.method == "table"})
+    for color, count in zip(COLORS, counts, strict=False):
+        own, label = _tables(rows, count), f"table, {count} per-pixel texels"
+        panel.plot([_seconds(r) for r in own], [r.largest for r in own], "o-", color=color, label=label)
     for row, mark in zip([row for row in rows if row.method == "sum"], "sD^v", strict=False):
         name = f"sum, {row.dtype}{'' if row.kernel == 'native' else ', in torch'}"
         if row.largest:
-            panel.plot([row.both], [row.largest], mark, color=INK, label=name)
+            panel.plot([_seconds(row)], [row.largest], mark, color=INK, label=name)
         else:
-            panel.axvline(row.both, color=INK, linestyle=":", label=f"{name}: the reference")
+            panel.axvline(_seconds(row), color=INK, linestyle=":", label=f"{name}: the reference")
     for row in _plans(rows, rows[0].groups):
-        panel.plot([row.both], [row.largest], "*", color=COLORS[4], markersize=13)
-        panel.annotate(f"plan, {row.tolerance:g}", (row.both, row.largest), (7, 5), textcoords="offset points")
+        panel.plot([_seconds(row)], [row.largest], "*", color=COLORS[4], markersize=13)
+        panel.annotate(f"plan, {row.tolerance:g}", (_seconds(row), row.largest), (7, 5), textcoords="offset points")
     texels = rows[0].map
-    _finish(panel, f"Largest error of a picture, map {texels[0]}×{texels[1]}", "seconds, with gradient", "error")
+    _finish(panel, f"Largest error of an image, map {texels[0]}×{texels[1]}", "seconds, with gradient", "error")
 
 
 def _gradient_error(panel: Any, rows: Sequence[ShadingRow]) -> None:
     for color, group in zip(COLORS, rows[0].groups, strict=False):
-        for sharp, line in ((0, ":"), (32, "-")):
-            own = _tables(rows, sharp)
-            label = f"{group}, {sharp} sharp"
-            panel.plot([r.both for r in own], [r.gradient[group] for r in own], f"o{line}", color=color, label=label)
+        for count, line in ((0, ":"), (32, "-")):
+            own = _tables(rows, count)
+            label = f"{group}, {count} per-pixel texels"
+            panel.plot(
+                [_seconds(r) for r in own], [r.gradient[group] for r in own], f"o{line}", color=color, label=label
+            )
         own = _plans(rows, rows[0].groups)
-        panel.plot([r.both for r in own], [r.gradient[group] for r in own], "*", color=color, markersize=13)
+        panel.plot([_seconds(r) for r in own], [r.gradient[group] for r in own], "*", color=color, markersize=13)
     _finish(panel, "Error of gradients, by tables (stars: plans)", "seconds, with gradient", "relative error")
 
 
@@ -121,33 +131,38 @@ def _map_sizes(panel: Any, rows: Sequence[ShadingRow]) -> None:
         panel.plot([r.evaluations for r in own], [r.largest for r in own], "*", color=color, markersize=13)
         [whole] = [r for r in of_map if r.method == "sum" and r.dtype == "float32" and r.kernel == "native"]
         panel.plot([whole.evaluations], [whole.largest], "s", color=color)
-    title = "Largest error, by size of map: tables with 8 sharp,\nplans (stars), sums in float32 (squares)"
-    _finish(panel, title, "lobe values of a picture", "error")
+    title = "Largest error, by size of map: tables with 8 per-pixel texels,\nplans (stars), sums in float32 (squares)"
+    _finish(panel, title, "lobe values of an image", "error")
 
 
 def _single_groups(panel: Any, rows: Sequence[ShadingRow]) -> None:
     for color, groups in zip(COLORS, dict.fromkeys(r.groups for r in rows if r.method == "plan"), strict=False):
         own, name = _plans(rows, groups), "all" if len(groups) == 3 else groups[0]
         panel.plot(
-            [r.both for r in own], [r.largest for r in own], "*-", color=color, markersize=11, label=f"plan, {name}"
+            [_seconds(r) for r in own],
+            [r.largest for r in own],
+            "*-",
+            color=color,
+            markersize=11,
+            label=f"plan, {name}",
         )
-        panel.plot([r.both for r in own], [r.estimate for r in own], "_:", color=color, markersize=11)
+        panel.plot([_seconds(r) for r in own], [r.estimate for r in own], "_:", color=color, markersize=11)
         [exact] = [r for r in rows if r.method == "plan" and r.groups == groups and r.tolerance == "exact"]
-        panel.axvline(exact.both, color=color, linestyle="--", linewidth=1)
+        panel.axvline(_seconds(exact), color=color, linestyle="--", linewidth=1)
     title = "Plans by what is attacked; dotted: what they estimate;\ndashed: seconds of the exact way"
     _finish(panel, title, "seconds, with gradient", "largest error")
 
 
-def _steps(panel: Any, rows: Sequence[SlopeRow], title: str) -> None:
+def _steps(panel: Any, rows: Sequence[GradientRow], title: str) -> None:
     stepped = [row for row in rows if row.directions is None]
     kinds = (("float64", "central", "-", 1), ("float32", "central", "-", 2), ("float32", "forward", "--", 1))
     for color, (group, of) in zip(COLORS, dict.fromkeys((r.group, r.of) for r in stepped), strict=False):
-        name = group if of == PICTURE else f"{group}, {of}"
-        for picture, estimator, line, width in (*kinds, ("8 bit", "central", ":", 1)):
-            own = [r for r in stepped if (r.group, r.of, r.picture, r.estimator) == (group, of, picture, estimator)]
-            label = name if (picture, estimator) == ("float32", "central") else None
+        name = group if of == IMAGE else f"{group}, {of}"
+        for image, estimator, line, width in (*kinds, ("8 bit", "central", ":", 1)):
+            own = [r for r in stepped if (r.group, r.of, r.image, r.estimator) == (group, of, image, estimator)]
+            label = name if (image, estimator) == ("float32", "central") else None
             errors = [max(r.error, r.floor, LEAST) for r in own]
-            marker = "x" if picture == "float64" else ""
+            marker = "x" if image == "float64" else ""
             panel.plot([r.delta for r in own], errors, f"{marker}{line}", color=color, linewidth=width, label=label)
     known = "thick: central, float32; dashed: forward; dotted: 8 bit" + (
         "; crosses: float64" if "torch" in title else ""
@@ -155,13 +170,11 @@ def _steps(panel: Any, rows: Sequence[SlopeRow], title: str) -> None:
     _finish(panel, f"{title}\n{known}", "δ, in the group's units", "relative error")
 
 
-def _samples(panel: Any, rows: Sequence[SlopeRow]) -> None:
+def _samples(panel: Any, rows: Sequence[GradientRow]) -> None:
     for color, group in zip(COLORS, ("light position", "translation", "rotation"), strict=False):
         for samples, line in ((1, ":"), (4, "-")):
             own = [
-                r
-                for r in rows
-                if (r.group, r.samples, r.picture, r.estimator) == (group, samples, "float32", "central")
+                r for r in rows if (r.group, r.samples, r.image, r.estimator) == (group, samples, "float32", "central")
             ]
             errors = [max(r.error, r.floor) for r in own]
             panel.plot([r.delta for r in own], errors, f"o{line}", color=color, label=f"{group}, {samples} a pixel")
@@ -170,8 +183,8 @@ def _samples(panel: Any, rows: Sequence[SlopeRow]) -> None:
     )
 
 
-def _evaluations(panel: Any, rows: Sequence[SlopeRow]) -> None:
-    seen = [r for r in rows if r.picture == "float32" and r.of == PICTURE and r.samples in (None, 4)]
+def _evaluations(panel: Any, rows: Sequence[GradientRow]) -> None:
+    seen = [r for r in rows if r.image == "float32" and r.of == IMAGE and r.samples in (None, 4)]
     for color, group in zip((*COLORS, INK), dict.fromkeys(r.group for r in seen), strict=False):
         own = [r for r in seen if r.group == group and r.directions is not None]
         panel.plot(
@@ -184,12 +197,12 @@ def _evaluations(panel: Any, rows: Sequence[SlopeRow]) -> None:
         best = min((r for r in seen if r.group == group and r.estimator == "central"), key=lambda r: r.error)
         panel.plot([best.evaluations], [max(best.error, best.floor)], "D", color=color)
     title = (
-        "Random directions (of so many numbers) and the best central\ndifferences (diamonds; torch: of 8 coordinates)"
+        "Random directions (legend: dimensions) and the best central\ndifferences (diamonds; torch: of 8 coordinates)"
     )
     _finish(panel, title, "evaluations of the function", "relative error")
 
 
-def _kinds(attacks: Sequence[Attacked]) -> list[tuple[str, list[Attacked]]]:
+def _kinds(attacks: Sequence[AttackRow]) -> list[tuple[str, list[AttackRow]]]:
     kinds = dict.fromkeys((a.method, a.renderer, a.groups) for a in attacks)
     named = []
     for method, renderer, groups in kinds:
@@ -199,18 +212,18 @@ def _kinds(attacks: Sequence[Attacked]) -> list[tuple[str, list[Attacked]]]:
     return named
 
 
-def _success(panel: Any, attacks: Sequence[Attacked], along: Literal["queries", "seconds"]) -> None:
+def _success(panel: Any, attacks: Sequence[AttackRow], along: Literal["queries", "seconds"]) -> None:
     reached = [float(getattr(a, along)) for a in attacks if a.steps]
     for color, (name, own) in zip(COLORS, _kinds(attacks), strict=False):
         some = [a for a in own if a.tolerance != "exact" or a.renderer == "image"]
-        points = [(min(reached), 0.0), *success(some, along)]
+        points = [(min(reached), 0.0), *curve(some, along)]
         points.append((max(reached), points[-1][1]))
         panel.step([x for x, _ in points], [y for _, y in points], where="post", color=color, label=name)
     panel.set_ylim(-0.03, 1.03)
     _finish(panel, f"Share of attacks that were verified, against {along}", along, "share", "x")
 
 
-def _perceptibility(panel: Any, attacks: Sequence[Attacked], along: Literal["queries", "seconds"]) -> None:
+def _perceptibility(panel: Any, attacks: Sequence[AttackRow], along: Literal["queries", "seconds"]) -> None:
     for color, (_, own) in zip(COLORS, _kinds(attacks), strict=False):
         for exact, mark in ((False, "o"), (True, "s")):
             some = [a for a in own if (a.tolerance == "exact") == exact and a.perceptibility]

@@ -1,6 +1,6 @@
-"""One object of a real scene as shading takes it: its pixels, the light, and a function of the picture to derive."""
+"""One object of a real scene as shading takes it: its pixels, the light, and a function of the image to derive."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -24,21 +24,24 @@ GROUPS = ("normals", "illumination", "material")
 FAR = 0.1
 """Part of an attack's reach that the scene is moved by, coordinate by coordinate with random signs."""
 COARSE = 14
-"""Squares a side of the random numbers that a picture's weights are smoothed from."""
+"""Squares a side of the random numbers that an image's weights are smoothed from."""
 
 
 @dataclass(frozen=True)
 class Subject:
     """A scene of one object, taken apart.
 
-    surface: of its P covered pixels; sky and intensity [D]: its light; moved: values of the three groups some way into
-    an attack, float64; coverage [P, 1]; weights [P, 3]: those of the picture in the function that is derived.
+    scene: as it was resolved; pixels [P]: flat indices of its covered pixels; surface: of these; sky and intensity [D]:
+    its light; moved: values of the three groups some way into an attack, float64; coverage [P, 1]; weights [P, 3]:
+    those of the image in the function whose gradient is taken.
     """
 
     mesh: str
     material: str
     size: tuple[int, int]
     map: tuple[int, int]
+    scene: ResolvedScene
+    pixels: Tensor
     surface: Surface
     sky: Sky
     intensity: Tensor
@@ -46,15 +49,27 @@ class Subject:
     coverage: Tensor
     weights: Tensor
 
-    def picture(self, shader: Shader, values: dict[str, Tensor]) -> Tensor:
+    def image(self, shader: Shader, values: dict[str, Tensor]) -> Tensor:
         """Displayed values [P, 3] of the covered pixels, without the ground's share, in the recipe's dtype."""
         radiance = shader(values["normals"], values["illumination"], values["material"])
         shown = to_display(radiance * self.surface.base_color.to(radiance.dtype))
         return self.coverage.to(radiance.dtype) * shown
 
-    def value(self, picture: Tensor) -> Tensor:
-        """⟨weights, picture⟩, summed in float64."""
-        return (picture.double() * self.weights).sum()
+    def only(self, some: Tensor) -> "Subject":
+        """The same with the covered pixels at the places `some` alone."""
+        surface = replace(self.surface, angles=self.surface.angles[some], base_color=self.surface.base_color[some])
+        return replace(
+            self,
+            pixels=self.pixels[some],
+            surface=surface,
+            moved=self.moved | {"normals": self.moved["normals"][some]},
+            coverage=self.coverage[some],
+            weights=self.weights[some],
+        )
+
+    def value(self, image: Tensor) -> Tensor:
+        """⟨weights, image⟩, summed in float64."""
+        return (image.double() * self.weights).sum()
 
 
 def subject(mesh: str, material: str, size: tuple[int, int], texels: tuple[int, int]) -> Subject:
@@ -81,7 +96,9 @@ def subject(mesh: str, material: str, size: tuple[int, int], texels: tuple[int, 
     )
     coverage = gbuffer.coverage.flatten()[pixels, None].double()
     weights = smooth_weights(size).reshape(-1, 3)[pixels]
-    return Subject(mesh, material, size, texels, surface, sky, intensity, moved(values), coverage, weights)
+    return Subject(
+        mesh, material, size, texels, scene, pixels, surface, sky, intensity, moved(values), coverage, weights
+    )
 
 
 def light_of(scene: ResolvedScene) -> tuple[Sky, Tensor]:
@@ -103,7 +120,7 @@ def moved(values: dict[str, Tensor]) -> dict[str, Tensor]:
 
 
 def smooth_weights(size: tuple[int, int]) -> Tensor:
-    """Weights [H, W, 3] float64 of a picture's values: random, smooth over a picture's COARSEth, mean square 1.
+    """Weights [H, W, 3] float64 of an image's values: random, smooth over an image's COARSEth, mean square 1.
 
     A network's gradient is of that kind; white noise would make every derivative a matter of single pixels.
     """

@@ -1,4 +1,4 @@
-"""Pictures of the rasterising renderer with any number of samples a pixel: what multisampling is worth."""
+"""Images of the rasterising renderer with any number of samples a pixel: what multisampling is worth."""
 
 from collections.abc import Mapping
 
@@ -12,7 +12,7 @@ from services.scenes.resolve import ResolvedScene
 
 
 class Sampled:
-    """Draws a scene as `PyrenderRenderer.exact()` does, every picture by itself, but with `samples` per pixel."""
+    """Draws a scene as `PyrenderRenderer.exact()` does, every image by itself, but with `samples` per pixel."""
 
     def __init__(self, scene: ResolvedScene, samples: int) -> None:
         context.current()
@@ -26,12 +26,12 @@ class Sampled:
     def radiance(self, parameters: Mapping[str, Tensor]) -> Tensor:
         """As `PyrenderRenderer.radiance`: float32 [B, H, W, 4] for {group: [B, ...]}."""
         batch = self._numbers.checked(parameters)
-        pictures = []
+        images = []
         for row in range(len(batch["color"])):
             poses = self._numbers.poses(batch["translation"][row], batch["rotation"][row])
             whole = (0, self._size[0], 0, self._size[1])
             lit = self._numbers.lit(batch["illumination"][row : row + 1], batch["color"][row : row + 1], poses, whole)
-            [picture] = context.current().renderer.draw(
+            [image] = context.current().renderer.draw(
                 self._drawing,
                 "radiance.frag",
                 self._view,
@@ -46,5 +46,5 @@ class Sampled:
                 lights=lit.light_counts,
                 insides="behind",
             )
-            pictures.append(torch.from_numpy(picture).flip(0))
-        return torch.stack(pictures)
+            images.append(torch.from_numpy(image).flip(0))
+        return torch.stack(images)

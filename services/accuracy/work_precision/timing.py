@@ -1,16 +1,36 @@
-"""Seconds of a piece of work on a machine that does other things too."""
+"""Seconds of a piece of work, and their spread, on a machine that does other things too."""
 
 from collections.abc import Callable
 from time import perf_counter
 
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
 
-def shortest(work: Callable[[], object], enough: float) -> float:
-    """Seconds of the shortest of up to nine runs, as many as fit into `enough` seconds; two at least, or one if it
-    takes more than four times that. Warm up before."""
+LEAST, MOST = 5, 15
+"""Repeats. Work that takes longer than LONG seconds is repeated three times."""
+LONG = 1.0
+
+
+class Times(BaseModel):
+    """Seconds over several repeats after one that warms up."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    shortest: float
+    lower: float = Field(description="first quartile")
+    median: float
+    upper: float = Field(description="third quartile")
+    repeats: int
+
+
+def repeated(work: Callable[[], object], enough: float) -> Times:
+    """Times of LEAST to MOST repeats, as many as fit into `enough` seconds. Warm up before."""
     found = [_seconds(work)]
-    while len(found) < 9 and (sum(found) < enough or (len(found) < 2 and found[0] < 4 * enough)):
+    least = LEAST if found[0] < LONG else 3
+    while len(found) < least or (len(found) < MOST and sum(found) < enough):
         found.append(_seconds(work))
-    return min(found)
+    lower, median, upper = (float(value) for value in np.quantile(found, (0.25, 0.5, 0.75)))
+    return Times(shortest=min(found), lower=lower, median=median, upper=upper, repeats=len(found))
 
 
 def _seconds(work: Callable[[], object]) -> float:

@@ -1,9 +1,10 @@
 """Coordinates that cannot change a picture of the pyrender renderer, each with its proof.
 
-Radiance is linear in the ambient light, in each energy and in each colour factor. So what two values of one of these
-do, all values do: a light that adds nothing at energy 1 adds nothing at any. A light's position is not linear, but the
-positions from which it reaches no pixel are a convex set: for every pixel the half-space behind its surface. If they
-hold six points around a position, they hold all between.
+Radiance is linear in the ambient light and in each energy, but for what glTF materials emit. So what two values of
+one of these do, all values do: a light that adds nothing at energy 1 adds nothing at any. In a colour factor it is
+linear or, for a glTF material that is part metal, quadratic: what three values do, all do. A light's position is not
+linear, but the positions from which it reaches no pixel are a convex set: for every pixel the half-space behind its
+surface. If they hold six points around a position, they hold all between.
 """
 
 from collections.abc import Iterator, Mapping
@@ -103,12 +104,19 @@ def _dark(renderer: Linear, at: Values, lights: Tensor) -> bool:
 
 
 def _colors(renderer: Linear, at: Values) -> list[InactiveCoordinate]:
-    """Pictures with an object white and black, where its colour has nothing to do if they are the same."""
+    """Images with an object white, black and grey, where its colour has nothing to do if they are the same."""
     found = []
     for index in range(len(at["color"])):
-        white, black = at["color"].clone(), at["color"].clone()
-        white[index], black[index] = 1.0, 0.0
-        same = (_picture(renderer, at, "color", white) == _picture(renderer, at, "color", black)).all(dim=0).all(dim=0)
+
+        def shown(factor: float, index: int = index) -> Tensor:
+            color = at["color"].clone()
+            color[index] = factor
+            return _picture(renderer, at, "color", color)
+
+        black = shown(0.0)
+        same = (shown(1.0) == black).flatten(0, 1).all(dim=0)
+        if same.any():
+            same &= (shown(0.5) == black).flatten(0, 1).all(dim=0)
         why = "the object's colour is not seen: it is black, unlit, hidden or out of the frame"
         found += [_inactive(renderer, "color", 3 * index + channel, why) for channel in range(3) if same[channel]]
     return found

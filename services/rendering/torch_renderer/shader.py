@@ -132,8 +132,9 @@ class Shader:
         if recipe.rows is None:
             return self._whole(to_vectors(angles), illumination, material)
         filled = touched(angles, recipe.rows) if self._still_tiles is None else self._still_tiles
-        if recipe.moving and recipe.method == "summed" and int(filled.sum()) * TILE**2 >= len(angles):
-            return self._whole(to_vectors(angles), illumination, material)  # the table would be the longer sum
+        optional = recipe.guard is not None and recipe.moving and recipe.method == "summed"
+        if optional and int(filled.sum()) * TILE**2 >= len(angles):  # the table would be the longer sum
+            return self._whole(to_vectors(angles), illumination, material)
         table = self._filled(filled, illumination, material)
         shaded = look_up(table, angles)
         if len(recipe.per_pixel_texels):

@@ -3,6 +3,7 @@
 import torch
 
 from services.accuracy.stability import differences, precision
+from services.attacks import differences as attack_differences
 from services.attacks import goal, problem
 from services.attacks.differences import Estimate
 from services.attacks.fgsm import FgsmMethod
@@ -57,7 +58,8 @@ def never_flat(patch) -> None:
         found = true(*given[:-1], -1.0)
         return Estimate(1.3 * found.gradients + 1e-3, torch.zeros_like(found.below_noise))
 
-    patch.setattr(differences, "estimate", estimate)
+    for module in (differences, attack_differences):
+        patch.setattr(module, "estimate", estimate)
 
 
 def no_bounds(patch) -> None:

@@ -2,9 +2,9 @@
 
 import torch
 
-from services.accuracy.stability import differences, meshes, precision, shading, sizes, steps, views
+from services.accuracy.stability import differences, meshes, poses, shading, sizes, steps, views
 
-BUILDERS = (shading, views, differences, steps, sizes, precision, meshes)
+BUILDERS = (shading, views, poses, differences, steps, sizes, meshes)
 """Modules that make renderers."""
 
 

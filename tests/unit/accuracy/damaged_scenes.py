@@ -5,6 +5,7 @@ from dataclasses import replace
 import torch
 
 from services.accuracy.stability import environments, plans, precision
+from services.accuracy.stability.shading import Shading
 from services.rendering import compositing
 from services.rendering.compositing import Canvas
 from services.rendering.pyrender_renderer import parameters
@@ -130,15 +131,9 @@ def other_inverse_gamma(patch) -> None:
 
 
 def turned_back(patch) -> None:
-    """Objects are turned the other way by their description."""
+    """Objects are turned the other way."""
     true = view.rotation_matrix
     patch.setattr(view, "rotation_matrix", lambda vectors: true(-vectors))
-
-
-def turned_back_by_attacks(patch) -> None:
-    """Objects are turned the other way by pyrender's parameters."""
-    true = parameters.rotation_matrix
-    patch.setattr(parameters, "rotation_matrix", lambda vectors: true(-vectors))
 
 
 def mirrored_camera(patch) -> None:
@@ -165,10 +160,16 @@ def files_upside_down(patch) -> None:
 
 
 def unchecked_tables(patch) -> None:
-    """What is looked up is 1 % too bright, and the pixels that are summed beside it are not compared."""
-    true = shader.look_up
-    patch.setattr(shader, "look_up", lambda table, angles: 1.01 * true(table, angles))
-    patch.setattr(shader, "displayed_error", lambda *_: 0.0)
+    """Once a plan is made, what is looked up is 1 % too bright, and the pixels summed beside it are not compared."""
+    plan, true = Shading.of, shader.look_up
+
+    def of(*given):
+        made = plan(*given)
+        patch.setattr(shader, "look_up", lambda *at: 1.01 * true(*at))
+        patch.setattr(shader, "displayed_error", lambda *_: 0.0)
+        return made
+
+    patch.setattr(Shading, "of", of)
 
 
 def linear_tables(patch) -> None:

@@ -3,11 +3,15 @@
 The rasteriser that stands in for OpenGL has code of its own, and is found out when it is compared with OpenGL.
 """
 
+import atexit
 import shutil
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import mkdtemp
 
 from services.rendering.opengl import context
+
+FOLDERS = mkdtemp(prefix="shaders-")
+atexit.register(shutil.rmtree, FOLDERS, ignore_errors=True)
 
 
 def shader(file: str, old: str, new: str):
@@ -17,22 +21,20 @@ def shader(file: str, old: str, new: str):
         renderer = type(context.current().renderer)
         from services.rendering.opengl import program  # imports OpenGL, so after the context
 
-        folder, made = TemporaryDirectory(), {}
+        folder, made = Path(mkdtemp(dir=FOLDERS)), {}
         for path in program.SHADERS.iterdir():
-            shutil.copy(path, folder.name)
-        changed = Path(folder.name) / file
-        text = changed.read_text()
+            shutil.copy(path, folder)
+        text = (folder / file).read_text()
         assert old in text, f"{file} has no {old!r}"
-        changed.write_text(text.replace(old, new))
+        (folder / file).write_text(text.replace(old, new))
 
         def compiled(_, fragment, **kinds):
-            assert folder.name  # which lives as long as this
             key = fragment, tuple(kinds.items())
             if key not in made:
                 made[key] = program.Program(fragment, {name.upper(): int(kind) for name, kind in kinds.items()})
             return made[key]
 
-        patch.setattr(program, "SHADERS", Path(folder.name))
+        patch.setattr(program, "SHADERS", folder)
         patch.setattr(renderer, "program", compiled)
 
     return apply

@@ -125,7 +125,6 @@ def unguarded_light(patch) -> None:
         return replace(found, intensity=luminance / luminance.mean(), chroma=map_.float() / luminance[..., None])
 
     patch.setattr(torch_renderer, "illumination", illumination)
-    patch.setattr(environments, "illumination", illumination)
 
 
 torch_renderer_illumination = torch_renderer.illumination
@@ -133,8 +132,12 @@ torch_renderer_illumination = torch_renderer.illumination
 
 def unscaled_light(patch) -> None:
     """An exposure that does not look at the map."""
-    true = environments.illumination
-    patch.setattr(environments, "illumination", lambda map_: replace(true(map_), intensity=map_[..., 0], exposure=1.0))
+    true = torch_renderer.illumination
+    patch.setattr(
+        torch_renderer,
+        "illumination",
+        lambda map_: replace(true(map_), intensity=map_.double()[..., 0], exposure=1.0),
+    )
 
 
 def accepted_texels(patch) -> None:

@@ -7,7 +7,7 @@ import torch
 from services.accuracy.stability import differences as difference_cases
 from services.accuracy.stability import recurrences
 from services.attacks import differences, goal, problem, zoo
-from services.attacks.differences import Estimate, evaluate, layout
+from services.attacks.differences import Estimate, evaluate
 from services.attacks.fgsm import FgsmMethod
 from services.attacks.goal import ResolvedGoal
 from services.attacks.zoo import ZooMethod
@@ -18,25 +18,24 @@ def estimates(change):
 
     def apply(patch) -> None:
         true = differences.estimate
-        for module in (difference_cases, recurrences, zoo, differences):
+        for module in (difference_cases, recurrences, differences):
             patch.setattr(module, "estimate", lambda *given: change(true, *given))
 
     return apply
 
 
-def _one_sided(_, problem, at, coordinates, deltas, noise):
-    where = layout(problem)
+def _one_sided(_, problem, at, coordinates, half_steps, noise):
     moved = at.repeat(len(coordinates) + 1, 1)
-    moved[torch.arange(len(coordinates)), coordinates] += deltas.to(moved.dtype)
-    scores = evaluate(problem, moved, where)
+    moved[torch.arange(len(coordinates)), coordinates] += half_steps.to(moved.dtype)
+    scores = evaluate(problem, moved)
     change = scores[:-1] - scores[-1]
-    flat = change.abs() <= noise
-    return Estimate(torch.where(flat, 0.0, change / deltas), flat)
+    below_noise = change.abs() <= noise
+    return Estimate(torch.where(below_noise, 0.0, change / half_steps), below_noise)
 
 
 def _scaled(true, *given):
     found = true(*given)
-    return replace(found, slopes=2 * found.slopes)
+    return replace(found, gradients=2 * found.gradients)
 
 
 one_sided_differences = estimates(_one_sided)
@@ -149,4 +148,4 @@ def swapped_betas(patch) -> None:
 
 def unmeasured_step(patch) -> None:
     """The difference step is not measured."""
-    patch.setattr(zoo, "measure_deltas", lambda problem, *_: dict.fromkeys(problem.groups, 1e-4))
+    patch.setattr(differences, "measure_half_steps", lambda problem, *_: dict.fromkeys(problem.groups, 1e-4))

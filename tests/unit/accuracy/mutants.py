@@ -40,15 +40,14 @@ MUTANTS = [
     (scenes.map_turned_back, {"environments": ["map turned by 0.7"]}),
     (scenes.directions_swapped, {"environments": FILES, "plans": ["tolerance exact"], "sizes": ["1 px, torch"]}),
     (scenes.no_solid_angles, {"environments": ["map × 1e30", "map × 1e-36"], "sizes": ["white albedo"]}),
-    (scenes.unchecked_tables, {"plans": ["normals only, broad sun", "tolerance 0.01"]}),
+    (scenes.unchecked_tables, {"plans": ["normals only, broad sun", "material only, broad sun"]}),
     (scenes.linear_tables, {"plans": ["table of a known function"]}),
     # display, coverage, poses
     (scenes.other_gamma, {"precision": ["display curve"]}),
     (scenes.other_inverse_gamma, {"precision": ["display curve"]}),
     (scenes.squared_coverage, {"poses": ["silhouette of a square"]}),
     (scenes.squared_coverage_over_ground, {"poses": ["silhouette of a square"]}),
-    (scenes.turned_back, {"poses": ["turned object"]}),
-    (scenes.turned_back_by_attacks, {"poses": ["object turned by an attack"]}),
+    (scenes.turned_back, {"poses": ["turned object", "object turned by an attack"]}),
     (scenes.mirrored_camera, {"poses": ["turned object"]}),
     # attacks
     (steps.one_sided_differences, {"recurrences": [*DIFFERENCES, "ZOO, 8 steps, λ 0.5"], "differences": ["δ = 1"]}),

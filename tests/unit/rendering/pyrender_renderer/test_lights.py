@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from services.rendering.pyrender_renderer.inactive import idle
+from services.rendering.pyrender_renderer.inactive import inactive_coordinates
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.scenes.description import DirectionalLight, Lights, PointLight, SpotLight
 from tests.unit.rendering import shapes
@@ -126,7 +126,7 @@ def test_a_sun_behind_all_that_is_seen_is_inactive() -> None:
     spot = SpotLight(energy=2.0, position=(0.0, 0.0, -3.0), direction=(0.0, 0.0, 1.0))
     description = scene((24, 24), lights=Lights(points=(), directional=(sun,), spots=(spot,)))
     subject = PyrenderRenderer(placed(description, mesh(quad(0.5))))
-    found = {one.name for one in idle(subject, {}, {"illumination": 0.1})}
+    found = {one.name for one in inactive_coordinates(subject, {}, {"illumination": 0.1})}
     suns = {
         "directional 0 energy",
         "directional 0 direction x",
@@ -136,5 +136,6 @@ def test_a_sun_behind_all_that_is_seen_is_inactive() -> None:
     assert suns | {"spot 0 energy"} == {name for name in found if name.startswith(("directional", "spot"))}
     grazing = DirectionalLight(energy=2.0, direction=(1.0, 0.0, 0.05))
     low = scene((24, 24), lights=Lights(points=(), directional=(grazing,)))
-    found = {one.name for one in idle(PyrenderRenderer(placed(low, mesh(quad(0.5)))), {}, {"illumination": 0.1})}
+    subject = PyrenderRenderer(placed(low, mesh(quad(0.5))))
+    found = {one.name for one in inactive_coordinates(subject, {}, {"illumination": 0.1})}
     assert {name for name in found if name.startswith("directional")} == {"directional 0 energy"}

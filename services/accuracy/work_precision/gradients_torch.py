@@ -1,4 +1,4 @@
-"""The differentiable renderer's slopes as functions of values alone; the reference is autograd in float64."""
+"""Gradients of the differentiable renderer from values alone; the reference is autograd in float64."""
 
 from collections.abc import Callable, Iterator
 
@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from services.accuracy.placing import placed
+from services.accuracy.work_precision.gradients import IMAGE, Objective
 from services.accuracy.work_precision.shading_subject import GROUPS, smooth_weights
-from services.accuracy.work_precision.slopes import PICTURE, Objective
 from services.attacks.seeds import generator
 from services.rendering.color import as_saved
 from services.rendering.factory import build
@@ -20,28 +20,28 @@ from services.targets.scores import log_odds
 NETWORK = "efficientnet-lite0"
 ODDS = "log-odds"
 COORDINATES = 8
-"""Coordinates that are differenced one by one, drawn from those whose slope is more than SEEN of the largest."""
+"""Coordinates that are differenced one by one, drawn from those whose derivative is more than SEEN of the largest."""
 SEEN = 0.05
 
 
 def objectives(mesh: str, label: str, size: tuple[int, int], texels: tuple[int, int]) -> Iterator[Objective]:
-    """⟨weights, picture⟩ of each group through the exact picture, the loop's and its 8 bits; and the log-odds of
-    `label` of the material through the loop's picture and its 8 bits."""
+    """⟨weights, image⟩ of each group through the exact image, the loop's and its 8 bits; and the log-odds of
+    `label` of the material through the loop's image and its 8 bits."""
     scene = placed(
         mesh, size=size, thing={"material": "glossy-paint"}, lights={"environment": {"map": "studio", "size": texels}}
     )
     exact = build(scene, "torch", tolerance="exact")
     weights = smooth_weights(size)
 
-    def weighted(pictures: Tensor) -> Tensor:
-        return (pictures.double() * weights).sum(dim=(1, 2, 3))
+    def weighted(images: Tensor) -> Tensor:
+        return (images.double() * weights).sum(dim=(1, 2, 3))
 
     for group in GROUPS:
-        yield _objective(scene, exact, group, PICTURE, weighted, weighted, ("float64", "float32", "8 bit"))
+        yield _objective(scene, exact, group, IMAGE, weighted, weighted, ("float64", "float32", "8 bit"))
     number = load(NETWORK).labels.index(label)
 
     def odds(target: Target) -> Callable[[Tensor], Tensor]:
-        return lambda pictures: log_odds(target.logits(pictures), number).double()
+        return lambda images: log_odds(target.logits(images), number).double()
 
     narrow, wide = odds(load(NETWORK)), odds(load(NETWORK, torch.float64))
     yield _objective(scene, exact, "material", ODDS, narrow, wide, ("float32", "8 bit"))
@@ -54,18 +54,18 @@ def _objective(
     of: str,
     function: Callable[[Tensor], Tensor],
     wide: Callable[[Tensor], Tensor],
-    pictures: tuple[str, ...],
+    images: tuple[str, ...],
 ) -> Objective:
-    """`function` of pictures [B, H, W, 3] to [B], and the same in float64 for the reference."""
+    """`function` of images [B, H, W, 3] to [B], and the same in float64 for the reference."""
     loop = build(scene, "torch", groups=(group,))
     start = exact.initial()[group]
     leaf = start.clone().requires_grad_()
-    (slope,) = torch.autograd.grad(wide(exact.render({group: leaf[None]})).sum(), leaf)
-    slope = slope.flatten()
-    seen = (slope.abs() > SEEN * slope.abs().amax()).nonzero()[:, 0]
+    (gradient,) = torch.autograd.grad(wide(exact.render({group: leaf[None]})).sum(), leaf)
+    gradient = gradient.flatten()
+    seen = (gradient.abs() > SEEN * gradient.abs().amax()).nonzero()[:, 0]
     some = seen[torch.randperm(len(seen), generator=generator(0, "coordinates", group))[:COORDINATES]].sort().values
     # an attack does not move normals that nothing shows
-    free = (slope != 0).nonzero()[:, 0] if group == "normals" else torch.arange(len(slope))
+    free = (gradient != 0).nonzero()[:, 0] if group == "normals" else torch.arange(len(gradient))
 
     @torch.no_grad()
     def values(points: Tensor) -> Tensor:
@@ -75,19 +75,19 @@ def _objective(
             whole[free] = point.double()
             parameters = {group: whole.reshape(1, *start.shape)}
             shown = loop.render({group: parameters[group].float()})
-            seen = [exact.render(parameters)] if "float64" in pictures else []
-            columns.append(torch.cat([function(picture) for picture in (*seen, shown, as_saved(shown))]))
+            seen = [exact.render(parameters)] if "float64" in images else []
+            columns.append(torch.cat([function(image) for image in (*seen, shown, as_saved(shown))]))
         return torch.stack(columns)
 
     return Objective(
         renderer="torch",
         group=group,
         of=of,
-        pictures=pictures,
+        images=images,
         at=start.flatten()[free],
         coordinates=torch.searchsorted(free, some),
         values=values,
-        slopes=slope[free],
+        gradient=gradient[free],
         how="autograd through the sum over all directions and lobes, and the network, in float64",
         resolution=torch.float32,
     )
