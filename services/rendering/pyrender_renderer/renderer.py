@@ -39,8 +39,8 @@ MAX_SAMPLE_BYTES = 2**26
 """Bytes of samples that the images of a pass may take; a single one may take more."""
 
 MAX_BACKFACE_MISMATCH = 0.01
-"""Share of covered pixels that the insides of watertight surfaces may change. They do change some at silhouettes, where
-the depths of both sides round to the same; a surface that passes through itself shows more, and is not taken for it."""
+"""Share of covered pixels that the insides of watertight surfaces may change: at silhouettes depths round to the same.
+A surface that passes through itself shows more, and is not taken for watertight."""
 
 ROUNDING = 1e-3
 """Scene units, and share, that an object must be further out of the frame than it could move, for it to be sure."""
@@ -90,7 +90,7 @@ class PyrenderRenderer(DeclaredRenderer):
         if tolerance != "exact":
             self._twin = copy(self)
             self._twin._twin, self._tolerance = self._twin, tolerance
-            self.plan = self._compile(groups, self._try_rasteriser(groups))
+            self.plan = self._compile(groups, self._try_rasteriser(groups, tolerance))
 
     @classmethod
     def build(cls, request: BuildRequest) -> "PyrenderRenderer":
@@ -110,9 +110,8 @@ class PyrenderRenderer(DeclaredRenderer):
             idle=[] if self._plain else self.inactive(self.initial(), {}),
         )
 
-    def _try_rasteriser(self, groups: tuple[str, ...]) -> Rasterised:
+    def _try_rasteriser(self, groups: tuple[str, ...], tolerance: float) -> Rasterised:
         """Whether the rasteriser draws within the tolerance, and with which error; sets `_rasterises`."""
-        assert self._tolerance != "exact"
         why = rasteriser.refusal(self._drawing, start := self._at_start())
         if why is None and not context.current().software:
             why = "a graphics card is faster"
@@ -125,7 +124,7 @@ class PyrenderRenderer(DeclaredRenderer):
         self._rasterises = True
         error, covered = measure(self, self._ground, groups)
         self._sampled = ImageError()
-        if not ImageError(MARGIN * error.mean, MARGIN * error.share).within(self._tolerance):
+        if not ImageError(MARGIN * error.mean, MARGIN * error.share).within(tolerance):
             self._rasterises = False
             return Rasterised(error, covered, refusal="its error is beyond the tolerance")
         return Rasterised(error, covered, shown=0 if drawn is None else drawn[1])
@@ -141,7 +140,7 @@ class PyrenderRenderer(DeclaredRenderer):
 
     @property
     def sampled_error(self) -> ImageError:
-        """The largest error of the images that were asked for and drawn by OpenGL too; zero if none was."""
+        """The largest error of the images asked for that OpenGL drew too; zero if it drew none."""
         return self._sampled
 
     def initial(self) -> Parameters:
@@ -179,11 +178,10 @@ class PyrenderRenderer(DeclaredRenderer):
 
     def _verified(self, image: Tensor, parameters: Mapping[str, Tensor]) -> Tensor:
         """The image, or OpenGL's where it is off by more than the tolerance allows."""
-        assert self._tolerance != "exact"
         exact = self._twin.render(parameters)[0]
         error, _ = image_error(image, exact, self._ground)
         self._sampled = self._sampled.or_worse(error)
-        return image if error.within(self._tolerance) else exact
+        return image if self._tolerance != "exact" and error.within(self._tolerance) else exact
 
     def radiance(self, parameters: Mapping[str, Tensor]) -> Tensor:
         """Linear, unclamped radiance times coverage, and coverage: float32 [B, H, W, 4]. Before exposure and display.
@@ -212,8 +210,7 @@ class PyrenderRenderer(DeclaredRenderer):
         return beyond(corners, self._view.clip_from_world, margin * (1 + ROUNDING) + ROUNDING)
 
     def inactive(self, parameters: Mapping[str, Tensor], reach: Mapping[str, float]) -> list[InactiveCoordinate]:
-        """The coordinates that change no pixel at `parameters` {group: [...]}, moved by at most `reach`; see
-        `inactive_coordinates`."""
+        """See `inactive_coordinates`."""
         return inactive_coordinates(self, parameters, reach)
 
     def _draw(self, parameters: Mapping[str, Tensor], empty: Tensor, finish: Callable[[Tensor], Tensor]) -> Tensor:

@@ -3,6 +3,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from services.rendering.opengl import context
 from services.rendering.opengl.watertight import outsides
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.scenes.mesh import Mesh, Part
@@ -79,8 +80,9 @@ def turned(renderer: PyrenderRenderer, count: int) -> dict[str, torch.Tensor]:
 
 
 @pytest.mark.parametrize("thing", [box(), six_parts(), mesh(ball())], ids=["box", "textured", "ball"])
-def test_leaving_insides_out_changes_no_bit(thing: Mesh) -> None:
+def test_leaving_insides_out_changes_no_bit(thing: Mesh, monkeypatch: pytest.MonkeyPatch) -> None:
     """The twin draws them, behind everything: they would show wherever the outside had a hole."""
+    monkeypatch.setattr(context.Context, "software", False)  # OpenGL draws, not the rasteriser
     renderer = PyrenderRenderer(placed(scene((64, 80), azimuth=0.4, elevation=0.3), thing))
     assert renderer.closed
     batch = turned(renderer, 6)
