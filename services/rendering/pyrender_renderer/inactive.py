@@ -87,7 +87,7 @@ def _lights(renderer: Linear, at: Values, reach: float) -> list[InactiveCoordina
 def _coordinates(names: list[str], count: int) -> Iterator[tuple[str, int, list[int]]]:
     """For each light of the group `illumination` its kind, the index of its energy, and of its other coordinates."""
     energies = [index for index, name in enumerate(names) if name.endswith(" energy")]
-    for energy, following in zip(energies, [*energies[1:], count], strict=True):
+    for energy, following in zip(energies, [*energies, count][1:], strict=True):
         yield names[energy].split()[0], energy, list(range(energy + 1, following))
 
 
