@@ -10,7 +10,7 @@ DESCRIPTION = """\
 Attacks on vision models through the scene: its light, its surfaces, its poses.
 
 A request is checked whole before it becomes a job; what is wrong with it is answered at once, naming the fields. Every
-error is a problem (RFC 9457). Angles are radians, lengths scene units, colours and pictures in [0,1].
+error is a problem (RFC 9457). Angles are radians, lengths scene units, colours and images in [0,1].
 """
 
 ERRORS = {

@@ -1,4 +1,4 @@
-"""How far are our pictures of glTF materials from those of stock pyrender?
+"""How far are our images of glTF materials from those of stock pyrender?
 
 Each of the ten models of `benchmarks.gltf_models` is drawn by both under one point, one directional and one spot light,
 without ambient light. Stock pyrender reads the file by trimesh, clamps linear light to [0,1], raises it to 1 / 2.2 and
@@ -87,7 +87,7 @@ def main() -> None:
 
 
 def ours(view: View) -> tuple[Image, str]:
-    """Our picture through stock pyrender's curve, uint8 [H, W, 3], and the backend."""
+    """Our image through stock pyrender's curve, uint8 [H, W, 3], and the backend."""
     with tempfile.TemporaryDirectory() as directory:
         library = Library(Path(directory) / "cache", Path(directory) / "data")
         mesh = library.add_mesh(view.glb, "glb").name
@@ -100,7 +100,7 @@ def ours(view: View) -> tuple[Image, str]:
 
 
 def stock(views: Sequence[View]) -> list[Image]:
-    """Stock pyrender's pictures, uint8 [H, W, 3], all from one process. Raises CalledProcessError if it fails."""
+    """Stock pyrender's images, uint8 [H, W, 3], all from one process. Raises CalledProcessError if it fails."""
     if not views:
         return []
     with tempfile.TemporaryDirectory() as directory:

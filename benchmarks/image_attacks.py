@@ -1,4 +1,4 @@
-"""Our attack on pixels beside Foolbox's and torchattacks', on the same network and pictures. Writes
+"""Our attack on pixels beside Foolbox's and torchattacks', on the same network and images. Writes
 results/image_attacks.json.
 
 Time: every attack makes the same number of steps, so small that nothing is fooled and nothing ends early. The others
@@ -22,7 +22,7 @@ from torch import Tensor
 from benchmarks.peers import Lite0, reach
 from benchmarks.report import RESULTS, save
 from benchmarks.views import right
-from services.analysis.perceptibility import of_pictures
+from services.analysis.perceptibility import of_images
 from services.attacks.fgsm import Fgsm, FgsmMethod
 from services.attacks.goal import ResolvedGoal
 from services.attacks.loop import AttackRun, Budget, run_together
@@ -47,26 +47,26 @@ FORMATS = {"contiguous": torch.contiguous_format, "channels_last": torch.channel
 
 
 @dataclass
-class Pictures:
-    """Saved pictures that the network gets right: uint8 [B, H, W, 3] and labels [B]."""
+class Images:
+    """Saved images that the network gets right: uint8 [B, H, W, 3] and labels [B]."""
 
     saved: Tensor
     labels: Tensor
 
 
-Attacks = Callable[[Pictures, float, int], Tensor]
-"""From pictures, step size and number of steps to the adversaries, uint8 [B, H, W, 3]."""
+Attacks = Callable[[Images, float, int], Tensor]
+"""From images, step size and number of steps to the adversaries, uint8 [B, H, W, 3]."""
 
 
 def ours(momentum: float) -> Attacks:
     """FGSM on the renderer whose only group is the pixels; a batch in lockstep."""
     target = registry.load("efficientnet-lite0")
 
-    def attack(pictures: Pictures, step: float, steps: int) -> Tensor:
+    def attack(subjects: Images, step: float, steps: int) -> Tensor:
         attacks = [
-            _attack(target, *one, step, steps, momentum) for one in zip(pictures.saved, pictures.labels, strict=True)
+            _attack(target, *one, step, steps, momentum) for one in zip(subjects.saved, subjects.labels, strict=True)
         ]
-        return torch.stack([found.picture for found in run_together(attacks)])
+        return torch.stack([found.image for found in run_together(attacks)])
 
     return attack
 
@@ -82,9 +82,9 @@ def torchattacks(network: Lite0, name: str) -> Attacks:
     """Its BIM or MIFGSM."""
     import torchattacks as library
 
-    def attack(pictures: Pictures, step: float, steps: int) -> Tensor:
+    def attack(subjects: Images, step: float, steps: int) -> Tensor:
         method = getattr(library, name)(network, eps=BOUND, alpha=step, steps=steps)
-        return _bytes(method(_channels_first(pictures), pictures.labels))
+        return _bytes(method(_channels_first(subjects), subjects.labels))
 
     return attack
 
@@ -95,16 +95,16 @@ def foolbox(network: Lite0, name: str) -> Attacks:
 
     model = library.PyTorchModel(network, bounds=(0, 1), device="cpu")
 
-    def attack(pictures: Pictures, step: float, steps: int) -> Tensor:
+    def attack(subjects: Images, step: float, steps: int) -> Tensor:
         method = getattr(library.attacks, name)(abs_stepsize=step, steps=steps, random_start=False)
-        _, found, _ = method(model, _channels_first(pictures), pictures.labels, epsilons=BOUND)
+        _, found, _ = method(model, _channels_first(subjects), subjects.labels, epsilons=BOUND)
         return _bytes(found)
 
     return attack
 
 
-def _channels_first(pictures: Pictures) -> Tensor:
-    return from_bytes(pictures.saved).permute(0, 3, 1, 2).contiguous()
+def _channels_first(subjects: Images) -> Tensor:
+    return from_bytes(subjects.saved).permute(0, 3, 1, 2).contiguous()
 
 
 def _bytes(images: Tensor) -> Tensor:
@@ -114,7 +114,7 @@ def _bytes(images: Tensor) -> Tensor:
 def main() -> None:
     """Runs the comparison; see --help."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--views", type=int, default=8, help="pictures, and the larger batch (default 8)")
+    parser.add_argument("--views", type=int, default=8, help="images, and the larger batch (default 8)")
     parser.add_argument("--steps", type=int, default=20, help="steps that are timed (default 20)")
     parser.add_argument("--repeats", type=int, default=3, help="repeats of the timing (default 3)")
     parser.add_argument("--success-steps", type=int, default=20, help="most steps of an attack (default 20)")
@@ -123,7 +123,7 @@ def main() -> None:
     reach()
     torch.set_num_threads(settings().threads)
     target = registry.load("efficientnet-lite0")
-    pictures, views = _pictures(Library(settings().cache_dir, settings().data_dir), options.views)
+    subjects, views = _images(Library(settings().cache_dir, settings().data_dir), options.views)
     attacks = {"ours, momentum 0": ours(0.0), OURS: ours(0.9)}
     for format_name, memory_format in FORMATS.items():
         network = Lite0(memory_format)
@@ -134,10 +134,10 @@ def main() -> None:
     timing = [
         row
         for batch in sorted({1, options.views})
-        for row in _time(attacks, Pictures(pictures.saved[:batch], pictures.labels[:batch]), options)
+        for row in _time(attacks, Images(subjects.saved[:batch], subjects.labels[:batch]), options)
     ]
     success = [
-        {"attack": name} | _success(target, attack, pictures, options.success_steps) for name, attack in attacks.items()
+        {"attack": name} | _success(target, attack, subjects, options.success_steps) for name, attack in attacks.items()
     ]
     save(
         options.out, __doc__ or "", target.backend, None,
@@ -147,22 +147,22 @@ def main() -> None:
         print(", ".join(f"{key} {value:.4g}" if isinstance(value, float) else f"{value}" for key, value in row.items()))
 
 
-def _pictures(library: Library, count: int) -> tuple[Pictures, list[str]]:
+def _images(library: Library, count: int) -> tuple[Images, list[str]]:
     saved, labels, views = [], [], list(right(library, count))
     for mesh, label in views:
         prepared = prepare(parse({"scene": {"objects": [{"mesh": mesh}]}, "goal": {"leave": label}}), library)
         saved.append(prepared.original)
         labels.append(prepared.goal.label)
-    return Pictures(torch.stack(saved), torch.tensor(labels)), [mesh for mesh, _ in views]
+    return Images(torch.stack(saved), torch.tensor(labels)), [mesh for mesh, _ in views]
 
 
-def _time(attacks: dict[str, Attacks], pictures: Pictures, options: argparse.Namespace) -> list[dict[str, object]]:
+def _time(attacks: dict[str, Attacks], subjects: Images, options: argparse.Namespace) -> list[dict[str, object]]:
     took: dict[str, list[float]] = {name: [] for name in attacks}
     times: dict[str, list[float]] = {name: [] for name in attacks}
 
     def run(name: str) -> float:
         began = time.perf_counter()
-        attacks[name](pictures, STILL, options.steps)
+        attacks[name](subjects, STILL, options.steps)
         took[name].append((time.perf_counter() - began) / options.steps)
         return took[name][-1]
 
@@ -179,7 +179,7 @@ def _time(attacks: dict[str, Attacks], pictures: Pictures, options: argparse.Nam
     return [
         {
             "attack": name,
-            "batch": len(pictures.labels),
+            "batch": len(subjects.labels),
             "ms a step": 1e3 * min(seconds),
             "times ours": statistics.median(times[name] or [1.0]),
         }
@@ -187,11 +187,11 @@ def _time(attacks: dict[str, Attacks], pictures: Pictures, options: argparse.Nam
     ]
 
 
-def _success(target: Target, attack: Attacks, pictures: Pictures, steps: int) -> dict[str, object]:
-    found = attack(pictures, STEP, steps)
-    answers = torch.stack([target.logits(from_bytes(picture)[None])[0] for picture in found]).argmax(dim=-1)
-    fooled = (answers != pictures.labels).tolist()
-    p = [of_pictures(before, after) for before, after, yes in zip(pictures.saved, found, fooled, strict=True) if yes]
+def _success(target: Target, attack: Attacks, subjects: Images, steps: int) -> dict[str, object]:
+    found = attack(subjects, STEP, steps)
+    answers = torch.stack([target.logits(from_bytes(image)[None])[0] for image in found]).argmax(dim=-1)
+    fooled = (answers != subjects.labels).tolist()
+    p = [of_images(before, after) for before, after, yes in zip(subjects.saved, found, fooled, strict=True) if yes]
     return {"fooled": sum(fooled), "of": len(fooled), "p": statistics.fmean(p) if p else None}
 
 

@@ -1,8 +1,8 @@
 """Whole FGSM jobs beside the network's own passes, and the memory they take. Writes results/jobs.json.
 
 A job of 120 steps runs through services.pipeline.execute in a process set up as a worker's. Its learning rate is so
-small that the picture does not move: the network holds, and all steps are run. After each step, a forward and backward
-pass of the network alone on a picture of 224²: a shared machine is faster one second than the next, and both find the
+small that the image does not move: the network holds, and all steps are run. After each step, a forward and backward
+pass of the network alone on an image of 224²: a shared machine is faster one second than the next, and both find the
 processor's caches as the other left them. What the passes took is not the job's time. So for the packed network that
 jobs use, and again for the same in plain torch (channels_last). Ratios and seconds are medians of the repeats. Memory:
 the peak resident set of a fresh process that runs a job of 448².
@@ -117,12 +117,12 @@ def _beside(
     spec: JobSpec, out: Path, library: Library, logits: Callable[[Tensor], Tensor]
 ) -> tuple[float, float, float]:
     """Seconds of a job, of its loop, and of as many passes of a network as it makes steps, each after one of them."""
-    picture = torch.full((1, 224, 224, 3), 0.5)
+    image = torch.full((1, 224, 224, 3), 0.5)
     passes: list[float] = []
 
     @torch.enable_grad()
     def once() -> None:
-        leaf = picture.clone().requires_grad_()
+        leaf = image.clone().requires_grad_()
         torch.autograd.grad(logits(leaf)[0, 0], leaf)
 
     def beside(progress: Progress) -> None:

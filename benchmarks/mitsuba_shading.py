@@ -3,7 +3,7 @@
 As near to our shading problem as its scenes come: an orthographic camera, a sphere of as many pixels, the same
 environment map of 16×32 texels, a rough plastic, direct light only (the integrator prb at depth 2), gradients with
 respect to the map, the material's parameters and the mesh's normals and positions. Errors are of displayed values on
-the object's pixels, against its own picture of many samples with other seeds.
+the object's pixels, against its own image of many samples with other seeds.
 """
 
 import argparse

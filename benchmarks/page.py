@@ -55,7 +55,7 @@ def _shading() -> list[str]:
     ]
     parts = [
         "## Shading",
-        f"A picture of {result['pixels']:,} object pixels at 448² under 512 directions, 3 lobes × RGB, and the "
+        f"An image of {result['pixels']:,} object pixels at 448² under 512 directions, 3 lobes × RGB, and the "
         "gradients of the attacked groups. *Chunked* and *one shot* are plain torch with autograd.",
         _table(("way, attacked, tolerance", "ms", "× chunked", "error", "estimated"), rows),
     ]
@@ -132,7 +132,7 @@ def _zoo() -> list[str]:
                     "zoo_step / network_28",
                     "zoo_step / plain_network_28",
                     "loop_of_28 / zoo_step",
-                    "pictures_28_alone / pictures_28_shared",
+                    "images_28_alone / images_28_shared",
                     "frame / stock_pyrender_frame",
                 )
             ),
@@ -143,7 +143,7 @@ def _zoo() -> list[str]:
         "## A step of ZOO",
         "Differences of all 14 coordinates on pyrender at 224², beside the network's batch of 28, packed as jobs use "
         "it and in plain torch (channels_last), and beside a loop that renders a frame and asks the network one at a "
-        "time; its 28 pictures beside OpenGL's one by one, and a frame beside stock pyrender's.",
+        "time; its 28 images beside OpenGL's one by one, and a frame beside stock pyrender's.",
         _table(
             (
                 "mesh",
@@ -152,7 +152,7 @@ def _zoo() -> list[str]:
                 "step / network",
                 "step / plain network",
                 "loop / step",
-                "OpenGL / pictures",
+                "OpenGL / images",
                 "frame / stock frame",
             ),
             sorted(rows, key=lambda row: int(row[1].replace(",", ""))),
@@ -172,8 +172,8 @@ def _rounded() -> list[str]:
         for row in result["summary"]
     ]
     return [
-        "## The gradient at the saved picture",
-        "FGSM takes verdict and gradient from one pass on the saved picture; here beside the float picture's gradient.",
+        "## The gradient at the saved image",
+        "FGSM takes verdict and gradient from one pass on the saved image; here beside the float image's gradient.",
         _table(("attacked", "verified, saved / float", "steps", "p ×10⁻³"), rows),
         _foot(result),
     ]

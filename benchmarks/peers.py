@@ -19,7 +19,7 @@ def reach() -> None:
 
 
 class Lite0(nn.Module):
-    """EfficientNet-Lite0 as plain torch: pictures [B, 3, H, W] in [0,1] to logits. Weights in the given format."""
+    """EfficientNet-Lite0 as plain torch: images [B, 3, H, W] in [0,1] to logits. Weights in the given format."""
 
     def __init__(self, memory_format: torch.memory_format) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""The torch renderer's picture written down plainly, one tensor operation after another, for autograd to differentiate.
+"""The torch renderer's image written down plainly, one tensor operation after another, for autograd to differentiate.
 
 It shares the formulas of the material, the map and the display with the product, and none of its shading.
 """
@@ -77,7 +77,7 @@ class PlainShading:
         """Colours [P, 3] and the gradients of (colours · weights).sum(), `chunk` pixels at a time.
 
         Each chunk goes forward and backward at once, which is the best case: in an attack the weights are only known
-        after the whole picture, and chunks would have to be computed twice.
+        after the whole image, and chunks would have to be computed twice.
         """
         leaves = {g: v.detach().clone().requires_grad_(g in groups) for g, v in initial.items()}
         colours = []

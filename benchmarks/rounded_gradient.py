@@ -1,6 +1,6 @@
-"""Is FGSM as good with the gradient taken at the saved picture as at the float picture?
+"""Is FGSM as good with the gradient taken at the saved image as at the float image?
 
-The loop puts the picture, rounded to 8 bits, to the network for the verdict. Taking the gradient in the same pass, with
+The loop puts the image, rounded to 8 bits, to the network for the verdict. Taking the gradient in the same pass, with
 a straight-through derivative of the rounding, saves a pass a step; here the same attacks run with both gradients.
 Writes results/rounded_gradient.json.
 """
@@ -16,7 +16,7 @@ from rich.progress import track
 
 from benchmarks.report import RESULTS, save
 from benchmarks.views import right
-from services.analysis.perceptibility import of_pictures
+from services.analysis.perceptibility import of_images
 from services.attacks.fgsm import FgsmMethod
 from services.attacks.loop import Budget, run
 from services.attacks.problem import AttackProblem, Evaluation, ask, gradients
@@ -34,18 +34,18 @@ ATTACKS: dict[str, dict[str, object]] = {
 }
 
 
-class FloatPictureFgsm(FgsmMethod):
-    """FGSM with the gradient at the picture before rounding, which takes a pass of its own."""
+class FloatImageFgsm(FgsmMethod):
+    """FGSM with the gradient at the image before rounding, which takes a pass of its own."""
 
     def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:
-        """One step along the float picture's gradients."""
+        """One step along the float image's gradients."""
         again = problem.view(self.perturbation, gradient=True)
         [found] = gradients([problem], [again], ask([problem], again.images))
         return super().advance(problem, replace(view, gradients=found), step)
 
 
 Row = dict[str, Any]
-METHODS = {"saved": FgsmMethod, "float": FloatPictureFgsm}
+METHODS = {"saved": FgsmMethod, "float": FloatImageFgsm}
 
 
 def main() -> None:
@@ -83,7 +83,7 @@ def _run(prepared: Prepared, method: type[FgsmMethod], steps: int) -> Row:
     )
     prepared.verifier.queries = prepared.verifier.renders = 0
     found = run(problem, method(attack, problem), prepared.verifier, Budget(steps))
-    p = of_pictures(prepared.original, prepared.verifier.picture(found.stored))
+    p = of_images(prepared.original, prepared.verifier.image(found.stored))
     return {"verified": found.verified, "steps": found.step, "p": p, "advantage": found.trace[-1].advantage}
 
 

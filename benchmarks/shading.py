@@ -1,10 +1,10 @@
 """Our shading beside plain torch and Mitsuba 3, forward and backward. Writes results/shading.json.
 
-One object of about 60,000 pixels at 448² under a map of 512 directions, 3 lobes × RGB. Each line is a picture and the
+One object of about 60,000 pixels at 448² under a map of 512 directions, 3 lobes × RGB. Each line is an image and the
 gradients of a weighted sum of its values. Errors are against plain torch in float64, of displayed values on the
 object's pixels (largest and root mean square), and of each group's gradient (norm of the difference over norm), at the
 scene's own parameters and with the attacked groups moved. Mitsuba shades a problem of the same size, and is measured
-against its own picture of many samples.
+against its own image of many samples.
 """
 
 import argparse
@@ -135,8 +135,8 @@ def _rendered(
     renderer: Renderer, truth: PlainShading, at: Parameters, groups: tuple[str, ...], weights: Tensor
 ) -> tuple[Tensor, Parameters]:
     leaves = {g: at[g].clone().requires_grad_() for g in groups}
-    picture = renderer.render({g: leaf[None] for g, leaf in leaves.items()})[0]
-    colours = picture.reshape(-1, 3)[truth.pixels]
+    image = renderer.render({g: leaf[None] for g, leaf in leaves.items()})[0]
+    colours = image.reshape(-1, 3)[truth.pixels]
     found = torch.autograd.grad((colours * weights.to(colours.dtype)).sum(), list(leaves.values()))
     return colours.detach(), dict(zip(groups, found, strict=True))
 

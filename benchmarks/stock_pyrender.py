@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 
 def main() -> None:
-    """Draws the pictures that standard input asks for."""
+    """Draws the images that standard input asks for."""
     requests = json.load(sys.stdin)
     renderer = pyrender.OffscreenRenderer(1, 1)
     for request in requests:

@@ -1,9 +1,9 @@
 """One step of ZOO over the 14 parameters beside the network it asks, and pyrender's frames beside what they are made
 of. Writes results/zoo_step.json.
 
-For each view, in turn: the network's pass over 28 pictures, packed as jobs use it and in plain torch (channels_last);
-our step (both sides of 14 differences, drawn and asked, and the move); the step as a loop that draws one whole picture
-and asks the network once, 28 times over (as 3DB does); the 28 pictures alone, shared and one by one; a frame of ours,
+For each view, in turn: the network's pass over 28 images, packed as jobs use it and in plain torch (channels_last);
+our step (both sides of 14 differences, drawn and asked, and the move); the step as a loop that draws one whole image
+and asks the network once, 28 times over (as 3DB does); the 28 images alone, shared and one by one; a frame of ours,
 the bare pass over the geometry (one pixel read), and a frame of pyrender's own renderer (8 bits, its own shading). Runs
 with the allocator settings of a job's process. Seconds are the shortest of the rounds, ratios the median of each
 round's: a shared machine is faster one second than the next. Those of the processor are given beside the clock's.
@@ -73,22 +73,22 @@ def _measure(library: Library, mesh: str, label: str, repeats: int) -> dict[str,
     view = problem.view(method.perturbation)
     sides = both_sides(renderer.initial(), renderer.groups)
     start = {group: value[None] for group, value in renderer.initial().items()}
-    pictures = renderer.render(sides)
+    images = renderer.render(sides)
     exact, plain = renderer.exact(), Lite0(torch.channels_last)
 
     def one_by_one() -> None:
-        for row in range(len(pictures)):
+        for row in range(len(images)):
             ready.target.logits(exact.render({group: value[row : row + 1] for group, value in sides.items()}))
 
     with torch.no_grad():
         times = _in_turn(
             {
-                "network_28": lambda: ready.target.logits(pictures),
+                "network_28": lambda: ready.target.logits(images),
                 "zoo_step": lambda: method.advance(problem, view, 0),
-                "plain_network_28": lambda: plain(pictures.permute(0, 3, 1, 2)),
+                "plain_network_28": lambda: plain(images.permute(0, 3, 1, 2)),
                 "loop_of_28": one_by_one,
-                "pictures_28_shared": lambda: renderer.render(sides),
-                "pictures_28_alone": lambda: exact.render(sides),
+                "images_28_shared": lambda: renderer.render(sides),
+                "images_28_alone": lambda: exact.render(sides),
                 "frame": lambda: renderer.render(start),
                 "bare_pass": _bare(renderer),
                 "stock_pyrender_frame": _stock(ready.scene),
@@ -99,7 +99,7 @@ def _measure(library: Library, mesh: str, label: str, repeats: int) -> dict[str,
         "zoo_step / network_28": ("zoo_step", "network_28"),
         "zoo_step / plain_network_28": ("zoo_step", "plain_network_28"),
         "loop_of_28 / zoo_step": ("loop_of_28", "zoo_step"),
-        "pictures_28_alone / pictures_28_shared": ("pictures_28_alone", "pictures_28_shared"),
+        "images_28_alone / images_28_shared": ("images_28_alone", "images_28_shared"),
         "frame / bare_pass": ("frame", "bare_pass"),
         "frame / stock_pyrender_frame": ("frame", "stock_pyrender_frame"),
     }

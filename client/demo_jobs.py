@@ -9,7 +9,7 @@ SCENES: dict[str, dict[str, Any]] = {
 }
 """The true label, which the network must say to begin with, and the scene.
 
-Two of which the network is sure (log-probability margins of 4.7 and more in pyrender's picture) and one of which it is
+Two of which the network is sure (log-probability margins of 4.7 and more in pyrender's image) and one of which it is
 less so (2.5): light, colour and pose rarely fool a sure network, and a demonstration should show both.
 """
 

@@ -26,8 +26,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images" / "materials.png", help="file to write")
     parser.add_argument("--maps", nargs="+", default=["studio", "interior", "city", "courtyard", "night", "sunrise"])
-    parser.add_argument("--mesh", default="primitive/sphere", help="one row of pictures per preset shows this mesh")
-    parser.add_argument("--size", type=int, default=160, help="pixels a side of one picture")
+    parser.add_argument("--mesh", default="primitive/sphere", help="one row of images per preset shows this mesh")
+    parser.add_argument("--size", type=int, default=160, help="pixels a side of one image")
     arguments = parser.parse_args()
     library = Library(settings().cache_dir, settings().data_dir)
     rows = []

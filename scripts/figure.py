@@ -1,4 +1,4 @@
-"""A picture for the documentation from a real result: original, attacked, perturbation, with the network's answers.
+"""An image for the documentation from a real result: original, attacked, perturbation, with the network's answers.
 
 scene-attack run examples/torch-combined.json --out out/combined
 .venv/bin/python scripts/figure.py out/combined docs/images/combined.png
@@ -27,8 +27,8 @@ def figure(directory: Path) -> Image.Image:
     draw = ImageDraw.Draw(sheet)
     for index, (name, title, note) in enumerate(panels):
         left = index * (SIDE + GAP)
-        with Image.open(directory / name) as picture:
-            sheet.paste(picture.convert("RGB").resize((SIDE, SIDE), Image.Resampling.LANCZOS), (left, 0))
+        with Image.open(directory / name) as image:
+            sheet.paste(image.convert("RGB").resize((SIDE, SIDE), Image.Resampling.LANCZOS), (left, 0))
         draw.text((left, SIDE + 8), title, INK, ImageFont.load_default(19))
         draw.text((left, SIDE + 34), note, SOFT, ImageFont.load_default(15))
     return sheet

@@ -20,7 +20,7 @@ class InvalidRequest(ValueError):
 class JobFailure(RuntimeError):
     """A valid job could not be finished. `kind` is a stable word, `detail` a sentence for a person.
 
-    Kinds: "non-finite" (a loss, gradient or picture that is not a number), "asset-missing", "out-of-memory",
+    Kinds: "non-finite" (a loss, gradient or image that is not a number), "asset-missing", "out-of-memory",
     "worker-lost" (its process died too often), "timeout", "internal".
     """
 

@@ -67,7 +67,7 @@ def chart(
 
 
 class _Axis:
-    """Maps values onto the stretch [start, end] of the picture."""
+    """Maps values onto the stretch [start, end] of the image."""
 
     def __init__(self, values: Sequence[float], start: float, end: float) -> None:
         self._low, self._high = min(values), max(values)

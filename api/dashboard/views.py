@@ -9,7 +9,7 @@ from api.dashboard.charts import Chart, chart
 from services.jobs.models import Artifact, Event, Job, State
 from services.pipeline.names import attack_name, scene_name
 
-PICTURES = ("original.png", "attacked.png", "perturbation.png")
+IMAGES = ("original.png", "attacked.png", "perturbation.png")
 
 
 @dataclass(frozen=True)

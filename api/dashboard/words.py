@@ -4,7 +4,7 @@ import json
 from datetime import datetime
 
 FAILURES = {
-    "non-finite": "A picture, loss or gradient was not a number, so the attack could not go on.",
+    "non-finite": "An image, loss or gradient was not a number, so the attack could not go on.",
     "asset-missing": "Something the scene names is gone or damaged since the job was taken.",
     "out-of-memory": "The job needed more memory than a job may have.",
     "worker-lost": "The process running the job died more often than it may be restarted.",

@@ -74,7 +74,7 @@ def stability(
     "[bold]scene-attack accuracy work-precision --quick --out out/accuracy[/bold]"
 )
 def work_precision(
-    quick: Annotated[bool, typer.Option("--quick", help="Smaller pictures, fewer maps, steps and scenes.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Smaller images, fewer maps, steps and scenes.")] = False,
     out: Annotated[Path, typer.Option(help="Directory for work-precision.md, .png and .json.")] = OUT,
     as_json: JsonOption = False,
 ) -> None:

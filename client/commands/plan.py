@@ -1,4 +1,4 @@
-"""`plan`: what a job would do to make its pictures, before it runs."""
+"""`plan`: what a job would do to make its images, before it runs."""
 
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,7 +19,7 @@ def plan(
     spec: Annotated[str, typer.Argument(metavar="SPEC", help="A job as JSON; - reads it from stdin.")],
     as_json: JsonOption = False,
 ) -> None:
-    """Print how a job's pictures would be made: what is kept, what is left out and why, and the error that costs.
+    """Print how a job's images would be made: what is kept, what is left out and why, and the error that costs.
 
     Nothing is attacked and the network is not asked. The scene is rasterised, and errors of tables are measured on it.
     """

@@ -28,7 +28,7 @@ def register(app: typer.Typer) -> None:
 
 def run(
     spec: Annotated[str, typer.Argument(metavar="SPEC", help="A job as JSON; - reads it from stdin.")],
-    out: Annotated[Path, typer.Option(help="Directory for result.json, the perturbation and the pictures.")],
+    out: Annotated[Path, typer.Option(help="Directory for result.json, the perturbation and the images.")],
     seed: SeedOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -71,7 +71,7 @@ def replay(
     directory: Annotated[Path, typer.Argument(help="What `run --out` wrote.")],
     as_json: JsonOption = False,
 ) -> None:
-    """Render a stored perturbation again and compare label and picture with what was stored.
+    """Render a stored perturbation again and compare label and image with what was stored.
 
     The exit code is 0 when the label is the stored one and, on the same backend, no pixel differs; else 1.
     """

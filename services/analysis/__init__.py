@@ -1,1 +1,1 @@
-"""What an attack did: perceptibility, subsets, verification, pictures."""
+"""What an attack did: perceptibility, subsets, verification, images."""

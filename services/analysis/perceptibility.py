@@ -18,7 +18,7 @@ def perceptibility(change: Tensor, vector_axes: int = 1) -> float:
     return float(squares.mean().sqrt())
 
 
-def of_pictures(original: Tensor, attacked: Tensor) -> float:
+def of_images(original: Tensor, attacked: Tensor) -> float:
     """p(ΔY) between two saved images, uint8 [H, W, 3]."""
     return perceptibility((attacked.double() - original.double()) / 255)
 

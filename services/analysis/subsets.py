@@ -5,7 +5,7 @@ from itertools import combinations
 from torch import Tensor
 
 from services.analysis.answers import answer
-from services.analysis.perceptibility import of_pictures
+from services.analysis.perceptibility import of_images
 from services.analysis.records import Subset
 from services.attacks.goal import ResolvedGoal
 from services.attacks.verifier import Verifier
@@ -30,7 +30,7 @@ def subsets(
             elif len(groups) == len(perturbation):
                 image, logits = attacked
             else:
-                image = verifier.picture({g: perturbation[g] for g in groups})
+                image = verifier.image({g: perturbation[g] for g in groups})
                 logits = verifier.logits(image)
             said = answer(logits, verifier.target.labels, goal)
             rows.append(
@@ -39,7 +39,7 @@ def subsets(
                     label=said.label,
                     confidence=said.confidence,
                     goal_probability=said.goal_probability,
-                    perceptibility=of_pictures(original[0], image),
+                    perceptibility=of_images(original[0], image),
                     fooled=bool(goal.fooled(logits)),
                 )
             )

@@ -23,7 +23,7 @@ def save(path: Path, run: AttackState, problem: AttackProblem, method: Method, v
     """Writes the run and the method's state."""
     tensors = {f"method.{name}": value for name, value in method.state().items()}
     tensors |= {f"stored.{group}": value for group, value in run.stored.items()}
-    tensors |= {"ever": run.ever, "picture": run.picture, "scores": run.scores}
+    tensors |= {"ever": run.ever, "image": run.image, "scores": run.scores}
     words = {name: getattr(run, name) for name in _PLAIN}
     words["trace"] = [row.model_dump() for row in run.trace]
     words["counts"] = [problem.queries, problem.renders, verifier.queries, verifier.renders]
@@ -47,9 +47,9 @@ def load(path: Path | None, problem: AttackProblem, method: Method, verifier: Ve
     if not words.keys() >= set(_PLAIN):  # an earlier version's
         return None
     run = AttackState(**{name: words[name] for name in _PLAIN})
-    assert {field.name for field in fields(run)} == {*_PLAIN, "trace", "ever", "stored", "picture", "scores"}
+    assert {field.name for field in fields(run)} == {*_PLAIN, "trace", "ever", "stored", "image", "scores"}
     run.trace = [TraceRow(**row) for row in words["trace"]]
-    run.ever, run.picture, run.scores = tensors["ever"], tensors["picture"], tensors["scores"]
+    run.ever, run.image, run.scores = tensors["ever"], tensors["image"], tensors["scores"]
     run.stored = {n.removeprefix("stored."): v for n, v in tensors.items() if n.startswith("stored.")}
     method.load({n.removeprefix("method."): v for n, v in tensors.items() if n.startswith("method.")})
     problem.queries, problem.renders, verifier.queries, verifier.renders = words["counts"]

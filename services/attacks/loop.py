@@ -106,7 +106,7 @@ class _Running:
         if fooled or not state.fooled:
             state.stored = {g: v.detach().clone() for g, v in view.perturbation.items()}
             state.stored_step = state.step
-            state.picture, state.scores = image.cpu().clone(), logits.cpu().clone()
+            state.image, state.scores = image.cpu().clone(), logits.cpu().clone()
         if fooled:
             state.fooled = True
             state.verified = verifier.fooled(state.stored, problem.goal)

@@ -99,7 +99,7 @@ class AttackProblem:
             return Evaluation(leaves, *truncate(images, self.original, self.truncation))
 
     def logits(self, images: Tensor) -> Tensor:
-        """Scores [B, K] of pictures. Raises JobFailure("non-finite")."""
+        """Scores [B, K] of images. Raises JobFailure("non-finite")."""
         return ask([self] * len(images), images)
 
 

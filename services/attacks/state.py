@@ -27,7 +27,7 @@ class AttackState:
     stored_step: int = 0
     stored: Parameters = field(default_factory=dict)
     """The perturbation that counts: the verified one, else the last that fooled the loop, else the last."""
-    picture: Tensor = field(default_factory=lambda: torch.zeros(0, 0, 3, dtype=torch.uint8))
+    image: Tensor = field(default_factory=lambda: torch.zeros(0, 0, 3, dtype=torch.uint8))
     """The loop's own image of it, uint8 [H, W, 3]."""
     scores: Tensor = field(default_factory=lambda: torch.zeros(0))
     """The network's scores of that image, [K]."""

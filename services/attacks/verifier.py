@@ -14,7 +14,7 @@ from services.targets.protocol import Target
 
 @dataclass
 class Verifier:
-    """Answers for stored perturbations; never sees the loop's own pictures. Counts what it asks and renders."""
+    """Answers for stored perturbations; never sees the loop's own images. Counts what it asks and renders."""
 
     renderer: Renderer
     target: Target
@@ -32,7 +32,7 @@ class Verifier:
         # always the whole parameter set: the same computation, bit for bit, for every subset of the groups
         return exact.render({g: changed.get(g, start[g][None]) for g in exact.groups})[0]
 
-    def picture(self, perturbation: Mapping[str, Tensor]) -> Tensor:
+    def image(self, perturbation: Mapping[str, Tensor]) -> Tensor:
         """The exact image as saved, uint8 [H, W, 3]."""
         return to_bytes(self.render(perturbation)).cpu()
 
@@ -44,4 +44,4 @@ class Verifier:
 
     def fooled(self, perturbation: Mapping[str, Tensor], goal: ResolvedGoal) -> bool:
         """Whether the exact image of the perturbation does what the goal asks."""
-        return bool(goal.fooled(self.logits(self.picture(perturbation))))
+        return bool(goal.fooled(self.logits(self.image(perturbation))))

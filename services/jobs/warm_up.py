@@ -1,4 +1,4 @@
-"""What every process that renders and asks networks does first; all of them alike, or their pictures might not be."""
+"""What every process that renders and asks networks does first; all of them alike, or their images might not be."""
 
 import resource
 

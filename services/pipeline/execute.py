@@ -9,9 +9,9 @@ from pydantic import BaseModel
 from safetensors.torch import save_file
 from torch import Tensor
 
-from services.analysis import pictures
+from services.analysis import images
 from services.analysis.answers import answer
-from services.analysis.perceptibility import beyond, of_groups, of_pictures
+from services.analysis.perceptibility import beyond, of_groups, of_images
 from services.analysis.subsets import subsets
 from services.attacks.loop import Budget, run
 from services.attacks.problem import AttackProblem
@@ -112,7 +112,7 @@ def _write(prepared: Prepared, problem: AttackProblem, found: AttackState, out: 
         original=answer(prepared.logits, labels, goal),
         attacked=answer(logits, labels, goal),
         in_loop=answer(found.scores, labels, goal),
-        perceptibility=of_pictures(original, attacked),
+        perceptibility=of_images(original, attacked),
         group_perceptibility=of_groups(prepared.renderer.name, found.stored),
         beyond_truncation=None if limit is None else beyond(original, attacked, limit),
         plan=prepared.renderer.plan,
@@ -129,9 +129,9 @@ def _write(prepared: Prepared, problem: AttackProblem, found: AttackState, out: 
         trace=found.trace,
         provenance=_provenance(prepared),
     )
-    pictures.save_png(original, out / "original.png")
-    pictures.save_png(attacked, out / "attacked.png")
-    pictures.save_png(pictures.magnified(original, attacked), out / "perturbation.png")
+    images.save_png(original, out / "original.png")
+    images.save_png(attacked, out / "attacked.png")
+    images.save_png(images.magnified(original, attacked), out / "perturbation.png")
     save_file({group: value.contiguous() for group, value in found.stored.items()}, out / PERTURBATION)
     trace = ",\n".join(row.model_dump_json() for row in found.trace)
     (out / "trace.json").write_text(f"[{trace}]\n", "utf-8")
@@ -141,7 +141,7 @@ def _write(prepared: Prepared, problem: AttackProblem, found: AttackState, out: 
 
 @torch.no_grad()
 def _image_error(problem: AttackProblem, found: AttackState, exact: Tensor) -> float:
-    """Of the stored perturbation's picture as the loop renders it, before any truncation."""
+    """Of the stored perturbation's image as the loop renders it, before any truncation."""
     moved = {group: (problem.initial[group] + value)[None] for group, value in found.stored.items()}
     return float((problem.renderer.render(moved)[0].double() - exact.double()).abs().max())
 

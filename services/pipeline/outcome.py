@@ -15,9 +15,9 @@ class Outcome(BaseModel):
     fooled: bool
     verified: bool
     stopped: str
-    before: str = Field(description="label of the original picture")
+    before: str = Field(description="label of the original image")
     before_confidence: float
-    after: str = Field(description="label of the attacked picture, rendered exactly")
+    after: str = Field(description="label of the attacked image, rendered exactly")
     after_confidence: float
     perceptibility: float
     steps: int

@@ -25,7 +25,7 @@ from services.targets.scores import probability
 
 @dataclass
 class Prepared:
-    """A request with everything it names in hand, and the picture it starts from."""
+    """A request with everything it names in hand, and the image it starts from."""
 
     spec: JobSpec
     """With the label to leave filled in."""
@@ -35,7 +35,7 @@ class Prepared:
     goal: ResolvedGoal
     verifier: Verifier
     original: Tensor
-    """The exact picture of the scene as saved, uint8 [H, W, 3]."""
+    """The exact image of the scene as saved, uint8 [H, W, 3]."""
     logits: Tensor
     """The network's scores of it, [K]."""
 
@@ -55,14 +55,14 @@ def preflight(spec: JobSpec, library: Library) -> JobSpec:
 
 
 def plan(spec: JobSpec, library: Library) -> Plan:
-    """How the pictures of a job would be made, without asking the network anything. Raises as `prepare` does."""
+    """How the images of a job would be made, without asking the network anything. Raises as `prepare` does."""
     return _renderer(spec, _scene(spec, library)).plan
 
 
 def prepare(spec: JobSpec, library: Library) -> Prepared:
     """Looks up meshes, map, materials, target and labels, renders the scene exactly and asks the network.
 
-    Raises InvalidRequest naming the field: unknown names, a label out of range, an object out of view, a picture the
+    Raises InvalidRequest naming the field: unknown names, a label out of range, an object out of view, an image the
     network already gets wrong (goal.leave), or already answers as wanted (goal.reach).
     """
     labels = registry.labels(spec.target.name)
@@ -79,7 +79,7 @@ def prepare(spec: JobSpec, library: Library) -> Prepared:
         raise InvalidRequest("target.question", f"{target.name} answers no questions; leave it out")
     renderer = _renderer(spec, scene)
     verifier = Verifier(renderer, target, spec.target.question)
-    original = verifier.picture({})
+    original = verifier.image({})
     logits = verifier.logits(original)
     leave = _first_answer(logits, leave, reach, labels)
     goal = spec.goal.model_copy(

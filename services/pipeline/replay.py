@@ -6,7 +6,7 @@ from pydantic import BaseModel
 from safetensors.torch import load_file
 
 from services.analysis.answers import answer
-from services.analysis.pictures import load_png
+from services.analysis.images import load_png
 from services.analysis.records import Answer
 from services.errors import InvalidRequest
 from services.pipeline.execute import PERTURBATION
@@ -38,12 +38,12 @@ def replay(directory: Path, library: Library) -> Replay:
     except (OSError, ValueError) as error:
         raise InvalidRequest("directory", f"{directory} is not the output of a finished job: {error}") from error
     prepared = prepare(parse(result.spec), library)
-    picture = prepared.verifier.picture(perturbation)
-    logits = prepared.verifier.logits(picture)
+    image = prepared.verifier.image(perturbation)
+    logits = prepared.verifier.logits(image)
     return Replay(
         stored=result.attacked,
         replayed=answer(logits, prepared.target.labels, prepared.goal),
-        pixels_differing=int((picture != stored).any(dim=-1).sum()),
+        pixels_differing=int((image != stored).any(dim=-1).sum()),
         fooled=bool(prepared.goal.fooled(logits)),
         same_backend=result.provenance.backend == prepared.backend,
     )

@@ -29,7 +29,7 @@ class Provenance(_Record):
 class Result(_Record):
     """The outcome of a job that ran to its end.
 
-    fooled: inside the loop the (truncated, 8-bit) picture was misclassified as the goal asks. verified: the stored
+    fooled: inside the loop the (truncated, 8-bit) image was misclassified as the goal asks. verified: the stored
     perturbation, rendered afresh by the exact path and rounded to 8 bits, still is. Only a verified adversary counts.
     """
 
@@ -41,11 +41,11 @@ class Result(_Record):
     reach: str | None
     original: Answer
     attacked: Answer = Field(description="the exact re-rendering of the stored perturbation")
-    in_loop: Answer = Field(description="the loop's own, truncated picture at the stored step")
+    in_loop: Answer = Field(description="the loop's own, truncated image at the stored step")
     perceptibility: float = Field(description="p(ΔY) of the exact re-rendering")
     group_perceptibility: dict[str, float]
     beyond_truncation: int | None = Field(description="pixels of the exact re-rendering that moved more than U")
-    plan: Plan = Field(description="how the pictures inside the attack were made, and the error that should cost")
+    plan: Plan = Field(description="how the images inside the attack were made, and the error that should cost")
     image_error: float = Field(
         description="the error it did cost: largest difference of a displayed value, in [0,1], between the stored "
         "perturbation rendered by the plan and exactly"

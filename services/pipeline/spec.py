@@ -38,8 +38,8 @@ class JobSpec(Model):
     attack: AnyAttack = Field(default_factory=lambda: ATTACKS[_method_for({})].settings.model_validate({}))
     tolerance: Annotated[float, Field(ge=1e-6, le=0.1, allow_inf_nan=False)] | Literal["exact"] = Field(
         DEFAULT_TOLERANCE,
-        description="largest error of a displayed value, in [0,1], of pictures inside the attack; `exact` for none; "
-        "the verdict is always on the exact picture",
+        description="largest error of a displayed value, in [0,1], of images inside the attack; `exact` for none; "
+        "the verdict is always on the exact image",
     )
     seed: Seed = Field(0, description="of everything random in the job")
 

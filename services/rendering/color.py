@@ -1,4 +1,4 @@
-"""From linear radiance to the picture on a screen, and to the 8 bits of a file."""
+"""From linear radiance to the image on a screen, and to the 8 bits of a file."""
 
 from typing import Any
 
@@ -20,12 +20,12 @@ def to_display(linear: Tensor) -> Tensor:
     return result
 
 
-def display_slope(linear: Tensor) -> Tensor:
+def display_derivative(linear: Tensor) -> Tensor:
     """The curve's derivative."""
-    # The power is only ever taken above the knee, so that its infinite slope at 0 is not met.
+    # The power is only ever taken above the knee, so that its infinite derivative at 0 is not met.
     above = linear.clamp(KNEE, 1.0)
-    slope = torch.where(linear <= KNEE, 12.92, 1.055 / 2.4 * (above.log() * (1 / 2.4 - 1)).exp())
-    return slope * ((linear >= 0) & (linear <= 1))
+    derivative = torch.where(linear <= KNEE, 12.92, 1.055 / 2.4 * (above.log() * (1 / 2.4 - 1)).exp())
+    return derivative * ((linear >= 0) & (linear <= 1))
 
 
 class _Display(torch.autograd.Function):
@@ -38,14 +38,14 @@ class _Display(torch.autograd.Function):
             return shown
         clipped = linear.clamp(0.0, 1.0)
         # Through the logarithm: torch's own power in float32 has other last bits at the end of a tensor than in its
-        # middle, so that a picture's would depend on its batch.
+        # middle, so that an image's would depend on its batch.
         curved = 1.055 * (clipped.clamp_min(KNEE).log() / 2.4).exp() - 0.055
         return torch.where(clipped <= KNEE, 12.92 * clipped, curved)
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, slope: Tensor) -> Tensor:
-        return slope * display_slope(*ctx.saved_tensors)
+    def backward(ctx: Any, grad_output: Tensor) -> Tensor:
+        return grad_output * display_derivative(*ctx.saved_tensors)
 
 
 def to_bytes(images: Tensor) -> Tensor:
@@ -59,11 +59,11 @@ def quantize(images: Tensor) -> tuple[Tensor, Tensor]:
     """Images in [0,1], of any shape, as they are saved (uint8) and as a reader of the file sees them (float32)."""
     if images.dtype == torch.float32 and compiled.runs(images):
         plain = images.detach().contiguous()
-        pictures, seen = torch.empty_like(plain, dtype=torch.uint8), torch.empty_like(plain)
-        compiled.call("save", plain.dtype, plain.numel(), plain, pictures, seen, compiled.threads())
-        return pictures, seen
-    pictures = to_bytes(images)
-    return pictures, from_bytes(pictures)
+        quantized, seen = torch.empty_like(plain, dtype=torch.uint8), torch.empty_like(plain)
+        compiled.call("save", plain.dtype, plain.numel(), plain, quantized, seen, compiled.threads())
+        return quantized, seen
+    quantized = to_bytes(images)
+    return quantized, from_bytes(quantized)
 
 
 def from_bytes(images: Tensor) -> Tensor:

@@ -1,6 +1,6 @@
-"""From the radiance of covered pixels to a displayed picture, and from pictures of parameters to covered pixels.
+"""From the radiance of covered pixels to a displayed image, and from images of parameters to covered pixels.
 
-Each is one step of a graph with a derivative of its own: a picture is drawn and derived hundreds of times, and a dozen
+Each is one step of a graph with a derivative of its own: an image is drawn and derived hundreds of times, and a dozen
 small steps cost more than the shading of a small object.
 """
 
@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from services.rendering.color import display_slope, to_display
+from services.rendering.color import display_derivative, to_display
 from services.rendering.kernels import compiled
 
 
@@ -44,14 +44,14 @@ class Canvas:
         result: Tensor = _Covered.apply(values, self.pixels)  # type: ignore[no-untyped-call]
         return result
 
-    def picture(self, radiance: Tensor) -> Tensor:
-        """The displayed picture [H, W, 3] of radiance [P, 3] per unit of base colour. Differentiable (once)."""
-        result: Tensor = _Picture.apply(radiance, self)  # type: ignore[no-untyped-call]
+    def image(self, radiance: Tensor) -> Tensor:
+        """The displayed image [H, W, 3] of radiance [P, 3] per unit of base colour. Differentiable (once)."""
+        result: Tensor = _Image.apply(radiance, self)  # type: ignore[no-untyped-call]
         return result
 
 
 def over_ground(radiance: Tensor, exposure: float, ground: Tensor) -> Tensor:
-    """Displayed pictures [..., 3] of radiance times coverage, and coverage, [..., 4], over a `ground` [3], displayed.
+    """Displayed images [..., 3] of radiance times coverage, and coverage, [..., 4], over a `ground` [3], displayed.
 
     `exposure` makes radiance linear display values. In radiance's dtype. Differentiable in radiance.
     """
@@ -75,39 +75,39 @@ class _Covered(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, slope: Tensor) -> tuple[Tensor, None]:
+    def backward(ctx: Any, grad_output: Tensor) -> tuple[Tensor, None]:
         # Each pixel stands there once, so that nothing has to be added up.
         [pixels] = ctx.saved_tensors
-        whole = slope.new_zeros(ctx.shape)
-        whole.view(-1, ctx.shape[-1]).index_copy_(0, pixels, slope)
+        whole = grad_output.new_zeros(ctx.shape)
+        whole.view(-1, ctx.shape[-1]).index_copy_(0, pixels, grad_output)
         return whole, None
 
 
-class _Picture(torch.autograd.Function):
+class _Image(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, radiance: Tensor, canvas: Canvas) -> Tensor:
         radiance = radiance.contiguous()
         ctx.canvas = canvas
         ctx.save_for_backward(radiance)
-        picture = canvas.empty.clone()
+        image = canvas.empty.clone()
         if compiled.runs(radiance):
             of = (canvas.base_color, canvas.coverage, canvas.under, canvas.pixels)
-            compiled.call("composite", radiance.dtype, len(radiance), radiance, *of, picture, compiled.threads())
+            compiled.call("composite", radiance.dtype, len(radiance), radiance, *of, image, compiled.threads())
         else:
             shown = to_display(radiance * canvas.base_color)
-            picture.index_copy_(0, canvas.pixels, torch.addcmul(canvas.under, canvas.coverage, shown))
-        return picture.reshape(*canvas.size, 3)
+            image.index_copy_(0, canvas.pixels, torch.addcmul(canvas.under, canvas.coverage, shown))
+        return image.reshape(*canvas.size, 3)
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, slope: Tensor) -> tuple[Tensor, None]:
+    def backward(ctx: Any, grad_output: Tensor) -> tuple[Tensor, None]:
         [radiance] = ctx.saved_tensors
         canvas: Canvas = ctx.canvas
-        slope = slope.reshape(-1, 3).contiguous()
+        grad_output = grad_output.reshape(-1, 3).contiguous()
         if compiled.runs(radiance):
             found = torch.empty_like(radiance)
-            of = (canvas.base_color, canvas.coverage, canvas.pixels, slope)
+            of = (canvas.base_color, canvas.coverage, canvas.pixels, grad_output)
             compiled.call("composite_backward", radiance.dtype, len(radiance), radiance, *of, found, compiled.threads())
             return found, None
-        steep = display_slope(radiance * canvas.base_color) * canvas.base_color
-        return slope.index_select(0, canvas.pixels) * canvas.coverage * steep, None
+        steep = display_derivative(radiance * canvas.base_color) * canvas.base_color
+        return grad_output.index_select(0, canvas.pixels) * canvas.coverage * steep, None

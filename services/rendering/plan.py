@@ -7,13 +7,13 @@ executable side of it; nothing runs that the plan does not say.
 from collections.abc import Sequence
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 Tolerance = float | Literal["exact"]
-"""Largest error of a displayed value, in [0,1], that the loop's pictures may have; "exact" for no shortcut at all."""
+"""Largest error of a displayed value, in [0,1], that the loop's images may have; "exact" for no shortcut at all."""
 
 DEFAULT_TOLERANCE = 1e-3
-"""A quarter of a step of an 8-bit picture."""
+"""A quarter of a step of an 8-bit image."""
 
 
 class _Record(BaseModel):
@@ -21,9 +21,9 @@ class _Record(BaseModel):
 
 
 class Item(_Record):
-    """One kind of thing a picture is made of: how many are kept, and why the others are not."""
+    """One kind of thing an image is made of: how many are kept, and why the others are not."""
 
-    part: str = Field("", description='part of the picture it is about: "object 0"; empty for all of it')
+    part: str = Field("", description='part of the image it is about: "object 0"; empty for all of it')
     what: str = Field(description='"pixels", "directions", "lobes", "coordinates", …')
     kept: int
     of: int
@@ -32,12 +32,12 @@ class Item(_Record):
 
 
 class Stage(_Record):
-    """One step of making a picture."""
+    """One step of making an image."""
 
-    part: str = Field("", description='part of the picture it is about: "object 0"; empty for all of it')
+    part: str = Field("", description='part of the image it is about: "object 0"; empty for all of it')
     name: str
     method: str = Field(description="how it is done")
-    when: Literal["once", "every picture"]
+    when: Literal["once", "every image"]
     evaluations: int = Field(description="units of work each time it is done")
     unit: str = Field(description='what is counted: "lobe values", "lookups", "frames", …')
     why: str = Field(description="why this method")
@@ -47,6 +47,11 @@ class Stage(_Record):
     share: float = Field(
         0.0, description="of rasterised images: estimated share of covered pixels off by more than 1/255"
     )
+
+    @field_validator("when", mode="before")
+    @classmethod
+    def _old_word(cls, value: object) -> object:
+        return "every image" if value == "every picture" else value  # as results of version 0.1 say it
 
 
 class GradientError(_Record):

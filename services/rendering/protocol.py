@@ -58,7 +58,7 @@ class Renderer(Protocol):
 
     @property
     def plan(self) -> Plan:
-        """What it does for a picture, and what it leaves out."""
+        """What it does for an image, and what it leaves out."""
         ...
 
     def initial(self) -> Parameters:

@@ -4,9 +4,9 @@ Everywhere in this project row i of a map of `rows` rows is the polar angle θ =
 `cols` columns the azimuth φ = (j + ½)2π/cols, measured about +y from +z towards +x: the direction
 (sin θ sin φ, cos θ, sin θ cos φ).
 
-Equirectangular picture files run the other way round, because they are drawn as seen from inside: their top row is
+Equirectangular image files run the other way round, because they are drawn as seen from inside: their top row is
 straight up, their middle column is +x, and going right the view turns to +z, −x, −z (Blender's and three.js's reading,
-with +y up). `from_picture` turns one into the other.
+with +y up). `from_image` turns one into the other.
 """
 
 import hashlib
@@ -36,7 +36,7 @@ class EnvironmentMap:
 
 
 def read_exr(path: Path, credit: str | None) -> EnvironmentMap:
-    """A map from an equirectangular OpenEXR picture.
+    """A map from an equirectangular OpenEXR image.
 
     Raises JobFailure("asset-missing") if the file cannot be read or has no colours, and as `radiance_of` does.
     """
@@ -71,19 +71,19 @@ def radiance_of(pixels: NDArray[Any]) -> Floats:
         raise InvalidRequest(
             "environment", f"{bad:,} of its texels are not finite numbers; write them as finite radiance"
         )
-    return from_picture(values.clip(min=0.0))
+    return from_image(values.clip(min=0.0))
 
 
-def from_picture(picture: Floats) -> Floats:
-    """An equirectangular picture [h,w,3] in this project's directions (see the module's text)."""
-    width = picture.shape[1]
-    mirrored = picture[:, ::-1]
-    # Picture position u (0 left, 1 right) looks along the azimuth φ = 2π(¾ − u); mirrored, 1 − u comes first.
+def from_image(image: Floats) -> Floats:
+    """An equirectangular image [h,w,3] in this project's directions (see the module's text)."""
+    width = image.shape[1]
+    mirrored = image[:, ::-1]
+    # Image position u (0 left, 1 right) looks along the azimuth φ = 2π(¾ − u); mirrored, 1 − u comes first.
     if width % 4 == 0:
         return np.ascontiguousarray(np.roll(mirrored, -width // 4, axis=1))
     weights = _column_weights(width, width, -pi / 2)
-    picture64: Doubles = np.einsum("jw,hwc->hjc", weights, mirrored.astype(np.float64))
-    return picture64.astype(np.float32)
+    image64: Doubles = np.einsum("jw,hwc->hjc", weights, mirrored.astype(np.float64))
+    return image64.astype(np.float32)
 
 
 def average(radiance: Floats, rows: int, cols: int, rotation: float = 0.0) -> Floats:

@@ -45,7 +45,7 @@ def load_model(model: Model, furniture: Path, cache: Path) -> Mesh:
 def upright(model: Model, surfaces: "list[Surface]") -> "list[Surface]":
     """Surfaces turned by the model's rotation and stretched to its width, height and depth, in centimetres.
 
-    A side without extent (a flat picture) keeps what it has.
+    A side without extent (a flat image) keeps what it has.
     """
     rotation = np.asarray(model.rotation, np.float64).reshape(3, 3)
     turned = [surface.vertices @ rotation.T for surface in surfaces]

@@ -28,7 +28,7 @@ class ResolvedScene:
     meshes, models: one for each object; models are float64 [4,4], mesh to world. view: float64 [4,4], camera to world.
     projection: float64 [4,4], OpenGL. environment: float32 [rows, cols, 3], linear radiance in the directions of
     services.scenes.environment, turned and averaged down. source_map: the map before that, float32 [h, w, 3], None
-    where `environment` was made otherwise. credits: lines to show with every picture of the scene.
+    where `environment` was made otherwise. credits: lines to show with every image of the scene.
     sha256: of the canonical description and the contents of every mesh and map in it.
     """
 

@@ -134,14 +134,14 @@ def _coloured(vertices: Doubles, faces: Longs, visual: Any) -> Surface:
 
 
 class Textures:
-    """Decodes each picture of a file once, and not more than MAX_TEXTURE_SOURCE pixels of them."""
+    """Decodes each image of a file once, and not more than MAX_TEXTURE_SOURCE pixels of them."""
 
     def __init__(self) -> None:
         self._done: dict[int, tuple[Image.Image, Bytes]] = {}
         self._pixels = 0
 
     def read(self, image: Image.Image) -> Bytes:
-        """The picture as uint8 [h,w,4], at most MAX_TEXTURE a side. Raises ValueError where there is too much."""
+        """The image as uint8 [h,w,4], at most MAX_TEXTURE a side. Raises ValueError where there is too much."""
         if id(image) not in self._done:
             self._pixels += image.width * image.height
             if self._pixels > MAX_TEXTURE_SOURCE:

@@ -62,7 +62,7 @@ class Block(nn.Module):
 
 
 class EfficientNetLite(nn.Module):
-    """The network: normalised pictures [B, 3, h, w] to logits [B, classes]."""
+    """The network: normalised images [B, 3, h, w] to logits [B, classes]."""
 
     def __init__(self, stages: tuple[tuple[int, int, int, int, int], ...] = LITE0, classes: int = 1000):
         super().__init__()

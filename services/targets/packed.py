@@ -90,7 +90,9 @@ class PackedConvolution(nn.Module):
             n + 2 * p - d * (k - 1) for n, p, d, k in zip(self.size, self.padding, self.dilation, kernel, strict=True)
         ]
         weight = onednn.lay_out(turned, padding, (1, 1), self.dilation, self.groups, (size[0], size[1]))
-        return lambda slope: onednn.convolve(slope, weight, None, padding, (1, 1), self.dilation, self.groups)
+        return lambda grad_output: onednn.convolve(
+            grad_output, weight, None, padding, (1, 1), self.dilation, self.groups
+        )
 
     def forward(self, x: Tensor) -> Tensor:
         """[B, inputs, h, w] to [B, outputs, h', w']."""
@@ -104,10 +106,10 @@ class PackedConvolution(nn.Module):
         of = (self.padding, self.stride, self.dilation, self.groups)
         return onednn.convolve(x, self.packed, self.bias, *of, self.clamp)
 
-    def _derivative(self, slope: Tensor) -> Tensor:
-        shape = (len(slope), self.weight.shape[1] * self.groups, *self.size)
+    def _derivative(self, grad_output: Tensor) -> Tensor:
+        shape = (len(grad_output), self.weight.shape[1] * self.groups, *self.size)
         of = (self.stride, self.padding, self.dilation, self.groups)
-        found: Tensor = conv2d_input(shape, self.weight, slope, *of)  # type: ignore[no-untyped-call]
+        found: Tensor = conv2d_input(shape, self.weight, grad_output, *of)  # type: ignore[no-untyped-call]
         return found
 
 
@@ -121,8 +123,8 @@ class _Convolve(torch.autograd.Function):
         return result
 
     @staticmethod
-    def backward(ctx: Any, slope: Tensor) -> tuple[Tensor, None]:
+    def backward(ctx: Any, grad_output: Tensor) -> tuple[Tensor, None]:
         convolution: PackedConvolution = ctx.convolution
         if convolution.clamp is not None:
-            slope = torch.ops.aten.hardtanh_backward(slope, *ctx.saved_tensors, *convolution.clamp)
-        return convolution.turned(slope), None
+            grad_output = torch.ops.aten.hardtanh_backward(grad_output, *ctx.saved_tensors, *convolution.clamp)
+        return convolution.turned(grad_output), None

@@ -71,11 +71,11 @@ def relative_errors(packed: PackedConvolution, batch: int = 1) -> tuple[float, f
     plain, ours = x.clone().requires_grad_(), x.clone().requires_grad_()
     with torch.enable_grad():
         wanted, found = packed.plain(plain), packed(ours)
-        slope = torch.randn(wanted.shape, generator=random)
+        grad_output = torch.randn(wanted.shape, generator=random)
         for bound in packed.clamp or ():
-            slope = slope * ((wanted.detach() - bound).abs() > KINK)
+            grad_output = grad_output * ((wanted.detach() - bound).abs() > KINK)
         wanted_slope, found_slope = (
-            torch.autograd.grad(value, leaf, slope)[0] for value, leaf in ((wanted, plain), (found, ours))
+            torch.autograd.grad(value, leaf, grad_output)[0] for value, leaf in ((wanted, plain), (found, ours))
         )
     return _relative(found, wanted), _relative(found_slope, wanted_slope)
 

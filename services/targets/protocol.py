@@ -6,7 +6,7 @@ from torch import Tensor
 
 
 class Target(Protocol):
-    """A network that turns pictures (and, for some, a question) into scores for a fixed list of labels."""
+    """A network that turns images (and, for some, a question) into scores for a fixed list of labels."""
 
     @property
     def name(self) -> str:
@@ -20,7 +20,7 @@ class Target(Protocol):
 
     @property
     def input_size(self) -> tuple[int, int]:
-        """Height and width of the pictures it was trained on."""
+        """Height and width of the images it was trained on."""
         ...
 
     @property

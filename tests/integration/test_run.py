@@ -1,4 +1,4 @@
-"""`scene-attack run` on every example: its files, the same bits twice, the same picture from its perturbation."""
+"""`scene-attack run` on every example: its files, the same bits twice, the same image from its perturbation."""
 
 import json
 import os
@@ -25,7 +25,7 @@ FILES = ["attacked.png", "original.png", "perturbation.png", "perturbation.safet
 
 
 def small(name: str) -> dict[str, Any]:
-    """The example with a small picture and few steps; so small, the network's first answer may be another."""
+    """The example with a small image and few steps; so small, the network's first answer may be another."""
     spec: dict[str, Any] = json.loads(EXAMPLES[name].read_text())
     spec["scene"].setdefault("camera", {})["size"] = [SIZE, SIZE]
     spec["attack"]["steps"] = 2

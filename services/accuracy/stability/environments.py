@@ -13,7 +13,7 @@ from services.accuracy.stability.lobes import of_one_lobe
 from services.accuracy.stability.rays import of_sphere
 from services.accuracy.stability.shading import SHARP, Shading
 from services.rendering.factory import build
-from services.scenes.environment import average, from_picture, radiance_of
+from services.scenes.environment import average, from_image, radiance_of
 from services.scenes.mesh import FIT_RADIUS, Doubles, Floats
 
 LAMBERTIAN = of_one_lobe(float(np.log1p(1 / pi)), 1e-3)
@@ -97,7 +97,7 @@ def _cleaned(texel: float) -> Measured:
     wanted = image.copy()
     wanted[3, 5] = 0
     need(bool((clean >= 0).all()), "it has negative texels")
-    return Measured(float(np.abs(clean - from_picture(wanted)).max()), 0.0, "change of any other texel; this one is 0")
+    return Measured(float(np.abs(clean - from_image(wanted)).max()), 0.0, "change of any other texel; this one is 0")
 
 
 def _large(height: int, width: int) -> Measured:

@@ -60,7 +60,7 @@ def _attacked(size: tuple[int, int], renderer: str) -> Measured:
     found = run(problem, method, Verifier(drawn, network), Budget(5))
     need(found.trace[-1].truncated > 0, "it never comes to U")
     need(all(np.isfinite((row.loss, row.advantage, row.distance)).all() for row in found.trace), "a row is not finite")
-    need(found.picture.shape == (*size, 3), f"the image is {tuple(found.picture.shape)}")
+    need(found.image.shape == (*size, 3), f"the image is {tuple(found.image.shape)}")
     need(found.trace[-1].distance > 0, "it does not move")
     moved = (problem.view(found.stored).images - problem.original).abs().max()
     return Measured(float(moved), 18 / 255 + 1e-6, "largest change of a value; U is 18/255")

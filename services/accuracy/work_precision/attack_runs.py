@@ -130,7 +130,7 @@ def attack(case: Case) -> AttackRow:
     renderer: Renderer = build(scene, settings.renderer, settings.base_renderer, settings.groups, case.tolerance)
     verifier = Verifier(renderer, target)
     goal = ResolvedGoal(leave=target.labels.index(case.label), reach=None)
-    if bool(goal.fooled(verifier.logits(verifier.picture({})))):
+    if bool(goal.fooled(verifier.logits(verifier.image({})))):
         return AttackRow(**known, outcome="wrong to begin with")
     problem = AttackProblem(
         renderer=renderer,

@@ -3,7 +3,7 @@
 - The image is linear in ambient light, energies and colours before the display's curve: images at two values give
   the derivative, exactly but for float32.
 - It is smooth in a light's position: Richardson's extrapolation of central differences, twice.
-- Poses move silhouettes. A image of few samples a pixel jumps where an edge passes a sample, so that its derivative
+- Poses move silhouettes. An image of few samples a pixel jumps where an edge passes a sample, so that its derivative
   is that of another function. The reference is the derivative of the image it approximates, by extrapolated
   differences of images of many times the samples, averaged before display.
 """

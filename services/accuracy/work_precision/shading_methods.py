@@ -96,7 +96,7 @@ def _planned(groups: tuple[str, ...], tolerance: Tolerance) -> Callable[[Subject
 
 @contextmanager
 def kernel(wanted: str) -> Iterator[None]:
-    """Shading by the compiled loops ("native") or by torch ("torch") within. Raises JobFailure where there are none."""
+    """Shading by compiled kernels ("native") or torch ("torch") within. Raises JobFailure where there are none."""
     before = os.environ.get("SCENE_ATTACK_KERNEL")
     try:
         os.environ["SCENE_ATTACK_KERNEL"] = wanted

@@ -1,1 +1,1 @@
-"""The compiled inner loops (C++), their build and their loading."""
+"""The compiled kernels (C++), their build and their loading."""

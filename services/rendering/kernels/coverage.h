@@ -47,9 +47,9 @@ struct Pass {
     const float *clip, *world, *normal;  // [pieces, 16], [pieces, 16], [pieces, 9], from the object
     const int64_t *order, *closed;  // [pieces], as drawn; of each piece's faces the first so many have no inside
     int64_t part[4];  // rows from the bottom from, to, columns from, to
-    int64_t pictures, lights;
-    const float *ambients, *points, *colors;  // [pictures], [pictures, lights, 4], [pictures, pieces, 3]
-    float *images;  // [pictures, rows, columns, 4]
+    int64_t n_images, lights;
+    const float *ambients, *points, *colors;  // [images], [images, lights, 4], [images, pieces, 3]
+    float *images;  // [images, rows, columns, 4]
     int64_t shown;  // faces; -1: one reaches to the near plane or far beyond the frame, and nothing was drawn
 };
 

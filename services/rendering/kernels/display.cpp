@@ -1,4 +1,4 @@
-// The display's curve, and pictures over a ground (services/rendering/color.py and canvas.py).
+// The display's curve, and images over a ground (services/rendering/color.py and compositing.py).
 
 #include "lanes.h"
 #include "layout.h"
@@ -68,10 +68,10 @@ template <class T> struct Pixels {
     }
 };
 
-// coverage [count]; under [count, 3]; pixels [count] say where in picture [., 3] each goes.
+// coverage [count]; under [count, 3]; pixels [count] say where in image [., 3] each goes.
 template <class T>
 void composite(int64_t count, const T *radiance, const T *base_color, const T *coverage, const T *under,
-               const int64_t *pixels, T *picture, int threads) {
+               const int64_t *pixels, T *image, int threads) {
     const int n = Lanes<T>::count;
 #pragma omp parallel for schedule(static) num_threads(threads)
     for (int64_t first = 0; first < count; first += n) {
@@ -81,7 +81,7 @@ void composite(int64_t count, const T *radiance, const T *base_color, const T *c
         show<T>(shown);
         for (int64_t i = 0; i < of.here; ++i)
             for (int k = 0; k < 3; ++k)
-                picture[3 * pixels[first + i] + k] = under[3 * (first + i) + k] + coverage[first + i] * shown[3 * i + k];
+                image[3 * pixels[first + i] + k] = under[3 * (first + i) + k] + coverage[first + i] * shown[3 * i + k];
     }
 }
 
@@ -139,8 +139,8 @@ EXPORT void save_float(int64_t count, const float *shown, uint8_t *bytes, float 
         over_ground<T>(count, radiance, exposure, ground, shown, threads);                                             \
     }                                                                                                                  \
     EXPORT void composite_##T(int64_t count, const T *radiance, const T *base_color, const T *coverage,                \
-                              const T *under, const int64_t *pixels, T *picture, int threads) {                        \
-        composite<T>(count, radiance, base_color, coverage, under, pixels, picture, threads);                          \
+                              const T *under, const int64_t *pixels, T *image, int threads) {                        \
+        composite<T>(count, radiance, base_color, coverage, under, pixels, image, threads);                          \
     }                                                                                                                  \
     EXPORT void composite_backward_##T(int64_t count, const T *radiance, const T *base_color, const T *coverage,       \
                                        const int64_t *pixels, const T *slope, T *d_radiance, int threads) {            \

@@ -168,14 +168,14 @@ struct Drawing {
 
     void shade() const {
         const int64_t count = fragments.size(), high = pass.part[1] - pass.part[0], wide = pass.part[3] - pass.part[2];
-        std::fill(pass.images, pass.images + pass.pictures * high * wide * 4, 0.0f);
+        std::fill(pass.images, pass.images + pass.n_images * high * wide * 4, 0.0f);
         for (int64_t first = 0; first < count; first += WIDTH) {
             const int together = std::min<int64_t>(WIDTH, count - first);
             FragmentInputs inputs;
             for (int i = 0; i < WIDTH; ++i) look(fragments[first + std::min(i, together - 1)], i, inputs);
             const Vector position = vector(inputs.position), v = unit(all(frame.eye) - position);
             const Vector n = surface_normal(vector(inputs.normal), vector(inputs.flat), v);
-            for (int64_t k = 0; k < pass.pictures; ++k) {
+            for (int64_t k = 0; k < pass.n_images; ++k) {
                 const float *points = pass.points + 4 * pass.lights * k;
                 const BrdfTerms terms = radiance(pass.ambients[k], points, pass.lights, position, v, n);
                 for (int i = 0; i < together; ++i) {
@@ -222,6 +222,6 @@ STRUCTURE(Frame, Frame,
           FIELD(Frame, y) FIELD(Frame, eye))
 STRUCTURE(Pass, Pass,
           FIELD(Pass, clip) FIELD(Pass, world) FIELD(Pass, normal) FIELD(Pass, order) FIELD(Pass, closed)
-          FIELD(Pass, part) FIELD(Pass, pictures) FIELD(Pass, lights) FIELD(Pass, ambients) FIELD(Pass, points)
+          FIELD(Pass, part) FIELD(Pass, n_images) FIELD(Pass, lights) FIELD(Pass, ambients) FIELD(Pass, points)
           FIELD(Pass, colors) FIELD(Pass, images) FIELD(Pass, shown))
 FUNCTION(raster_float)

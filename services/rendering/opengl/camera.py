@@ -48,12 +48,12 @@ LightCounts = tuple[int, int, int]
 
 @dataclass(frozen=True)
 class RenderPass:
-    """A pass over the geometry: poses [objects, 4, 4] (world from object); the part of the picture that is drawn; and
-    for each picture its ambient light, its lights and the linear factors on the objects' colours [pictures, objects,
+    """A pass over the geometry: poses [objects, 4, 4] (world from object); the part of the image that is drawn; and
+    for each image its ambient light, its lights and the linear factors on the objects' colours [images, objects,
     3].
 
-    points [pictures, lights, 4]: intensity, then x, y, z. directionals [pictures, lights, 4]: irradiance, then the unit
-    vector towards the light. spots [pictures, lights, 9]: intensity, position, unit vector along the axis, and the
+    points [images, lights, 4]: intensity, then x, y, z. directionals [images, lights, 4]: irradiance, then the unit
+    vector towards the light. spots [images, lights, 9]: intensity, position, unit vector along the axis, and the
     scale and offset of the fall-off (`radiance.frag`).
     """
 
@@ -67,7 +67,7 @@ class RenderPass:
 
     @property
     def light_counts(self) -> LightCounts:
-        """Lights of each picture, by kind."""
+        """Lights of each image, by kind."""
         return self.points.shape[1], self.directionals.shape[1], self.spots.shape[1]
 
     @property

@@ -60,7 +60,7 @@ def current() -> Context:
 
 
 def gl_backend() -> str:
-    """Everything of the OpenGL side that decides the bits of a picture: platform, driver and library versions."""
+    """Everything of the OpenGL side that decides the bits of an image: platform, driver and library versions."""
     return current().backend
 
 

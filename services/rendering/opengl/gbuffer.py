@@ -19,7 +19,7 @@ FACTOR = 4
 """Samples per pixel in each direction: coverage in steps of 1/16."""
 
 TILE = 256
-"""Pixels a side drawn at once: 1024 x 1024 samples of 36 bytes, whatever the size of the picture."""
+"""Pixels a side drawn at once: 1024 x 1024 samples of 36 bytes, whatever the size of the image."""
 
 THRESHOLDS = (np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]], np.float32).ravel() + 0.5) / 16
 """Ordered dither (Bayer 1973) over the samples of a pixel, for opacity."""
@@ -27,7 +27,7 @@ THRESHOLDS = (np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13
 
 @dataclass(frozen=True)
 class GBuffer:
-    """Geometry and base colour of a picture. OpenGL draws it on the CPU; `to` copies it elsewhere. Values mean
+    """Geometry and base colour of an image. OpenGL draws it on the CPU; `to` copies it elsewhere. Values mean
     nothing where `coverage` is 0 (they are 0).
 
     normals float32 [H, W, 3], unit, world space, on the viewer's side; coverage float32 [H, W] in [0,1];
@@ -99,7 +99,7 @@ def rasterise(scene: ResolvedScene) -> GBuffer:
         ).items():
             images[name][rows, columns] = tile.flip(0)  # OpenGL's first row is the bottom one
     if not images["coverage"].any():
-        raise InvalidRequest("scene.objects", "out of view: no object covers any part of the picture")
+        raise InvalidRequest("scene.objects", "out of view: no object covers any part of the image")
     return GBuffer(**images, backend=f"{current.backend}; {FACTOR}x{FACTOR} samples per pixel")
 
 
@@ -111,7 +111,7 @@ def _tiles(covered: Rectangle) -> Iterator[tuple[slice, slice]]:
 
 
 def _crop(rows: slice, columns: slice, height: int, width: int) -> NDArray[np.float64]:
-    """The clip-space matrix that makes a part of the picture fill the whole."""
+    """The clip-space matrix that makes a part of the image fill the whole."""
     left, right = 2 * columns.start / width - 1, 2 * columns.stop / width - 1
     bottom, top = 1 - 2 * rows.stop / height, 1 - 2 * rows.start / height
     crop = np.eye(4)

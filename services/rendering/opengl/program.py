@@ -52,7 +52,7 @@ class Program(ShaderProgram):  # type: ignore[misc]
         elif isinstance(value, float):
             GL.glUniform1f(location, value)
         else:
-            with np.errstate(over="ignore"):  # becomes infinite, and the picture is refused for it
+            with np.errstate(over="ignore"):  # becomes infinite, and the image is refused for it
                 value = np.ascontiguousarray(value, dtype=np.float32)
             if name.endswith("[0]"):
                 (GL.glUniform1fv if value.ndim == 1 else GL.glUniform3fv)(location, len(value), value)

@@ -47,7 +47,7 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
     def check(self) -> None:
         """Raise where this driver cannot compile our shaders or draw to float32 with 4 samples."""
         for fragment in ("radiance.frag", "gbuffer.frag"):
-            self.program(fragment, textured=True, holes=True, pictures=1, lights=(1, 0, 0))
+            self.program(fragment, textured=True, holes=True, n_images=1, lights=(1, 0, 0))
         self.sample_positions = self._target((4, 4), samples=4, outputs=1).positions()
 
     def program(
@@ -56,15 +56,15 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
         *,
         textured: bool,
         holes: bool,
-        pictures: int,
+        n_images: int,
         lights: LightCounts,
         material: UploadedMaterial | None = None,
     ) -> Program:
-        """A fragment shader compiled for a kind of surface, a number of pictures and of lights; compiled once."""
+        """A fragment shader compiled for a kind of surface, a number of images and of lights; compiled once."""
         constants = {
             "TEXTURED": int(textured),
             "HOLES": int(holes),
-            "PICTURES": pictures,
+            "IMAGES": n_images,
             **dict(zip(("LIGHTS", "DIRECTIONAL_LIGHTS", "SPOT_LIGHTS"), lights, strict=True)),
             **(NO_MATERIAL if material is None else material.constants),
         }
@@ -103,7 +103,7 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
         """One pass over the geometry: what the fragment shader writes to each output, 0 where nothing is;
         [outputs, height, width, 4], or a `rectangle` of it. The first row is the bottom one, as OpenGL has it.
 
-        poses [objects, 4, 4] world_from_object; colors [pictures, objects, 3] linear factors on the base colours;
+        poses [objects, 4, 4] world_from_object; colors [images, objects, 3] linear factors on the base colours;
         `uniforms` of the pass, and `object_uniforms` with one value per object. With `blend` the parts that are not
         opaque come last, the far ones first, over what is behind them (colours times opacity); else all parts are
         drawn alike. The backs of single-sided glTF materials are never drawn. For `insides` see there; the insides of
@@ -132,7 +132,7 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
                 fragment,
                 textured=piece.texture is not None,
                 holes=piece.holes,
-                pictures=len(colors),
+                n_images=len(colors),
                 lights=lights,
                 material=piece.material,
             )

@@ -1,4 +1,4 @@
-"""Where in the picture objects can be."""
+"""Where in the image objects can be."""
 
 from collections.abc import Sequence
 
@@ -27,10 +27,10 @@ def beyond(points: Array, clip_from_object: Array, margin: float) -> bool:
 
 
 def rectangle(points: Sequence[Array], clip_from_object: Sequence[Array], size: tuple[int, int]) -> Rectangle:
-    """The part of a picture of `size` (height, width) that objects of corners [4,V] can cover; empty if they cannot.
+    """The part of an image of `size` (height, width) that objects of corners [4,V] can cover; empty if they cannot.
 
-    A triangle's picture lies within that of its corners as long as these are before the camera; if one is not, it is
-    the whole picture. A pixel is added around for the rounding of OpenGL's arithmetic.
+    A triangle's image lies within that of its corners as long as these are before the camera; if one is not, it is
+    the whole image. A pixel is added around for the rounding of OpenGL's arithmetic.
     """
     height, width = size
     low, high = np.full(2, np.inf), np.full(2, -np.inf)

@@ -17,7 +17,7 @@ class LinearTexture(Texture):  # type: ignore[misc]
         height, width = self.source.shape[:2]
         self._texid = int(GL.glGenTextures(1))
         GL.glBindTexture(GL.GL_TEXTURE_2D, self._texid)
-        # OpenGL's first row is v = 0, the bottom of the picture.
+        # OpenGL's first row is v = 0, the bottom of the image.
         rows = np.ascontiguousarray(self.source[::-1])
         GL.glTexImage2D(GL.GL_TEXTURE_2D, 0, self._format, width, height, 0, GL.GL_RGBA, GL.GL_UNSIGNED_BYTE, rows)
         GL.glGenerateMipmap(GL.GL_TEXTURE_2D)

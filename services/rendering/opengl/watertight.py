@@ -27,7 +27,7 @@ def outsides(mesh: Mesh) -> list[tuple[Integers, int]]:
     A surface here is what hangs together by edges, over all parts, where corners at the same place are one. It is
     closed if every edge has two faces that run along it in opposite directions, and all of them are opaque. Its faces
     come back counter-clockwise seen from outside. A ray from outside then meets it from the front first: per sample
-    of a picture as many of its faces look at the viewer as look away.
+    of an image as many of its faces look at the viewer as look away.
     """
     if not mesh.triangles:
         return [(part.faces, 0) for part in mesh.parts]

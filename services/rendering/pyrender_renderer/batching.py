@@ -1,4 +1,4 @@
-"""Which pictures of a batch share a pass over the geometry, and which share their channels."""
+"""Which images of a batch share a pass over the geometry, and which share their channels."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -11,10 +11,10 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SharedPass:
-    """Pictures of the same poses, to be drawn at once; and which of their channels make which picture of the batch.
+    """Images of the same poses, to be drawn at once; and which of their channels make which image of the batch.
 
-    translation, rotation [objects, 3]; illuminations [pictures, 1 + 4 points]; colors [pictures, objects, 3];
-    users: (row of the batch, channel, picture here).
+    translation, rotation [objects, 3]; illuminations [images, 1 + 4 points]; colors [images, objects, 3];
+    users: (row of the batch, channel, image here).
     """
 
     translation: Array
@@ -25,11 +25,11 @@ class SharedPass:
 
 
 def shared(batch: Mapping[str, Array], most: int) -> Iterator[SharedPass]:
-    """Passes of at most `most` pictures that draw a batch {group: [B, ...]}.
+    """Passes of at most `most` images that draw a batch {group: [B, ...]}.
 
-    A colour factor touches one channel of light. So pictures of the same poses and lights are drawn with the first
+    A colour factor touches one channel of light. So images of the same poses and lights are drawn with the first
     red, the first green and the first blue that any of them has, then with the second of each, and so on: the six
-    sides of the differences of one object's colour, and the picture they are around, take three pictures.
+    sides of the differences of one object's colour, and the image they are around, take three images.
     """
     count = len(batch["color"])
     poses: dict[bytes, list[int]] = {}
@@ -66,7 +66,7 @@ def shared(batch: Mapping[str, Array], most: int) -> Iterator[SharedPass]:
 
 
 def alone(batch: Mapping[str, Array]) -> Iterator[SharedPass]:
-    """A pass for every picture."""
+    """A pass for every image."""
     for row in range(len(batch["color"])):
         one = {group: values[row : row + 1] for group, values in batch.items()}
         users = [(row, channel, 0) for channel in range(3)]

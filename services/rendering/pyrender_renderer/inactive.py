@@ -1,4 +1,4 @@
-"""Coordinates that cannot change a picture of the pyrender renderer, each with its proof.
+"""Coordinates that cannot change an image of the pyrender renderer, each with its proof.
 
 Radiance is linear in the ambient light and in each energy, but for what glTF materials emit. So what two values of
 one of these do, all values do: a light that adds nothing at energy 1 adds nothing at any. In a colour factor it is
@@ -22,7 +22,7 @@ REACH = 0.1
 
 
 class Linear(Protocol):
-    """What is asked of the renderer: pictures before exposure, and where things are."""
+    """What is asked of the renderer: images before exposure, and where things are."""
 
     def initial(self) -> dict[str, Tensor]:
         """The scene's own values."""
@@ -42,7 +42,7 @@ class Linear(Protocol):
 
 
 def inactive_coordinates(renderer: Linear, parameters: Values, reach: Mapping[str, float]) -> list[InactiveCoordinate]:
-    """The coordinates of which none alone changes the picture at `parameters` {group: [...]}, moved by at most its
+    """The coordinates of which none alone changes the image at `parameters` {group: [...]}, moved by at most its
     group's `reach` up or down; energies, colours and the ambient light by any amount.
     """
     at = {group: parameters.get(group, value).double() for group, value in renderer.initial().items()}
@@ -68,7 +68,7 @@ def _lights(renderer: Linear, at: Values, reach: float) -> list[InactiveCoordina
     alone[0] = 1.0
     found = []
     if _dark(renderer, at, alone):
-        found.append(_inactive(renderer, "illumination", 0, "no object is in the picture"))
+        found.append(_inactive(renderer, "illumination", 0, "no object is in the image"))
     for kind, energy, others in _coordinates(renderer.names("illumination") or [], len(lights)):
         alone = torch.zeros_like(lights)
         alone[energy] = 1.0
@@ -100,7 +100,7 @@ def _around(lights: Tensor, places: list[int], reach: float) -> Iterator[Tensor]
 
 
 def _dark(renderer: Linear, at: Values, lights: Tensor) -> bool:
-    return not bool(_picture(renderer, at, "illumination", lights).any())
+    return not bool(_image(renderer, at, "illumination", lights).any())
 
 
 def _colors(renderer: Linear, at: Values) -> list[InactiveCoordinate]:
@@ -111,7 +111,7 @@ def _colors(renderer: Linear, at: Values) -> list[InactiveCoordinate]:
         def shown(factor: float, index: int = index) -> Tensor:
             color = at["color"].clone()
             color[index] = factor
-            return _picture(renderer, at, "color", color)
+            return _image(renderer, at, "color", color)
 
         black = shown(0.0)
         same = (shown(1.0) == black).flatten(0, 1).all(dim=0)
@@ -122,8 +122,8 @@ def _colors(renderer: Linear, at: Values) -> list[InactiveCoordinate]:
     return found
 
 
-def _picture(renderer: Linear, at: Values, group: str, value: Tensor) -> Tensor:
-    """Radiance [H, W, 3] with one group replaced. One at a time: that takes no shader but the one for one picture."""
+def _image(renderer: Linear, at: Values, group: str, value: Tensor) -> Tensor:
+    """Radiance [H, W, 3] with one group replaced. One at a time: that takes no shader but the one for one image."""
     return renderer.radiance({name: v[None] for name, v in {**at, group: value}.items()})[0, ..., :3]
 
 

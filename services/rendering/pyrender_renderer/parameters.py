@@ -100,7 +100,7 @@ class SceneParameters:
         poses: NDArray[np.float64],
         part: Rectangle,
     ) -> RenderPass:
-        """A pass that draws pictures of those illuminations [pictures, coordinates] and colours."""
+        """A pass that draws images of those illuminations [images, coordinates] and colours."""
         kinds, start = [], 1
         for count, (_, words, unit) in zip(self._counts, _LIGHTS, strict=True):
             stop = start + count * len(words)

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 STAGES = {"redraw": ("translation", "rotation"), "relight": ("illumination",), "recolour": ("color",)}
 WHY = {
     "redraw": "each side of a difference has a pose of its own",
-    "relight": "other lights on the same surfaces: the sides share one pass over the geometry, a picture to an output",
-    "recolour": "a colour factor touches one channel: red, green and blue sides share a picture, and the pass above",
+    "relight": "other lights on the same surfaces: the sides share one pass over the geometry, an image to an output",
+    "recolour": "a colour factor touches one channel: red, green and blue sides share an image, and the pass above",
 }
 
 
@@ -76,13 +76,13 @@ def compile_plan(
             what="coordinates",
             kept=coordinates - len(still),
             of=coordinates,
-            why="; ".join(f"{one.name}: {one.why}" for one in still) or f"each may change the picture within {REACH:g}",
+            why="; ".join(f"{one.name}: {one.why}" for one in still) or f"each may change the image within {REACH:g}",
         ),
         Item(
             what="pixels",
             kept=height * width if plain else (bottom - top) * (right - left),
             of=height * width,
-            why="exact: the whole picture"
+            why="exact: the whole image"
             if plain
             else f"at the start no object is outside rows {top} to {bottom} and columns {left} to {right}; found anew "
             "for every pose",
@@ -137,17 +137,17 @@ def compile_plan(
         attacked = [group for group in groups if group in touched]
         if attacked:
             drawn = passes_for(attacked)
-            pictures = sum(len(one.colors) for one in drawn)
+            images = sum(len(one.colors) for one in drawn)
             count = sum(start[group].numel() for group in attacked)
             stages.append(
                 Stage(
                     name=name,
-                    method=f"{pictures} pictures, {len(drawn)} times over the geometry, for both sides of "
+                    method=f"{images} images, {len(drawn)} times over the geometry, for both sides of "
                     f"{count} coordinates ({', '.join(attacked)})",
-                    when="every picture",
+                    when="every image",
                     evaluations=len(drawn),
                     unit="passes a step of all coordinates",
-                    why="exact: every picture by itself" if plain else WHY[name],
+                    why="exact: every image by itself" if plain else WHY[name],
                 )
             )
     return Plan.of(
@@ -165,7 +165,7 @@ def _rasterise(rasterised: Rasterised, faces: int) -> Stage:
     return Stage(
         name="rasterise",
         method="faces and their samples by rules of our own (kernels/coverage.h), what is seen shaded once a pass",
-        when="every picture",
+        when="every image",
         evaluations=faces,
         unit="faces",
         why=f"off from OpenGL by {_words(rasterised.error)} at most in {1 + DRAWS} images around the start; estimated "

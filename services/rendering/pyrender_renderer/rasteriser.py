@@ -57,7 +57,7 @@ class _Pass(ctypes.Structure):
     _fields_ = (
         *_fields(c_void_p, "clip world normal order closed"),
         ("part", c_int64 * 4),
-        *_fields(c_int64, "pictures lights"),
+        *_fields(c_int64, "n_images lights"),
         *_fields(c_void_p, "ambients points colors images"),
         ("shown", c_int64),
     )

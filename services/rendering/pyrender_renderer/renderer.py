@@ -29,7 +29,7 @@ from services.rendering.pyrender_renderer.planner import Rasterised, compile_pla
 from services.scenes.resolve import ResolvedScene
 
 EXPOSURE = 0.5
-"""Radiance times this is the linear picture: a white surface that faces the default light from 2.5 away (radiance 2.0
+"""Radiance times this is the linear image: a white surface that faces the default light from 2.5 away (radiance 2.0
 with the ambient light) is just the display's white. EfficientNet-Lite0 does as well from 0.4 to 0.8."""
 
 MAX_IMAGES_PER_PASS = 8
@@ -221,17 +221,17 @@ class PyrenderRenderer(DeclaredRenderer):
         batch = self._numbers.checked(parameters)
         passes = [(drawn, self._lit(drawn)) for drawn in (alone(batch) if self._plain else shared(batch, self._most))]
         passes = [(drawn, lit) for drawn, lit in passes if lit.part[0] < lit.part[1]]
-        pictures = empty.expand(len(batch["color"]), *self.size, len(empty)).clone().numpy()
+        batch_images = empty.expand(len(batch["color"]), *self.size, len(empty)).clone().numpy()
         for (drawn, lit), frames in zip(passes, self._frames([lit for _, lit in passes]), strict=True):
             top, bottom, left, right = lit.part
             radiance = torch.from_numpy(frames)
             if not finite(radiance):
-                why = "the picture has values that are not finite: light or colour is too strong"
+                why = "the image has values that are not finite: light or colour is too strong"
                 raise JobFailure("non-finite", why)
             shown = finish(radiance).numpy()[:, ::-1]  # OpenGL's first row is the bottom one
             channels = Counter((row, slot) for row, _, slot in drawn.users)
             for row, channel, slot in drawn.users:
-                part = pictures[row, top:bottom, left:right]
+                part = batch_images[row, top:bottom, left:right]
                 if channels[row, slot] == 3:
                     if channel == 0:  # all at once
                         part[:] = shown[slot]
@@ -239,19 +239,19 @@ class PyrenderRenderer(DeclaredRenderer):
                     part[..., channel] = shown[slot, ..., channel]
                     if channel == 0:  # coverage is the same in all
                         part[..., 3:] = shown[slot, ..., 3:]
-        return torch.from_numpy(pictures)
+        return torch.from_numpy(batch_images)
 
     def _extent(self, poses: NDArray[np.float64]) -> Rectangle:
         return rectangle(self._drawing.points, list(self._view.clip_from_world @ poses), self.size)
 
     def _lit(self, drawn: SharedPass) -> RenderPass:
-        """What to draw of a pass: the part of the picture where objects are, or all of it to be exact."""
+        """What to draw of a pass: the part of the image where objects are, or all of it to be exact."""
         poses = self._numbers.poses(drawn.translation, drawn.rotation)
         part = (0, self.size[0], 0, self.size[1]) if self._plain else self._extent(poses)
         return self._numbers.lit(drawn.illuminations, drawn.colors, poses, part)
 
     def _frames(self, passes: Sequence[RenderPass]) -> list[NDArray[np.float32]]:
-        """Radiance [pictures, rows, columns, 4] of each pass's part, the bottom row first."""
+        """Radiance [images, rows, columns, 4] of each pass's part, the bottom row first."""
         if not self._rasterises or not passes:
             return [self._by_opengl(lit) for lit in passes]
         drawn = self._by_rasteriser(passes)
@@ -282,7 +282,7 @@ class PyrenderRenderer(DeclaredRenderer):
         return images
 
     def _at_start(self) -> RenderPass:
-        """The scene's own picture as a pass."""
+        """The scene's own image as a pass."""
         [start] = alone(self._numbers.checked({}))
         return self._lit(start)
 

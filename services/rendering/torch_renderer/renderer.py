@@ -185,7 +185,7 @@ class TorchRenderer(DeclaredRenderer):
             shader(own, intensity, of_object).to(self._dtype)
             for shader, own, of_object in zip(self.shaders, torch.split(angles, self._counts), material, strict=True)
         ]
-        return self._canvas.picture(torch.cat(shaded) if len(shaded) > 1 else shaded[0])
+        return self._canvas.image(torch.cat(shaded) if len(shaded) > 1 else shaded[0])
 
 
 def sky_of(light: Illumination, to_camera: Tensor) -> Sky:

@@ -51,9 +51,9 @@ def maps(change):
     """Breaks the reading of map files."""
 
     def apply(patch) -> None:
-        true = environment.from_picture
+        true = environment.from_image
         for module in (environment, environments):
-            patch.setattr(module, "from_picture", lambda image: change(true(image)))
+            patch.setattr(module, "from_image", lambda image: change(true(image)))
 
     return apply
 
@@ -91,12 +91,12 @@ def channels_swapped(patch) -> None:
 
 def squared_coverage(patch) -> None:
     """Of the torch renderer's images."""
-    true = Canvas.picture
+    true = Canvas.image
 
-    def picture(canvas, radiance):
+    def image(canvas, radiance):
         return true(replace(canvas, coverage=canvas.coverage**2), radiance)
 
-    patch.setattr(Canvas, "picture", picture)
+    patch.setattr(Canvas, "image", image)
 
 
 def squared_coverage_over_ground(patch) -> None:

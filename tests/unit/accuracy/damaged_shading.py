@@ -59,8 +59,8 @@ def wrong_gradients(patch) -> None:
         def backward(_, gradient):
             return 1.1 * gradient
 
-    true = Canvas.picture
-    patch.setattr(Canvas, "picture", lambda canvas, radiance: Longer.apply(true(canvas, radiance)))
+    true = Canvas.image
+    patch.setattr(Canvas, "image", lambda canvas, radiance: Longer.apply(true(canvas, radiance)))
 
 
 def turned_normals(patch) -> None:
@@ -126,7 +126,7 @@ def unscaled_light(patch) -> None:
 
 def accepted_texels(patch) -> None:
     """What is not a number becomes 0, and what is negative stays."""
-    clean = lambda pixels: environment.from_picture(np.nan_to_num(pixels, nan=0.0, posinf=0.0, neginf=0.0))  # noqa: E731
+    clean = lambda pixels: environment.from_image(np.nan_to_num(pixels, nan=0.0, posinf=0.0, neginf=0.0))  # noqa: E731
     patch.setattr(environments, "radiance_of", clean)
 
 

@@ -51,8 +51,8 @@ def test_outcomes(made: Case, outcome: str) -> None:
 
 
 def test_the_reason_of_a_failure_is_kept() -> None:
-    seen = observe(case(lambda: need(False, "the picture is blue")))
-    assert (seen.outcome, seen.what) == ("failed", "the picture is blue")
+    seen = observe(case(lambda: need(False, "the image is blue")))
+    assert (seen.outcome, seen.what) == ("failed", "the image is blue")
 
 
 def test_a_refusal_must_be_named() -> None:

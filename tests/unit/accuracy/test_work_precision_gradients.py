@@ -91,7 +91,7 @@ def test_central_differences_of_float_images_are_best_in_the_middle(gradient_row
 
 @pytest.mark.parametrize("group", ["normals", "material", "light strength", "color", "light position"])
 def test_eight_bits_are_useless_where_floats_are_good(gradient_rows: list[GradientRow], group: str) -> None:
-    """At the paper's δ = 1e-4: a picture's values move by less than a step of 1/255."""
+    """At the paper's δ = 1e-4: an image's values move by less than a step of 1/255."""
     own = [r for r in gradient_rows if (r.group, r.estimator, r.delta) == (group, "central", 1e-4) and r.of[0] == "⟨"]
     by_image = {row.image: row for row in own if row.samples in (None, 4)}
     assert by_image["float32"].error < 0.05

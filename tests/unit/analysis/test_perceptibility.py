@@ -3,15 +3,15 @@ import math
 import pytest
 import torch
 
-from services.analysis.perceptibility import beyond, of_groups, of_pictures, perceptibility
+from services.analysis.perceptibility import beyond, of_groups, of_images, perceptibility
 
 
 def test_a_constant_change_by_hand() -> None:
     # every pixel moves by (3, 4, 0)/255: p is exactly 5/255
     original = torch.zeros(6, 7, 3, dtype=torch.uint8)
     attacked = original + torch.tensor([3, 4, 0], dtype=torch.uint8)
-    assert of_pictures(original, attacked) == pytest.approx(5 / 255, rel=1e-12)
-    assert of_pictures(attacked, original) == pytest.approx(5 / 255, rel=1e-12)  # uint8 must not wrap
+    assert of_images(original, attacked) == pytest.approx(5 / 255, rel=1e-12)
+    assert of_images(attacked, original) == pytest.approx(5 / 255, rel=1e-12)  # uint8 must not wrap
 
 
 def test_one_pixel_of_many() -> None:

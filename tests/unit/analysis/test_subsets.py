@@ -9,8 +9,8 @@ def test_every_subset_once_and_the_ends_are_the_original_and_the_attacked() -> N
     case = problem()
     verifier = Verifier(case.renderer, case.target)
     perturbation = {"a": torch.full((2, 3), 0.05), "b": torch.full((3,), 0.3)}
-    original, attacked = verifier.picture({}), verifier.picture(perturbation)
-    known = [(picture, verifier.logits(picture)) for picture in (original, attacked)]
+    original, attacked = verifier.image({}), verifier.image(perturbation)
+    known = [(image, verifier.logits(image)) for image in (original, attacked)]
     asked = verifier.queries
     rows = subsets(verifier, case.goal, perturbation, *known)
     assert verifier.queries == asked + 2  # what is known is not asked again
@@ -18,7 +18,7 @@ def test_every_subset_once_and_the_ends_are_the_original_and_the_attacked() -> N
     assert rows[0].perceptibility == 0
     assert not rows[0].fooled
     for row in rows:
-        fresh = verifier.logits(verifier.picture({g: perturbation[g] for g in row.groups}))
+        fresh = verifier.logits(verifier.image({g: perturbation[g] for g in row.groups}))
         assert row.goal_probability == float(torch.softmax(fresh.double(), 0)[case.goal.label])
     # a subset applies its own groups and no other
     assert len({row.perceptibility for row in rows}) == 4

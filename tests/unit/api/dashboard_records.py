@@ -95,7 +95,7 @@ def result(spec: JobSpec = SPEC, **changed: Any) -> dict[str, Any]:
                     part="object 0",
                     name="pixels",
                     method="looked up",
-                    when="every picture",
+                    when="every image",
                     evaluations=9293,
                     unit="lookups",
                     why="11 times less work",
@@ -146,7 +146,7 @@ def start(repository: Repository, job: Job) -> Attempt:
 
 
 def succeed(repository: Repository, job: Job, found: dict[str, Any]) -> None:
-    """The job, ended with this result and its pictures."""
+    """The job, ended with this result and its images."""
     attempt = start(repository, job)
     artifacts = [
         Artifact(job_id=job.id, name=name, sha256="ab" * 32, media_type="image/png", size=12345)

@@ -100,8 +100,8 @@ async def test_job_page_tells_the_whole_result(repository: Repository) -> None:
     job = add(repository)
     succeed(repository, job, result())
     tags = Tags((await get(repository, f"/jobs/{job.id}")).text)
-    pictures = [a["src"] for a in tags.all("img") if "artifacts" in (a["src"] or "")]
-    assert pictures == [f"/v1/jobs/{job.id}/artifacts/{name}.png" for name in ("original", "attacked", "perturbation")]
+    images = [a["src"] for a in tags.all("img") if "artifacts" in (a["src"] or "")]
+    assert images == [f"/v1/jobs/{job.id}/artifacts/{name}.png" for name in ("original", "attacked", "perturbation")]
     for words in (
         "it says upright (55.0 %) where it said grand piano (77.0 %)",
         "p of surface normals 20.00 × 10⁻³",
@@ -110,7 +110,7 @@ async def test_job_page_tells_the_whole_result(repository: Repository) -> None:
         "harp 0.0021 %",
         "Tolerance 1.0e-03; estimated error 4.2e-04, measured 1.5e-04",
         "object 0 lobes 4 9 five are <dark> 2.0e-05",
-        "object 0 pixels looked up every picture 9,293 lookups 11 times less work 4.0e-04",
+        "object 0 pixels looked up every image 9,293 lookups 11 times less work 4.0e-04",
         "5c" * 32,
         "stopped because it found an adversary that holds when rendered afresh",
     ):

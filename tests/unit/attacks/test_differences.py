@@ -38,7 +38,7 @@ def test_a_coordinate_does_not_hear_of_the_others_in_its_batch() -> None:
     torch.testing.assert_close(together, alone, rtol=1e-9, atol=1e-10)
 
 
-def test_eight_bit_pictures_make_small_differences_flat_and_they_are_called_so() -> None:
+def test_eight_bit_images_make_small_differences_flat_and_they_are_called_so() -> None:
     deltas = torch.full((6,), 1e-4).double()
     rounded = estimate(problem(LinearRenderer(eight_bits=True)), torch.zeros(9).double(), ALL[:6], deltas, 1e-9)
     floating = estimate(problem(), torch.zeros(9).double(), ALL[:6], deltas, 1e-9)
@@ -80,7 +80,7 @@ def test_steps_so_large_that_they_cancel_the_weight_are_not_taken() -> None:
     assert chosen["a"] <= 3e-3
 
 
-def test_a_group_that_cannot_change_the_picture_gets_the_largest_step_and_is_flat() -> None:
+def test_a_group_that_cannot_change_the_image_gets_the_largest_step_and_is_flat() -> None:
     renderer = LinearRenderer()
     renderer.weights["b"] *= 0
     case = problem(renderer)

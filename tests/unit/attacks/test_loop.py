@@ -44,11 +44,11 @@ def test_the_trace_counts_every_query_and_rendering() -> None:
     assert case.queries == found.trace[-1].queries
 
 
-def test_success_is_judged_on_the_picture_as_saved() -> None:
-    """A float picture that crosses the boundary by less than rounding gives back must not count."""
+def test_success_is_judged_on_the_image_as_saved() -> None:
+    """A float image that crosses the boundary by less than rounding gives back must not count."""
 
     class Edge(LinearTarget):
-        """Answers by the sum of sin(2π·255·x): zero on every k/255, so no saved picture ever crosses."""
+        """Answers by the sum of sin(2π·255·x): zero on every k/255, so no saved image ever crosses."""
 
         def logits(self, images: torch.Tensor, question: str | None = None) -> torch.Tensor:
             off = torch.sin(2 * torch.pi * 255 * images.double()).flatten(1).sum(1)
@@ -58,17 +58,17 @@ def test_success_is_judged_on_the_picture_as_saved() -> None:
     renderer.base = (renderer.base * 255).round() / 255
     case = problem(renderer, Edge(classes=2))
     crossed = [case.goal.fooled(case.logits(case.view(attack(case, Budget(n)).stored).images)) for n in range(10)]
-    assert any(crossed)  # float pictures do, on the way
+    assert any(crossed)  # float images do, on the way
     found = attack(case, Budget(10))
     assert not found.fooled
     assert found.stopped == "steps"
 
 
-def test_a_picture_fooled_by_truncation_alone_does_not_end_the_loop() -> None:
-    """Truncation makes picture and parameters disagree: the exact re-rendering decides."""
+def test_a_image_fooled_by_truncation_alone_does_not_end_the_loop() -> None:
+    """Truncation makes image and parameters disagree: the exact re-rendering decides."""
 
     class Shy(LinearTarget):
-        """Another label wins only for pictures that moved, and moved by no more than U = 0.01."""
+        """Another label wins only for images that moved, and moved by no more than U = 0.01."""
 
         def logits(self, images: torch.Tensor, question: str | None = None) -> torch.Tensor:
             change = (images.double() - original).abs().flatten(1).amax(1)
@@ -127,7 +127,7 @@ def test_a_damaged_checkpoint_is_as_good_as_none(tmp_path: Path) -> None:
     assert attack(problem(), Budget(12), path=tmp_path / "checkpoint").step == attack(problem(), Budget(12)).step
 
 
-def test_a_picture_of_nan_ends_the_job() -> None:
+def test_a_image_of_nan_ends_the_job() -> None:
     renderer = LinearRenderer()
     renderer.base[0, 0, 0] = torch.nan
     with pytest.raises(JobFailure, match="non-finite: the renderer"):
@@ -151,7 +151,7 @@ def test_attacks_run_together_end_as_they_do_alone() -> None:
         assert one.stopped == other.stopped
         assert one.stored_step == other.stored_step
         assert torch.equal(one.ever, other.ever)
-        assert torch.equal(one.picture, other.picture)
+        assert torch.equal(one.image, other.image)
         for group, value in one.stored.items():
             torch.testing.assert_close(value, other.stored[group], rtol=0, atol=1e-12)
         for row, beside in zip(one.trace, other.trace, strict=True):
@@ -169,7 +169,7 @@ def test_attacks_run_together_share_the_network() -> None:
         )
 
 
-def test_a_saved_picture_passes_the_slope_on_as_it_is() -> None:
+def test_a_saved_image_passes_the_slope_on_as_it_is() -> None:
     images = torch.linspace(0, 1, 60, dtype=torch.float64).reshape(1, 4, 5, 3).requires_grad_()
     weights = torch.randn(1, 4, 5, 3)
     (slope,) = torch.autograd.grad((quantize(images)[1] * weights).sum(), images)

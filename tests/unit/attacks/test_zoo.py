@@ -50,7 +50,7 @@ def test_coordinates_below_the_noise_are_counted_and_left_alone() -> None:
     assert (method.delta[6:] == 0).all()
 
 
-def test_a_heavy_weight_keeps_the_picture_closer() -> None:
+def test_a_heavy_weight_keeps_the_image_closer() -> None:
     distances = []
     for weight in (0.0, 100.0):
         case = problem(weight=weight)

@@ -8,7 +8,7 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from services.analysis.pictures import load_png
+from services.analysis.images import load_png
 from services.errors import Cancelled
 from services.pipeline.execute import Progress, execute
 from services.pipeline.prepare import prepare
@@ -60,12 +60,12 @@ def test_the_files_say_what_the_result_says(tmp_path: Path) -> None:
     assert len(provenance.scene_sha256) == len(provenance.weights_sha256) == 64
 
 
-def test_the_ends_of_the_subset_table_are_the_pictures_rendered_afresh(tmp_path: Path) -> None:
+def test_the_ends_of_the_subset_table_are_the_images_rendered_afresh(tmp_path: Path) -> None:
     result = execute(spec({"renderer": "torch"}), tmp_path, LIBRARY)
     prepared = prepare(spec({"renderer": "torch"}), LIBRARY)
     perturbation = load_file(tmp_path / "perturbation.safetensors")
-    assert torch.equal(prepared.verifier.picture({}), load_png(tmp_path / "original.png"))
-    assert torch.equal(prepared.verifier.picture(perturbation), load_png(tmp_path / "attacked.png"))
+    assert torch.equal(prepared.verifier.image({}), load_png(tmp_path / "original.png"))
+    assert torch.equal(prepared.verifier.image(perturbation), load_png(tmp_path / "attacked.png"))
     assert len(result.subsets) == 8
     empty, full = result.subsets[0], result.subsets[-1]
     assert (empty.label, empty.goal_probability) == (result.original.label, result.original.goal_probability)

@@ -109,7 +109,7 @@ def reference_brdf(coefficients: np.ndarray, theta_h: float, theta_d: float) -> 
 
 
 def reference_image(scene: ResolvedScene, gbuffer: GBuffer, parameters: dict[str, torch.Tensor]) -> np.ndarray:
-    """The picture [H, W, 3] by its definition: loops over pixels, directions, channels and lobes, in world space."""
+    """The image [H, W, 3] by its definition: loops over pixels, directions, channels and lobes, in world space."""
     environment = np.asarray(scene.environment)
     chroma, _, exposure = reference_exposure(environment)
     angles, intensity, material = (
@@ -117,13 +117,13 @@ def reference_image(scene: ResolvedScene, gbuffer: GBuffer, parameters: dict[str
     )
     right, up, back = scene.view[:3, :3].T
     height, width = gbuffer.coverage.shape
-    picture = np.empty((height, width, 3))
+    image = np.empty((height, width, 3))
     ground = np.array(scene.description.ground)
     for y in range(height):
         for x in range(width):
             covered = float(gbuffer.coverage[y, x])
             if covered == 0:
-                picture[y, x] = ground
+                image[y, x] = ground
                 continue
             azimuth, polar = angles[y, x]
             normal = sin(polar) * sin(azimuth) * right + cos(polar) * up + sin(polar) * cos(azimuth) * back
@@ -139,5 +139,5 @@ def reference_image(scene: ResolvedScene, gbuffer: GBuffer, parameters: dict[str
                     total[c] += rho * chroma[i, j, c] * intensity[i, j] * (normal @ direction) * solid
             linear = np.clip(gbuffer.base_color[y, x].double().numpy() * exposure * total, 0, 1)
             shown = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-            picture[y, x] = covered * shown + (1 - covered) * ground
-    return picture
+            image[y, x] = covered * shown + (1 - covered) * ground
+    return image

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from services.rendering.color import display_slope, from_bytes, quantize, to_bytes, to_display
+from services.rendering.color import display_derivative, from_bytes, quantize, to_bytes, to_display
 from services.scenes.srgb import to_linear
 
 pytestmark = pytest.mark.usefixtures("kernel")
@@ -40,7 +40,7 @@ def test_the_slope_is_that_of_the_curve_and_zero_where_it_is_clipped() -> None:
     )
     assert torch.autograd.gradcheck(to_display, linear, eps=1e-7)
     outside = torch.tensor([-1e-3, 1.001])
-    assert not display_slope(outside).any()
+    assert not display_derivative(outside).any()
 
 
 def test_saving_rounds_to_nearest_and_ties_to_even() -> None:
@@ -49,9 +49,9 @@ def test_saving_rounds_to_nearest_and_ties_to_even() -> None:
     values = torch.cat(
         [middles, torch.rand(4099, generator=torch.Generator().manual_seed(0)), torch.tensor([-1.0, 2.0])]
     )
-    pictures, seen = quantize(values)
-    assert torch.equal(pictures, to_bytes(values))
-    assert torch.equal(seen, from_bytes(pictures))
+    images, seen = quantize(values)
+    assert torch.equal(images, to_bytes(values))
+    assert torch.equal(seen, from_bytes(images))
     rounded = np.rint(np.clip(values.numpy(), 0, 1) * np.float32(255))
-    np.testing.assert_array_equal(pictures.numpy(), rounded)
-    assert pictures[-2:].tolist() == [0, 255]
+    np.testing.assert_array_equal(images.numpy(), rounded)
+    assert images[-2:].tolist() == [0, 255]

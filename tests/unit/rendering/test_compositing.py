@@ -1,4 +1,4 @@
-"""Covered pixels in and out of pictures: against a loop over pixels, and by finite differences."""
+"""Covered pixels in and out of images: against a loop over pixels, and by finite differences."""
 
 import pytest
 import torch
@@ -28,7 +28,7 @@ def lit(count: int, dtype: torch.dtype = torch.float64) -> Tensor:
 @pytest.mark.parametrize("count", [0, 1, 16, 37, 63])
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.usefixtures("kernel")
-def test_a_picture_is_the_displayed_colour_over_the_ground(dtype: torch.dtype, count: int) -> None:
+def test_a_image_is_the_displayed_colour_over_the_ground(dtype: torch.dtype, count: int) -> None:
     of, radiance = canvas(count, dtype), lit(count, dtype)
     expected = of.ground.expand(*SIZE, 3).clone()
     for p, pixel in enumerate(of.pixels.tolist()):
@@ -36,13 +36,13 @@ def test_a_picture_is_the_displayed_colour_over_the_ground(dtype: torch.dtype, c
         expected[divmod(pixel, SIZE[1])] = of.coverage[p] * shown + (1 - of.coverage[p]) * of.ground
     # one rounding more or less of the product and the sum, both at most 1
     close = 2 * torch.finfo(dtype).eps
-    torch.testing.assert_close(of.picture(radiance), expected, rtol=0, atol=close)
+    torch.testing.assert_close(of.image(radiance), expected, rtol=0, atol=close)
 
 
 @pytest.mark.usefixtures("kernel")
-def test_gradcheck_of_a_picture() -> None:
+def test_gradcheck_of_a_image() -> None:
     of = canvas()
-    assert torch.autograd.gradcheck(of.picture, lit(37).requires_grad_(), eps=1e-8)
+    assert torch.autograd.gradcheck(of.image, lit(37).requires_grad_(), eps=1e-8)
 
 
 def test_gradcheck_of_the_covered_pixels() -> None:
@@ -58,9 +58,9 @@ def test_the_two_kernels_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     for library in (compiled.library, lambda: None):
         monkeypatch.setattr(compiled, "library", library)
         radiance = lit(37, torch.float32).requires_grad_()
-        picture = of.picture(radiance)
-        found.append((picture.detach(), *torch.autograd.grad(picture.square().sum(), radiance)))
-    torch.testing.assert_close(*[picture for picture, _ in found], rtol=0, atol=3e-7)  # of displayed values up to 1
+        image = of.image(radiance)
+        found.append((image.detach(), *torch.autograd.grad(image.square().sum(), radiance)))
+    torch.testing.assert_close(*[image for image, _ in found], rtol=0, atol=3e-7)  # of displayed values up to 1
     torch.testing.assert_close(*[slope for _, slope in found], rtol=3e-6, atol=1e-6)
     assert found[0][1].any()
 

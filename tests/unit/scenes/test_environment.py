@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.errors import InvalidRequest, JobFailure
-from services.scenes.environment import average, from_picture, read_exr, uniform
+from services.scenes.environment import average, from_image, read_exr, uniform
 
 
 def direction(row, column, rows, cols):
@@ -27,9 +27,9 @@ def light(radiance):
 
 
 def spot(rows, cols, row, column):
-    picture = np.zeros((rows, cols, 3), np.float32)
-    picture[row, column] = 1
-    return picture
+    image = np.zeros((rows, cols, 3), np.float32)
+    image[row, column] = 1
+    return image
 
 
 @pytest.mark.parametrize(
@@ -37,25 +37,25 @@ def spot(rows, cols, row, column):
     [(0.5, (1, 0, 0)), (0.75, (0, 0, 1)), (0.25, (0, 0, -1)), (0.0, (-1, 0, 0))],
 )
 @pytest.mark.parametrize("width", [64, 66])
-def test_a_bright_column_of_a_picture_lands_in_its_direction(u, expected, width):
+def test_a_bright_column_of_a_image_lands_in_its_direction(u, expected, width):
     # Reference: what Blender's equirectangular mapping calls direction_to_equirectangular, in +y-up coordinates.
     column = round(u * width) % width
-    picture = np.zeros((8, width, 3), np.float32)
-    picture[:, [column - 1, column]] = 1
-    turned = from_picture(picture)
+    image = np.zeros((8, width, 3), np.float32)
+    image[:, [column - 1, column]] = 1
+    turned = from_image(image)
     centre = sum(direction(3, j, 8, width) * [1, 0, 1] * turned[3, j, 0] for j in range(width))
     assert np.dot(centre / np.linalg.norm(centre), expected) > 0.995
 
 
-def test_a_picture_is_not_mirrored():
-    # Seen from inside, looking along −z (u = ¼) with +y up, +x is to the right: right in the picture is larger u.
-    picture = spot(8, 64, 3, 64 // 4 + 4)
-    row, column = np.argwhere(from_picture(picture)[..., 0])[0]
+def test_a_image_is_not_mirrored():
+    # Seen from inside, looking along −z (u = ¼) with +y up, +x is to the right: right in the image is larger u.
+    image = spot(8, 64, 3, 64 // 4 + 4)
+    row, column = np.argwhere(from_image(image)[..., 0])[0]
     assert direction(row, column, 8, 64)[0] > 0.3
 
 
 def test_the_top_row_is_up():
-    row, column = np.argwhere(from_picture(spot(8, 16, 0, 0))[..., 0])[0]
+    row, column = np.argwhere(from_image(spot(8, 16, 0, 0))[..., 0])[0]
     assert direction(row, column, 8, 16)[1] > 0.9
 
 
@@ -139,7 +139,7 @@ def test_alpha_and_half_floats_are_read(tmp_path):
     assert read_exr(tmp_path / "a.exr", None).radiance.tolist() == np.full((2, 4, 3), 0.25).tolist()
 
 
-@pytest.mark.parametrize("data", [None, b"", b"not a picture", b"v/1\x01garbage"])
+@pytest.mark.parametrize("data", [None, b"", b"not an image", b"v/1\x01garbage"])
 def test_an_unreadable_file_is_a_missing_asset(tmp_path, data):
     if data is not None:
         (tmp_path / "a.exr").write_bytes(data)

@@ -97,10 +97,10 @@ def test_empty_files_are_refused(kind, data):
 def test_files_that_are_something_else_are_refused(kind, other):
     if kind == other:
         return
-    picture = BytesIO()
-    Image.new("RGB", (4, 4)).save(picture, "PNG")
+    image = BytesIO()
+    Image.new("RGB", (4, 4)).save(image, "PNG")
     noise = np.random.default_rng(0).integers(0, 256, 500, dtype=np.uint8).tobytes()
-    data = {**GOOD, "png": picture.getvalue(), "zip": b"PK\x03\x04" + bytes(100), "noise": noise}[other]
+    data = {**GOOD, "png": image.getvalue(), "zip": b"PK\x03\x04" + bytes(100), "noise": noise}[other]
     refused(data, kind, f"not a readable {kind} mesh")
 
 
@@ -308,7 +308,7 @@ def test_a_glb_keeps_its_texture_and_linear_colour():
     assert blended.color[3] == pytest.approx(128 / 255, abs=1e-3)
 
 
-def test_a_picture_bomb_is_refused(monkeypatch):
+def test_a_image_bomb_is_refused(monkeypatch):
     monkeypatch.setattr(surfaces, "MAX_TEXTURE_SOURCE", 6 * 4 - 1)
     refused(textured(6, 4), "glb", "pixels")
 

@@ -53,7 +53,7 @@ def test_float64_twin_agrees(target: Classifier, images: torch.Tensor) -> None:
 
 
 @torch.no_grad()
-def test_one_picture_does_not_hear_of_the_others(target: Classifier, images: torch.Tensor) -> None:
+def test_one_image_does_not_hear_of_the_others(target: Classifier, images: torch.Tensor) -> None:
     alone = target.logits(images[:1])
     torch.testing.assert_close(target.logits(images)[:1], alone, atol=1e-5, rtol=0)
     assert torch.equal(target.logits(images[:1]), alone)
@@ -73,7 +73,7 @@ def test_gradient_agrees_with_a_difference(images: torch.Tensor) -> None:
 @torch.no_grad()
 def test_other_sizes_are_resized(target: Classifier, images: torch.Tensor) -> None:
     large = images.repeat_interleave(2, 1).repeat_interleave(2, 2)
-    # halving a doubled picture with an antialiased filter blurs a little; the answer stays near
+    # halving a doubled image with an antialiased filter blurs a little; the answer stays near
     assert int(target.logits(large)[0].argmax()) in target.logits(images)[0].topk(5).indices.tolist()
 
 

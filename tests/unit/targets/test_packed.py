@@ -221,10 +221,10 @@ def test_every_layer_of_the_network_computes_what_its_plain_one_does(target: Cla
 @pytest.mark.parametrize("batch", [1, 2])
 def test_the_network_answers_as_in_float64(target: Classifier, batch: int) -> None:
     twin = registry.load("efficientnet-lite0", torch.float64)
-    pictures = torch.rand(batch, 224, 224, 3, generator=torch.Generator().manual_seed(0))
+    drawn = torch.rand(batch, 224, 224, 3, generator=torch.Generator().manual_seed(0))
 
     def score(of: Classifier) -> Tensor:
-        leaf = pictures.to(of.dtype).requires_grad_()
+        leaf = drawn.to(of.dtype).requires_grad_()
         return torch.autograd.grad(of.logits(leaf)[:, 3].sum(), leaf)[0].double()
 
     assert isinstance(twin, Classifier)

@@ -1,8 +1,8 @@
-// Geometry of the visible surface, one sample per pixel of a grid finer than the picture.
+// Geometry of the visible surface, one sample per pixel of a grid finer than the image.
 
 uniform vec3 forward;         // viewing direction
 uniform float object_number;  // index + 1; 0 is where nothing was drawn
-uniform int factor;           // samples per picture pixel, in each direction
+uniform int factor;           // samples per image pixel, in each direction
 uniform float thresholds[16]; // opacity above which the sample (row, column) of a pixel sees the surface
 
 layout(location = 0) out vec4 normal_and_depth;

@@ -25,7 +25,7 @@ uniform sampler2D emissive_map;            // sRGB
 const float MIN_ROUGHNESS = 0.04;  // as pyrender: the highlight of a smoother surface would fall between the pixels
 
 struct Material {
-    vec3 texel;    // base colour, but for the factor of the picture
+    vec3 texel;    // base colour, but for the factor of the image
     float alpha;
     float metallic;
     float roughness;

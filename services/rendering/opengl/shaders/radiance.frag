@@ -1,5 +1,5 @@
 // Linear, unclamped radiance of a surface under light from all around and point, directional and spot lights. Exactly
-// linear in a picture's ambient light and in each of its intensities, but for what a surface emits. With base colour C,
+// linear in an image's ambient light and in each of its intensities, but for what a surface emits. With base colour C,
 // unit vectors n, v, l to the lights at distances d, up direction y:
 //
 //   C (ambient (1 + n.y / 3) + sum I n.l / (pi d^2))  +  ambient S(n.v)  +  sum I n.l / d^2 * D G F / (4 n.l n.v)
@@ -14,25 +14,25 @@
 const float ROUGHNESS = 0.45;        // alpha is its square
 const float NORMAL_REFLECTANCE = 0.04;
 
-uniform float ambients[PICTURES];
+uniform float ambients[IMAGES];
 #if LIGHTS
-uniform vec3 positions[PICTURES * LIGHTS];
-uniform float intensities[PICTURES * LIGHTS];
+uniform vec3 positions[IMAGES * LIGHTS];
+uniform float intensities[IMAGES * LIGHTS];
 #endif
 #if DIRECTIONAL_LIGHTS
-uniform vec3 to_suns[PICTURES * DIRECTIONAL_LIGHTS];  // unit vectors towards the lights
-uniform float irradiances[PICTURES * DIRECTIONAL_LIGHTS];
+uniform vec3 to_suns[IMAGES * DIRECTIONAL_LIGHTS];  // unit vectors towards the lights
+uniform float irradiances[IMAGES * DIRECTIONAL_LIGHTS];
 #endif
 #if SPOT_LIGHTS
-uniform vec3 spot_positions[PICTURES * SPOT_LIGHTS];
-uniform vec3 spot_directions[PICTURES * SPOT_LIGHTS];  // unit vectors along the axes
-uniform float spot_intensities[PICTURES * SPOT_LIGHTS];
-uniform float spot_scales[PICTURES * SPOT_LIGHTS];  // the fall-off is the square of scale cos(angle) + offset, clamped
-uniform float spot_offsets[PICTURES * SPOT_LIGHTS];
+uniform vec3 spot_positions[IMAGES * SPOT_LIGHTS];
+uniform vec3 spot_directions[IMAGES * SPOT_LIGHTS];  // unit vectors along the axes
+uniform float spot_intensities[IMAGES * SPOT_LIGHTS];
+uniform float spot_scales[IMAGES * SPOT_LIGHTS];  // the fall-off is the square of scale cos(angle) + offset, clamped
+uniform float spot_offsets[IMAGES * SPOT_LIGHTS];
 #endif
 
-// Radiance times opacity, and opacity. Invariant: a picture has the same bits beside any others.
-invariant layout(location = 0) out vec4 pictures[PICTURES];
+// Radiance times opacity, and opacity. Invariant: an image has the same bits beside any others.
+invariant layout(location = 0) out vec4 images[IMAGES];
 
 float fifth_power(float x) {
     return x * x * (x * x) * x;
@@ -83,7 +83,7 @@ vec3 reflected(Material m, vec3 body, vec3 f0, vec3 n, vec3 v, vec3 l) {
 
 // Radiance of a glTF material. Of the ambient sky, a rough surface sees its cosine-weighted mean and a smooth one what
 // it mirrors; the occlusion map darkens the ambient light alone.
-vec4 picture(int k, Material m, vec3 v, vec3 n) {
+vec4 image(int k, Material m, vec3 v, vec3 n) {
     vec3 base = base_colors[k] * m.texel;
     vec3 body = base * ((1.0 - m.metallic) * (1.0 - NORMAL_REFLECTANCE));
     vec3 f0 = mix(vec3(NORMAL_REFLECTANCE), base, m.metallic);
@@ -116,7 +116,7 @@ vec4 picture(int k, Material m, vec3 v, vec3 n) {
     return vec4(radiance * m.alpha, m.alpha);
 }
 #else
-vec4 picture(int k, vec3 texel, vec3 v, vec3 n) {
+vec4 image(int k, vec3 texel, vec3 v, vec3 n) {
     float body = ambients[k] * (1.0 + n.y / 3.0);
     float gloss = ambients[k] * fresnel(1.0 - ROUGHNESS, dot(n, v));
 #if LIGHTS
@@ -159,26 +159,26 @@ void main() {
     vec3 n = surface_normal(v);
 #endif
     // Written out: a loop of this size stays a loop, and takes twice as long.
-    pictures[0] = picture(0, surface, v, n);
-#if PICTURES > 1
-    pictures[1] = picture(1, surface, v, n);
+    images[0] = image(0, surface, v, n);
+#if IMAGES > 1
+    images[1] = image(1, surface, v, n);
 #endif
-#if PICTURES > 2
-    pictures[2] = picture(2, surface, v, n);
+#if IMAGES > 2
+    images[2] = image(2, surface, v, n);
 #endif
-#if PICTURES > 3
-    pictures[3] = picture(3, surface, v, n);
+#if IMAGES > 3
+    images[3] = image(3, surface, v, n);
 #endif
-#if PICTURES > 4
-    pictures[4] = picture(4, surface, v, n);
+#if IMAGES > 4
+    images[4] = image(4, surface, v, n);
 #endif
-#if PICTURES > 5
-    pictures[5] = picture(5, surface, v, n);
+#if IMAGES > 5
+    images[5] = image(5, surface, v, n);
 #endif
-#if PICTURES > 6
-    pictures[6] = picture(6, surface, v, n);
+#if IMAGES > 6
+    images[6] = image(6, surface, v, n);
 #endif
-#if PICTURES > 7
-    pictures[7] = picture(7, surface, v, n);
+#if IMAGES > 7
+    images[7] = image(7, surface, v, n);
 #endif
 }

@@ -8,7 +8,7 @@ in vec3 world_position;
 centroid in vec3 world_normal;
 
 uniform vec3 eye;
-uniform vec3 base_colors[PICTURES];    // linear, one for each picture
+uniform vec3 base_colors[IMAGES];    // linear, one for each image
 uniform float opacity;
 #if TEXTURED
 centroid in vec2 texture_uv;

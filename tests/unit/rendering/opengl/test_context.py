@@ -99,7 +99,7 @@ def test_a_forked_process_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_uniform_that_does_not_exist_is_an_error() -> None:
     program = context.current().renderer.program(
-        "radiance.frag", textured=False, holes=False, pictures=1, lights=(1, 0, 0)
+        "radiance.frag", textured=False, holes=False, images=1, lights=(1, 0, 0)
     )
     with pytest.raises(KeyError, match=r"radiance\.frag has no uniform 'ambiant'"):
         program.set("ambiant", 0.5)
@@ -114,7 +114,7 @@ def test_values_survive_beyond_one_and_below_half_a_step_of_eight_bits() -> None
     torch.testing.assert_close(pixel / pixel[1], levels / levels[1], rtol=1e-5, atol=0)
 
 
-_PICTURES = """
+_IMAGES = """
 import sys
 import numpy as np
 from services.rendering.opengl.gbuffer import rasterise
@@ -130,14 +130,14 @@ np.savez(sys.argv[1], image=PyrenderRenderer(scene).render({})[0], coverage=g.co
 
 
 def test_egl_and_osmesa_agree(tmp_path) -> None:
-    pictures = []
+    images = []
     for platform in PLATFORMS:
-        on_platform(platform, _PICTURES, str(tmp_path / platform))
-        pictures.append(dict(np.load(tmp_path / f"{platform}.npz")))
-    for name, one in pictures[0].items():
-        difference = np.abs(one - pictures[1][name])
+        on_platform(platform, _IMAGES, str(tmp_path / platform))
+        images.append(dict(np.load(tmp_path / f"{platform}.npz")))
+    for name, one in images[0].items():
+        difference = np.abs(one - images[1][name])
         # Drivers may round an edge to the other side of a sample and filter textures with different precision; where
-        # both are Mesa's software rasteriser the pictures are the same to the bit.
+        # both are Mesa's software rasteriser the images are the same to the bit.
         assert difference.mean() < 1e-3, name
         assert np.quantile(difference, 0.99) < 0.02, name
 
@@ -158,8 +158,8 @@ for frame in range(2000):
     if frame == 50:
         before = resident()
     turn = torch.randn((1, 1, 3), generator=generator)
-    picture = renderer.render({"rotation": turn})
-print(json.dumps({"grown": resident() - before, "backend": context.gl_backend(), "spread": float(picture.std())}))
+    image = renderer.render({"rotation": turn})
+print(json.dumps({"grown": resident() - before, "backend": context.gl_backend(), "spread": float(image.std())}))
 """
 
 

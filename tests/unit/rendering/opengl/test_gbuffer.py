@@ -81,7 +81,7 @@ def test_normals_bent_over_the_horizon_are_put_on_it() -> None:
     facing = -(result.normals.numpy() * ray).sum(-1)
     assert facing.min() > -0.02  # the pixel's middle, against the mean of samples that are each >= 0
     assert (facing < 0.01).any()
-    assert (result.normals[..., 0] > 0).all()  # none was turned round: that would make a seam down the picture
+    assert (result.normals[..., 0] > 0).all()  # none was turned round: that would make a seam down the image
 
 
 def test_the_nearer_object_hides_the_other_and_pixels_name_their_object() -> None:
@@ -94,7 +94,7 @@ def test_the_nearer_object_hides_the_other_and_pixels_name_their_object() -> Non
     assert index[2, 90] == -1
     np.testing.assert_allclose(color[32, 56], [0, 0, 1], atol=1e-6)
     assert set(np.unique(index)) == {-1, 0, 1}
-    # The picture does not depend on the order of the objects, except whose a pixel is that both cover equally.
+    # The image does not depend on the order of the objects, except whose a pixel is that both cover equally.
     untied = result.base_color[..., 0] != result.base_color[..., 2]
     swapped = rasterise(placed(description, mesh(near), mesh(far)))
     assert torch.equal(swapped.base_color, result.base_color)

@@ -38,7 +38,7 @@ def test_nothing_is_drawn_outside_the_rectangle() -> None:
 
 
 @pytest.mark.parametrize("to", [(0.0, 0.0, 1.7), (0.0, 0.0, 2.5), (0.0, 0.0, 1.3)])
-def test_an_object_that_reaches_behind_the_camera_has_the_whole_picture(to: tuple[float, ...]) -> None:
+def test_an_object_that_reaches_behind_the_camera_has_the_whole_image(to: tuple[float, ...]) -> None:
     renderer = PyrenderRenderer(placed(scene((24, 32)), mesh(sphere(0.6, 12))))
     moved = {"translation": torch.tensor([[to]], dtype=torch.float64)}
     assert renderer.extent({"translation": moved["translation"][0]}) == (0, 24, 0, 32)

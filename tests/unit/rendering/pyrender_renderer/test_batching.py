@@ -39,13 +39,13 @@ def drawn(batch: dict[str, Array], most: int) -> list[dict[tuple[int, int], byte
 
 @pytest.mark.parametrize("most", [1, 3, 8])
 @pytest.mark.parametrize("objects", [1, 2])
-def test_every_channel_of_every_picture_is_drawn_with_its_own_parameters(objects: int, most: int) -> None:
+def test_every_channel_of_every_image_is_drawn_with_its_own_parameters(objects: int, most: int) -> None:
     asked, given = drawn(sides(objects), most)
     assert asked == given
 
 
-def test_the_fourteen_differences_take_fourteen_passes_and_twenty_five_pictures() -> None:
-    """12 poses by themselves; 10 sides of light and 3 for the 6 sides of colour and the picture they are around."""
+def test_the_fourteen_differences_take_fourteen_passes_and_twenty_five_images() -> None:
+    """12 poses by themselves; 10 sides of light and 3 for the 6 sides of colour and the image they are around."""
     passes = list(shared(sides(), 8))
     assert len(passes) == 14
     assert sorted(len(one.colors) for one in passes) == [1] * 12 + [5, 8]
@@ -82,7 +82,7 @@ print(torch.equal(together, alone), torch.equal(together, whole), float(together
 
 
 @pytest.mark.parametrize("platform", PLATFORMS)
-def test_pictures_that_share_have_the_bits_they_have_alone_and_whole(platform: str) -> None:
+def test_images_that_share_have_the_bits_they_have_alone_and_whole(platform: str) -> None:
     """No tolerance: the same instructions on the same numbers. Two lights, two objects, one of them of glass."""
     assert on_platform(platform, _BITS).split() == ["True", "True", "True", "54"]
 

@@ -279,7 +279,7 @@ def pairs() -> dict[str, tuple[dict[str, float], dict[str, float]]]:
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_pictures_are_those_of_stock_pyrender_or_the_reason_is_known(
+def test_images_are_those_of_stock_pyrender_or_the_reason_is_known(
     model: str, pairs: dict[str, tuple[dict[str, float], dict[str, float]]]
 ) -> None:
     plain, mended = pairs[model]

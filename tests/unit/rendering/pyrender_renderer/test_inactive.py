@@ -24,8 +24,8 @@ def names(renderer: PyrenderRenderer, reach: float = REACH) -> list[str]:
         for sign in (1, -1):
             moved = renderer.initial()
             moved[one.group].view(-1)[one.index] += sign * reach
-            pictures = renderer.radiance({group: value[None] for group, value in moved.items()})
-            assert torch.equal(pictures, renderer.radiance({})), one
+            images = renderer.radiance({group: value[None] for group, value in moved.items()})
+            assert torch.equal(images, renderer.radiance({})), one
     return [one.name for one in found]
 
 

@@ -1,4 +1,4 @@
-"""The rasterising renderer's plan, line by line: without what it keeps the picture is another, with what it leaves out
+"""The rasterising renderer's plan, line by line: without what it keeps the image is another, with what it leaves out
 it is the same to the bit."""
 
 from collections.abc import Callable
@@ -40,7 +40,7 @@ def far_from(images: Tensor, others: Tensor) -> bool:
     return bool((images - others).abs().mean() > 3e-4)
 
 
-def picture(renderer: PyrenderRenderer) -> Tensor:
+def image(renderer: PyrenderRenderer) -> Tensor:
     return renderer.radiance({})
 
 
@@ -61,7 +61,7 @@ def fewer_faces(renderer: PyrenderRenderer, patch: pytest.MonkeyPatch) -> None: 
 
 
 def fewer_textures(renderer: PyrenderRenderer, patch: pytest.MonkeyPatch) -> None:  # noqa: ARG001
-    """The cube without its picture."""
+    """The cube without its image."""
     renderer._drawing.pieces[:] = [replace(piece, texture=None) for piece in renderer._drawing.pieces]
 
 
@@ -72,7 +72,7 @@ def fewer_that_show(renderer: PyrenderRenderer, patch: pytest.MonkeyPatch) -> No
 
 
 def shared_too_much(renderer: PyrenderRenderer, patch: pytest.MonkeyPatch) -> None:  # noqa: ARG001
-    """The second picture of a batch drawn with the pose of the first."""
+    """The second image of a batch drawn with the pose of the first."""
     true = pyrender_renderer.shared
 
     def all_alike(batch, most):
@@ -82,7 +82,7 @@ def shared_too_much(renderer: PyrenderRenderer, patch: pytest.MonkeyPatch) -> No
 
 
 @pytest.mark.parametrize("less", [fewer_pixels, fewer_faces, fewer_textures, fewer_that_show, shared_too_much])
-def test_without_what_is_kept_the_picture_is_another(
+def test_without_what_is_kept_the_image_is_another(
     less: Callable[[PyrenderRenderer, pytest.MonkeyPatch], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     renderer = subject()
@@ -93,10 +93,10 @@ def test_without_what_is_kept_the_picture_is_another(
     assert far_from(renderer.radiance({"translation": moved}), whole)
 
 
-def test_every_coordinate_that_is_kept_changes_the_picture_and_no_other_does() -> None:
+def test_every_coordinate_that_is_kept_changes_the_image_and_no_other_does() -> None:
     renderer = subject()
     [item] = [item for item in renderer.plan.items if item.what == "coordinates"]
-    start, still, changed = picture(renderer), set(), 0
+    start, still, changed = image(renderer), set(), 0
     for group, value in renderer.initial().items():
         for index, name in enumerate(renderer.names(group) or []):
             sides = torch.stack([value, value])
@@ -112,7 +112,7 @@ def test_every_coordinate_that_is_kept_changes_the_picture_and_no_other_does() -
 
 def test_a_look_at_a_white_texture_changes_no_bit() -> None:
     renderer = subject()
-    start, pieces = picture(renderer), renderer._drawing.pieces
+    start, pieces = image(renderer), renderer._drawing.pieces
     [textures] = [[item.kept, item.of] for item in renderer.plan.items if item.what.startswith("parts with a look")]
     assert textures == [6, 8]
     from services.rendering.opengl.textures import SrgbTexture
@@ -123,7 +123,7 @@ def test_a_look_at_a_white_texture_changes_no_bit() -> None:
         if piece.texture is None:
             uv = np.zeros((len(piece.part.vertices), 2), np.float32)
             pieces[at] = replace(piece, texture=white, part=replace(piece.part, uv=uv))
-    assert torch.equal(picture(renderer), start)
+    assert torch.equal(image(renderer), start)
 
 
 def test_opengl_and_faces_that_do_not_show_change_little() -> None:
@@ -131,7 +131,7 @@ def test_opengl_and_faces_that_do_not_show_change_little() -> None:
     found = {item.what: (item.kept, item.of) for item in renderer.plan.items}
     assert found["passes through OpenGL"][0] == 0 < found["passes through OpenGL"][1]
     assert 0 < found["faces shaded"][0] < found["faces shaded"][1]
-    assert not far_from(picture(renderer), renderer.exact().radiance({}))
+    assert not far_from(image(renderer), renderer.exact().radiance({}))
 
 
 def test_insides_and_the_rest_of_the_frame_change_no_bit() -> None:

@@ -296,14 +296,14 @@ def test_the_same_bits_on_any_number_of_threads() -> None:
     renderer = rasterised(placed(scene((96, 128)), mesh(wrinkled(0, 40), soup(1, 99, 0.2, GLASS))))
     parameters, before = moved(renderer, 0), torch.get_num_threads()
     try:
-        pictures = []
+        drawn = []
         for count in (1, 2, 5):
             torch.set_num_threads(count)
-            pictures.append(renderer.radiance(parameters))
+            drawn.append(renderer.radiance(parameters))
     finally:
         torch.set_num_threads(before)
-    assert torch.equal(pictures[0], pictures[1])
-    assert torch.equal(pictures[0], pictures[2])
+    assert torch.equal(drawn[0], drawn[1])
+    assert torch.equal(drawn[0], drawn[2])
 
 
 def test_faces_that_show_are_counted() -> None:

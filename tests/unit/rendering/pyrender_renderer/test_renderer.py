@@ -152,7 +152,7 @@ def test_float_images_follow_the_derivative_in_energy_and_eight_bits_do_not(delt
     assert error(as_saved(up) - as_saved(down)) > 0.5  # the same on what is saved: rounding drowns the change
 
 
-def test_the_picture_is_displayed_radiance_over_the_displayed_ground() -> None:
+def test_the_image_is_displayed_radiance_over_the_displayed_ground() -> None:
     description = scene((48, 48)).model_copy(update={"ground": (0.2, 0.4, 0.6)})
     renderer = PyrenderRenderer(placed(description, mesh(sphere(0.5, color=(0.5, 0.4, 0.3, 1)))))
     radiance, image = renderer.radiance({})[0], renderer.render({})[0]

@@ -17,12 +17,12 @@ from services.scenes.srgb import to_linear
 from tests.unit.rendering.shading import GROUND, lambertian, reference_image, sky, sphere_gbuffer, sphere_scene
 from tests.unit.rendering.torch_renderer.spheres import GROUPS, TIGHT, TWO, moved, sphere
 
-# What a picture is
+# What an image is
 
 
 @pytest.mark.parametrize(("tolerance", "rtol"), [("exact", 1e-10), (1e-3, 1e-5)])
 @pytest.mark.parametrize("move", [False, True])
-def test_picture_is_the_sum_it_is_defined_as(tolerance: Tolerance, rtol: float, move: bool) -> None:
+def test_image_is_the_sum_it_is_defined_as(tolerance: Tolerance, rtol: float, move: bool) -> None:
     """So few pixels are summed each for itself, in float32 within the tolerance."""
     scene = sphere_scene((7, 9), sky(), TWO)
     gbuffer = sphere_gbuffer(scene, albedo=(0.3, 0.25, 0.2))
@@ -44,10 +44,10 @@ def test_a_lambertian_sphere_under_white_light_is_flat() -> None:
         environment = np.ones((rows, 2 * rows, 3), np.float32)
         scene = sphere_scene((24, 24), environment, ("matte",))
         gbuffer = sphere_gbuffer(scene, albedo=albedo)
-        picture = TorchRenderer(scene, gbuffer, tolerance="exact").render({"material": lambertian()[None, None]})[0]
+        image = TorchRenderer(scene, gbuffer, tolerance="exact").render({"material": lambertian()[None, None]})[0]
         unit = illumination(torch.from_numpy(environment)).exposure * ILLUMINATION_MEAN
         whole = gbuffer.coverage == 1
-        ratio = torch.from_numpy(to_linear(picture.numpy()))[whole] / (unit * gbuffer.base_color[whole].double())
+        ratio = torch.from_numpy(to_linear(image.numpy()))[whole] / (unit * gbuffer.base_color[whole].double())
         errors.append(float((ratio - 1).abs().max()))
         assert errors[-1] < (pi / rows) ** 2 / 6
     assert errors[0] > 3 * errors[1] > 9 * errors[2]
@@ -61,27 +61,27 @@ def test_one_texel_lights_by_its_cosine() -> None:
     gbuffer = sphere_gbuffer(scene, albedo=(0.5, 0.5, 0.5))
     renderer = TorchRenderer(scene, gbuffer, tolerance="exact")
     shown = renderer.render({"material": lambertian()[None, None]})[0]
-    picture = torch.from_numpy(to_linear(shown.numpy()))
+    image = torch.from_numpy(to_linear(shown.numpy()))
     theta, phi = 1.5 * pi / 4, 1.5 * 2 * pi / 8
     towards = torch.tensor([np.sin(theta) * np.sin(phi), np.cos(theta), np.sin(theta) * np.cos(phi)])
     cosine = (gbuffer.normals.double() @ towards).clamp_min(0)
     whole = gbuffer.coverage == 1
     assert (cosine[whole] == 0).any()  # part of it in the dark
-    scale = float(picture[whole].max() / cosine[whole].max())
+    scale = float(image[whole].max() / cosine[whole].max())
     # normals are float32
-    torch.testing.assert_close(picture[..., 1][whole], scale * cosine[whole], rtol=1e-6, atol=1e-6)
+    torch.testing.assert_close(image[..., 1][whole], scale * cosine[whole], rtol=1e-6, atol=1e-6)
 
 
 def test_coverage_lies_over_the_ground() -> None:
     scene = sphere_scene((24, 24), sky(), ("matte",))
     gbuffer = sphere_gbuffer(scene)
-    picture = TorchRenderer(scene, gbuffer).render({})[0]
-    assert (picture[gbuffer.coverage == 0] == torch.tensor(GROUND)).all()
+    image = TorchRenderer(scene, gbuffer).render({})[0]
+    assert (image[gbuffer.coverage == 0] == torch.tensor(GROUND)).all()
     part = (gbuffer.coverage > 0) & (gbuffer.coverage < 1)
     assert part.any()
     whole = TorchRenderer(scene, type(gbuffer)(**vars(gbuffer) | {"coverage": part.float()})).render({})[0]
     share = gbuffer.coverage[part][:, None]
-    torch.testing.assert_close(picture[part], share * whole[part] + (1 - share) * torch.tensor(GROUND))
+    torch.testing.assert_close(image[part], share * whole[part] + (1 - share) * torch.tensor(GROUND))
 
 
 def test_nothing_covered_is_ground() -> None:
@@ -103,7 +103,7 @@ def test_a_material_belongs_to_its_object() -> None:
 
 
 def test_the_camera_sees_highlights_move_with_it() -> None:
-    """Under a map turned with the camera the picture stays: shading happens in the camera's frame."""
+    """Under a map turned with the camera the image stays: shading happens in the camera's frame."""
     environment = sky(16, 32)
     step = 2 * pi / 32
     first = sphere_scene((16, 16), environment, ("glossy-paint",), azimuth=0.0)
@@ -143,8 +143,8 @@ def test_gradcheck(group: str) -> None:
 
 def slope(renderer: TorchRenderer, group: str, start: Parameters, weights: Tensor) -> Tensor:
     leaf = start[group].clone().requires_grad_()
-    picture = renderer.render(start | {group: leaf})
-    return torch.autograd.grad((picture * weights).sum(), leaf)[0]
+    image = renderer.render(start | {group: leaf})
+    return torch.autograd.grad((image * weights).sum(), leaf)[0]
 
 
 @pytest.mark.parametrize("group", GROUPS)
@@ -212,10 +212,10 @@ def test_extremes_stay_finite(tolerance: Tolerance, case: str) -> None:
     elif case == "far":
         log_kappa[:], log_gamma[:] = 1e6, 1e6
     leaves = {g: v.clone().requires_grad_() for g, v in start.items()}
-    picture = renderer.render(leaves)
-    assert picture.isfinite().all()
-    assert ((picture >= 0) & (picture <= 1)).all()
-    for gradient in torch.autograd.grad(picture.sum(), list(leaves.values())):
+    image = renderer.render(leaves)
+    assert image.isfinite().all()
+    assert ((image >= 0) & (image <= 1)).all()
+    for gradient in torch.autograd.grad(image.sum(), list(leaves.values())):
         assert gradient.isfinite().all()
 
 
@@ -225,6 +225,6 @@ def test_grazing_normals_stay_finite() -> None:
     for azimuth in (pi / 2, -pi / 2, pi / 2 + 1e-7, pi / 2 - 1e-7):
         start["normals"][..., 0] = azimuth
         leaf = start["normals"][None].clone().requires_grad_()
-        picture = renderer.render({"normals": leaf})
-        assert picture.isfinite().all()
-        assert torch.autograd.grad(picture.sum(), leaf)[0].isfinite().all()
+        image = renderer.render({"normals": leaf})
+        assert image.isfinite().all()
+        assert torch.autograd.grad(image.sum(), leaf)[0].isfinite().all()

@@ -13,16 +13,16 @@ from tests.unit.rendering.torch_renderer.spheres import GROUPS, TIGHT, moved, sp
 
 
 def test_images_of_a_batch_do_not_meet() -> None:
-    """To the last bit, pictures and gradients."""
+    """To the last bit, images and gradients."""
     renderer = sphere((20, 20), TIGHT, sky(16, 32))
     batch = {g: v.requires_grad_() for g, v in moved(renderer, batch=3).items()}
-    pictures = renderer.render(batch)
-    together = torch.autograd.grad(pictures.square().sum(), list(batch.values()))
+    images = renderer.render(batch)
+    together = torch.autograd.grad(images.square().sum(), list(batch.values()))
     for b in (2, 0, 1):
         alone = {g: v[b : b + 1].detach().clone().requires_grad_() for g, v in batch.items()}
-        picture = renderer.render(alone)
-        assert torch.equal(picture[0], pictures[b])
-        for one, all_ in zip(torch.autograd.grad(picture.square().sum(), list(alone.values())), together, strict=True):
+        image = renderer.render(alone)
+        assert torch.equal(image[0], images[b])
+        for one, all_ in zip(torch.autograd.grad(image.square().sum(), list(alone.values())), together, strict=True):
             assert torch.equal(one[0], all_[b])
 
 

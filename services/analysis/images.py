@@ -1,4 +1,4 @@
-"""Pictures on disk, and the perturbation made visible."""
+"""Images on disk, and the perturbation made visible."""
 
 from pathlib import Path
 

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import torch
 
-from services.analysis.pictures import load_png, magnified, save_png
+from services.analysis.images import load_png, magnified, save_png
 
 
 def test_magnified_five_times_around_128() -> None:
@@ -13,8 +13,8 @@ def test_magnified_five_times_around_128() -> None:
 
 
 def test_png_keeps_every_byte_and_is_itself_reproducible(tmp_path: Path) -> None:
-    picture = torch.randint(0, 256, (9, 11, 3), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
-    save_png(picture, tmp_path / "a.png")
-    save_png(picture, tmp_path / "b.png")
-    assert torch.equal(load_png(tmp_path / "a.png"), picture)
+    image = torch.randint(0, 256, (9, 11, 3), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
+    save_png(image, tmp_path / "a.png")
+    save_png(image, tmp_path / "b.png")
+    assert torch.equal(load_png(tmp_path / "a.png"), image)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
