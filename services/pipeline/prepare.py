@@ -9,7 +9,7 @@ from services.attacks.verifier import Verifier
 from services.errors import InvalidRequest
 from services.pipeline.spec import JobSpec
 from services.rendering.factory import build
-from services.rendering.plan import Plan
+from services.rendering.plan import Plan, Tolerance
 from services.rendering.protocol import Renderer
 from services.rendering.torch_renderer.declaration import TORCH
 from services.rendering.torch_renderer.map_size import smallest_map
@@ -50,13 +50,12 @@ def preflight(spec: JobSpec, library: Library) -> JobSpec:
 
     Only the exact renderer is made: whether the request can run is asked of its image alone.
     """
-    exact = prepare(spec.model_copy(update={"tolerance": "exact"}), library)
-    return exact.spec.model_copy(update={"tolerance": spec.tolerance})
+    return _prepare(spec, library, "exact").spec
 
 
 def plan(spec: JobSpec, library: Library) -> Plan:
     """How the images of a job would be made, without asking the network anything. Raises as `prepare` does."""
-    return _renderer(spec, _scene(spec, library)).plan
+    return _renderer(spec, _scene(spec, library), spec.tolerance).plan
 
 
 def prepare(spec: JobSpec, library: Library) -> Prepared:
@@ -65,6 +64,11 @@ def prepare(spec: JobSpec, library: Library) -> Prepared:
     Raises InvalidRequest naming the field: unknown names, a label out of range, an object out of view, an image the
     network already gets wrong (goal.leave), or already answers as wanted (goal.reach).
     """
+    return _prepare(spec, library, spec.tolerance)
+
+
+def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
+    """`prepare` with a renderer of this tolerance; the environment map is chosen by the job's own."""
     labels = registry.labels(spec.target.name)
     if len(labels) < 2:
         raise InvalidRequest("target.name", f"{spec.target.name} has one label only; there is no other answer")
@@ -77,7 +81,7 @@ def prepare(spec: JobSpec, library: Library) -> Prepared:
     target = registry.load(spec.target.name)
     if spec.target.question is not None and not target.takes_question:
         raise InvalidRequest("target.question", f"{target.name} answers no questions; leave it out")
-    renderer = _renderer(spec, scene)
+    renderer = _renderer(spec, scene, tolerance)
     verifier = Verifier(renderer, target, spec.target.question)
     original = verifier.image({})
     logits = verifier.logits(original)
@@ -108,9 +112,9 @@ def _with_chosen_map(spec: JobSpec, scene: ResolvedScene, library: Library) -> R
     return resolve(spec.scene.model_copy(update={"lights": chosen}), library)
 
 
-def _renderer(spec: JobSpec, scene: ResolvedScene) -> Renderer:
+def _renderer(spec: JobSpec, scene: ResolvedScene, tolerance: Tolerance) -> Renderer:
     attack = spec.attack
-    return build(scene, attack.renderer, attack.base_renderer, attack.groups, spec.tolerance)
+    return build(scene, attack.renderer, attack.base_renderer, attack.groups, tolerance)
 
 
 def _label(wanted: str | int | None, labels: tuple[str, ...], field: str, target: str) -> int | None:

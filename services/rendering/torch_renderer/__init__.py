@@ -1,1 +1,1 @@
-"""The differentiable renderer: normals, illumination and material, shaded by torch and kernels."""
+"""The differentiable renderer: it shades normals under an environment map, in compiled kernels or in torch."""

@@ -1,4 +1,4 @@
-"""The torch renderer's groups: normals, illumination and material, each differentiable."""
+"""Declares the torch renderer's groups: normals, illumination and material, each differentiable."""
 
 from services.rendering.declaration import Declaration, Group, labelled, register
 

@@ -1,4 +1,4 @@
-"""Directions and solid angles of an environment map's texels.
+"""Computes the directions and solid angles of an environment map's texels.
 
 Row i is the polar angle θ = (i + ½)π/rows from +y, column j the azimuth φ = (j + ½)2π/cols about +y, from +z towards
 +x, so the direction is (sin θ sin φ, cos θ, sin θ cos φ). Flat order is row by row.
@@ -11,7 +11,7 @@ from torch import Tensor
 
 
 def directions(rows: int, cols: int) -> Tensor:
-    """Unit vectors towards the texel centres, world space, float64 [rows·cols, 3]."""
+    """Returns unit vectors towards the texel centres in world space, float64 [rows·cols, 3]."""
     polar = (torch.arange(rows, dtype=torch.float64) + 0.5) * (pi / rows)
     azimuth = (torch.arange(cols, dtype=torch.float64) + 0.5) * (2 * pi / cols)
     theta, phi = torch.meshgrid(polar, azimuth, indexing="ij")
@@ -20,6 +20,6 @@ def directions(rows: int, cols: int) -> Tensor:
 
 
 def solid_angles(rows: int, cols: int) -> Tensor:
-    """Solid angle of each texel in steradian, float64 [rows·cols]; they sum to 4π."""
+    """Returns the solid angle of each texel in steradians, float64 [rows·cols]; they sum to 4π."""
     edges = (torch.arange(rows + 1, dtype=torch.float64) * (pi / rows)).cos()
     return ((edges[:-1] - edges[1:]) * (2 * pi / cols)).repeat_interleave(cols)

@@ -22,29 +22,33 @@ SHAPE = (CHANNELS, LOBES, 2, DEGREE + 1)
 """Shape of a material's coefficients: colour channel, lobe, (log κ, log γ), Bernstein coefficient. 108 numbers."""
 
 LOG_KAPPA_RANGE = (log(1e-6), log(1e4))
-"""At the lower end a lobe is dark: it reflects a millionth of what falls on it."""
+"""Range of log κ. At the lower end the lobe is dark: it reflects a millionth of the incident light."""
 LOG_GAMMA_RANGE = (log(1e-3), log(1e5))
-"""At the lower end a lobe is Lambertian to 1 % of its height."""
+"""Range of log γ. At the lower end the lobe is Lambertian to 1 % of its height."""
 
 COSINE_FLOOR = 1e-4
-"""n·h is raised to this before its logarithm is taken; below it (0.006° from grazing) the gradient is zero."""
+"""Lower bound of n·h: smaller values (within 0.006° of grazing) are clamped to it before the logarithm is taken, and
+their gradient is zero."""
 
 LOG_EXPONENT_RANGE = (-40.0, log(20.0))
-"""log(κ cos^γ θ_h) is held in here, with zero gradient outside. At the upper end ρ = 5e8, orders of magnitude past
-display white (the peak of a GGX mirror of roughness 0.1 is about 1e3), and all that is computed from it stays finite in
-float32. At the lower end ρ = 4e-18 is lost beside anything; smaller numbers would only become denormal, and slow."""
+"""Range to which log(κ cos^γ θ_h) is clamped, with zero gradient outside. At the upper end ρ = 5e8, orders of magnitude
+past display white (the peak of a GGX mirror of roughness 0.1 is about 1e3), and every value computed from it stays
+finite in float32. At the lower end ρ = 4e-18 is negligible; smaller numbers would be denormal, which are slow."""
 
 
 def basis(theta_d: Tensor) -> Tensor:
-    """Bernstein polynomials of θ_d in [0, π/2]: [D] to [D, DEGREE + 1], rows ≥ 0 that sum to 1."""
+    """Evaluates the Bernstein polynomials at θ_d in [0, π/2], radians: [D] to [D, DEGREE + 1].
+
+    Every value is ≥ 0, and each row sums to 1.
+    """
     t = (theta_d / (pi / 2)).clamp(0.0, 1.0)
     return torch.stack([comb(DEGREE, i) * t**i * (1 - t) ** (DEGREE - i) for i in range(DEGREE + 1)], dim=-1)
 
 
 def half_vectors(directions: Tensor, viewer: Tensor) -> tuple[Tensor, Tensor]:
-    """Half vectors [D, 3] and θ_d [D] of light directions [D, 3] and one viewer direction [3], all unit vectors.
+    """Returns half vectors [D, 3] and θ_d [D], radians, of light directions [D, 3] and a viewer direction [3].
 
-    For light from straight behind the surface the half vector has no direction: it is zero, and θ_d is π/2.
+    All are unit vectors. For light from straight behind the surface the half vector has no direction: it is zero, and θ_d is π/2.
     """
     total = directions + viewer
     length = torch.linalg.vector_norm(total, dim=-1)
@@ -54,15 +58,15 @@ def half_vectors(directions: Tensor, viewer: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def lobes(coefficients: Tensor, curves: Tensor) -> tuple[Tensor, Tensor]:
-    """log κ and γ, each [..., D], of coefficients [..., 2, DEGREE + 1] on curves = basis(θ_d) [D, DEGREE + 1].
+    """Evaluates log κ and γ, each [..., D], from coefficients [..., 2, DEGREE + 1] and curves = basis(θ_d) [D, DEGREE + 1].
 
-    Both stop at the upper ends of their ranges, with zero gradient beyond, so that no coefficient can overflow.
+    Both are clamped to the upper ends of their ranges, with zero gradient beyond, so that no coefficient overflows.
     """
     values = coefficients @ curves.T
     return values[..., 0, :].clamp_max(LOG_KAPPA_RANGE[1]), values[..., 1, :].clamp_max(LOG_GAMMA_RANGE[1]).exp()
 
 
 def reflectance(log_cosine: Tensor, log_kappa: Tensor, gamma: Tensor) -> Tensor:
-    """One lobe, exp(κ cos^γ θ_h) − 1, from log cos θ_h, log κ and γ; shapes broadcast."""
+    """Evaluates one lobe, exp(κ cos^γ θ_h) − 1, from log cos θ_h, log κ and γ, whose shapes broadcast."""
     log_exponent = torch.addcmul(log_kappa, gamma, log_cosine)
     return torch.expm1(log_exponent.clamp(*LOG_EXPONENT_RANGE).exp())

@@ -1,4 +1,4 @@
-"""An environment map as the torch renderer attacks it: one intensity per texel, a fixed colour, an exposure."""
+"""Splits an environment map into the parts that the torch renderer uses: intensities, fixed colours, an exposure."""
 
 from dataclasses import dataclass
 from math import pi
@@ -10,15 +10,15 @@ from services.rendering.torch_renderer.directions import directions, solid_angle
 from services.rendering.torch_renderer.units import ILLUMINATION_MEAN, WHITE
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)
-"""Linear RGB to luminance (ITU-R BT.709)."""
+"""Weights that turn linear RGB into luminance (ITU-R BT.709)."""
 
 PROBES = (16, 32)
-"""Grid of the surface directions over which the exposure looks for the brightest one."""
+"""Rows and columns of the grid of surface normals among which the exposure finds the most lit."""
 
 
 @dataclass(frozen=True)
 class Illumination:
-    """A map taken apart: the radiance of texel t is `exposure · chroma[t] · intensity[t]`, in displayed linear units.
+    """An environment map split into factors: the radiance of texel t is `exposure · chroma[t] · intensity[t]`, in displayed linear units.
 
     intensity: float64 [rows, cols], ≥ 0, mean over the sphere ILLUMINATION_MEAN (all zero for a black map).
     chroma: float64 [rows, cols, 3], the colour at luminance 1; white where the map is black.
@@ -32,10 +32,10 @@ class Illumination:
 
 
 def illumination(environment: Tensor) -> Illumination:
-    """Take a map apart. `environment`: linear RGB radiance [rows, cols, 3], finite and ≥ 0, of any scale."""
+    """Splits a map into its factors. `environment` is linear RGB radiance [rows, cols, 3], finite and ≥ 0, of any scale."""
     rows, cols, _ = environment.shape
     radiance = environment.to(torch.float64)
-    # A common factor first: squares and sums of very large or very small maps stay in range.
+    # Divide by the maximum first, so that squares and sums of very large or very small maps stay in range.
     radiance = radiance / radiance.max().clamp_min(torch.finfo(torch.float64).tiny)
     luminance = radiance @ torch.tensor(LUMINANCE, dtype=torch.float64, device=radiance.device)
     lit = luminance > 0
@@ -48,7 +48,7 @@ def illumination(environment: Tensor) -> Illumination:
 
 
 def _white_surfaces(intensity: Tensor, chroma: Tensor) -> Tensor:
-    """Radiance [surfaces, 3] of white Lambertian surfaces facing the probe directions."""
+    """Returns the radiance [surfaces, 3] of white Lambertian surfaces whose normals are the probe directions."""
     rows, cols = intensity.shape
     power = (chroma * intensity[..., None]).reshape(-1, 3) * solid_angles(rows, cols)[:, None].to(chroma.device)
     cosines = (directions(*PROBES) @ directions(rows, cols).T).clamp_min(0.0).to(power.device)

@@ -1,4 +1,4 @@
-"""What a recipe costs in accuracy of gradients: measured when the plan is made, against the exact sum's in float64."""
+"""Measures the gradient error of a recipe against the exact float64 sum, when the plan is made."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,32 +12,35 @@ from services.rendering.torch_renderer.error_estimates import spread, subset
 from services.rendering.torch_renderer.shader import Recipe, Shader, Sky, Surface
 
 PAIRS = 2**18
-"""Pixels times directions whose gradient is measured, at most: 512 pixels under a map of 16×32."""
+"""Maximum number of pixels times directions whose gradient is measured: 512 pixels under a map of 16×32."""
 
 
 @torch.enable_grad()
 def gradient_errors(
     surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str], recipe: Recipe, exact: Recipe
 ) -> list[GradientError]:
-    """The error of each attacked group's gradient at some pixels of a surface, in the order of `groups`.
+    """Measures the error of each attacked group's gradient at a sample of a surface's pixels, in the order of `groups`.
 
-    The gradient is that of the displayed values, each weighted by a random normal number: harsher than a network, whose
-    weights are smooth, so that neighbours' errors do not cancel there.
+    The gradient is that of a sum of the displayed values with normally distributed random weights. This is harsher than
+    a network, whose weights are smooth: errors of neighbouring pixels do not cancel. The list is empty where nothing
+    is attacked or no light reaches the surface.
     """
     random = torch.Generator().manual_seed(2)
-    most = max(16, PAIRS // sky.power.shape[1])
-    some = subset(surface, most)
+    max_pixels = max(16, PAIRS // sky.power.shape[1])
+    sample = subset(surface, max_pixels)
     if surface.viewers is None:
-        some = subset(spread(some, "normals" in groups, random), most)
-    weights = torch.randn(len(some.angles), 3, generator=random, dtype=torch.float64).to(some.angles.device)
-    values = {"normals": some.angles, "illumination": illumination, "material": some.material}
+        sample = subset(spread(sample, "normals" in groups, random), max_pixels)
+    weights = torch.randn(len(sample.angles), 3, generator=random, dtype=torch.float64).to(sample.angles.device)
+    values = {"normals": sample.angles, "illumination": illumination, "material": sample.material}
     found = []
-    for one in (replace(recipe, guard=None), exact):
-        leaves = {name: value.to(one.dtype, copy=True).requires_grad_(name in groups) for name, value in values.items()}
-        shader = Shader(one, sky, some, illumination)
+    for compared in (replace(recipe, guard=None), exact):
+        leaves = {
+            name: value.to(compared.dtype, copy=True).requires_grad_(name in groups) for name, value in values.items()
+        }
+        shader = Shader(compared, sky, sample, illumination)
         radiance = shader(leaves["normals"], leaves["illumination"], leaves["material"])
-        shown = to_display(radiance * some.base_color.to(one.dtype))
-        total = (shown * weights.to(one.dtype)).sum()
+        displayed = to_display(radiance * sample.base_color.to(compared.dtype))
+        total = (displayed * weights.to(compared.dtype)).sum()
         if not total.requires_grad:  # nothing is attacked, or no light reaches the surface whatever is changed
             return []
         found.append(torch.autograd.grad(total, [leaves[name] for name in groups], materialize_grads=True))
@@ -48,7 +51,7 @@ def gradient_errors(
 
 
 def _compared(value: Tensor, truth: Tensor) -> dict[str, float]:
-    """Relative L2 error, and the share of wrong signs among the coordinates whose gradient is not zero."""
+    """Returns the relative L2 error, and the share of wrong signs among the coordinates whose gradient is not zero."""
     length = float(truth.norm())
     if length == 0.0:
         return {"relative": 0.0, "wrong_signs": 0.0}

@@ -1,8 +1,9 @@
-"""Radiance tabulated over normals, in the two angles that are the parameters of an attack.
+"""Tables of radiance over normals, indexed by the two angles that are the parameters of an attack.
 
-Row i of a table stands at polar angle (i + ½)h, column j at azimuth −π + (j + ½)h, h = π / rows, with twice as many
-columns as rows. A normal is smooth and periodic in its angles, so a table needs no border: past a pole the rows come
-back half a turn further round. Between nodes Catmull-Rom splines run in both angles: once continuously differentiable.
+Row i of a table is at polar angle (i + ½)h, column j at azimuth −π + (j + ½)h, h = π / rows, with twice as many
+columns as rows. A normal is smooth and periodic in its angles, so a table needs no border: beyond a pole the rows
+repeat in reverse order, shifted by half a turn of azimuth. Values between nodes are interpolated by Catmull-Rom splines
+in both angles, which are once continuously differentiable.
 """
 
 from functools import lru_cache
@@ -18,40 +19,45 @@ from services.rendering.torch_renderer.normals import to_vectors
 
 CPU = torch.device("cpu")
 TILE = 4
-"""Nodes a side of the squares in which a table is filled: neighbours, so that they see much the same directions."""
+"""Side of a tile in nodes. Tables are filled tile by tile, as neighbouring normals see nearly the same directions."""
 
 
 def look_up(table: Tensor, angles: Tensor) -> Tensor:
-    """Values [P, 3] of a table [rows · 2 rows, 3] at azimuth and polar angle [P, 2], any finite angles. Differentiable
-    (once) in both."""
+    """Interpolates a table [rows · 2 rows, 3] at azimuth and polar angle [P, 2], radians, any finite angles; returns [P, 3].
+
+    It is differentiable (once) in the table and in the angles.
+    """
     if compiled.runs(angles):
         result: Tensor = _LookUp.apply(table, angles.contiguous())  # type: ignore[no-untyped-call]
         return result
-    nodes, weights = _spots(angles, _rows(table))
+    nodes, weights = _interpolation_weights(angles, _rows(table))
     return (table[nodes] * weights[..., None]).sum(1)
 
 
 def touched(angles: Tensor, rows: int) -> Tensor:
-    """Which tiles the values at `angles` [P, 2] depend on: bool [tiles of the table]."""
+    """Marks the tiles on which the values at `angles` [P, 2] depend: bool [tiles of the table]."""
     if compiled.runs(angles):
         found, plain = torch.zeros(len(tiles(rows)), dtype=torch.bool), angles.detach().contiguous()
         compiled.call("touch", angles.dtype, len(plain), rows, plain, found, compiled.threads())
         return found
     nodes = torch.zeros(2 * rows * rows, dtype=torch.bool, device=angles.device)
-    nodes[_spots(angles.detach(), rows)[0].flatten()] = True
+    nodes[_interpolation_weights(angles.detach(), rows)[0].flatten()] = True
     return nodes[tiles(rows, angles.device)].any(1)
 
 
 @lru_cache(maxsize=16)
 def tiles(rows: int, device: torch.device = CPU) -> Tensor:
-    """The nodes of each tile, int64 [tiles, TILE²], as places in the flattened table. `rows` is a multiple of TILE."""
+    """Returns the nodes of each tile as indices into the flattened table, int64 [tiles, TILE²].
+
+    `rows` is a multiple of TILE.
+    """
     flat = torch.arange(2 * rows * rows, device=device).reshape(rows // TILE, TILE, 2 * rows // TILE, TILE)
     return flat.permute(0, 2, 1, 3).reshape(-1, TILE**2)
 
 
 @lru_cache(maxsize=16)
 def node_vectors(rows: int, device: torch.device = CPU) -> Tensor:
-    """The normals of a table's nodes, float64 [rows · 2 rows, 3], in the camera's frame."""
+    """Returns the normals of a table's nodes in the camera's frame, float64 [rows · 2 rows, 3]."""
     polar = (torch.arange(rows, dtype=torch.float64) + 0.5) * (pi / rows)
     azimuth = (torch.arange(2 * rows, dtype=torch.float64) + 0.5) * (pi / rows) - pi
     grid = torch.stack(torch.meshgrid(polar, azimuth, indexing="ij"), dim=-1).reshape(-1, 2)
@@ -59,7 +65,7 @@ def node_vectors(rows: int, device: torch.device = CPU) -> Tensor:
 
 
 def nearest(angles: Tensor, rows: int) -> Tensor:
-    """The node nearest to each pair of angles [P, 2], any finite ones: int64 [P], places in the flattened table."""
+    """Returns the node nearest to each pair of finite angles [P, 2], as indices into the flattened table: int64 [P]."""
     row = (angles[:, 1] * (rows / pi)).floor().long() % (2 * rows)
     column = (angles[:, 0] * (rows / pi) + rows).floor().long()
     past = row >= rows
@@ -68,19 +74,19 @@ def nearest(angles: Tensor, rows: int) -> Tensor:
 
 
 def unevenness(table: Tensor, filled: Tensor) -> Tensor:
-    """How badly a spline may fit around each node: largest second and fourth differences, [2, nodes].
+    """Scores how badly a spline may fit around each node: largest second and fourth differences, [2, nodes].
 
-    They are taken along both angles, of the sum over the channels, and each node has the largest among itself and its
-    eight neighbours. A table's error follows the fourth difference where radiance has a kink or a highlight; the second
-    serves nodes that have too few filled neighbours for the fourth. `filled` [tiles] says which tiles of `table`
-    [nodes, 3] hold values.
+    The differences are taken along both angles, of the sum over the channels; each node gets the largest among itself
+    and its eight neighbours. A table's error follows the fourth difference where radiance has a kink or a highlight;
+    the second difference serves nodes with too few filled neighbours for the fourth. `filled` [tiles] marks the tiles
+    of `table` [nodes, 3] that hold values.
     """
     rows = _rows(table)
     values = torch.full((len(table),), torch.nan, dtype=table.dtype, device=table.device)
     places = tiles(rows, filled.device)[filled].flatten()
     values[places] = table.detach()[places].sum(1)
     values = values.reshape(rows, 2 * rows)
-    beyond = values.roll(rows, 1)  # past a pole: rows come back half a turn further round
+    beyond = values.roll(rows, 1)  # beyond a pole the rows repeat in reverse, shifted by half a turn
     values = torch.cat([beyond[:_BORDER].flip(0), values, beyond[-_BORDER:].flip(0)])
     found = values.new_zeros(2, *values.shape)
     for along in (0, 1):
@@ -93,20 +99,22 @@ def unevenness(table: Tensor, filled: Tensor) -> Tensor:
 
 
 _BORDER = 3
-"""Rows beyond each pole that `unevenness` looks at: two for the fourth difference and one for the neighbour."""
+"""Rows beyond each pole that `unevenness` uses: two for the fourth difference and one for the neighbour."""
 
 
 def _second_difference(values: Tensor, along: int) -> Tensor:
     return values.roll(1, along) + values.roll(-1, along) - 2 * values
 
 
-PLACES = 2 * 64 * 64
-"""`place` is below it."""
+N_SORT_KEYS = 2 * 64 * 64
+"""Number of sort keys: every value of `normal_sort_keys` is below it."""
 
 
-def place(angles: Tensor) -> Tensor:
-    """A number [P] for each pair of angles [P, 2], such that normals of near numbers are near: tile by tile of a table
-    of 64 rows."""
+def normal_sort_keys(angles: Tensor) -> Tensor:
+    """Returns a sort key [P] for each pair of angles [P, 2], which puts neighbouring normals next to each other.
+
+    The key counts the nodes of a table of 64 rows tile by tile.
+    """
     rows = 64
     row = (angles[:, 1] * (rows / pi)).long().clamp(0, rows - 1)
     column = (angles[:, 0] * (rows / pi) + rows).long().clamp(0, 2 * rows - 1)
@@ -138,8 +146,8 @@ class _LookUp(torch.autograd.Function):
         return d_table, d_angles
 
 
-def _spots(angles: Tensor, rows: int) -> tuple[Tensor, Tensor]:
-    """The 16 nodes [P, 16] around each pair of angles and their weights [P, 16], in torch."""
+def _interpolation_weights(angles: Tensor, rows: int) -> tuple[Tensor, Tensor]:
+    """Returns the 16 nodes [P, 16] around each pair of angles [P, 2] and their interpolation weights [P, 16]."""
     places = angles * (rows / pi) + torch.tensor([rows - 0.5, -0.5], dtype=angles.dtype, device=angles.device)
     corner = places.detach().floor()
     weights = _catmull_rom(places - corner)
@@ -154,7 +162,7 @@ def _spots(angles: Tensor, rows: int) -> tuple[Tensor, Tensor]:
 
 
 def _catmull_rom(f: Tensor) -> Tensor:
-    """Weights [..., 4] of the nodes at −1, 0, 1 and 2 for a place f in [0, 1)."""
+    """Returns the weights [..., 4] of the nodes at −1, 0, 1 and 2 for a position f in [0, 1)."""
     return 0.5 * torch.stack(
         (
             f * (-1 + f * (2 - f)),

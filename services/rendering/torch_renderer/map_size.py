@@ -1,4 +1,4 @@
-"""Choosing the size of an environment map for a tolerance."""
+"""Chooses the size of an environment map for a tolerance."""
 
 from dataclasses import replace
 
@@ -11,10 +11,10 @@ from services.scenes.resolve import ResolvedScene
 
 
 def smallest_map(scene: ResolvedScene, tolerance: Tolerance) -> tuple[int, int]:
-    """The smallest of MAP_SIZES under which the scene's displayed values are within `tolerance` of those under the
-    largest, at the pixels that `map_error` looks at; the largest where none is, and for "exact".
+    """Returns the smallest of MAP_SIZES under which displayed values differ by at most `tolerance` from the largest map's.
 
-    `scene` was resolved from a library, so that it has a source map.
+    The values are compared at the pixels that `map_error` samples. The result is the largest size where no smaller one
+    suffices, for "exact", and for a scene without a source map (one that was not resolved from a library).
     """
     if scene.source_map is None or tolerance == "exact":
         return MAP_SIZES[-1]

@@ -1,9 +1,9 @@
-"""Unit normals as the paper's two angles per pixel, and back.
+"""Converts unit normals to the paper's two angles per pixel, and back.
 
 The angles are of the camera's frame: polar angle θ from the camera's up axis (+y), azimuth φ about it from the axis
-towards the viewer (+z) to the camera's right (+x), so n = (sin θ sin φ, cos θ, sin θ cos φ). A surface that is seen has
+towards the viewer (+z) to the camera's right (+x), so n = (sin θ sin φ, cos θ, sin θ cos φ). A visible surface has
 n·z > 0, hence φ in (−π/2, π/2), away from the jump at ±π; and the pole, where φ has no meaning, lies on the silhouette:
-only surfaces seen exactly edge-on have a normal straight up. Nothing breaks there: n is smooth in (θ, φ) everywhere and
+only surfaces seen exactly edge-on have a normal straight up. The pole is harmless: n is smooth in (θ, φ) everywhere and
 its gradient with respect to φ goes to zero at the pole.
 """
 
@@ -15,15 +15,16 @@ from torch.autograd.function import once_differentiable
 
 from services.rendering.kernels import compiled
 
-FURTHEST_ANGLE = 100.0
-"""Attacked angles are held within this on both sides, radians: 16 turns, more than 120 steps of the paper's size make,
-and near enough that float32 has 8e-6 radians left. At 1e6 it would have 0.06, and loop and judge see other normals."""
+MAX_ANGLE = 100.0
+"""Largest magnitude of an attacked angle, radians: 16 turns, more than 120 steps of the paper's size can reach. There
+float32 resolves 8e-6 radians. At 1e6 it would resolve 0.06, and the float32 attack loop and the float64 verifier would
+see different normals."""
 
 
 def to_angles(vectors: Tensor) -> Tensor:
-    """Azimuth and polar angle [..., 2], radians, of vectors [..., 3] in the camera's frame (of any length > 0).
+    """Returns azimuth and polar angle [..., 2], radians, of vectors [..., 3] in the camera's frame (of any length > 0).
 
-    Azimuth in [−π, π], 0 at the poles; polar angle in [0, π]. The zero vector gives (0, 0).
+    The azimuth is in [−π, π], and 0 at the poles; the polar angle is in [0, π]. The zero vector gives (0, 0).
     """
     x, y, z = vectors.unbind(-1)
     horizontal = torch.hypot(x, z)
@@ -32,9 +33,9 @@ def to_angles(vectors: Tensor) -> Tensor:
 
 
 def to_vectors(angles: Tensor) -> Tensor:
-    """Unit vectors [..., 3] in the camera's frame of angles [..., 2] (azimuth, polar), for any finite angles.
+    """Returns unit vectors [..., 3] in the camera's frame for angles [..., 2] (azimuth, polar), radians, any finite values.
 
-    Differentiable; once, in float32 on the CPU, which has a kernel of its own.
+    It is differentiable; only once in float32 on the CPU, where a compiled kernel runs.
     """
     if angles.dtype == torch.float32 and compiled.runs(angles):
         result: Tensor = _Vectors.apply(angles.contiguous())  # type: ignore[no-untyped-call]
@@ -57,6 +58,6 @@ class _Vectors(torch.autograd.Function):
     def backward(ctx: Any, gradient: Tensor) -> Tensor:
         [angles] = ctx.saved_tensors
         found = torch.empty_like(angles)
-        of = (angles.numel() // 2, angles, gradient.contiguous(), found)
-        compiled.call("vectors_backward", angles.dtype, *of, compiled.threads())
+        arguments = (angles.numel() // 2, angles, gradient.contiguous(), found)
+        compiled.call("vectors_backward", angles.dtype, *arguments, compiled.threads())
         return found

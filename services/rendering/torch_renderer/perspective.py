@@ -1,7 +1,7 @@
-"""The shading sum for a viewer at a finite distance: half vectors, and the lobes with them, differ from pixel to pixel.
+"""The shading sum for a viewer at a finite distance, where half vectors and lobes differ from pixel to pixel.
 
-Nothing of it can be tabulated over normals alone, so it is summed pixel by pixel: in the compiled kernels, else in
-torch by chunks whose graph is built again in the backward pass.
+Radiance is then no function of the normal alone and cannot be tabulated, so it is summed pixel by pixel: in the
+compiled kernels, else in torch by chunks whose graph is rebuilt in the backward pass.
 """
 
 from typing import Any
@@ -16,15 +16,16 @@ from services.rendering.kernels.structures import PerspectiveDouble, Perspective
 from services.rendering.torch_renderer import dsbrdf
 
 CHUNK = 2**16
-"""Pixels times directions at once in torch, where each pair keeps some hundred numbers."""
+"""Number of pixels times directions per chunk in torch, where each pair stores about a hundred numbers."""
 
 
 def radiance(normals: Tensor, viewers: Tensor, light: Tensor, material: Tensor, towards: Tensor) -> Tensor:
-    """Σ_ω ρ(θ_h, θ_d) · light · max(0, n·ω), [P, 3].
+    """Sums Σ_ω ρ(θ_h, θ_d) · light · max(0, n·ω) at each pixel, [P, 3].
 
-    normals, viewers [P, 3], unit vectors, the second towards the camera; light [3, D]; material [C, LOBES, 2, 6],
-    natural logarithms of κ and γ, C = 1 where the channels are the same; towards [3, D]. Differentiable (once) in
-    normals (along the sphere), light and material.
+    normals and viewers are unit vectors [P, 3], the viewers towards the camera; light is [3, D], radiance times solid
+    angle; material [C, LOBES, 2, 6] holds natural logarithms of κ and γ, with C = 1 where the channels are the same;
+    `towards` holds the directions to the light [3, D]. The sum is differentiable (once) in normals (along the sphere),
+    light and material.
     """
     result: Tensor = _Radiance.apply(normals, viewers, light, material, towards)  # type: ignore[no-untyped-call]
     return result
@@ -60,16 +61,19 @@ class _Radiance(torch.autograd.Function):
                 leaves = [value.detach().requires_grad_() for value in (light, material, normals[some])]
                 with torch.enable_grad():
                     shaded = _chunk(leaves[2], viewers[some], leaves[0], leaves[1], towards)
-                of_light, of_material, of_normals = torch.autograd.grad(shaded, leaves, gradient[some])
-                gradients[0] += of_light
-                gradients[1] += of_material
-                gradients[2][some] = of_normals
+                d_light, d_material, d_normals = torch.autograd.grad(shaded, leaves, gradient[some])
+                gradients[0] += d_light
+                gradients[1] += d_material
+                gradients[2][some] = d_normals
         return gradients[2], None, gradients[0], gradients[1], None
 
 
 def _chunk(normals: Tensor, viewers: Tensor, light: Tensor, material: Tensor, towards: Tensor) -> Tensor:
-    """A few pixels, all pairs at once. Angles in float64, as a lobe of γ = 1e5 looks at 1 − n·h of 1e-5; and of vectors
-    made unit in float64, or the angle between two that nearly meet would be off by 3e-4."""
+    """Computes the sum at a chunk of pixels, [P, 3], for all pairs of pixel and direction at once.
+
+    Angles are computed in float64, as a lobe of γ = 1e5 varies where 1 − n·h is 1e-5. Vectors are normalised in float64
+    too: else the angle between two nearly parallel vectors would be off by 3e-4.
+    """
     n, v, w = (
         normalize(normals.double(), dim=-1),
         normalize(viewers.double(), dim=-1),
@@ -96,5 +100,5 @@ def _pack(
     kind = PerspectiveDouble if normals.dtype == torch.float64 else PerspectiveFloat
     sizes = (len(normals), towards.shape[1], *material.shape[:2])
     pointers = (value.data_ptr() for value in (normals, viewers, towards, light, material))
-    most = (dsbrdf.LOG_KAPPA_RANGE[1], dsbrdf.LOG_GAMMA_RANGE[1])
-    return kind(*sizes, *pointers, dsbrdf.COSINE_FLOOR, *dsbrdf.LOG_EXPONENT_RANGE, *most)
+    upper_bounds = (dsbrdf.LOG_KAPPA_RANGE[1], dsbrdf.LOG_GAMMA_RANGE[1])
+    return kind(*sizes, *pointers, dsbrdf.COSINE_FLOOR, *dsbrdf.LOG_EXPONENT_RANGE, *upper_bounds)

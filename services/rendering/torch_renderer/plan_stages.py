@@ -1,11 +1,11 @@
-"""What the stages of a torch renderer's plan say."""
+"""Describes the steps of a torch renderer's plan as stages."""
 
 from services.rendering.plan import Stage
 from services.rendering.torch_renderer.shader import Method, Recipe, Surface, checked_pixels
 
 HEADROOM = 4.0
-"""How much worse than at the sampled pixels an error may be elsewhere; the same when a plan is made and when an image
-is checked. In images of whole attacks the worst pixel was up to 2.6 times worse than the worst of those checked."""
+"""Assumed ratio of the largest error over all pixels to the largest error over the sampled pixels, both when a plan is
+made and when an image is checked. In images of whole attacks the ratio was at most 2.6."""
 
 METHOD_WORDS: dict[Method, str] = {
     "summed": "sum over directions and lobes",
@@ -15,7 +15,7 @@ METHOD_WORDS: dict[Method, str] = {
 
 
 def radiance_stage(surface: Surface, recipe: Recipe, count: int, why: str, error: float) -> Stage:
-    """The stage that sums radiance at `count` normals."""
+    """Returns the stage that sums radiance at `count` normals, for the reason `why` and with the estimated `error`."""
     pairs = count * (len(recipe.active_texels) - len(recipe.per_pixel_texels)) * recipe.channels
     kind = str(recipe.dtype).removeprefix("torch.")
     return Stage(
@@ -33,9 +33,10 @@ def radiance_stage(surface: Surface, recipe: Recipe, count: int, why: str, error
 def table_stages(
     surface: Surface, recipe: Recipe, count: int, *, ratio: float, measured: float, error: float
 ) -> list[Stage]:
-    """The stages of a table of `count` nodes that does `ratio` times less work than the direct sum.
+    """Returns the stages of a table of `count` nodes, which takes `ratio` times less work than the direct sum.
 
-    `measured` is the largest error found when the plan was made; `error` the estimate that the sampled check enforces.
+    `measured` is the largest error found when the plan was made; `error` is the estimate that the sampled check
+    enforces.
     """
     pixels = len(surface.angles)
     per_direction = recipe.channels * max(recipe.lobes, 1)

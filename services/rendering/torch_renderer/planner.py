@@ -1,9 +1,9 @@
-"""Compiles the torch renderer: finds what one object needs for a set of attacked groups, and the cheapest method.
+"""Plans the torch renderer: chooses, for each object and a set of attacked groups, the cheapest method to shade it.
 
-Errors of tables are measured, not derived: at the object's own pixels, for the scene as it is and for draws of the
-attacked groups within an attack's reach, against the sum itself. What cannot be seen there (a highlight narrower than
-the table's mesh) rules a table out beforehand. What the attack changes is checked in every image (sampled_check), and
-the plan's estimate is what that check enforces.
+Errors of tables are measured, not derived: at the object's own pixels, for the scene's own values and for random
+perturbations of the attacked groups, against the direct sum. A table is ruled out beforehand if it has a highlight
+narrower than its mesh, which the measurement may miss. During the attack a sample of pixels is checked in every image
+(sampled_check), and the plan states the error that this check enforces.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,37 +21,37 @@ from services.rendering.torch_renderer.normals import to_vectors
 from services.rendering.torch_renderer.plan_stages import HEADROOM, radiance_stage, table_stages
 from services.rendering.torch_renderer.shader import Method, Recipe, Sky, Surface, checked_pixels
 
-ROWS = (24, 32, 48, 64, 96, 128, 192, 256)
-"""Tables that are tried."""
-ORDER = 3
-"""Order of Catmull-Rom interpolation: a table's error falls by this power of its mesh at best, so that some tables need
-no trial."""
-SHARP = (0, 8, 16, 32, 64, 128)
-"""Numbers of directions that are tried beside them, summed at the pixels."""
-ROUGH_AT = 48
-"""Rows of the table for which the directions are put in the order of their roughness."""
-LEEWAY = 2.0
-"""The sampled check allows this many times the error that was measured when the plan was made."""
-LEAST_LEEWAY = 0.5
-"""The sampled check allows at least this part of what the tolerance leaves for it."""
-ROUNDING = 2e-5
-"""Largest displayed error of a sum in float32 under smooth lobes. Sharp lobes magnify it, so it is measured too."""
+TABLE_ROWS = (24, 32, 48, 64, 96, 128, 192, 256)
+"""Numbers of rows of the tables that are tried."""
+CONVERGENCE_ORDER = 3
+"""Order of Catmull-Rom interpolation: a table's error falls at best with this power of its mesh width. Tables that cannot
+suffice, given an error already measured, are not tried."""
+PER_PIXEL_COUNTS = (0, 8, 16, 32, 64, 128)
+"""Numbers of directions summed per pixel that are tried with each table."""
+ROUGHNESS_ROWS = 48
+"""Rows of the table for which the directions are sorted by `roughness`."""
+GUARD_FACTOR = 2.0
+"""Threshold of the sampled check, as a multiple of the error measured when the plan was made."""
+MIN_GUARD_SHARE = 0.5
+"""Lower bound of the sampled check's threshold, as a fraction of the tolerance left for it."""
+FLOAT32_ERROR = 2e-5
+"""Largest displayed error of a float32 sum under smooth lobes. The error under sharp lobes is measured and added."""
 LOBES_SHARE = 0.2
-"""Share of the tolerance that leaving out and straightening lobes may cost."""
-LOOKUP = 100
-"""Cost of a lookup, in lobe values."""
-CARRY = 1.0
-"""Cost of a product with a stored factor, in lobe values: it waits for memory."""
-WORTH = 0.8
-"""A table is used where it costs less than this part of the direct sum."""
-IMAGES = 50
-"""Images over which work that is done once is spread."""
+"""Share of the tolerance that may be spent on leaving out lobes or replacing them by straight lines."""
+LOOKUP_COST = 100
+"""Cost of a table lookup, in lobe evaluations."""
+PRODUCT_COST = 1.0
+"""Cost of a product with a stored transport factor, in lobe evaluations; it is limited by memory bandwidth."""
+MAX_COST_RATIO = 0.8
+"""A table is used only if its cost is below this fraction of the direct sum's."""
+AMORTIZED_IMAGES = 50
+"""Number of images over which the cost of work done once is divided."""
 TRANSPORT_BYTES = 2**28
-"""Largest memory of one object's stored factors."""
+"""Memory limit of one object's stored transport factors, bytes."""
 
 
 def exact_recipe(sky: Sky) -> Recipe:
-    """A recipe that sums every direction and lobe at every pixel in float64."""
+    """Returns the recipe that sums every direction and lobe at every pixel in float64."""
     every = torch.ones(dsbrdf.CHANNELS, dsbrdf.LOBES, dtype=torch.bool, device=sky.power.device)
     texels = torch.arange(sky.power.shape[1], device=sky.power.device)
     return Recipe(texels, False, every, ~every, "summed", moving=True, dtype=torch.float64)
@@ -66,9 +66,12 @@ def compile_plan(
     size: tuple[int, int],
     file_materials: int = 0,
 ) -> tuple[list[Recipe], Plan]:
-    """A recipe for each object and the plan that says so. `illumination` [D], the scene's own; `file_materials`: how
-    many of the meshes' parts bring a material of their own, of which only the base colour and the normals are drawn.
-    Deterministic."""
+    """Chooses a recipe for each object; returns the recipes and the plan that describes them.
+
+    `illumination` [D] holds the scene's own intensities; `size` is the image's height and width; `file_materials` is
+    the number of mesh parts with a metallic-roughness material, of which only base colour and normals are used. The
+    choice is deterministic.
+    """
     recipes, items, stages, gradients = [], [], [], []
     pixels = sum(len(surface.angles) for surface in surfaces)
     items.append(Item(what="pixels", kept=pixels, of=size[0] * size[1], why="the others show the ground alone"))
@@ -97,7 +100,7 @@ def compile_plan(
 
 @dataclass(frozen=True)
 class _Needs:
-    """What any method has to compute: a recipe to start from, and the plan's items for what it leaves out."""
+    """The work that every method has to do: a recipe to start from, and the plan's items for what it leaves out."""
 
     recipe: Recipe
     items: list[Item]
@@ -130,7 +133,7 @@ def _needs(surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[st
 
 
 def _directions(surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str]) -> tuple[Tensor, str]:
-    """The texels that can change the image, and the reason why the others cannot."""
+    """Returns the indices of the texels that can change the image, and the reason why the others cannot."""
     power = sky.power if "illumination" in groups else sky.power * illumination
     lit = (power > 0).any(0)
     above = torch.ones_like(lit)
@@ -145,25 +148,25 @@ def _directions(surface: Surface, sky: Sky, illumination: Tensor, groups: Sequen
 def _cheapest(
     surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str], tolerance: float, needs: _Needs
 ) -> tuple[Recipe, list[Stage]]:
-    """The cheapest recipe whose estimated error fits into what the items leave of the tolerance, and its stages."""
+    """Returns the cheapest recipe whose estimated error fits in the tolerance that the items leave, and its stages."""
     left, pixels = tolerance - needs.error, len(surface.angles)
     direct = replace(
         needs.recipe, method=_method(needs.recipe, groups, pixels, looked_up=False, near=surface.viewers is not None)
     )
-    rounding = ROUNDING + errors.of_float32(surface, sky, illumination, direct)
+    rounding = FLOAT32_ERROR + errors.float32_error(surface, sky, illumination, direct)
     if rounding > left:
         wide = replace(direct, dtype=torch.float64)
         return wide, [radiance_stage(surface, wide, pixels, f"float32 would be off by {rounding:.0e}", 0.0)]
     if surface.viewers is not None:
         why = "the viewer is near: radiance depends on the pixel, not on its normal alone"
         return direct, [radiance_stage(surface, direct, pixels, why, rounding)]
-    measured = errors.Measured(surface, sky, illumination, groups, needs.recipe)
+    measured = errors.MeasuredErrors(surface, sky, illumination, groups, needs.recipe)
     why = "a table would cost more"
     limit = (left - rounding) / HEADROOM
     failed: list[tuple[int, int, float]] = []
     for recipe, count in _tables(surface, sky, illumination, groups, direct, measured.angles):
         rows, sharp = recipe.rows or 0, len(recipe.per_pixel_texels)
-        if any(sharp <= more and off * min(1, of / rows) ** ORDER >= limit for of, more, off in failed):
+        if any(sharp <= more and off * min(1, of / rows) ** CONVERGENCE_ORDER >= limit for of, more, off in failed):
             continue
         if errors.too_narrow(surface, sky, illumination, groups, recipe, left):
             failed.append((rows, sharp, limit))
@@ -171,7 +174,7 @@ def _cheapest(
             continue
         off = measured.error(recipe, limit)
         if off <= limit:
-            guarded = replace(recipe, guard=min(limit, max(LEEWAY * off, LEAST_LEEWAY * limit)))
+            guarded = replace(recipe, guard=min(limit, max(GUARD_FACTOR * off, MIN_GUARD_SHARE * limit)))
             return guarded, table_stages(
                 surface,
                 guarded,
@@ -188,25 +191,25 @@ def _cheapest(
 def _tables(
     surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str], direct: Recipe, reached: Tensor
 ) -> Iterator[tuple[Recipe, int]]:
-    """Recipes with tables that cost less than `direct`, and their numbers of nodes, the cheapest first.
+    """Yields recipes with tables that cost less than `direct`, and their numbers of nodes, the cheapest first.
 
-    `reached` are angles that the attack may take normals to: a flat object begins with one normal and ends with as many
-    as it has pixels. The cost is that of the mean of both numbers of nodes.
+    `reached` holds angles that normals may have after an attack: a flat object starts with a single normal and ends
+    with one per pixel. The number of nodes is the mean of those needed before and after.
     """
     pixels = len(surface.angles)
-    rough = errors.roughness(surface, sky, illumination, groups, ROUGH_AT)
+    rough = errors.roughness(surface, sky, illumination, groups, ROUGHNESS_ROWS)
     order = direct.active_texels[rough[direct.active_texels].argsort(descending=True, stable=True)]
     found = []
-    for rows in ROWS:
+    for rows in TABLE_ROWS:
         begun = touched(surface.angles, rows)
         count = int(begun.sum() + (begun | touched(reached, rows)).sum()) * tiles(rows).shape[1] // 2
         kind = _method(direct, groups, count, looked_up=True)
-        for sharp in SHARP:
+        for sharp in PER_PIXEL_COUNTS:
             if sharp <= len(order) // 2:
                 recipe = replace(direct, method=kind, rows=rows, per_pixel_texels=order[:sharp].sort().values)
                 found.append((_cost(recipe, count, pixels), recipe, count))
     for cost, recipe, count in sorted(found, key=lambda one: one[0]):
-        if cost < WORTH * _cost(direct, 0, pixels):
+        if cost < MAX_COST_RATIO * _cost(direct, 0, pixels):
             yield recipe, count
 
 
@@ -220,18 +223,18 @@ def _method(recipe: Recipe, groups: Sequence[str], nodes: int, looked_up: bool, 
 
 
 def _cost(recipe: Recipe, nodes: int, pixels: int) -> float:
-    """The cost of one image, in lobe values. Without lobes a direction still costs its cosine."""
+    """Estimates the cost of one image, in lobe evaluations. Without lobes a direction still costs its cosine."""
     carried = recipe.method == "precomputed_transport"
-    each = recipe.channels * (CARRY if carried else max(recipe.lobes, 0.3))
+    each = recipe.channels * (PRODUCT_COST if carried else max(recipe.lobes, 0.3))
     if recipe.rows is None:
         return each * pixels * len(recipe.active_texels)
     at_pixels = pixels * len(recipe.per_pixel_texels) + min(checked_pixels(recipe), pixels) * len(recipe.active_texels)
     at_nodes = (
         nodes
         * (len(recipe.active_texels) - len(recipe.per_pixel_texels))
-        / (IMAGES if recipe.method == "cached_table" else 1)
+        / (AMORTIZED_IMAGES if recipe.method == "cached_table" else 1)
     )
-    return LOOKUP * pixels + each * (at_pixels + at_nodes)
+    return LOOKUP_COST * pixels + each * (at_pixels + at_nodes)
 
 
 def _item(surface: Surface, what: str, kept: int, of: int, why: str, error: float = 0.0) -> Item:

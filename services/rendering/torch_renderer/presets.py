@@ -14,7 +14,10 @@ from services.suggestions import did_you_mean
 
 @lru_cache(maxsize=1)
 def presets() -> dict[str, Tensor]:
-    """Name to coefficients, float64 [3, 3, 2, 6]: natural logarithms of κ and γ. For a white base colour."""
+    """Returns all presets, {name: coefficients}, float64 [3, 3, 2, 6].
+
+    The coefficients are natural logarithms of κ and γ, for a white base colour.
+    """
     committed = json.loads(files("services.rendering.torch_renderer").joinpath("presets.json").read_text())
     return {
         name: torch.tensor(fit["coefficients"], dtype=torch.float64).reshape(SHAPE)
@@ -23,7 +26,10 @@ def presets() -> dict[str, Tensor]:
 
 
 def preset(name: str, field: str = "material") -> Tensor:
-    """The coefficients of one preset. Raises InvalidRequest(field, …) with the nearest names if there is none."""
+    """Returns the coefficients of one preset, float64 [3, 3, 2, 6].
+
+    Raises InvalidRequest(field, …) with the nearest names for an unknown name.
+    """
     known = presets()
     if name not in known:
         hint = did_you_mean(name, known) or f"; there are {', '.join(known)}"

@@ -1,13 +1,13 @@
 """The differentiable renderer of the paper: a G-buffer shaded by a DSBRDF under an environment map.
 
-Radiance of a pixel with normal n, for a viewer and light far away,
+The radiance of a pixel with normal n, for a distant viewer and distant light, is
 
     I = base_color · exposure · Σ_ω ρ(θ_h, θ_d) · chroma(ω) · ℓ(ω) · max(0, n·ω) · ΔΩ(ω),
 
-then the sRGB curve on [0,1], and over the ground by coverage. The viewer is one direction, from the scene's origin to
-the camera: a modelling choice of the paper, under which θ_d belongs to the light direction alone; the camera's `viewer`
-"perspective" gives each pixel its own. How the sum is done
-for the attacked groups is compiled into a plan (shading_plan) when the renderer is made.
+The displayed value is its sRGB curve on [0,1], composited over the ground by coverage. The viewer direction is the same
+for all pixels, from the scene's origin to the camera: a modelling choice of the paper, under which θ_d depends on the
+light direction alone. With the camera's `viewer` "perspective" each pixel has its own viewer direction. How the sum is
+computed for the attacked groups is decided by a plan (planner) when the renderer is made.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,7 +27,7 @@ from services.rendering.torch_renderer.declaration import TORCH
 from services.rendering.torch_renderer.directions import directions, solid_angles
 from services.rendering.torch_renderer.environment_light import Illumination, illumination
 from services.rendering.torch_renderer.map_error import map_error
-from services.rendering.torch_renderer.normals import FURTHEST_ANGLE, to_angles
+from services.rendering.torch_renderer.normals import MAX_ANGLE, to_angles
 from services.rendering.torch_renderer.planner import compile_plan
 from services.rendering.torch_renderer.presets import preset
 from services.rendering.torch_renderer.shader import Shader, Sky, Surface
@@ -37,13 +37,13 @@ from services.scenes.resolve import ResolvedScene
 
 
 class TorchRenderer(DeclaredRenderer):
-    """Groups, each differentiable:
+    """Renders a G-buffer under an environment map. It has three groups, each differentiable.
 
-    normals [H, W, 2]: azimuth and polar angle in the camera's frame, radians (see `normals`). 0 and
-    without effect where nothing is covered.
-    illumination [rows, cols]: one intensity per texel of the map, ≥ 0, of mean ILLUMINATION_MEAN; the texel's colour
-    stays.
-    material [objects, 3, 3, 2, 6]: per object and colour channel three lobes' Bernstein coefficients of log κ and log γ
+    normals [H, W, 2]: azimuth and polar angle in the camera's frame, radians (see `normals`). They are 0 and have no
+    effect at pixels that no object covers.
+    illumination [rows, cols]: one intensity per texel of the map, ≥ 0, of mean ILLUMINATION_MEAN; the texel's colour is
+    fixed.
+    material [objects, 3, 3, 2, 6]: Bernstein coefficients of log κ and log γ by object, colour channel and lobe
     (services.rendering.torch_renderer.dsbrdf), times MATERIAL_UNIT.
     """
 
@@ -56,8 +56,10 @@ class TorchRenderer(DeclaredRenderer):
         groups: Sequence[str] = TORCH.group_names,
         tolerance: Tolerance = DEFAULT_TOLERANCE,
     ) -> None:
-        """Compile `scene`, as rasterised in `gbuffer`, for attacks on `groups` (only these may then be rendered with
-        other values than the scene's own). "exact" computes in float64 throughout, anything else in float32.
+        """Plans the rendering of `scene`, rasterised in `gbuffer`, for attacks on `groups`.
+
+        Only these groups may then be rendered with other values than the scene's own, unless `tolerance` is "exact".
+        "exact" computes in float64 throughout; with a number the plan chooses, by default float32.
 
         Raises InvalidRequest for an unknown material preset.
         """
@@ -85,14 +87,14 @@ class TorchRenderer(DeclaredRenderer):
             "illumination": light.intensity,
             "material": torch.stack(materials).to(self._device) * MATERIAL_UNIT,
         }
-        # Rounded to float32 whatever the dtype: the exact twin means the same scene.
+        # Round to float32 whatever the dtype, so that the exact twin renders the same scene.
         rounded = {group: value.to(torch.float32).to(torch.float64) for group, value in initial.items()}
         self._initial = {group: value.to(dtype) for group, value in rounded.items()}
 
-        # Pixels in the order of their objects, and within them of their normals, so that neighbours see the same light.
+        # Sort pixels by object and then by normal, so that neighbours see the same light.
         angles = rounded["normals"].reshape(-1, 2)
         owner = torch.where(coverage > 0, gbuffer.object_index.flatten(), -1)
-        order = torch.argsort(owner * lookup_table.PLACES + lookup_table.place(angles), stable=True)
+        order = torch.argsort(owner * lookup_table.N_SORT_KEYS + lookup_table.normal_sort_keys(angles), stable=True)
         pixels = order[owner[order] >= 0]
         self._counts = torch.bincount(owner[pixels], minlength=len(materials)).tolist()
         base_color = gbuffer.base_color.reshape(-1, 3)[pixels]
@@ -127,17 +129,20 @@ class TorchRenderer(DeclaredRenderer):
 
     @classmethod
     def build(cls, request: BuildRequest) -> "TorchRenderer":
-        """The renderer of a rasterised scene."""
+        """Rasterises the request's scene and makes its renderer."""
         return cls(request.scene, rasterise(request.scene), request.groups, request.tolerance)
 
     def initial(self) -> Parameters:
-        """The scene's own values, in the renderer's dtype; all are float32 numbers."""
+        """Returns the scene's own values, {group: tensor}, in the renderer's dtype, rounded to float32."""
         return {group: value.cpu().clone() for group, value in self._initial.items()}
 
     def bounds(self) -> Mapping[str, tuple[Tensor, Tensor]]:
-        """Light is not negative; κ and γ stay in the ranges of `dsbrdf`; any angle is a normal, and is held where
-        float32 still tells angles apart (see `normals`)."""
-        furthest = torch.tensor(FURTHEST_ANGLE, dtype=self._dtype)
+        """Returns the lowest and highest value of each group, {group: (low, high)}, broadcastable to it.
+
+        Light is not negative; κ and γ stay in the ranges of `dsbrdf`; any angle is a normal, and angles are bounded so
+        that float32 still resolves them (see `normals`).
+        """
+        furthest = torch.tensor(MAX_ANGLE, dtype=self._dtype)
         infinity = torch.tensor(torch.inf, dtype=self._dtype)
         ranges = torch.tensor([dsbrdf.LOG_KAPPA_RANGE, dsbrdf.LOG_GAMMA_RANGE], dtype=self._dtype) * MATERIAL_UNIT
         return {
@@ -147,7 +152,9 @@ class TorchRenderer(DeclaredRenderer):
         }
 
     def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
-        """Images [B, H, W, 3] in [0,1], in the renderer's dtype and on its device.
+        """Renders images [B, H, W, 3] in [0,1], in the renderer's dtype and on its device.
+
+        Groups that are left out keep the scene's own values.
 
         Raises ValueError for a wrong shape or an unknown group.
         """
@@ -160,7 +167,7 @@ class TorchRenderer(DeclaredRenderer):
                 raise ValueError(f"group {group!r} of shape {tuple(value.shape)}; wanted {wanted}")
             if group not in self._attacked and self._twin is not self:  # the exact renderer takes every group
                 raise ValueError(f"group {group!r} is not among {self._attacked}, which this renderer is compiled for")
-        # One image at a time: the same operations on the same shapes whatever else is in the batch, so the same bits.
+        # One image at a time: its operations and shapes, and so its bits, do not depend on the rest of the batch.
         images = [
             self._image(
                 **self._initial | {group: value[b].to(self._device, self._dtype) for group, value in parameters.items()}
@@ -170,16 +177,16 @@ class TorchRenderer(DeclaredRenderer):
         return torch.stack(images) if len(images) > 1 else images[0][None]
 
     def exact(self) -> "TorchRenderer":
-        """The float64 twin."""
+        """Returns the exact renderer of the same scene, which computes in float64 without shortcuts."""
         return self._twin
 
     @property
     def failed_checks(self) -> int:
-        """Times that an object's sampled check failed, so that its pixels were summed directly."""
+        """Number of times that an object's sampled check failed, so that its pixels were summed directly."""
         return sum(shader.summed_after_all for shader in self.shaders)
 
     def _image(self, normals: Tensor, illumination: Tensor, material: Tensor) -> Tensor:
-        """One image [H, W, 3]."""
+        """Renders one image [H, W, 3]."""
         angles, intensity = self._canvas.covered(normals), illumination.flatten()
         shaded = [
             shader(own, intensity, of_object).to(self._dtype)
@@ -189,7 +196,10 @@ class TorchRenderer(DeclaredRenderer):
 
 
 def sky_of(light: Illumination, to_camera: Tensor) -> Sky:
-    """A map's directions and powers, seen from the camera: `to_camera` [3, 3] turns world vectors, as rows, into it."""
+    """Returns a map's directions and powers in the camera's frame.
+
+    `to_camera` [3, 3] turns world vectors, as rows, into that frame.
+    """
     rows, cols = light.intensity.shape
     towards = directions(rows, cols).to(to_camera) @ to_camera
     half, theta_d = dsbrdf.half_vectors(towards, torch.tensor([0.0, 0.0, 1.0]).to(towards))
@@ -200,7 +210,7 @@ def sky_of(light: Illumination, to_camera: Tensor) -> Sky:
 def _map_error(
     scene: ResolvedScene, surfaces: Sequence[Surface], own: tuple[Sky, Tensor], to_camera: Tensor
 ) -> float | None:
-    """What the environment map's size costs a displayed value; None under the largest."""
+    """Returns the error of a displayed value due to the environment map's size; None for the largest size."""
     if scene.finest_environment is None:
         return None
     finest = illumination(torch.as_tensor(scene.finest_environment))
@@ -208,7 +218,7 @@ def _map_error(
 
 
 def viewers_of(scene: ResolvedScene, size: tuple[int, int]) -> Tensor:
-    """Unit vectors [H·W, 3] from what each pixel shows towards the camera, in the camera's frame, float64."""
+    """Returns unit vectors from each pixel's surface point to the camera, in the camera's frame, float64 [H·W, 3]."""
     height, width = size
     across = torch.as_tensor(scene.projection, dtype=torch.float64)
     x = ((torch.arange(width, dtype=torch.float64) + 0.5) * 2 / width - 1) / across[0, 0]

@@ -1,9 +1,9 @@
-"""The shading sum over all directions, and its derivatives, in a few buffers whatever the number of normals.
+"""The shading sum over all directions, and its derivatives, in a fixed number of buffers.
 
-Written as one autograd function. Left to autograd, an image of 60,000 pixels and 512 directions keeps dozens of
-tensors of 120 MB; recomputed chunk by chunk they still fragment the heap to 2.4 GB (measured). Here the backward pass
-recomputes them in place: in the compiled kernels where they are, else in torch, which is the same sum written
-down once more and runs on any device.
+The sum is one autograd function with a backward pass of its own. Left to autograd, an image of 60,000 pixels and 512
+directions keeps dozens of tensors of 120 MB; recomputed chunk by chunk they still fragment the heap to 2.4 GB
+(measured). Here the backward pass recomputes them in place: in the compiled kernels where they are available, else in
+torch, which computes the same sum on any device.
 """
 
 from dataclasses import dataclass
@@ -19,38 +19,41 @@ from services.rendering.kernels.structures import SceneDouble, SceneFloat
 from services.rendering.torch_renderer.dsbrdf import COSINE_FLOOR, LOG_EXPONENT_RANGE
 
 CHUNK = 2**18
-"""Normals times directions at once: buffers of 1 MB in float32, which stay in the processor's cache."""
+"""Number of normals times directions per chunk: buffers of 1 MB in float32, which fit in the processor's cache."""
 
 
 @dataclass(frozen=True)
 class Directions:
-    """Light directions `towards` [3, D] and half vectors `half` [4, D] of one dtype. The fourth row of `half` is ½ for
-    light from straight behind, where the half vector is zero, and 0 elsewhere: 1 − n·h = ½|n − h|² + half[3]."""
+    """Directions to the light and their half vectors, of one dtype.
+
+    towards: unit vectors to the light [3, D]. half: half vectors [4, D]; the fourth row is ½ for light from straight
+    behind, where the half vector is zero, and 0 elsewhere, so that 1 − n·h = ½|n − h|² + half[3].
+    """
 
     towards: Tensor
     half: Tensor
 
     @classmethod
     def of(cls, towards: Tensor, half: Tensor) -> "Directions":
-        """From directions and half vectors [D, 3]."""
+        """Makes them from unit vectors to the light and half vectors, both [D, 3]."""
         nowhere = 0.5 * (half == 0).all(dim=-1, keepdim=True)
         return cls(towards.T.contiguous(), torch.cat([half, nowhere.to(half.dtype)], dim=-1).T.contiguous())
 
     def to(self, dtype: torch.dtype) -> "Directions":
-        """The same in another dtype."""
+        """Returns the same directions in another dtype."""
         return Directions(self.towards.to(dtype), self.half.to(dtype))
 
     def only(self, kept: Tensor) -> "Directions":
-        """The directions at the indices `kept`."""
+        """Returns the directions at the indices `kept`."""
         return Directions(self.towards[:, kept].contiguous(), self.half[:, kept].contiguous())
 
 
 @dataclass(frozen=True)
 class Lobes:
-    """A material at the directions: ρ = base + tilt · log n·h + Σ_lobes exp(κ (n·h)^γ) − 1.
+    """A material's lobes at each direction: ρ = base + tilt · log n·h + Σ_lobes exp(κ (n·h)^γ) − 1.
 
-    log κ and γ of its lobes [C, lobes, D], and [C, D] for lobes that are a straight line in log n·h. C is 3, or 1 where
-    the three colour channels are the same.
+    log_kappa, gamma: [C, lobes, D]. base, tilt: [C, D], the sum of the lobes that are approximated by a straight line
+    in log n·h. C is 3, or 1 where the three colour channels are the same.
     """
 
     base: Tensor
@@ -60,11 +63,12 @@ class Lobes:
 
 
 def radiance(normals: Tensor, light: Tensor, lobes: Lobes, directions: Directions) -> Tensor:
-    """Σ_ω ρ(θ_h, θ_d) · light · max(0, n·ω), [N, 3].
+    """Sums Σ_ω ρ(θ_h, θ_d) · light · max(0, n·ω) at each normal, [N, 3].
 
-    normals [N, 3], unit; light [3, D], radiance times solid angle per channel. All of one dtype. Differentiable (once)
-    in normals (along the sphere: what points off it means nothing), light, log κ and γ. Gradients are zero where
-    n·ω < 0, n·h < COSINE_FLOOR and where a lobe is cut (LOG_EXPONENT_RANGE).
+    normals are unit vectors [N, 3]; light [3, D] is radiance times solid angle per channel; all have one dtype. The sum
+    is differentiable (once) in normals (only the gradient's component tangential to the sphere is meaningful), light,
+    log κ and γ. Gradients are zero where n·ω < 0, where n·h < COSINE_FLOOR and where a lobe is clamped
+    (LOG_EXPONENT_RANGE).
     """
     result: Tensor = _Radiance.apply(  # type: ignore[no-untyped-call]
         normals, light, lobes.log_kappa, lobes.gamma, lobes.base, lobes.tilt, directions.towards, directions.half
@@ -73,7 +77,7 @@ def radiance(normals: Tensor, light: Tensor, lobes: Lobes, directions: Direction
 
 
 def transport(normals: Tensor, lobes: Lobes, directions: Directions) -> Tensor:
-    """ρ(θ_h, θ_d) · max(0, n·ω) of every direction and normal, [C, D, N]: radiance per unit of light."""
+    """Returns ρ(θ_h, θ_d) · max(0, n·ω) of every direction and normal, [C, D, N]: radiance per unit of light."""
     out = normals.new_empty(len(lobes.base), directions.towards.shape[1], len(normals))
     if compiled.runs(normals):
         packed = _pack(
@@ -158,7 +162,9 @@ class _Radiance(torch.autograd.Function):
 def _gradients(
     inputs: tuple[Tensor, ...], gradient: Tensor, of_normals: bool, of_lobes: bool, into: tuple[Tensor, ...]
 ) -> None:
-    """With A = gradient · light · max(0, n·ω) and x = log κ + γ log n·h, so that ρ = base + Σ exp(exp x) − 1:
+    """Writes the gradients with respect to (normals, light, log κ, γ) to `into`.
+
+    With A = gradient · light · max(0, n·ω) and x = log κ + γ log n·h, so that ρ = base + Σ exp(exp x) − 1:
 
     d log κ = Σ_normals A exp(exp x) exp x,  d γ = the same with log n·h,  d log n·h = Σ_lobes A exp(exp x) exp x γ.
     """
@@ -175,7 +181,7 @@ def _gradients(
         d_cosine = torch.zeros_like(cosine)
         d_log_half.zero_()
         for c in range(channels):
-            # one channel for all three: what they weigh, added up
+            # one channel stands for all three: add up their weights
             torch.mm(g, light, out=lit) if channels == 1 else torch.mul(g[:, c, None], light[c], out=lit)
             torch.mul(lit, cosine, out=weight)
             d_log_half.addcmul_(weight, tilt[c])
@@ -202,8 +208,10 @@ def _gradients(
 
 
 def _log_half(normals: Tensor, half: Tensor) -> Tensor:
-    """log n·h [N, D], of n·h ≥ COSINE_FLOOR, in float64 and of vectors made unit there: a lobe of γ = 1e5 looks at
-    1 − n·h of 1e-5."""
+    """Returns log n·h [N, D] with n·h clamped to at least COSINE_FLOOR.
+
+    It is computed in float64 from vectors normalised in float64, as a lobe of γ = 1e5 varies where 1 − n·h is 1e-5.
+    """
     wide = torch.mm(normalize(normals.double(), dim=-1), normalize(half[:3].double(), dim=0))
     return wide.clamp_(COSINE_FLOOR, 1.0).log_().to(normals.dtype)
 
@@ -212,7 +220,7 @@ def _log_half(normals: Tensor, half: Tensor) -> Tensor:
 class _Packed:
     scene: SceneFloat | SceneDouble
     tensors: tuple[Tensor | None, ...]
-    """Kept alive as long as the pointers to them."""
+    """The tensors that `scene` points to; held here so that they outlive the pointers."""
 
 
 def _pack(

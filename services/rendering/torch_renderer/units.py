@@ -1,4 +1,4 @@
-"""Units of the torch renderer's parameter groups: the one place that says how far a step of 1 goes.
+"""Defines the units of the torch renderer's parameter groups: how much a perturbation of 1 changes.
 
 The paper gives learning rates but not the units of L and m. docs/materials.md says where these two come from.
 """
@@ -11,4 +11,4 @@ MATERIAL_UNIT = 30.0
 """Material coordinates per natural logarithm of κ or γ: a perturbation of 1 scales κ or γ by exp(1/30), about 3 %."""
 
 WHITE = 0.9
-"""Linear value of the brightest channel of a white Lambertian surface where the map lights it most."""
+"""Linear value to which the exposure scales the brightest channel of the most lit white Lambertian surface."""
