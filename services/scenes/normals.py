@@ -40,8 +40,8 @@ def smooth_normals(vertices: Doubles, faces: Longs, crease: float = CREASE_ANGLE
     most of the connected area is kept). Angle weights (Thürmer and Wüthrich 1998) do not depend on how a polygon
     was cut into triangles.
     """
-    points = _weld(vertices)
-    kept = _proper(vertices, faces, points)
+    points = weld(vertices)
+    kept = usable_faces(vertices, faces, points)
     faces = faces[kept].copy()
     if not len(faces):
         return Smoothed(np.zeros(0, np.int64), np.zeros((0, 3)), faces, kept)
@@ -50,7 +50,7 @@ def smooth_normals(vertices: Doubles, faces: Longs, crease: float = CREASE_ANGLE
     lengths = np.linalg.norm(cross, axis=1)
     first, second, opposed, manifold = _neighbours(corners)
 
-    sign = _orientation(len(faces), first[manifold], second[manifold], opposed[manifold], lengths)
+    sign = orientation(len(faces), first[manifold], second[manifold], opposed[manifold], lengths)
     unit = sign[:, None] * cross / lengths[:, None]
     smooth = np.einsum("ij,ij->i", unit[first], unit[second]) > cos(crease)
 
@@ -75,8 +75,11 @@ def smooth_normals(vertices: Doubles, faces: Longs, crease: float = CREASE_ANGLE
     return Smoothed(source, normals, out, kept)
 
 
-def _weld(vertices: Doubles) -> Longs:
-    """For each vertex the number of its point; vertices in one cell of a fine grid share a point."""
+def weld(vertices: Doubles) -> Longs:
+    """The number int64 [V] of the point that each of the `vertices` [V,3] belongs to.
+
+    Vertices in one cell of a grid share a point; its cells are `WELD` times the mesh's diagonal.
+    """
     if not len(vertices):
         return np.zeros(0, np.int64)
     low = vertices.min(axis=0)
@@ -92,8 +95,11 @@ def _cross(vertices: Doubles, faces: Longs) -> Doubles:
     return np.cross(b - a, c - a)
 
 
-def _proper(vertices: Doubles, faces: Longs, points: Longs) -> Longs:
-    """Indices of the faces that have an area, each set of three points once."""
+def usable_faces(vertices: Doubles, faces: Longs, points: Longs) -> Longs:
+    """Indices int64 of the `faces` [F,3] that have an area; of faces with the same three points the first alone.
+
+    `points` int64 [V] is the point of each vertex, as `weld` numbers them.
+    """
     corners = np.sort(points[faces], axis=1)
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     longest = np.maximum(np.maximum(((b - a) ** 2).sum(1), ((c - b) ** 2).sum(1)), ((a - c) ** 2).sum(1))
@@ -124,8 +130,12 @@ def _neighbours(corners: Longs) -> tuple[Longs, Longs, NDArray[np.bool_], NDArra
     return face[i], face[j], forward[i] != forward[j], count[which[i]] == 2
 
 
-def _orientation(n: int, first: Longs, second: Longs, opposed: NDArray[np.bool_], areas: Doubles) -> Doubles:
-    """+1 or -1 for each face, so that neighbours are wound alike; most of each connected area keeps its winding."""
+def orientation(n: int, first: Longs, second: Longs, opposed: NDArray[np.bool_], areas: Doubles) -> Doubles:
+    """+1.0 or -1.0 [n] for each face, so that neighbours are wound alike; most of a connected area keeps its winding.
+
+    `first` and `second` [pairs] are faces that share an edge, `opposed` [pairs] whether they run along it in opposite
+    directions, and `areas` [n] the faces' areas up to a factor.
+    """
     graph = coo_array((np.ones(len(first), np.int8), (first, second)), shape=(n, n)).tocsr()
     _, component = connected_components(graph, directed=False)
     _, roots = np.unique(component, return_index=True)

@@ -37,12 +37,13 @@ def long_normals(patch) -> None:
 
 
 def anything_in_view(patch) -> None:
-    patch.setattr(resolve, "_in_view", lambda *_: None)
+    """Every object is in view."""
+    patch.setattr(resolve, "visible_area", lambda *_: np.inf)
 
 
 def kept_faces(patch) -> None:
     """Triangles without area, and repeated ones, are kept."""
-    patch.setattr(normals, "_proper", lambda _, faces, __: np.arange(len(faces)))
+    patch.setattr(normals, "usable_faces", lambda _, faces, __: np.arange(len(faces)))
 
 
 def fitted_by_mean(patch) -> None:
@@ -58,27 +59,29 @@ def fitted_by_mean(patch) -> None:
 
 
 def no_orientation(patch) -> None:
-    patch.setattr(normals, "_orientation", lambda n, *_: np.ones(n))
+    """Faces keep their winding, also where their neighbours are wound the other way."""
+    patch.setattr(normals, "orientation", lambda n, *_: np.ones(n))
 
 
 def no_weld(patch) -> None:
-    patch.setattr(normals, "_weld", lambda vertices: np.arange(len(vertices)))
+    """Vertices at the same place are not one point."""
+    patch.setattr(normals, "weld", lambda vertices: np.arange(len(vertices)))
 
 
-def distrusted_faces(patch) -> None:
-    """Of triangles that are repeated none is kept, for who knows which is right."""
-    true = normals._proper
+def lost_duplicates(patch) -> None:
+    """None of several equal triangles is kept."""
+    true = normals.usable_faces
 
-    def proper(vertices, faces, points):
+    def without_repeated(vertices, faces, points):
         kept = true(vertices, faces, points)
         _, where, count = np.unique(np.sort(points[faces], axis=1), axis=0, return_inverse=True, return_counts=True)
         return kept[count[where.ravel()][kept] == 1]
 
-    patch.setattr(normals, "_proper", proper)
+    patch.setattr(normals, "usable_faces", without_repeated)
 
 
 def narrow_range(patch) -> None:
-    """Coordinates beyond 1e5, and sizes below 1e-5, are too much."""
+    """Coordinates beyond 1e5 and sizes below 1e-5 are refused."""
     patch.setattr(surfaces, "MAX_COORDINATE", 1e5)
 
 
@@ -109,6 +112,7 @@ def lost_faces(patch) -> None:
 
 
 def any_file(patch) -> None:
+    """Every file is read as a mesh without parts."""
     patch.setattr(meshes, "read_mesh", lambda *_: ())
 
 

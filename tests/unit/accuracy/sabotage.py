@@ -88,7 +88,7 @@ BROKEN = {
     ],
     "meshes": [
         (damaged_geometry.kept_faces, ["degenerate triangles"]),
-        (damaged_geometry.distrusted_faces, ["duplicate triangles"]),
+        (damaged_geometry.lost_duplicates, ["duplicate triangles"]),
         (damaged_geometry.fitted_by_mean, ["torn open"]),
         (damaged_geometry.no_orientation, ["partly inside out"]),
         (damaged_geometry.no_weld, ["unwelded", "20k triangles", "200k triangles"]),
