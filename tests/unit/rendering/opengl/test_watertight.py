@@ -31,8 +31,8 @@ def ball(radius: float = 0.5, rings: int = 48) -> Part:
     return part(np.round(one.vertices, 6), one.faces, one.normals)
 
 
-def n_watertight_faces(thing: Mesh) -> int:
-    return sum(count for _, count in outsides(thing))
+def n_watertight_faces(of: Mesh) -> int:
+    return sum(count for _, count in outsides(of))
 
 
 def test_a_box_of_six_parts_is_watertight_and_five_of_them_are_not() -> None:
@@ -82,11 +82,11 @@ def turned(renderer: PyrenderRenderer, count: int) -> dict[str, torch.Tensor]:
     return {"rotation": 2 * torch.randn((count, *renderer.initial()["rotation"].shape), generator=generator)}
 
 
-@pytest.mark.parametrize("thing", [box(), six_parts(), mesh(ball())], ids=["box", "textured", "ball"])
-def test_culling_backfaces_changes_no_bit(thing: Mesh, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("surface", [box(), six_parts(), mesh(ball())], ids=["box", "textured", "ball"])
+def test_culling_backfaces_changes_no_bit(surface: Mesh, monkeypatch: pytest.MonkeyPatch) -> None:
     """The exact twin draws them behind everything, so that they show wherever the outside has a hole."""
     monkeypatch.setattr(context.Context, "software", False)  # OpenGL draws, not the rasteriser
-    renderer = PyrenderRenderer(placed(scene((64, 80), azimuth=0.4, elevation=0.3), thing))
+    renderer = PyrenderRenderer(placed(scene((64, 80), azimuth=0.4, elevation=0.3), surface))
     assert renderer.closed
     batch = turned(renderer, 6)
     assert torch.equal(renderer.radiance(batch), renderer.exact().radiance(batch))
@@ -94,10 +94,10 @@ def test_culling_backfaces_changes_no_bit(thing: Mesh, monkeypatch: pytest.Monke
 
 def test_front_faces_cover_what_both_sides_cover(monkeypatch: pytest.MonkeyPatch) -> None:
     """The same faces are drawn from both sides. Only samples at silhouettes, where both are as near, may differ."""
-    thing = mesh(ball())
-    renderer = PyrenderRenderer(placed(scene((96, 96), azimuth=0.4, elevation=0.3), thing))
+    surface = mesh(ball())
+    renderer = PyrenderRenderer(placed(scene((96, 96), azimuth=0.4, elevation=0.3), surface))
     monkeypatch.setattr(pyrender_renderer, "MAX_BACKFACE_MISMATCH", -1.0)  # no surface is taken for watertight
-    two_sided = PyrenderRenderer(placed(scene((96, 96), azimuth=0.4, elevation=0.3), thing))
+    two_sided = PyrenderRenderer(placed(scene((96, 96), azimuth=0.4, elevation=0.3), surface))
     assert renderer.closed
     assert not two_sided.closed
     batch = turned(renderer, 4)

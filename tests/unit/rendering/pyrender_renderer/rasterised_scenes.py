@@ -76,7 +76,7 @@ def sample_grid() -> Part:
 
 
 def moved(renderer: PyrenderRenderer, seed: int, count: int = 4) -> dict[str, torch.Tensor]:
-    """A batch of `count` random values of each group and of both sides of every coordinate's finite difference."""
+    """A batch of both sides of every coordinate's finite difference, and of `count` random values of each group."""
     random = torch.Generator().manual_seed(seed)
     start = renderer.initial()
     sides = both_sides(start, renderer.groups)

@@ -24,12 +24,12 @@ def test_faces_without_area_are_left_to_opengl() -> None:
     assert torch.equal(renderer.render({}), renderer.exact().render({}))
 
 
-@pytest.mark.parametrize("what", ["far beyond the frame", "near plane"])
-def test_opengl_draws_objects_at_the_near_plane_and_far_beyond_the_frame(what: str) -> None:
-    thing = mesh(sphere(0.2, 24), quad(0.1, centre=(0, 0, 0.3)))
-    renderer = rasterised(placed(scene((48, 64)), thing))
+@pytest.mark.parametrize("place", ["far beyond the frame", "near plane"])
+def test_opengl_draws_objects_at_the_near_plane_and_far_beyond_the_frame(place: str) -> None:
+    ball_and_sheet = mesh(sphere(0.2, 24), quad(0.1, centre=(0, 0, 0.3)))
+    renderer = rasterised(placed(scene((48, 64)), ball_and_sheet))
     camera = scene((48, 64)).camera
-    to = (0.0, 0.0, camera.distance - (0.15 if what == "near plane" else 0.352))
+    to = (0.0, 0.0, camera.distance - (0.15 if place == "near plane" else 0.352))
     parameters = {"translation": torch.tensor([[to]], dtype=torch.float64)}
     assert renderer.radiance(parameters).any()
     assert torch.equal(renderer.radiance(parameters), renderer.exact().radiance(parameters))
@@ -48,27 +48,27 @@ def test_opengl_draws_all_images_unless_the_rasteriser_is_within_tolerance(
                 own[0][..., :3] *= 1.05
         return drawn
 
-    thing, at, says = placed(scene((48, 64)), six_parts()), {}, obstacle
+    resolved, parameters, reason = placed(scene((48, 64)), six_parts()), {}, obstacle
     if obstacle == "off by two steps":
         monkeypatch.setattr(rasteriser, "draw", off_by_two_steps)
-        says = "beyond the tolerance ("
+        reason = "beyond the tolerance ("
     elif obstacle == "no kernels":
         monkeypatch.setattr(compiled, "library", lambda: None)
     elif obstacle == "a graphics card":
         monkeypatch.setattr(context.Context, "software", False)
     elif obstacle == "nothing in the image":
-        thing = placed(scene((48, 64)), mesh(quad(0.1, centre=(9, 0, 0))))
-        at = {"translation": torch.tensor([[[-9.0, 0.0, 0.0]]], dtype=torch.float64)}
-        says = "nothing is in the image"
-    renderer = PyrenderRenderer(thing, tolerance="exact" if obstacle == "exact" else 1e-3)
+        resolved = placed(scene((48, 64)), mesh(quad(0.1, centre=(9, 0, 0))))
+        parameters = {"translation": torch.tensor([[[-9.0, 0.0, 0.0]]], dtype=torch.float64)}
+        reason = "nothing is in the image"
+    renderer = PyrenderRenderer(resolved, tolerance="exact" if obstacle == "exact" else 1e-3)
     assert not renderer.rasterises
     [passes] = [item for item in renderer.plan.items if item.what == "passes through OpenGL"]
     assert passes.kept == passes.of > 0
-    assert says.removeprefix("no ") in passes.why
+    assert reason.removeprefix("no ") in passes.why
     assert renderer.plan.error == 0
-    images = renderer.radiance(at)
+    images = renderer.radiance(parameters)
     assert images.any()
-    assert torch.equal(images, renderer.exact().radiance(at))
+    assert torch.equal(images, renderer.exact().radiance(parameters))
 
 
 def test_images_that_go_wrong_during_an_attack_are_found_and_replaced(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -88,6 +88,6 @@ def test_gradients_are_those_of_the_exact_sum(groups: tuple[str, ...]) -> None:
         # Catmull-Rom's gradient is of one order less than its value; normals see it directly, the others through sums
         far = float((found.double() - wanted).norm() / wanted.norm())
         assert far < (0.05 if group == "normals" else 5e-3), group
-        # what FGSM uses: the sign, where it is not a matter of rounding
+        # FGSM uses the sign, which must be equal where rounding does not decide it
         large = wanted.abs() > 0.05 * wanted.abs().amax()
         assert torch.equal(found.sign()[large].double(), wanted.sign()[large]), group
