@@ -136,10 +136,10 @@ def _one_of(names: list[str], value: str) -> str:
 def _completed(given: dict[str, Any]) -> dict[str, Any]:
     """The data with the groups and the base renderer said, where they were left out."""
     data = dict(given)
-    if "image" in data:  # the name of `base_renderer` in version 0.1
+    if "picture" in data:  # the name of `base_renderer` in version 0.1
         if "base_renderer" in data:
-            raise ValueError("base_renderer: `image` is the old name of this field; leave `image` out")
-        data["base_renderer"] = data.pop("image")
+            raise ValueError("base_renderer: `picture` is the old name of this field; leave `picture` out")
+        data["base_renderer"] = data.pop("picture")
     name = data.get("renderer", AttackSettings.model_fields["renderer"].default)
     renderer = RENDERERS.get(name) if isinstance(name, str) else None
     if renderer is None:

@@ -22,9 +22,9 @@ def test_the_built_in_attacks_are_found() -> None:
 
 
 def test_the_old_names_of_fields_are_still_read_and_the_new_ones_written() -> None:
-    settings = Fgsm.model_validate({"renderer": "image", "image": "pyrender"})
+    settings = Fgsm.model_validate({"renderer": "image", "picture": "pyrender"})
     assert settings == Fgsm.model_validate({"renderer": "image", "base_renderer": "pyrender"})
-    assert "image" not in settings.model_dump()
+    assert "picture" not in settings.model_dump()
     row = TraceRow.model_validate(ROW | {"flat": 7})
     assert row.below_noise == 7
     assert row == TraceRow.model_validate(ROW | {"below_noise": 7})
@@ -33,7 +33,7 @@ def test_the_old_names_of_fields_are_still_read_and_the_new_ones_written() -> No
 
 def test_both_names_at_once_are_refused() -> None:
     with pytest.raises(ValidationError, match="old name"):
-        Fgsm.model_validate({"renderer": "image", "image": "torch", "base_renderer": "torch"})
+        Fgsm.model_validate({"renderer": "image", "picture": "torch", "base_renderer": "torch"})
 
 
 def test_learning_rates_are_those_that_the_groups_suggest() -> None:
