@@ -34,8 +34,10 @@ def demo(
     from client.console import err, out
     from client.demo_jobs import specs
     from client.service_process import running_service
+    from services.device import check_device
     from services.settings import settings
 
+    check_device()
     values, say = settings(), err()
     data = values.data_dir / "demo"
     say.print("starting the service: networks and OpenGL are loaded once")

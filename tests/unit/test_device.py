@@ -5,7 +5,9 @@ from pathlib import Path
 
 import pytest
 import torch
+from typer.testing import CliRunner
 
+from client.cli import app
 from services.attacks.seeds import generator
 from services.device import check_device, describe, device
 from services.errors import InvalidRequest
@@ -43,6 +45,25 @@ def test_a_device_that_is_not_there_is_named(name: str, monkeypatch: pytest.Monk
     settings.cache_clear()
     with pytest.raises(InvalidRequest, match=f"SCENE_ATTACK_DEVICE={name}: .*CUDA device.*; use auto or cpu"):
         check_device()
+    monkeypatch.undo()
+    settings.cache_clear()
+
+
+@pytest.mark.parametrize(
+    "command",
+    ["run examples/image-fgsm.json --out out", "plan examples/image-fgsm.json", "replay out", "serve", "worker", "api",
+     "demo", "accuracy stability", "accuracy work-precision"],
+)  # fmt: skip
+def test_every_command_that_computes_refuses_it(command: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Before it writes or starts anything. `client.cli.main` makes exit code 2 of it."""
+    monkeypatch.setenv("SCENE_ATTACK_DEVICE", "cuda:99")
+    monkeypatch.setenv("SCENE_ATTACK_DATA", str(tmp_path / "data"))
+    monkeypatch.chdir(tmp_path)
+    settings.cache_clear()
+    done = CliRunner().invoke(app, command.split())
+    assert isinstance(done.exception, InvalidRequest), done.output
+    assert done.exception.field == "SCENE_ATTACK_DEVICE=cuda:99"
+    assert list(tmp_path.iterdir()) == []
     monkeypatch.undo()
     settings.cache_clear()
 
