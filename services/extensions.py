@@ -8,6 +8,7 @@ import re
 import sys
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import redirect_stdout
 from dataclasses import dataclass
 from hashlib import sha256
 from importlib import import_module
@@ -113,8 +114,11 @@ def _load(path: Path, registries: Sequence[Registry[Any]]) -> Extension:
     module.__file__ = str(path)
     sys.modules[module.__name__] = module  # pydantic and dataclasses look their module up
     try:
-        exec(compile(data, str(path), "exec", dont_inherit=True), module.__dict__)
-    except (Exception, SystemExit) as error:
+        with redirect_stdout(sys.stderr):  # stdout is the command's: with --json it is read by a program
+            exec(compile(data, str(path), "exec", dont_inherit=True), module.__dict__)
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # SystemExit among them
         del sys.modules[module.__name__]
         for registry, entries in zip(registries, before, strict=True):
             registry.restore(entries)
@@ -127,4 +131,8 @@ def _told(error: BaseException, path: Path) -> str:
     """The error in one line, with the line of the file it came from."""
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
     where = f"line {lines[-1]}: " if lines else ""
-    return f"{where}{type(error).__name__}: {' '.join(str(error).split())}"
+    try:
+        message = " ".join(str(error).split())
+    except Exception:  # the file's own class of error, and its own mistake
+        message = "its message cannot be read"
+    return f"{where}{type(error).__name__}: {message}"

@@ -47,6 +47,13 @@ def test_a_file_registers_by_running(shapes: Registry[int], tmp_path: Path) -> N
         ("SHAPES.add('square', 4)\nSHAPES.add('no spaces', 4)\n", "'no spaces' is no name for a shape"),
         ("SHAPES.add('square', 4)\nx = = 1\n", "SyntaxError"),
         ("SHAPES.add('square', 4)\nimport a_module_that_is_not_there\n", "ModuleNotFoundError"),
+        ("SHAPES.add('square', 4)\nraise BaseException('odd')\n", "line 3: BaseException: odd"),
+        (
+            "SHAPES.add('square', 4)\nclass Odd(Exception):\n    def __str__(self): raise ValueError\nraise Odd\n",
+            "line 5: Odd: its message cannot be read",
+        ),
+        ("SHAPES.add('square', 4)\ndef f(): f()\nf()\n", "RecursionError"),
+        ("SHAPES.add('square', 4)\n\0\n", "null bytes"),
     ],
 )
 def test_a_file_that_fails_leaves_nothing_but_its_error(
@@ -57,6 +64,30 @@ def test_a_file_that_fails_leaves_nothing_but_its_error(
     assert found["bad"].adds == frozenset()
     assert set(shapes) == {"pentagon", "triangle"}  # and the next file is loaded
     assert not any(name.endswith("_bad") for name in sys.modules)
+
+
+def test_what_a_file_prints_leaves_stdout_to_the_command(
+    shapes: Registry[int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With --json a program reads stdout."""
+    assert loaded(tmp_path, loud="print('hello')\n")["loud"].error is None
+    assert capsys.readouterr() == ("", "hello\n")
+
+
+def test_a_file_that_is_not_utf_8_is_left_out_and_a_link_is_followed(shapes: Registry[int], tmp_path: Path) -> None:
+    (tmp_path / "latin.py").write_bytes(b'name = "\xff"\n')
+    (tmp_path / "link.py").symlink_to(tmp_path / "outside")
+    (tmp_path / "outside").write_text(REGISTER + "SHAPES.add('square', 4)\n")
+    (tmp_path / "dangling.py").symlink_to(tmp_path / "nowhere")
+    found = loaded(tmp_path)
+    assert "'utf-8' codec" in (found["latin"].error or "")
+    assert found["link"].adds == {("shape", "square")}
+    assert "No such file" in (found["dangling"].error or "")
+
+
+def test_an_interrupt_is_the_users(shapes: Registry[int], tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        loaded(tmp_path, slow="raise KeyboardInterrupt\n")
 
 
 def test_the_same_file_twice_is_left_out_the_second_time(shapes: Registry[int], tmp_path: Path) -> None:
