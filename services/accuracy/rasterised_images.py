@@ -20,7 +20,8 @@ import torch
 from torch import Tensor
 
 from services.rendering.opengl import context
-from services.rendering.pyrender_renderer.errors import REACH, ImageError, image_error
+from services.rendering.image_error import ImageError, image_error
+from services.rendering.pyrender_renderer.errors import REACH
 from services.rendering.pyrender_renderer.planner import both_sides
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.scenes.description import Scene

@@ -117,6 +117,7 @@ def _write(prepared: Prepared, problem: AttackProblem, found: AttackState, out: 
         beyond_truncation=None if limit is None else beyond(original, attacked, limit),
         plan=prepared.renderer.plan,
         image_error=_image_error(problem, found, exact),
+        sampled_error=prepared.renderer.sampled_error,
         environment_map_error=prepared.renderer.plan.environment_map_error,
         subsets=subsets(verifier, goal, found.stored, (original, prepared.logits), (attacked, logits)),
         settings=found.settings,

@@ -4,6 +4,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from services.analysis.records import Answer, Subset
 from services.attacks.trace import TraceRow
+from services.rendering.image_error import ImageError
 from services.rendering.plan import Plan
 
 
@@ -49,6 +50,12 @@ class Result(_Record):
     image_error: float = Field(
         description="the error it did cost: largest difference of a displayed value, in [0,1], between the stored "
         "perturbation rendered by the plan and exactly"
+    )
+    sampled_error: ImageError | None = Field(
+        None,
+        description="largest error seen on those images inside the attack that were rendered exactly too, of all since "
+        "the job was last resumed: `mean`, the mean absolute error of the displayed values of covered pixels, and "
+        "`share`, the share of these pixels that are off by more than 1/255; null where no image was rendered twice",
     )
     environment_map_error: float | None = Field(
         None,

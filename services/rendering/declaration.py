@@ -14,6 +14,7 @@ from services.extensions import Registry
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from services.rendering.image_error import ImageError
     from services.rendering.plan import Tolerance
     from services.rendering.protocol import InactiveCoordinate, Parameters, Renderer
     from services.scenes.resolve import ResolvedScene
@@ -156,6 +157,12 @@ class DeclaredRenderer:
     ) -> "Sequence[InactiveCoordinate]":
         """None: nothing is known to change no pixel."""
         return ()
+
+    @property
+    def sampled_error(self) -> "ImageError | None":
+        """The largest error of those of the images rendered so far that were also rendered exactly; None for a renderer
+        that renders none of them twice."""
+        return None
 
 
 RENDERERS: Registry[Declaration] = Registry("renderer", "services.rendering")

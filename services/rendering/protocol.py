@@ -6,6 +6,7 @@ from typing import Protocol
 
 from torch import Tensor
 
+from services.rendering.image_error import ImageError
 from services.rendering.plan import Plan
 
 Parameters = dict[str, Tensor]
@@ -83,6 +84,12 @@ class Renderer(Protocol):
 
         A renderer that proves nothing returns none.
         """
+        ...
+
+    @property
+    def sampled_error(self) -> ImageError | None:
+        """The largest error of those of the images rendered so far that were also rendered exactly, as a check of the
+        plan's estimate; None if there was none."""
         ...
 
     def exact(self) -> "Renderer":

@@ -1,24 +1,14 @@
-"""How far rasterised images are from OpenGL's, and what a tolerance allows them to be.
-
-At a silhouette one sample more or less changes a pixel by a quarter of its contrast, however small the difference in
-arithmetic: the largest error of an image says next to nothing. So an error is two numbers: the mean over the covered
-pixels, and the share of them that are off by more than a step of an 8-bit image. A tolerance t allows a mean of t and a
-share of SHARE t: at the default of 1e-3 a quarter of a step, and one pixel in a hundred.
-"""
+"""How far rasterised images are from OpenGL's: measured for the plan, and again while an attack runs."""
 
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from services.rendering.image_error import ImageError, image_error
 from services.rendering.protocol import Parameters, Renderer
 
-STEP = 1 / 255
-"""Errors of a displayed value that are not more than this are not counted in the share."""
-SHARE = 10.0
-"""Share of pixels beyond STEP that a tolerance of 1 would allow."""
 DRAWS = 5
 """Images at random places around the start, beside the start's own, that are drawn both ways for the plan."""
 REACH = {"illumination": 0.3, "color": 0.3, "translation": 0.1, "rotation": 0.3}
@@ -29,30 +19,6 @@ FEW = 4
 """Pixels of which a sample may flip in an image though none did in those that were measured."""
 EVERY = 128
 """One image in so many of an attack is drawn by OpenGL too."""
-
-
-@dataclass(frozen=True)
-class ImageError:
-    """Mean absolute error of the displayed values of covered pixels, and the share of them off by more than STEP."""
-
-    mean: float = 0.0
-    share: float = 0.0
-
-    def within(self, tolerance: float) -> bool:
-        """Whether a tolerance allows it."""
-        return self.mean <= tolerance and self.share <= SHARE * tolerance
-
-    def or_worse(self, other: "ImageError") -> "ImageError":
-        """The larger of both numbers."""
-        return ImageError(max(self.mean, other.mean), max(self.share, other.share))
-
-
-def image_error(image: Tensor, exact: Tensor, ground: Tensor) -> tuple[ImageError, int]:
-    """Of a displayed image [H, W, 3] against the exact one, over a `ground` [3]; and how many pixels are covered."""
-    off = (image - exact).abs()
-    covered = max(1, int((exact != ground).any(dim=-1).sum()))
-    mean = float(off.mean(dim=-1, dtype=torch.float64).sum()) / covered
-    return ImageError(mean, int((off.amax(dim=-1) > STEP).sum()) / covered), covered
 
 
 def around(renderer: Renderer, groups: tuple[str, ...]) -> Parameters:

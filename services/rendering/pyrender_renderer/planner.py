@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from services.rendering.image_error import ImageError
 from services.rendering.opengl.screen_bounds import Rectangle
 from services.rendering.plan import Item, Plan, Stage, Tolerance
 from services.rendering.protocol import InactiveCoordinate
 from services.rendering.pyrender_renderer.batching import SharedPass, alone, shared
-from services.rendering.pyrender_renderer.errors import DRAWS, EVERY, ImageError, estimated
+from services.rendering.pyrender_renderer.errors import DRAWS, EVERY, estimated
 from services.rendering.pyrender_renderer.inactive import REACH
 
 if TYPE_CHECKING:

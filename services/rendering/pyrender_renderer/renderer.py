@@ -14,6 +14,7 @@ from services.errors import JobFailure
 from services.finite import finite
 from services.rendering.compositing import over_ground
 from services.rendering.declaration import BuildRequest, DeclaredRenderer
+from services.rendering.image_error import ImageError, image_error
 from services.rendering.opengl import context
 from services.rendering.opengl.camera import CameraMatrices, RenderPass
 from services.rendering.opengl.screen_bounds import Rectangle, beyond, rectangle
@@ -22,7 +23,7 @@ from services.rendering.protocol import InactiveCoordinate, Parameters
 from services.rendering.pyrender_renderer import rasteriser
 from services.rendering.pyrender_renderer.batching import SharedPass, alone, shared
 from services.rendering.pyrender_renderer.declaration import PYRENDER
-from services.rendering.pyrender_renderer.errors import MARGIN, ImageError, image_error, is_sampled, measure
+from services.rendering.pyrender_renderer.errors import MARGIN, is_sampled, measure
 from services.rendering.pyrender_renderer.inactive import inactive_coordinates
 from services.rendering.pyrender_renderer.parameters import SceneParameters
 from services.rendering.pyrender_renderer.planner import Rasterised, compile_plan
@@ -83,7 +84,7 @@ class PyrenderRenderer(DeclaredRenderer):
         groups = tuple(groups or self.groups)
         self._tolerance: Tolerance = "exact"
         self._rasterises = False
-        self._sampled = ImageError()
+        self._sampled: ImageError | None = None
         self._closed = self._is_watertight_at_start()
         self.plan = self._compile(groups, None)
         self._twin: PyrenderRenderer = self
@@ -123,7 +124,7 @@ class PyrenderRenderer(DeclaredRenderer):
         [drawn] = self._by_rasteriser([start])
         self._rasterises = True
         error, covered = measure(self, self._ground, groups)
-        self._sampled = ImageError()
+        self._sampled = None
         if not ImageError(MARGIN * error.mean, MARGIN * error.share).within(tolerance):
             self._rasterises = False
             return Rasterised(error, covered, refusal="its error is beyond the tolerance")
@@ -139,8 +140,8 @@ class PyrenderRenderer(DeclaredRenderer):
         return self._rasterises
 
     @property
-    def sampled_error(self) -> ImageError:
-        """The largest error of the images asked for that OpenGL drew too; zero if it drew none."""
+    def sampled_error(self) -> ImageError | None:
+        """The largest error of the images rendered so far that OpenGL drew too; None if it drew none of them."""
         return self._sampled
 
     def initial(self) -> Parameters:
@@ -180,7 +181,7 @@ class PyrenderRenderer(DeclaredRenderer):
         """The image, or OpenGL's where it is off by more than the tolerance allows."""
         exact = self._twin.render(parameters)[0]
         error, _ = image_error(image, exact, self._ground)
-        self._sampled = self._sampled.or_worse(error)
+        self._sampled = error.or_worse(self._sampled)
         return image if self._tolerance != "exact" and error.within(self._tolerance) else exact
 
     def radiance(self, parameters: Mapping[str, Tensor]) -> Tensor:

@@ -14,6 +14,7 @@ from services.pipeline.execute import Progress, execute
 from services.pipeline.prepare import prepare
 from services.pipeline.result import Result
 from services.pipeline.spec import parse
+from services.rendering.pyrender_renderer import errors
 from tests.unit.jobs.small import LIBRARY, spec
 
 ATTACKS: list[dict[str, Any]] = [
@@ -71,6 +72,22 @@ def test_the_ends_of_the_subset_table_are_the_images_rendered_afresh(tmp_path: P
     assert (empty.label, empty.goal_probability) == (result.original.label, result.original.goal_probability)
     assert (full.label, full.goal_probability) == (result.attacked.label, result.attacked.goal_probability)
     assert (empty.perceptibility, full.perceptibility) == (0.0, result.perceptibility)
+
+
+def test_the_error_of_images_that_opengl_drew_too_is_in_the_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every image is drawn twice here, so that the largest of all errors is at least that of the stored image."""
+    monkeypatch.setattr(errors, "EVERY", 1)
+    attack = {"renderer": "pyrender", "delta": 1e-2, "steps": 2}
+    result = execute(spec(attack), tmp_path / "rasterised", LIBRARY)
+    exact = execute(spec(attack, tolerance="exact"), tmp_path / "exact", LIBRARY)
+    assert result.sampled_error is not None
+    assert 0 < result.sampled_error.mean <= 1e-3
+    assert 0 <= result.sampled_error.share <= 1e-2
+    assert exact.sampled_error is None
+    again = Result.model_validate_json((tmp_path / "rasterised" / "result.json").read_text())
+    assert again.sampled_error == result.sampled_error
 
 
 def test_progress_tells_every_step_in_order(tmp_path: Path) -> None:
