@@ -14,8 +14,6 @@ import os
 import sys
 import time
 from collections.abc import Callable
-from copy import copy
-from dataclasses import replace
 from pathlib import Path
 from statistics import median
 
@@ -33,6 +31,8 @@ from services.jobs.child import ALLOCATOR
 from services.pipeline.prepare import prepare
 from services.pipeline.spec import parse
 from services.rendering.opengl import context
+from services.rendering.opengl.camera import CameraMatrices
+from services.rendering.pyrender_renderer.parameters import SceneParameters
 from services.rendering.pyrender_renderer.planner import both_sides
 from services.rendering.pyrender_renderer.rasteriser import SAMPLES
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
@@ -90,7 +90,7 @@ def _measure(library: Library, mesh: str, label: str, repeats: int) -> dict[str,
                 "images_28_shared": lambda: renderer.render(sides),
                 "images_28_alone": lambda: exact.render(sides),
                 "frame": lambda: renderer.render(start),
-                "bare_pass": _bare(renderer),
+                "bare_pass": _bare(renderer, ready.scene),
                 "stock_pyrender_frame": _stock(ready.scene),
             },
             repeats,
@@ -128,12 +128,27 @@ def _ratio(ones: list[tuple[float, float]], others: list[tuple[float, float]], k
     return median(one[kind] / other[kind] for one, other in zip(ones, others, strict=True))
 
 
-def _bare(renderer: PyrenderRenderer) -> Callable[[], object]:
+def _bare(renderer: PyrenderRenderer, scene: ResolvedScene) -> Callable[[], object]:
     """The pass over the geometry of the start, all faces, of which one pixel is read so that it has happened."""
-    pixel = replace(renderer._at_start(), part=(0, 1, 0, 1))
-    natural = copy(renderer)
-    natural._closed = False
-    return lambda: natural._by_opengl(pixel)
+    values, camera = SceneParameters(scene.description), CameraMatrices.of(scene.view, scene.projection)
+    start = values.checked({})
+    poses = values.poses(start["translation"][0], start["rotation"][0])
+    lit = values.lit(start["illumination"], start["color"], poses, (0, 1, 0, 1))
+    return lambda: context.current().renderer.draw(
+        renderer.drawing,
+        "radiance.frag",
+        camera,
+        lit.poses,
+        lit.colors,
+        lit.uniforms,
+        {},
+        size=renderer.size,
+        samples=SAMPLES,
+        outputs=1,
+        blend=True,
+        lights=lit.light_counts,
+        rectangle=lit.part,
+    )
 
 
 def _stock(scene: ResolvedScene) -> Callable[[], object]:

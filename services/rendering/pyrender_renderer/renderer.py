@@ -75,7 +75,8 @@ class PyrenderRenderer(DeclaredRenderer):
         description = scene.description
         self.backend = current.backend
         self.size = description.camera.size
-        self._drawing = Drawing(scene.meshes, closed=True)
+        self.drawing = Drawing(scene.meshes, closed=True)
+        """The geometry as OpenGL holds it, for passes of one's own over it."""
         self._view = CameraMatrices.of(scene.view, scene.projection)
         self._ground = torch.tensor(description.ground, dtype=torch.float32)
         self._numbers = SceneParameters(description)
@@ -101,7 +102,7 @@ class PyrenderRenderer(DeclaredRenderer):
     def _compile(self, groups: tuple[str, ...], rasterised: Rasterised | None) -> Plan:
         return compile_plan(
             self,
-            self._drawing,
+            self.drawing,
             groups,
             self._tolerance,
             extent=self.extent(self.initial()),
@@ -113,7 +114,7 @@ class PyrenderRenderer(DeclaredRenderer):
 
     def _try_rasteriser(self, groups: tuple[str, ...], tolerance: float) -> Rasterised:
         """Whether the rasteriser draws within the tolerance, and with which error; sets `_rasterises`."""
-        why = rasteriser.refusal(self._drawing, start := self._at_start())
+        why = rasteriser.refusal(self.drawing, start := self._at_start())
         if why is None and not context.current().software:
             why = "a graphics card is faster"
         if why is None and start.part[0] == start.part[1]:
@@ -203,7 +204,7 @@ class PyrenderRenderer(DeclaredRenderer):
         """
         batch = self._numbers.checked({group: value[None] for group, value in parameters.items()})
         pose = self._numbers.poses(batch["translation"][0], batch["rotation"][0])[index]
-        corners = pose @ self._drawing.points[index]
+        corners = pose @ self.drawing.points[index]
         if turned:  # the ball around the object's own origin that holds it
             centre = np.append(pose[:3, 3], 1.0)
             margin += float(np.linalg.norm(corners[:3] - centre[:3, None], axis=0).max())
@@ -243,7 +244,7 @@ class PyrenderRenderer(DeclaredRenderer):
         return torch.from_numpy(batch_images)
 
     def _extent(self, poses: NDArray[np.float64]) -> Rectangle:
-        return rectangle(self._drawing.points, list(self._view.clip_from_world @ poses), self.size)
+        return rectangle(self.drawing.points, list(self._view.clip_from_world @ poses), self.size)
 
     def _lit(self, drawn: SharedPass) -> RenderPass:
         """What to draw of a pass: the part of the image where objects are, or all of it to be exact."""
@@ -260,12 +261,12 @@ class PyrenderRenderer(DeclaredRenderer):
 
     def _by_rasteriser(self, passes: Sequence[RenderPass]) -> list[tuple[NDArray[np.float32], int] | None]:
         positions = context.current().renderer.sample_positions
-        return rasteriser.draw(self._drawing, self._view, passes, self.size, positions, self._closed)
+        return rasteriser.draw(self.drawing, self._view, passes, self.size, positions, self._closed)
 
     def _by_opengl(self, lit: RenderPass) -> NDArray[np.float32]:
         """As `_frames`, of one pass."""
         images: NDArray[np.float32] = context.current().renderer.draw(
-            self._drawing,
+            self.drawing,
             "radiance.frag",
             self._view,
             lit.poses,
@@ -290,7 +291,7 @@ class PyrenderRenderer(DeclaredRenderer):
     def _is_watertight_at_start(self) -> bool:
         """Whether watertight surfaces may be drawn without their insides: there are some, and these do not show."""
         self._closed = False
-        if not any(piece.closed for piece in self._drawing.pieces):
+        if not any(piece.closed for piece in self.drawing.pieces):
             return False
         start = replace(self._at_start(), part=(0, self.size[0], 0, self.size[1]))
         natural, self._closed = self._by_opengl(start), True

@@ -45,7 +45,7 @@ def image(renderer: PyrenderRenderer) -> Tensor:
 
 
 def of_object(renderer: PyrenderRenderer, index: int) -> int:
-    return next(i for i, piece in enumerate(renderer._drawing.pieces) if piece.index == index)
+    return next(i for i, piece in enumerate(renderer.drawing.pieces) if piece.index == index)
 
 
 def fewer_pixels(renderer: PyrenderRenderer, patch: pytest.MonkeyPatch) -> None:
@@ -56,18 +56,18 @@ def fewer_pixels(renderer: PyrenderRenderer, patch: pytest.MonkeyPatch) -> None:
 
 def fewer_faces(renderer: PyrenderRenderer, patch: pytest.MonkeyPatch) -> None:  # noqa: ARG001
     """The sheet taken for closed, so that its back is not drawn."""
-    pieces, at = renderer._drawing.pieces, of_object(renderer, 1)
+    pieces, at = renderer.drawing.pieces, of_object(renderer, 1)
     pieces[at] = replace(pieces[at], closed=pieces[at].faces)
 
 
 def fewer_textures(renderer: PyrenderRenderer, patch: pytest.MonkeyPatch) -> None:  # noqa: ARG001
     """The cube without its image."""
-    renderer._drawing.pieces[:] = [replace(piece, texture=None) for piece in renderer._drawing.pieces]
+    renderer.drawing.pieces[:] = [replace(piece, texture=None) for piece in renderer.drawing.pieces]
 
 
 def fewer_that_show(renderer: PyrenderRenderer, patch: pytest.MonkeyPatch) -> None:  # noqa: ARG001
     """The cube without one of the two faces of the side that faces the camera."""
-    pieces, at = renderer._drawing.pieces, of_object(renderer, 2)
+    pieces, at = renderer.drawing.pieces, of_object(renderer, 2)
     pieces[at] = replace(pieces[at], triangles=pieces[at].triangles[:1].copy())
 
 
@@ -112,7 +112,7 @@ def test_every_coordinate_that_is_kept_changes_the_image_and_no_other_does() -> 
 
 def test_a_look_at_a_white_texture_changes_no_bit() -> None:
     renderer = subject()
-    start, pieces = image(renderer), renderer._drawing.pieces
+    start, pieces = image(renderer), renderer.drawing.pieces
     [textures] = [[item.kept, item.of] for item in renderer.plan.items if item.what.startswith("parts with a look")]
     assert textures == [6, 8]
     from services.rendering.opengl.textures import SrgbTexture
