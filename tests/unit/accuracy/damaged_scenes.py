@@ -12,7 +12,7 @@ from services.rendering.pyrender_renderer import parameters
 from services.rendering.pyrender_renderer import renderer as pyrender_renderer
 from services.rendering.torch_renderer import environment_light, shader
 from services.rendering.torch_renderer import renderer as torch_renderer
-from services.scenes import environment, reading, resolve, view
+from services.scenes import environment, gltf, reading, resolve, view
 
 
 def half_exposure(patch) -> None:
@@ -26,7 +26,15 @@ def half_white(patch) -> None:
 
 
 def half_energy(patch) -> None:
-    patch.setattr(parameters, "ENERGY", parameters.ENERGY / 2)
+    """Point lights are drawn with half their energy."""
+    true = parameters.SceneParameters.lit
+
+    def lit(self, illuminations, *given):
+        halved = illuminations.copy()
+        halved[:, 1::4] /= 2
+        return true(self, halved, *given)
+
+    patch.setattr(parameters.SceneParameters, "lit", lit)
 
 
 def no_inverse_pi(patch) -> None:
@@ -149,14 +157,15 @@ def mirrored_camera(patch) -> None:
 
 
 def files_upside_down(patch) -> None:
-    """Textures of files are read from the bottom."""
-    true = reading.to_parts
+    """v of glTF files is taken to run up."""
+    true = gltf.read_gltf
 
-    def to_parts(surfaces):
-        parts = true(surfaces)
-        return tuple(part if part.texture is None else replace(part, texture=part.texture[::-1]) for part in parts)
+    def upside_down(*given):
+        up = torch.tensor([0.0, 1.0]).numpy()
+        return tuple(replace(part, uv=abs(up - part.uv)) for part in true(*given))
 
-    patch.setattr(reading, "to_parts", to_parts)
+    for module in (gltf, reading):
+        patch.setattr(module, "read_gltf", upside_down, raising=False)
 
 
 def unchecked_tables(patch) -> None:
