@@ -82,6 +82,10 @@ def unevenness(table: Tensor, filled: Tensor) -> Tensor:
     of `table` [nodes, 3] that hold values.
     """
     rows = _rows(table)
+    if compiled.runs(table):
+        uneven = table.new_empty(2, len(table))
+        compiled.call("unevenness", table.dtype, rows, table.detach().contiguous(), filled, uneven)
+        return uneven
     values = torch.full((len(table),), torch.nan, dtype=table.dtype, device=table.device)
     places = tiles(rows, filled.device)[filled].flatten()
     values[places] = table.detach()[places].sum(1)

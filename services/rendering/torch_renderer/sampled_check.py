@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from services.rendering.color import KNEE
+from services.rendering.kernels import compiled
 from services.rendering.torch_renderer.lookup_table import nearest, unevenness
 
 
@@ -25,10 +26,17 @@ def chosen_pixels(
     count = len(angles)
     if count <= most:
         return torch.arange(count, device=angles.device)
+    third = most // 3
+    uneven = unevenness(table, filled)
+    if compiled.runs(angles):
+        chosen, number = torch.empty(most, dtype=torch.int64), torch.empty(1, dtype=torch.int64)
+        image = (uneven, *(of.detach().contiguous() for of in (angles, shaded, base_color)))
+        sizes = (most, third, count, rows, KNEE)
+        compiled.call("choose_pixels", angles.dtype, *sizes, *image, chosen, number, compiled.threads())
+        return chosen[: int(number)]
     linear = (shaded.detach() * base_color).clamp_(0.0, 1.0)
     steepness = (base_color * linear.add_(KNEE).rsqrt_()).amax(1)  # near enough to put pixels in order
-    likely = unevenness(table, filled)[:, nearest(angles.detach(), rows)] * steepness
-    third = most // 3
+    likely = uneven[:, nearest(angles.detach(), rows)] * steepness
     stride = count // (most - 2 * third)
     even = torch.arange(_start(shaded) % stride, count, stride, device=angles.device)[: most - 2 * third]
     found: Tensor = torch.unique(torch.cat([*likely.topk(third).indices, even]))

@@ -1,0 +1,172 @@
+// Choosing the pixels of a looked-up image that are summed too (services/rendering/torch_renderer/sampled_check.py).
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <type_traits>
+#include <vector>
+
+#include "layout.h"
+#include "lanes.h"
+
+namespace {
+
+constexpr int64_t SIDE = 4;    // nodes a side of a tile, as in lookup_table.py
+constexpr int64_t BORDER = 3;  // nodes beyond the table: two for a fourth difference and one for the neighbour
+
+// A table's nodes in one channel, their sum, with a border on which it continues; not a number where none is filled.
+template <class T> struct Bordered {
+    int64_t rows, turn, width, height;
+    std::vector<T> values;
+
+    Bordered(int64_t rows, const T *table, const uint8_t *filled)
+        : rows(rows), turn(2 * rows), width(turn + 2 * BORDER), height(rows + 2 * BORDER),
+          values(width * height, std::numeric_limits<T>::quiet_NaN()) {
+        for (int64_t i = 0; i < rows; ++i) {
+            const uint8_t *tile = filled + i / SIDE * (turn / SIDE);
+            for (int64_t first = 0; first < turn; first += SIDE)
+                if (tile[first / SIDE])
+                    for (int64_t j = first; j < first + SIDE; ++j) {
+                        const T *node = table + 3 * (i * turn + j);
+                        line(i)[j] = node[0] + node[1] + node[2];
+                    }
+        }
+        for (int64_t k = 0; k < BORDER; ++k) {  // past a pole: rows come back half a turn further round
+            half_turned(line(k), line(-1 - k));
+            half_turned(line(rows - 1 - k), line(rows + k));
+        }
+        for (int64_t i = -BORDER; i < rows + BORDER; ++i)
+            for (int64_t k = 1; k <= BORDER; ++k) line(i)[-k] = line(i)[turn - k], line(i)[turn - 1 + k] = line(i)[k - 1];
+    }
+
+    T *line(int64_t i) { return values.data() + (i + BORDER) * width + BORDER; }
+
+    void half_turned(const T *from, T *to) const {
+        std::copy(from + rows, from + turn, to);
+        std::copy(from, from + rows, to + rows);
+    }
+};
+
+template <class T> inline T size_of(T x) { return x == x ? std::abs(x) : T(0); }
+
+// The largest second and fourth differences along both angles, among each node and its eight neighbours: uneven [2, nodes].
+template <class T> void unevenness(int64_t rows, const T *table, const uint8_t *filled, T *uneven) {
+    Bordered<T> of(rows, table, filled);
+    const int64_t turn = of.turn, width = turn + 2;  // one neighbour at either end
+    std::vector<T> of_nodes(2 * (rows + 2) * width), across(width);
+    for (int64_t i = -1; i <= rows; ++i) {
+        const T *v[5];
+        for (int k = 0; k < 5; ++k) v[k] = of.line(std::clamp(i + k - 2, -BORDER, rows + BORDER - 1)) - 1;
+        T *second = of_nodes.data() + (i + 1) * width, *fourth = second + (rows + 2) * width;
+        for (int64_t j = 0; j < width; ++j) {
+            const T *c = v[2] + j;
+            const T twice = c[-1] + c[1] - 2 * c[0], before = c[-2] + c[0] - 2 * c[-1], after = c[0] + c[2] - 2 * c[1];
+            const T down = v[1][j] + v[3][j] - 2 * c[0], above = v[0][j] + c[0] - 2 * v[1][j];
+            const T below = c[0] + v[4][j] - 2 * v[3][j];
+            second[j] = std::max(size_of(twice), size_of(down));
+            fourth[j] = std::max(size_of(before + after - 2 * twice), size_of(above + below - 2 * down));
+        }
+    }
+    for (int order = 0; order < 2; ++order)
+        for (int64_t i = 0; i < rows; ++i) {
+            const T *a = of_nodes.data() + (order * (rows + 2) + i) * width, *b = a + width, *c = b + width;
+            T *out = uneven + (order * rows + i) * turn;
+            for (int64_t j = 0; j < width; ++j) across[j] = std::max(a[j], std::max(b[j], c[j]));
+            for (int64_t j = 0; j < turn; ++j) out[j] = std::max(across[j], std::max(across[j + 1], across[j + 2]));
+        }
+}
+
+inline int64_t wrapped(int64_t k, int64_t turn) { return k >= 0 && k < turn ? k : (k % turn + turn) % turn; }
+
+// The node nearest to azimuth and polar angle, as a place in the flattened table.
+template <class T> inline int64_t nearest(const T *angles, int64_t rows) {
+    const T scale = T(rows / 3.14159265358979323846);
+    const int64_t row = wrapped((int64_t)std::floor(angles[1] * scale), 2 * rows);
+    const bool past = row >= rows;
+    const int64_t column = (int64_t)std::floor(angles[0] * scale + T(rows)) + (past ? rows : 0);
+    return (past ? 2 * rows - 1 - row : row) * 2 * rows + wrapped(column, 2 * rows);
+}
+
+// The largest of the scores that are offered in the order of their pixels; of equal ones the first.
+template <class T> struct Largest {
+    struct Scored {
+        T score;
+        int64_t pixel;
+        bool operator<(const Scored &other) const {  // so that the least of a heap is in front
+            return score != other.score ? score > other.score : pixel < other.pixel;
+        }
+    };
+    std::vector<Scored> kept;
+    size_t most;
+
+    explicit Largest(int64_t most) : most(most) { kept.reserve(most); }
+
+    void offer(T score, int64_t pixel) {
+        if (kept.size() < most) {
+            kept.push_back({score, pixel});
+            std::push_heap(kept.begin(), kept.end());
+        } else if (score > kept.front().score) {
+            std::pop_heap(kept.begin(), kept.end());
+            kept.back() = {score, pixel};
+            std::push_heap(kept.begin(), kept.end());
+        }
+    }
+};
+
+// chosen [most] takes the indices, ascending, and found their number. `third` pixels each have the largest second and
+// fourth differences times the steepness of the display's curve; the others are spread evenly. most < count.
+template <class T>
+void choose_pixels(int64_t most, int64_t third, int64_t count, int64_t rows, T knee, const T *uneven, const T *angles,
+                   const T *shaded, const T *base_color, int64_t *chosen, int64_t *found, int threads) {
+    const int64_t nodes = 2 * rows * rows, even = most - 2 * third, stride = count / even;
+    if (third) {
+        std::vector<T> scores(2 * count);
+#pragma omp parallel for schedule(static) num_threads(threads)
+        for (int64_t p = 0; p < count; ++p) {
+            T steepness = 0;
+            for (int c = 0; c < 3; ++c) {
+                const T color = base_color[3 * p + c], linear = shaded[3 * p + c] * color;
+                steepness = std::max(steepness, color / std::sqrt(std::min(std::max(linear, T(0)), T(1)) + knee));
+            }
+            const T *node = uneven + nearest(angles + 2 * p, rows);
+            scores[p] = node[0] * steepness, scores[count + p] = node[nodes] * steepness;
+        }
+        for (int order = 0; order < 2; ++order) {
+            Largest<T> largest(third);
+            for (int64_t p = 0; p < count; ++p) largest.offer(scores[order * count + p], p);
+            for (const auto &one : largest.kept) *chosen++ = one.pixel;
+        }
+    }
+    // The start of those spread evenly changes with the image: the sum of its bits, which no order of summing changes.
+    typedef std::conditional_t<sizeof(T) == 4, int32_t, int64_t> Bits;
+    uint64_t sum = 0;
+    for (int64_t i = 0; i < 3 * count; ++i) {
+        Bits bits;
+        std::memcpy(&bits, shaded + i, sizeof bits);
+        sum += (uint64_t)(int64_t)bits;
+    }
+    const int64_t start = wrapped((int64_t)sum, stride);
+    for (int64_t k = 0; k < even; ++k) *chosen++ = start + k * stride;
+    std::sort(chosen - most, chosen);
+    *found = std::unique(chosen - most, chosen) - (chosen - most);
+}
+
+}  // namespace
+
+#define BOTH(T, NAME)                                                                                                  \
+    EXPORT void unevenness_##NAME(int64_t rows, const T *table, const uint8_t *filled, T *uneven) {                    \
+        unevenness<T>(rows, table, filled, uneven);                                                                    \
+    }                                                                                                                  \
+    EXPORT void choose_pixels_##NAME(int64_t most, int64_t third, int64_t count, int64_t rows, T knee, const T *uneven,\
+                                     const T *angles, const T *shaded, const T *base_color, int64_t *chosen,           \
+                                     int64_t *found, int threads) {                                                    \
+        choose_pixels<T>(most, third, count, rows, knee, uneven, angles, shaded, base_color, chosen, found, threads);  \
+    }
+
+BOTH(float, float)
+BOTH(double, double)
+FUNCTION(unevenness_float)
+FUNCTION(choose_pixels_float)
+FUNCTION(unevenness_double)
+FUNCTION(choose_pixels_double)
