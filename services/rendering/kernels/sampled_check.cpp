@@ -48,6 +48,7 @@ template <class T> struct Bordered {
     }
 };
 
+template <class T> inline T larger(T a, T b) { return a > b ? a : b; }
 template <class T> inline T size_of(T x) { return x == x ? std::abs(x) : T(0); }
 
 // The largest second and fourth differences along both angles, among each node and its eight neighbours: uneven [2, nodes].
@@ -64,28 +65,34 @@ template <class T> void unevenness(int64_t rows, const T *table, const uint8_t *
             const T twice = c[-1] + c[1] - 2 * c[0], before = c[-2] + c[0] - 2 * c[-1], after = c[0] + c[2] - 2 * c[1];
             const T down = v[1][j] + v[3][j] - 2 * c[0], above = v[0][j] + c[0] - 2 * v[1][j];
             const T below = c[0] + v[4][j] - 2 * v[3][j];
-            second[j] = std::max(size_of(twice), size_of(down));
-            fourth[j] = std::max(size_of(before + after - 2 * twice), size_of(above + below - 2 * down));
+            second[j] = larger(size_of(twice), size_of(down));
+            fourth[j] = larger(size_of(before + after - 2 * twice), size_of(above + below - 2 * down));
         }
     }
     for (int order = 0; order < 2; ++order)
         for (int64_t i = 0; i < rows; ++i) {
             const T *a = of_nodes.data() + (order * (rows + 2) + i) * width, *b = a + width, *c = b + width;
             T *out = uneven + (order * rows + i) * turn;
-            for (int64_t j = 0; j < width; ++j) across[j] = std::max(a[j], std::max(b[j], c[j]));
-            for (int64_t j = 0; j < turn; ++j) out[j] = std::max(across[j], std::max(across[j + 1], across[j + 2]));
+            for (int64_t j = 0; j < width; ++j) across[j] = larger(a[j], larger(b[j], c[j]));
+            for (int64_t j = 0; j < turn; ++j) out[j] = larger(across[j], larger(across[j + 1], across[j + 2]));
         }
 }
 
 inline int64_t wrapped(int64_t k, int64_t turn) { return k >= 0 && k < turn ? k : (k % turn + turn) % turn; }
 
+// k modulo `turn`, whole numbers of less than 2^24; 0 where that cannot be told.
+template <class T> inline T modulo(T k, T turn) {
+    const T rest = k - turn * std::floor(k / turn);
+    return rest > 0 && rest < turn ? rest : T(0);
+}
+
 // The node nearest to azimuth and polar angle, as a place in the flattened table.
-template <class T> inline int64_t nearest(const T *angles, int64_t rows) {
-    const T scale = T(rows / 3.14159265358979323846);
-    const int64_t row = wrapped((int64_t)std::floor(angles[1] * scale), 2 * rows);
-    const bool past = row >= rows;
-    const int64_t column = (int64_t)std::floor(angles[0] * scale + T(rows)) + (past ? rows : 0);
-    return (past ? 2 * rows - 1 - row : row) * 2 * rows + wrapped(column, 2 * rows);
+template <class T> inline int32_t nearest(const T *angles, int64_t rows) {
+    const T scale = T(rows / 3.14159265358979323846), most = T(rows), turn = 2 * most;
+    const T row = modulo<T>(std::floor(angles[1] * scale), turn);
+    const bool past = row >= most;
+    const T column = modulo<T>(std::floor(angles[0] * scale + most) + (past ? most : T(0)), turn);
+    return (int32_t)((past ? turn - 1 - row : row) * turn + column);
 }
 
 // The largest of the scores that are offered in the order of their pixels; of equal ones the first.
@@ -114,39 +121,44 @@ template <class T> struct Largest {
     }
 };
 
+constexpr int64_t AT_ONCE = 256;  // pixels, whose values stay in the first-level cache
+
 // chosen [most] takes the indices, ascending, and found their number. `third` pixels each have the largest second and
 // fourth differences times the steepness of the display's curve; the others are spread evenly. most < count.
 template <class T>
 void choose_pixels(int64_t most, int64_t third, int64_t count, int64_t rows, T knee, const T *uneven, const T *angles,
                    const T *shaded, const T *base_color, int64_t *chosen, int64_t *found, int threads) {
     const int64_t nodes = 2 * rows * rows, even = most - 2 * third, stride = count / even;
-    if (third) {
-        std::vector<T> scores(2 * count);
-#pragma omp parallel for schedule(static) num_threads(threads)
-        for (int64_t p = 0; p < count; ++p) {
-            T steepness = 0;
-            for (int c = 0; c < 3; ++c) {
-                const T color = base_color[3 * p + c], linear = shaded[3 * p + c] * color;
-                steepness = std::max(steepness, color / std::sqrt(std::min(std::max(linear, T(0)), T(1)) + knee));
-            }
-            const T *node = uneven + nearest(angles + 2 * p, rows);
-            scores[p] = node[0] * steepness, scores[count + p] = node[nodes] * steepness;
-        }
-        for (int order = 0; order < 2; ++order) {
-            Largest<T> largest(third);
-            for (int64_t p = 0; p < count; ++p) largest.offer(scores[order * count + p], p);
-            for (const auto &one : largest.kept) *chosen++ = one.pixel;
-        }
-    }
+    std::vector<T> scores(2 * count);
     // The start of those spread evenly changes with the image: the sum of its bits, which no order of summing changes.
     typedef std::conditional_t<sizeof(T) == 4, int32_t, int64_t> Bits;
     uint64_t sum = 0;
-    for (int64_t i = 0; i < 3 * count; ++i) {
-        Bits bits;
-        std::memcpy(&bits, shaded + i, sizeof bits);
-        sum += (uint64_t)(int64_t)bits;
+#pragma omp parallel for schedule(static) num_threads(threads) reduction(+ : sum)
+    for (int64_t first = 0; first < count; first += AT_ONCE) {
+        const int64_t here = std::min(AT_ONCE, count - first);
+        T steepness[3 * AT_ONCE];
+        for (int64_t i = 0; i < 3 * here; ++i) {
+            const T color = base_color[3 * first + i], radiance = shaded[3 * first + i], linear = radiance * color;
+            const T held = linear > 0 ? linear < 1 ? linear : T(1) : T(0);
+            steepness[i] = color / std::sqrt(held + knee);
+            Bits bits;
+            std::memcpy(&bits, &radiance, sizeof bits);
+            sum += (uint64_t)(int64_t)bits;
+        }
+        int32_t places[AT_ONCE];
+        for (int64_t i = 0; i < here; ++i) places[i] = nearest<T>(angles + 2 * (first + i), rows);
+        for (int64_t i = 0; i < here; ++i) {
+            const T *of = steepness + 3 * i, *node = uneven + places[i];
+            const T steepest = std::max(of[0], std::max(of[1], of[2]));
+            scores[first + i] = node[0] * steepest, scores[count + first + i] = node[nodes] * steepest;
+        }
     }
-    const int64_t start = wrapped((int64_t)sum, stride);
+    for (int order = 0; order < 2 && third; ++order) {
+        Largest<T> largest(third);
+        for (int64_t p = 0; p < count; ++p) largest.offer(scores[order * count + p], p);
+        for (const auto &one : largest.kept) *chosen++ = one.pixel;
+    }
+    const int64_t start = ((int64_t)sum % stride + stride) % stride;
     for (int64_t k = 0; k < even; ++k) *chosen++ = start + k * stride;
     std::sort(chosen - most, chosen);
     *found = std::unique(chosen - most, chosen) - (chosen - most);
