@@ -4,11 +4,12 @@
 #include <cmath>
 #include <cstdint>
 #include <limits>
+#include <memory>
 #include <type_traits>
 #include <vector>
 
-#include "layout.h"
 #include "lanes.h"
+#include "layout.h"
 
 namespace {
 
@@ -51,16 +52,37 @@ template <class T> struct Bordered {
 template <class T> inline T larger(T a, T b) { return a > b ? a : b; }
 template <class T> inline T size_of(T x) { return x == x ? std::abs(x) : T(0); }
 
-// The largest second and fourth differences along both angles, among each node and its eight neighbours: uneven [2, nodes].
+// From the first to behind the last filled column of a tile's rows.
+struct Span {
+    int64_t from = std::numeric_limits<int64_t>::max(), to = 0;
+
+    void join(Span other) { from = std::min(from, other.from), to = std::max(to, other.to); }
+};
+
+inline std::vector<Span> spans_of(int64_t rows, const uint8_t *filled) {
+    const int64_t across = 2 * rows / SIDE;
+    std::vector<Span> spans(rows / SIDE);
+    for (int64_t band = 0; band < rows / SIDE; ++band)
+        for (int64_t k = 0; k < across; ++k)
+            if (filled[band * across + k]) spans[band].join({k * SIDE, (k + 1) * SIDE});
+    return spans;
+}
+
+// The largest second and fourth differences along both angles, among each node and its eight neighbours: uneven [2, nodes],
+// zero outside the spans.
 template <class T> void unevenness(int64_t rows, const T *table, const uint8_t *filled, T *uneven) {
     Bordered<T> of(rows, table, filled);
-    const int64_t turn = of.turn, width = turn + 2;  // one neighbour at either end
-    std::vector<T> of_nodes(2 * (rows + 2) * width), across(width);
+    const std::vector<Span> spans = spans_of(rows, filled);
+    const int64_t turn = of.turn, width = turn + 2, orders = (rows + 2) * width;  // one neighbour at either end
+    const std::unique_ptr<T[]> of_nodes(new T[2 * orders]);                       // read only where it is written
+    std::vector<T> across(width);
     for (int64_t i = -1; i <= rows; ++i) {
+        Span span;
+        for (int64_t k = -1; k <= 1; ++k) span.join(spans[std::clamp<int64_t>(i + k, 0, rows - 1) / SIDE]);
         const T *v[5];
         for (int k = 0; k < 5; ++k) v[k] = of.line(std::clamp(i + k - 2, -BORDER, rows + BORDER - 1)) - 1;
-        T *second = of_nodes.data() + (i + 1) * width, *fourth = second + (rows + 2) * width;
-        for (int64_t j = 0; j < width; ++j) {
+        T *second = of_nodes.get() + (i + 1) * width, *fourth = second + orders;
+        for (int64_t j = span.from; j < span.to + 2; ++j) {
             const T *c = v[2] + j;
             const T twice = c[-1] + c[1] - 2 * c[0], before = c[-2] + c[0] - 2 * c[-1], after = c[0] + c[2] - 2 * c[1];
             const T down = v[1][j] + v[3][j] - 2 * c[0], above = v[0][j] + c[0] - 2 * v[1][j];
@@ -69,16 +91,16 @@ template <class T> void unevenness(int64_t rows, const T *table, const uint8_t *
             fourth[j] = larger(size_of(before + after - 2 * twice), size_of(above + below - 2 * down));
         }
     }
+    std::fill(uneven, uneven + 2 * rows * turn, T(0));
     for (int order = 0; order < 2; ++order)
         for (int64_t i = 0; i < rows; ++i) {
-            const T *a = of_nodes.data() + (order * (rows + 2) + i) * width, *b = a + width, *c = b + width;
+            const Span span = spans[i / SIDE];
+            const T *a = of_nodes.get() + order * orders + i * width, *b = a + width, *c = b + width;
             T *out = uneven + (order * rows + i) * turn;
-            for (int64_t j = 0; j < width; ++j) across[j] = larger(a[j], larger(b[j], c[j]));
-            for (int64_t j = 0; j < turn; ++j) out[j] = larger(across[j], larger(across[j + 1], across[j + 2]));
+            for (int64_t j = span.from; j < span.to + 2; ++j) across[j] = larger(a[j], larger(b[j], c[j]));
+            for (int64_t j = span.from; j < span.to; ++j) out[j] = larger(across[j], larger(across[j + 1], across[j + 2]));
         }
 }
-
-inline int64_t wrapped(int64_t k, int64_t turn) { return k >= 0 && k < turn ? k : (k % turn + turn) % turn; }
 
 // k modulo `turn`, whole numbers of less than 2^24; 0 where that cannot be told.
 template <class T> inline T modulo(T k, T turn) {
@@ -129,7 +151,7 @@ template <class T>
 void choose_pixels(int64_t most, int64_t third, int64_t count, int64_t rows, T knee, const T *uneven, const T *angles,
                    const T *shaded, const T *base_color, int64_t *chosen, int64_t *found, int threads) {
     const int64_t nodes = 2 * rows * rows, even = most - 2 * third, stride = count / even;
-    std::vector<T> scores(2 * count);
+    const std::unique_ptr<T[]> scores(new T[2 * count]);
     // The start of those spread evenly changes with the image: the sum of its bits, which no order of summing changes.
     typedef std::conditional_t<sizeof(T) == 4, int32_t, int64_t> Bits;
     uint64_t sum = 0;
