@@ -132,6 +132,7 @@ template <class T> struct Largest {
     explicit Largest(int64_t most) : most(most) { kept.reserve(most); }
 
     void offer(T score, int64_t pixel) {
+        if (score != score) score = std::numeric_limits<T>::infinity();  // what is not a number is checked first
         if (kept.size() < most) {
             kept.push_back({score, pixel});
             std::push_heap(kept.begin(), kept.end());
@@ -161,7 +162,7 @@ void choose_pixels(int64_t most, int64_t third, int64_t count, int64_t rows, T k
         T steepness[3 * AT_ONCE];
         for (int64_t i = 0; i < 3 * here; ++i) {
             const T color = base_color[3 * first + i], radiance = shaded[3 * first + i], linear = radiance * color;
-            const T held = linear > 0 ? linear < 1 ? linear : T(1) : T(0);
+            const T held = linear <= 0 ? T(0) : linear >= 1 ? T(1) : linear;
             steepness[i] = color / std::sqrt(held + knee);
             Bits bits;
             std::memcpy(&bits, &radiance, sizeof bits);
@@ -171,7 +172,8 @@ void choose_pixels(int64_t most, int64_t third, int64_t count, int64_t rows, T k
         for (int64_t i = 0; i < here; ++i) places[i] = nearest<T>(angles + 2 * (first + i), rows);
         for (int64_t i = 0; i < here; ++i) {
             const T *of = steepness + 3 * i, *node = uneven + places[i];
-            const T steepest = std::max(of[0], std::max(of[1], of[2]));
+            const T unknown = 0 * (of[0] + of[1] + of[2]);  // not a number where a channel is not
+            const T steepest = larger(of[0], larger(of[1], of[2])) + unknown;
             scores[first + i] = node[0] * steepest, scores[count + first + i] = node[nodes] * steepest;
         }
     }

@@ -79,7 +79,7 @@ def unevenness(table: Tensor, filled: Tensor) -> Tensor:
     The differences are taken along both angles, of the sum over the channels; each node gets the largest among itself
     and its eight neighbours. A table's error follows the fourth difference where radiance has a kink or a highlight;
     the second difference serves nodes with too few filled neighbours for the fourth. `filled` [tiles] marks the tiles
-    of `table` [nodes, 3] that hold values.
+    of `table` [nodes, 3] that hold values; the scores of other nodes mean nothing.
     """
     rows = _rows(table)
     if compiled.runs(table):

@@ -7,6 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from services.rendering.kernels import compiled
 from services.rendering.plan import Plan
 from services.rendering.torch_renderer import renderer as renderer_module
 from services.rendering.torch_renderer import shader as shader_module
@@ -78,6 +79,58 @@ def test_the_choice_is_the_image_s_alone() -> None:
     ]
     assert torch.equal(chosen[0], chosen[1])
     assert not torch.equal(chosen[0], chosen[2])  # others by turns
+
+
+@pytest.mark.parametrize("few", [True, False])
+def test_native_and_torch_choose_the_same_pixels(monkeypatch: pytest.MonkeyPatch, few: bool) -> None:
+    """In float64, where no two pixels are equally likely. A table of few filled tiles has holes, one of many the poles
+    and the seam."""
+    random = torch.Generator().manual_seed(2)
+    angles = anywhere(300, seed=3) * (0.03 if few else 1.0)
+    table = torch.rand(2 * ROWS**2, 3, generator=random, dtype=torch.float64)
+    color = torch.rand(300, 3, generator=random, dtype=torch.float64)
+    filled, shaded = touched(angles, ROWS), look_up(table, angles)
+    nodes = tiles(ROWS)[filled].flatten()
+    assert (len(nodes) < len(table) / 4) == few
+    given = (table, filled, ROWS, angles, shaded, color)
+    uneven, chosen = unevenness(table, filled)[:, nodes], [chosen_pixels(most, *given) for most in (60, 256, 300)]
+    monkeypatch.setattr(compiled, "library", lambda: None)
+    torch.testing.assert_close(unevenness(table, filled)[:, nodes], uneven, rtol=0, atol=1e-14)
+    for most, indices in zip((60, 256, 300), chosen, strict=True):
+        assert torch.equal(chosen_pixels(most, *given), indices)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_the_choice_does_not_depend_on_the_number_of_threads(dtype: torch.dtype) -> None:
+    """Of pixels that look alike it takes the first."""
+    angles, table = anywhere(3000).to(dtype), table_of(kink(node_vectors(ROWS))).to(dtype)
+    alike = angles[:50].repeat(60, 1)
+    color, threads = torch.ones(3000, 3, dtype=dtype), torch.get_num_threads()
+    found = []
+    try:
+        for count in (1, 2):
+            torch.set_num_threads(count)
+            found += [chosen_pixels(256, table, EVERY, ROWS, at, look_up(table, at), color) for at in (angles, alike)]
+    finally:
+        torch.set_num_threads(threads)
+    assert torch.equal(found[0], found[2])
+    assert torch.equal(found[1], found[3])
+
+
+@pytest.mark.parametrize("native", [True, False])
+def test_a_pixel_that_is_not_a_number_is_checked(monkeypatch: pytest.MonkeyPatch, native: bool) -> None:
+    """Be it where the table is even, and in one channel."""
+    if not native:
+        monkeypatch.setattr(compiled, "library", lambda: None)
+    angles = anywhere(3000)
+    table = table_of(torch.ones(2 * ROWS**2, dtype=torch.float64))
+    color = torch.ones(3000, 3, dtype=torch.float64)
+    shaded = look_up(table, angles)
+    for channel in range(3):
+        for pixel in (1234, 2345):
+            broken = shaded.clone()
+            broken[pixel, channel] = torch.nan
+            assert pixel in chosen_pixels(30, table, EVERY, ROWS, angles, broken, color)
 
 
 # Images
