@@ -5,8 +5,10 @@
 // - A face covers the samples inside of its three edges, exactly, in integers. A sample on an edge belongs to the face
 //   to the right of a left edge or above a bottom edge, so that one of two faces with a common edge has it.
 // - Depth is linear over the image. An opaque face has the samples at which it is nearest, the first drawn of equals.
-// - A face is shaded once per pixel: in the pixel's centre if it has all four samples (or none) when it is drawn, else at
-//   the first sample it has. Normal and texture are looked up there; position and perspective are the centre's.
+// - A face is shaded once per pixel. Its normal and texture are looked up in the pixel's centre if it is nearest at all
+//   four samples (or none) when it is drawn, else at the first at which it is. Its position and perspective
+//   are the centre's.
+// - A texture's coordinates change from pixel to pixel as between the first three such places of a block of 2 x 2.
 
 #pragma once
 
@@ -16,7 +18,6 @@ namespace {
 
 constexpr int SAMPLES = 4, SIDE = 2, PIXELS = SIDE * SIDE;  // samples of a pixel; sides and pixels of a block
 static_assert(WIDTH == SAMPLES * PIXELS, "a vector is a block's samples");
-constexpr int CENTRE = SAMPLES;  // the place in a pixel that is no sample
 constexpr int GRID = 256, BLOCK = GRID * SIDE;  // steps of a pixel, of a block
 constexpr int MAX_EXTENT = 4096;  // pixels between corners at most, so that edges within a block fit 32 bits
 constexpr int32_t NONE = -1;
@@ -77,31 +78,25 @@ struct Corners {
         }
         drawable = !beyond;
     }
+
+    // Twice the area of a face, positive where its corners are counter-clockwise.
+    float area(const int32_t *t) const {
+        return (x[t[1]] - x[t[0]]) * (y[t[2]] - y[t[0]]) - (x[t[2]] - x[t[0]]) * (y[t[1]] - y[t[0]]);
+    }
 };
 
-// The weights of a face's second and third corner, linear over the image: 1 in that corner, 0 in the others.
-struct Weights {
-    float x, y, right[2], up[2];
+// A quantity that is linear over the image, by its values in a face's corners.
+template <class T> struct Linear {
+    float x, y;
+    T start, right, up;
 
-    Weights(const Corners &of, const int32_t *t) : x(of.x[t[0]]), y(of.y[t[0]]) {
+    Linear() = default;
+    Linear(const Corners &of, const int32_t *t, T a, T b, T c) : x(of.x[t[0]]), y(of.y[t[0]]), start(a) {
         const float bx = of.x[t[1]] - x, by = of.y[t[1]] - y, cx = of.x[t[2]] - x, cy = of.y[t[2]] - y;
         const float scale = 1 / (bx * cy - by * cx);
-        right[0] = cy * scale, up[0] = -cx * scale, right[1] = -by * scale, up[1] = bx * scale;
+        right = (b - a) * (cy * scale) - (c - a) * (by * scale), up = (c - a) * (bx * scale) - (b - a) * (cx * scale);
     }
-    template <class T> T at(int corner, T px, T py) const { return right[corner] * (px - x) + up[corner] * (py - y); }
-};
-
-// What a face has of a block of pixels.
-struct Coverage {
-    int32_t face, row, column;  // the block's
-    uint32_t nearest = 0, samples = 0;  // a bit for each at which it is nearest; and of those the ones outside of holes
-
-    int place(int pixel) const {
-        const uint32_t mine = nearest >> SAMPLES * pixel & 15;
-        return mine == 0 || mine == 15 ? CENTRE : __builtin_ctz(mine);
-    }
-    int32_t x(int pixel) const { return SIDE * column + pixel % SIDE; }
-    int32_t y(int pixel) const { return SIDE * row + pixel / SIDE; }
+    template <class P> auto at(P px, P py) const { return start + (px - x) * right + (py - y) * up; }
 };
 
 // A bit for each lane of a mask.
@@ -111,92 +106,95 @@ inline uint32_t bits_of(Ints mask) {
     return bits;
 }
 
-// A part of an image: rows from, to, columns from, to, in blocks; and what is seen at each of its samples.
+// A face in a pixel.
+struct Fragment {
+    int32_t face, block, left, bottom;  // of the block: its lower left pixel
+    int32_t pixel;  // in the block
+    uint32_t nearest;  // a bit for each of the block's samples at which the face is nearest when it is drawn
+    float weight;  // share of the pixel's light
+
+    int32_t x() const { return left + pixel % SIDE; }
+    int32_t y() const { return bottom + pixel / SIDE; }
+    uint32_t samples() const { return nearest & 15u << SAMPLES * pixel; }
+};
+
+// The side of an edge of a face: a function of the place, positive inside, exact in integers.
+struct Edge {
+    Ints at_samples;  // in a block, less the value in the block's lower left corner
+    int64_t right, up, start;
+
+    Edge(int64_t x, int64_t y, int64_t next_x, int64_t next_y, Ints sample_x, Ints sample_y)
+        : right(y - next_y), up(next_x - x), start((right > 0 || (right == 0 && up > 0)) - right * x - up * y) {
+        at_samples = int32_t(right) * sample_x + int32_t(up) * sample_y;
+    }
+    int64_t corner(int64_t row, int64_t column) const { return start + BLOCK * (right * column + up * row); }
+    bool misses(int64_t row, int64_t column) const {
+        return corner(row, column) + BLOCK * (std::max<int64_t>(right, 0) + std::max<int64_t>(up, 0)) <= 0;
+    }
+    Ints inside(int64_t row, int64_t column) const {  // where it does not miss the block
+        return at_samples + (int32_t)std::min<int64_t>(corner(row, column), 1 << 30) > 0;
+    }
+};
+
+// What is seen at each sample of a part of an image, which is cut into blocks.
 struct Visibility {
-    int64_t rows[2], columns[2];
-    Floats x, y;  // of a block's samples, in it
+    const int64_t *part;
+    int64_t rows[2], columns[2];  // of blocks, from, to
+    Floats x, y;  // of a block's samples, in it, in pixels
     Ints grid_x, grid_y;
-    float place_x[SAMPLES + 1], place_y[SAMPLES + 1];  // in a pixel
-    std::vector<Floats> depth;
-    std::vector<Ints> top;  // the one of `opaque` that is seen, or NONE
-    std::vector<Coverage> opaque, layers;  // in the order they are drawn
+    std::vector<Floats> depth;  // of the nearest opaque face
+    std::vector<Ints> top;  // its fragment, or NONE
+    std::vector<Fragment> fragments;  // in the order they are drawn
 
     Visibility(const Frame &frame, const int64_t *part)
-        : rows{part[0] / SIDE, (part[1] + SIDE - 1) / SIDE}, columns{part[2] / SIDE, (part[3] + SIDE - 1) / SIDE},
+        : part(part), rows{part[0] / SIDE, (part[1] + SIDE - 1) / SIDE},
+          columns{part[2] / SIDE, (part[3] + SIDE - 1) / SIDE},
           depth((rows[1] - rows[0]) * (columns[1] - columns[0]), Floats{} + 1.0f), top(depth.size(), Ints{} + NONE) {
-        for (int s = 0; s < SAMPLES; ++s) place_x[s] = frame.x[s], place_y[s] = frame.y[s];
-        place_x[CENTRE] = place_y[CENTRE] = 0.5f;
         for (int i = 0; i < WIDTH; ++i) {
-            x[i] = i / SAMPLES % SIDE + place_x[i % SAMPLES], y[i] = i / SAMPLES / SIDE + place_y[i % SAMPLES];
+            x[i] = i / SAMPLES % SIDE + frame.x[i % SAMPLES], y[i] = i / SAMPLES / SIDE + frame.y[i % SAMPLES];
             grid_x[i] = (int32_t)std::lround(GRID * x[i]), grid_y[i] = (int32_t)std::lround(GRID * y[i]);
         }
     }
 
-    int64_t block(const Coverage &of) const {
-        return (of.row - rows[0]) * (columns[1] - columns[0]) + of.column - columns[0];
+    bool in_part(const Fragment &f) const {
+        return f.y() >= part[0] && f.y() < part[1] && f.x() >= part[2] && f.x() < part[3];
     }
 
-    // A face of corners `t`, which it puts in counter-clockwise order. False if it has no area, or is seen from inside
-    // and has no inside. `is_hole` is asked of pixels that the face covers.
-    template <class Hole>
-    bool draw(const Corners &of, int32_t *t, bool closed, int32_t face, bool blended, Hole is_hole) {
-        const float area = (of.x[t[1]] - of.x[t[0]]) * (of.y[t[2]] - of.y[t[0]]) -
-                           (of.x[t[2]] - of.x[t[0]]) * (of.y[t[1]] - of.y[t[0]]);
-        if (area == 0 || (area < 0 && closed)) return false;
-        if (area < 0) std::swap(t[1], t[2]);
+    // Where a face's normal and texture are looked up in a pixel of a fragment's block.
+    std::pair<float, float> place(const Fragment &f, int pixel) const {
+        const uint32_t samples = f.nearest >> SAMPLES * pixel & 15;
+        if (samples == 0 || samples == 15) return {f.left + pixel % SIDE + 0.5f, f.bottom + pixel / SIDE + 0.5f};
+        const int first = SAMPLES * pixel + __builtin_ctz(samples);
+        return {f.left + x[first], f.bottom + y[first]};
+    }
+
+    // Draws a face of corners `t`, which are in counter-clockwise order. `is_hole` is asked of its fragments.
+    template <class Hole> void draw(const Corners &of, const int32_t *t, int32_t face, bool blended, Hole is_hole) {
         const int32_t gx[3] = {of.grid_x[t[0]], of.grid_x[t[1]], of.grid_x[t[2]]};
         const int32_t gy[3] = {of.grid_y[t[0]], of.grid_y[t[1]], of.grid_y[t[2]]};
         const int64_t left = std::max<int64_t>(std::min({gx[0], gx[1], gx[2]}) / BLOCK, columns[0]);
         const int64_t right = std::min<int64_t>(std::max({gx[0], gx[1], gx[2]}) / BLOCK + 1, columns[1]);
         const int64_t bottom = std::max<int64_t>(std::min({gy[0], gy[1], gy[2]}) / BLOCK, rows[0]);
         const int64_t top = std::min<int64_t>(std::max({gy[0], gy[1], gy[2]}) / BLOCK + 1, rows[1]);
-        // Functions of the place, positive inside: in a block's corner, and what is added at samples and towards others.
-        Ints samples[3];
-        int64_t start[3], to_right[3], to_top[3], most[3];
-        for (int i = 0, j = 1; i < 3; ++i, j = (j + 1) % 3) {
-            const int32_t ex = gy[i] - gy[j], ey = gx[j] - gx[i];
-            samples[i] = ex * grid_x + ey * grid_y;
-            start[i] = ex * (BLOCK * left - gx[i]) + ey * (BLOCK * bottom - gy[i]) + (ex > 0 || (ex == 0 && ey > 0));
-            to_right[i] = int64_t(ex) * BLOCK, to_top[i] = int64_t(ey) * BLOCK;
-            most[i] = std::max<int64_t>(to_right[i], 0) + std::max<int64_t>(to_top[i], 0);
-        }
-        for (int64_t row = bottom; row < top; ++row) {
-            int64_t e[3] = {start[0], start[1], start[2]};
+        if (left >= right || bottom >= top) return;
+        const auto edge = [&](int i, int j) { return Edge(gx[i], gy[i], gx[j], gy[j], grid_x, grid_y); };
+        const Edge edges[3] = {edge(0, 1), edge(1, 2), edge(2, 0)};
+        const Linear<float> plane(of, t, of.z[t[0]], of.z[t[1]], of.z[t[2]]);
+        for (int64_t row = bottom; row < top; ++row)
             for (int64_t column = left; column < right; ++column) {
-                if ((e[0] + most[0] > 0) & (e[1] + most[1] > 0) & (e[2] + most[2] > 0)) {
-                    Ints inside = Ints{} - 1;
-                    for (int i = 0; i < 3; ++i) inside &= samples[i] + (int32_t)std::min<int64_t>(e[i], 1 << 30) > 0;
-                    if (bits_of(inside))
-                        take(of, t, {face, int32_t(row), int32_t(column)}, inside, blended, is_hole);
+                const int64_t block = (row - rows[0]) * (columns[1] - columns[0]) + column - columns[0];
+                if (edges[0].misses(row, column) | edges[1].misses(row, column) | edges[2].misses(row, column)) continue;
+                const Floats z = plane.at(x + float(SIDE * column), y + float(SIDE * row));
+                const uint32_t samples = bits_of(edges[0].inside(row, column) & edges[1].inside(row, column) &
+                                                 edges[2].inside(row, column) & (z < depth[block]));
+                for (int p = 0; p < PIXELS && samples; ++p) {
+                    const Fragment f{face, int32_t(block), int32_t(SIDE * column), int32_t(SIDE * row), p, samples, 0};
+                    if (!f.samples() || !in_part(f) || is_hole(f)) continue;
+                    for (int i = SAMPLES * p; i < SAMPLES * (p + 1) && !blended; ++i)
+                        if (samples >> i & 1) depth[block][i] = z[i], this->top[block][i] = fragments.size();
+                    fragments.push_back(f);
                 }
-                for (int i = 0; i < 3; ++i) e[i] += to_right[i];
             }
-            for (int i = 0; i < 3; ++i) start[i] += to_top[i];
-        }
-        return true;
-    }
-
-    // The samples that a face is inside of: those at which it is nearest and has no hole.
-    template <class Hole>
-    void take(const Corners &of, const int32_t *t, Coverage it, Ints inside, bool blended, Hole is_hole) {
-        const Weights weights(of, t);
-        const Floats px = x + float(SIDE * it.column), py = y + float(SIDE * it.row);
-        const Floats z = of.z[t[0]] + weights.at(0, px, py) * (of.z[t[1]] - of.z[t[0]]) +
-                         weights.at(1, px, py) * (of.z[t[2]] - of.z[t[0]]);
-        const int64_t here = block(it);
-        inside &= z < depth[here];
-        it.nearest = it.samples = bits_of(inside);
-        for (int p = 0; p < PIXELS; ++p)
-            if (it.nearest >> SAMPLES * p & 15 && is_hole(it, p)) it.samples &= ~(15u << SAMPLES * p);
-        if (!it.samples) return;
-        if (blended) {
-            layers.push_back(it);
-            return;
-        }
-        for (int i = 0; i < WIDTH; ++i) inside[i] = -int32_t(it.samples >> i & 1);
-        depth[here] = choose(inside, z, depth[here]);
-        top[here] = (inside & (int32_t)opaque.size()) | (~inside & top[here]);
-        opaque.push_back(it);
     }
 };
 

@@ -5,12 +5,16 @@ from numpy.typing import NDArray
 from OpenGL import GL
 from pyrender.texture import Texture
 
+from services.scenes.srgb import to_linear
+
+LINEAR = to_linear(np.arange(256) / 255).astype(np.float32)
+"""The linear value of each 8-bit sRGB value."""
+
 
 class LinearTexture(Texture):  # type: ignore[misc]
     """An RGBA texture with mipmaps; `wrap`: OpenGL's modes for u and v."""
 
     _format = GL.GL_RGBA8
-    _levels: list[NDArray[np.uint8]] | None = None
     wrap: tuple[int, int] = (GL.GL_REPEAT, GL.GL_REPEAT)
 
     def _add_to_context(self) -> None:
@@ -27,8 +31,16 @@ class LinearTexture(Texture):  # type: ignore[misc]
         GL.glTexParameteri(GL.GL_TEXTURE_2D, GL.GL_TEXTURE_WRAP_T, self.wrap[1])
         GL.glBindTexture(GL.GL_TEXTURE_2D, 0)
 
-    def levels(self) -> list[NDArray[np.uint8]]:
-        """The driver's mipmaps, each [height, width, 4] sRGB with its first row at v = 0; from when it was uploaded."""
+
+class SrgbTexture(LinearTexture):
+    """A texture in sRGB, decoded to linear before it is filtered (pyrender's are filtered as they are stored)."""
+
+    _format = GL.GL_SRGB8_ALPHA8
+    _levels: list[NDArray[np.float32]] | None = None
+
+    def levels(self) -> list[NDArray[np.float32]]:
+        """The driver's mipmaps, once uploaded: each [height, width, 4], linear red, green and blue, and alpha, all in
+        [0,1], with its first row at v = 0."""
         if self._levels is None:
             self._levels = []
             GL.glPixelStorei(GL.GL_PACK_ALIGNMENT, 1)
@@ -37,12 +49,8 @@ class LinearTexture(Texture):  # type: ignore[misc]
             for level in range(int(size.max()).bit_length()):
                 texels = np.empty((*np.maximum(size >> level, 1), 4), np.uint8)
                 GL.glGetTexImage(GL.GL_TEXTURE_2D, level, GL.GL_RGBA, GL.GL_UNSIGNED_BYTE, array=texels)
-                self._levels.append(texels)
+                linear = LINEAR[texels]
+                linear[..., 3] = texels[..., 3] / np.float32(255)
+                self._levels.append(linear)
             GL.glBindTexture(GL.GL_TEXTURE_2D, 0)
         return self._levels
-
-
-class SrgbTexture(LinearTexture):
-    """A texture in sRGB, decoded to linear before it is filtered (pyrender's are filtered as they are stored)."""
-
-    _format = GL.GL_SRGB8_ALPHA8
