@@ -116,7 +116,9 @@ class SpotLight(Model):
         0.0, description="angle from the axis where the light begins to fall off, radians; 0 to below `outer_angle`"
     )
     outer_angle: Annotated[float, Field(gt=0, le=pi / 2, allow_inf_nan=False)] = Field(
-        pi / 4, description="angle from the axis where it has fallen to nothing, radians; at most π/2"
+        pi / 4,
+        description="angle from the axis where it has fallen to nothing, radians; at most π/2",
+        validate_default=True,  # against an inner angle that was given
     )
 
     @field_validator("direction")

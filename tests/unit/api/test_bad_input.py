@@ -75,6 +75,10 @@ BAD = {
         {"scene__lights": {"spots": [{"inner_angle": 0.5, "outer_angle": 0.5}]}},
         "scene.lights.spots.0.outer_angle",
     ),
+    "cone without an outside, by its default": (
+        {"scene__lights": {"spots": [{"inner_angle": 1.0}]}},
+        "scene.lights.spots.0.outer_angle",
+    ),
     "cone too wide": ({"scene__lights": {"spots": [{"outer_angle": 2}]}}, "scene.lights.spots.0.outer_angle"),
     "steps out of bounds": ({"attack__steps": 0}, "attack.steps"),
     "queries out of bounds": ({"attack__queries": 10**9}, "attack.queries"),
