@@ -108,7 +108,7 @@ class Jobs:
                 self._keep(attempt, result, out)
         except Cancelled:
             repository.cancelled(attempt)
-        except Exception as error:
+        except (Exception, SystemExit) as error:  # an extension's code may end the process it is run in
             failure = classify(error)
             log.warning("job failed", job=attempt.job_id, kind=failure.kind, exc_info=error)
             repository.fail(attempt, failure.kind, failure.detail)
@@ -131,7 +131,7 @@ class Jobs:
         self._repository.succeed(attempt, record, outcome(result), artifacts)
 
 
-def classify(error: Exception) -> JobFailure:
+def classify(error: BaseException) -> JobFailure:
     """The typed failure an exception amounts to."""
     if isinstance(error, JobFailure):
         return error

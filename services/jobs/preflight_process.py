@@ -36,7 +36,7 @@ def answer(message: dict[str, Any], data: bytes, library: Library) -> dict[str, 
         return {"field": "file", "detail": "it needs more memory than reading a mesh may take"}
     except JobFailure as error:
         return {"trouble": f"{error.kind}: {error.detail}"}
-    except Exception as error:
+    except (Exception, SystemExit) as error:  # an extension's code may end the process it is run in
         log.error("preflight failed", exc_info=error)
         return {"trouble": "internal: the service's log says why"}
 
