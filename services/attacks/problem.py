@@ -7,6 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from services.attacks.contract import check_images, check_perturbation, check_scores
 from services.attacks.goal import ResolvedGoal
 from services.attacks.layout import Layout
 from services.errors import JobFailure
@@ -83,35 +84,38 @@ class AttackProblem:
         }
 
     def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
-        """Images [B, H, W, 3]. Raises JobFailure("non-finite") rather than hand on an image that is not numbers."""
+        """Images [B, H, W, 3] of groups with B values each. Raises JobFailure for what is no image (`contract`)."""
         self.interrupt()
+        count = len(next(iter(parameters.values())))
         images = self.renderer.render(parameters)
-        self.renders += images.shape[0]
-        if not finite(images):
-            raise JobFailure("non-finite", "the renderer returned an image with values that are not finite")
+        self.renders += count
+        check_images(self.renderer, images, count)
         return images
 
     def view(self, perturbation: Mapping[str, Tensor], gradient: bool = False) -> Evaluation:
-        """The image of one perturbation, truncated to U around the original; with a graph if `gradient`."""
+        """The image of one perturbation, truncated to U around the original; with a graph if `gradient`.
+
+        Raises JobFailure for a perturbation of other groups or shapes, or with values that are not finite.
+        """
+        check_perturbation(perturbation, self.initial)
         leaves = {g: value.detach().requires_grad_(gradient) for g, value in perturbation.items()}
         with torch.set_grad_enabled(gradient):
             images = self.render({g: (self.initial[g] + value)[None] for g, value in leaves.items()})
             return Evaluation(leaves, *truncate(images, self.original, self.truncation))
 
     def logits(self, images: Tensor) -> Tensor:
-        """Scores [B, K] of images. Raises JobFailure("non-finite")."""
+        """Scores [B, K] of images. Raises JobFailure as `ask` does."""
         return ask([self] * len(images), images)
 
 
 def ask(problems: Sequence[AttackProblem], images: Tensor) -> Tensor:
     """Scores [B, K] of images [B, H, W, 3] by one pass of the network the problems share; image b is counted for
-    problem b. Raises JobFailure("non-finite").
+    problem b. Raises JobFailure for what are no scores (`contract`).
     """
     for problem in problems:
         problem.queries += 1
     logits = problems[0].target.logits(images, problems[0].question)
-    if not finite(logits):
-        raise JobFailure("non-finite", "the network returned scores that are not finite")
+    check_scores(problems[0].target, logits, len(images))
     return logits
 
 

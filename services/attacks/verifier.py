@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from services.attacks.contract import check_images, check_scores
 from services.attacks.goal import ResolvedGoal
 from services.rendering.color import from_bytes, to_bytes
 from services.rendering.protocol import Renderer
@@ -14,7 +15,10 @@ from services.targets.protocol import Target
 
 @dataclass
 class Verifier:
-    """Answers for stored perturbations; never sees the loop's own images. Counts what it asks and renders."""
+    """Answers for stored perturbations; never sees the loop's own images. Counts what it asks and renders.
+
+    Raises JobFailure for what is no image, and for what are no scores (`contract`).
+    """
 
     renderer: Renderer
     target: Target
@@ -30,7 +34,9 @@ class Verifier:
         changed = {g: (start[g] + perturbation[g].to(start[g].dtype))[None] for g in perturbation}
         self.renders += 1
         # always the whole parameter set: the same computation, bit for bit, for every subset of the groups
-        return exact.render({g: changed.get(g, start[g][None]) for g in exact.groups})[0]
+        images = exact.render({g: changed.get(g, start[g][None]) for g in exact.groups})
+        check_images(exact, images, 1)
+        return images[0]
 
     def image(self, perturbation: Mapping[str, Tensor]) -> Tensor:
         """The exact image as saved, uint8 [H, W, 3]."""
@@ -40,7 +46,9 @@ class Verifier:
     def logits(self, image: Tensor) -> Tensor:
         """Scores [K] of a saved image, uint8 [H, W, 3]; one at a time, so that their bits depend on nothing else."""
         self.queries += 1
-        return self.target.logits(from_bytes(image)[None], self.question)[0]
+        logits = self.target.logits(from_bytes(image)[None], self.question)
+        check_scores(self.target, logits, 1)
+        return logits[0]
 
     def fooled(self, perturbation: Mapping[str, Tensor], goal: ResolvedGoal) -> bool:
         """Whether the exact image of the perturbation does what the goal asks."""

@@ -4,7 +4,7 @@ from functools import lru_cache
 
 import torch
 
-from services.errors import InvalidRequest
+from services.errors import InvalidRequest, JobFailure
 from services.targets.info import TARGETS, RegisteredTarget, TargetInfo, available
 from services.targets.protocol import Target
 
@@ -18,8 +18,17 @@ def labels(name: str) -> tuple[str, ...]:
 
 @lru_cache(maxsize=4)
 def load(name: str, dtype: torch.dtype = torch.float32) -> Target:
-    """The target, with its weights. Raises InvalidRequest("target.name") for an unknown one."""
-    return _known(name).load(dtype)
+    """The target, with its weights.
+
+    Raises InvalidRequest("target.name") for an unknown one, JobFailure("internal") for one whose labels are not those
+    it is registered with, or not unique.
+    """
+    known = _known(name)
+    target, labels = known.load(dtype), known.labels()
+    found = tuple(getattr(target, "labels", ()))
+    if found != labels or len(set(labels)) != len(labels):
+        raise JobFailure("internal", f"the labels of target {name!r} are not unique, or others once it is loaded")
+    return target
 
 
 def _known(name: str) -> RegisteredTarget:

@@ -66,15 +66,15 @@ def test_a_file_that_fails_leaves_nothing_but_its_error(
     assert not any(name.endswith("_bad") for name in sys.modules)
 
 
-def test_what_a_file_prints_leaves_stdout_to_the_command(
-    shapes: Registry[int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.mark.usefixtures("shapes")
+def test_what_a_file_prints_leaves_stdout_to_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """With --json a program reads stdout."""
     assert loaded(tmp_path, loud="print('hello')\n")["loud"].error is None
     assert capsys.readouterr() == ("", "hello\n")
 
 
-def test_a_file_that_is_not_utf_8_is_left_out_and_a_link_is_followed(shapes: Registry[int], tmp_path: Path) -> None:
+@pytest.mark.usefixtures("shapes")
+def test_a_file_that_is_not_utf_8_is_left_out_and_a_link_is_followed(tmp_path: Path) -> None:
     (tmp_path / "latin.py").write_bytes(b'name = "\xff"\n')
     (tmp_path / "link.py").symlink_to(tmp_path / "outside")
     (tmp_path / "outside").write_text(REGISTER + "SHAPES.add('square', 4)\n")
@@ -85,7 +85,8 @@ def test_a_file_that_is_not_utf_8_is_left_out_and_a_link_is_followed(shapes: Reg
     assert "No such file" in (found["dangling"].error or "")
 
 
-def test_an_interrupt_is_the_users(shapes: Registry[int], tmp_path: Path) -> None:
+@pytest.mark.usefixtures("shapes")
+def test_an_interrupt_is_the_users(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         loaded(tmp_path, slow="raise KeyboardInterrupt\n")
 
