@@ -93,7 +93,8 @@ def test_a_job_that_must_stop_is_told_at_the_next_look(repository: Repository, w
         (torch.OutOfMemoryError("x"), "out-of-memory"),
         (RuntimeError("[enforce fail at alloc_cpu.cpp:1] DefaultCPUAllocator: can't allocate memory"), "out-of-memory"),
         (ValueError("a mistake"), "internal"),
+        (SystemExit(3), "internal"),
     ],
 )
-def test_every_end_has_a_name(error: Exception, kind: str) -> None:
+def test_every_end_has_a_name(error: BaseException, kind: str) -> None:
     assert classify(error).kind == kind
