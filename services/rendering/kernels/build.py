@@ -50,11 +50,13 @@ class Manifest(BaseModel):
     """What a processor must have to run it, in the words of /proc/cpuinfo."""
     compiler: str
     """Its version."""
+    library_sha256: str
+    """Of the library's bytes: loading a damaged one would end the process."""
 
     @property
     def identity(self) -> str:
         """Sixteen hexadecimal digits for the manifest: part of every backend string."""
-        return hashlib.sha256(self.model_dump_json().encode()).hexdigest()[:16]
+        return hashlib.sha256(self.model_dump_json(exclude={"library_sha256"}).encode()).hexdigest()[:16]
 
     def refusal(self) -> str | None:
         """Why this process may not load the library, as a clause; None where it may."""
@@ -79,7 +81,7 @@ def library_path() -> tuple[Path, Manifest]:
     """
     wanted = _wanted()
     found = _manifest(wanted.with_suffix(".json"))
-    if found is not None and wanted.exists() and found.refusal() is None:
+    if found is not None and found.refusal() is None and _sha256(wanted) == found.library_sha256:
         return wanted, found
     if _compiler() is None:
         raise KernelsMissingError(f"{_why_none()}; install g++ and run scripts/setup, or set SCENE_ATTACK_KERNEL=torch")
@@ -120,6 +122,13 @@ def _manifest(path: Path) -> Manifest | None:
         return None
 
 
+def _sha256(path: Path) -> str | None:
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError:
+        return None
+
+
 def _why_none() -> str:
     """Why no library in the folder may be loaded, by the newest of them."""
     folder = settings().kernel_folder
@@ -139,17 +148,18 @@ def _compile(path: Path) -> Manifest:
     compiler = _compiler()
     assert compiler is not None
     path.parent.mkdir(parents=True, exist_ok=True)
-    manifest = Manifest(
-        sources=sources_sha256(),
-        machine=platform.machine(),
-        flags=flags(),
-        processor=_processor(),
-        features=tuple(sorted(processor.needed(_output(compiler, *flags(), "-dM", "-E", "-x", "c++", os.devnull)))),
-        compiler=_output(compiler, "--version").splitlines()[0],
-    )
     with tempfile.TemporaryDirectory(dir=path.parent) as folder:
         library, words = Path(folder) / "kernels.so", Path(folder) / "kernels.json"
         _output(compiler, *flags(), "-o", str(library), *map(str, sorted(SOURCES.glob("*.cpp"))))
+        manifest = Manifest(
+            sources=sources_sha256(),
+            machine=platform.machine(),
+            flags=flags(),
+            processor=_processor(),
+            features=tuple(sorted(processor.needed(_output(compiler, *flags(), "-dM", "-E", "-x", "c++", os.devnull)))),
+            compiler=_output(compiler, "--version").splitlines()[0],
+            library_sha256=str(_sha256(library)),
+        )
         words.write_text(manifest.model_dump_json(indent=1) + "\n")
         library.replace(path)  # two builds at once: each file is whole, the last one stays
         words.replace(path.with_suffix(".json"))  # last: a library counts once its manifest is there

@@ -95,6 +95,20 @@ def test_no_kernels_and_no_compiler_leave_torch(tmp_path: Path, monkeypatch: pyt
     assert compiled.backend() == "torch"
 
 
+@pytest.mark.parametrize("left", [0, 1000])
+def test_a_library_cut_short_is_not_loaded(
+    prebuilt: Path, left: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The loader would end the process with a bus error."""
+    shutil.copytree(prebuilt, tmp_path / "copy")
+    [cut] = (tmp_path / "copy").glob("*.so")
+    cut.write_bytes(cut.read_bytes()[:left])
+    monkeypatch.setenv("SCENE_ATTACK_KERNEL_DIR", str(tmp_path / "copy"))
+    settings.cache_clear()
+    with pytest.raises(JobFailure, match="there are no compiled kernels"):
+        compiled.library()
+
+
 @pytest.mark.usefixtures("prebuilt")
 def test_a_manifest_that_is_damaged_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, _ = build.library_path()
