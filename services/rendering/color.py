@@ -1,4 +1,4 @@
-"""From linear radiance to the image on a screen, and to the 8 bits of a file."""
+"""Converts linear radiance to displayed values (sRGB), and displayed values to 8 bits."""
 
 from typing import Any
 
@@ -9,20 +9,21 @@ from torch.autograd.function import once_differentiable
 from services.rendering.kernels import compiled
 
 KNEE = 0.0031308
-"""Linear values up to here are displayed in proportion."""
+"""Linear value up to which the sRGB curve is a straight line (IEC 61966-2-1)."""
 
 
 def to_display(linear: Tensor) -> Tensor:
-    """The sRGB curve on radiance clipped to [0,1] (IEC 61966-2-1). Any shape. Differentiable (once); gradients are
-    finite everywhere, and zero where values are clipped.
+    """Applies the sRGB curve (IEC 61966-2-1) to radiance of any shape, clipped to [0,1].
+
+    It is differentiable (once); gradients are finite everywhere, and zero where values are clipped.
     """
     result: Tensor = _Display.apply(linear)  # type: ignore[no-untyped-call]
     return result
 
 
 def display_derivative(linear: Tensor) -> Tensor:
-    """The curve's derivative."""
-    # The power is only ever taken above the knee, so that its infinite derivative at 0 is not met.
+    """Returns the derivative of `to_display`, of the same shape."""
+    # The power is evaluated above the knee only, as its derivative at 0 is infinite.
     above = linear.clamp(KNEE, 1.0)
     derivative = torch.where(linear <= KNEE, 12.92, 1.055 / 2.4 * (above.log() * (1 / 2.4 - 1)).exp())
     return derivative * ((linear >= 0) & (linear <= 1))
@@ -37,8 +38,8 @@ class _Display(torch.autograd.Function):
             compiled.call("display", linear.dtype, linear.numel(), linear.contiguous(), shown, compiled.threads())
             return shown
         clipped = linear.clamp(0.0, 1.0)
-        # Through the logarithm: torch's own power in float32 has other last bits at the end of a tensor than in its
-        # middle, so that an image's would depend on its batch.
+        # Computed by way of the logarithm: the last bits of torch's power in float32 depend on an element's position in
+        # the tensor, so an image's bits would depend on its batch.
         curved = 1.055 * (clipped.clamp_min(KNEE).log() / 2.4).exp() - 0.055
         return torch.where(clipped <= KNEE, 12.92 * clipped, curved)
 
@@ -49,14 +50,14 @@ class _Display(torch.autograd.Function):
 
 
 def to_bytes(images: Tensor) -> Tensor:
-    """Images in [0,1] as they are saved: uint8, rounded to nearest (ties to even)."""
-    # A product with 255 in a type of eight bits would be rounded twice.
+    """Rounds images in [0,1], of any shape, to uint8 (to nearest, ties to even)."""
+    # In a 16-bit float type the product with 255 would be rounded itself, so values would be rounded twice.
     wide = images.detach().to(torch.promote_types(images.dtype, torch.float32))
     return (wide.clamp(0.0, 1.0) * 255).round().to(torch.uint8)
 
 
 def quantize(images: Tensor) -> tuple[Tensor, Tensor]:
-    """Images in [0,1], of any shape, as they are saved (uint8) and as a reader of the file sees them (float32)."""
+    """Rounds images in [0,1], of any shape, to 8 bits; returns them as uint8 and as float32 multiples of 1/255."""
     if images.dtype == torch.float32 and compiled.runs(images):
         plain = images.detach().contiguous()
         quantized, seen = torch.empty_like(plain, dtype=torch.uint8), torch.empty_like(plain)
@@ -67,10 +68,10 @@ def quantize(images: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def from_bytes(images: Tensor) -> Tensor:
-    """uint8 images as float32 in [0,1]."""
+    """Converts uint8 images to float32 in [0,1]."""
     return images.to(torch.float32) / 255
 
 
 def as_saved(images: Tensor) -> Tensor:
-    """What a reader of the saved file sees: rounded to 8 bits, float32."""
+    """Rounds images in [0,1] to 8 bits; returns float32 multiples of 1/255, as read back from a saved file."""
     return quantize(images)[1]

@@ -1,7 +1,7 @@
-"""From the radiance of covered pixels to a displayed image, and from images of parameters to covered pixels.
+"""Composites the radiance of covered pixels into a displayed image, and gathers covered pixels from parameter images.
 
-Each is one step of a graph with a derivative of its own: an image is drawn and derived hundreds of times, and a dozen
-small steps cost more than the shading of a small object.
+Each is one autograd function with a backward pass of its own: an image is rendered and differentiated hundreds of
+times, and a dozen small torch operations cost more than the shading of a small object.
 """
 
 from dataclasses import dataclass
@@ -18,8 +18,11 @@ from services.rendering.kernels import compiled
 
 @dataclass(frozen=True)
 class Canvas:
-    """Where an image [H, W] is covered: `pixels` [P] (each once), and there `base_color` [P, 3], linear, and `coverage`
-    [P, 1] in [0,1]; elsewhere, and under it, the `ground` [3], as displayed. All but `pixels` of one dtype.
+    """The part of an image that objects cover, over a ground of one colour. All tensors but `pixels` have one dtype.
+
+    size: the image's height and width H, W. pixels: flat indices of the covered pixels, int64 [P], each once.
+    base_color: linear RGB of these pixels [P, 3]. coverage: their coverage [P, 1] in [0,1]. ground: the displayed
+    colour behind the objects [3].
     """
 
     size: tuple[int, int]
@@ -30,36 +33,40 @@ class Canvas:
 
     @cached_property
     def under(self) -> Tensor:
-        """What shows of the ground beside each pixel's object [P, 3]."""
+        """The ground's contribution to each covered pixel, (1 − coverage) · ground, [P, 3]."""
         return (1 - self.coverage) * self.ground
 
     @cached_property
     def empty(self) -> Tensor:
-        """The ground alone [H·W, 3]."""
+        """An image of the ground alone, [H·W, 3]."""
         height, width = self.size
         return self.ground.expand(height * width, 3).contiguous()
 
     def covered(self, values: Tensor) -> Tensor:
-        """Those of `values` [H, W, C] that are covered, [P, C]. Differentiable."""
+        """Gathers the covered pixels of `values` [H, W, C]: [P, C]. It is differentiable (once)."""
         result: Tensor = _Covered.apply(values, self.pixels)  # type: ignore[no-untyped-call]
         return result
 
     def image(self, radiance: Tensor) -> Tensor:
-        """The displayed image [H, W, 3] of radiance [P, 3] per unit of base colour. Differentiable (once)."""
+        """Composites radiance [P, 3] per unit of base colour; returns the displayed image [H, W, 3].
+
+        It is differentiable (once).
+        """
         result: Tensor = _Image.apply(radiance, self)  # type: ignore[no-untyped-call]
         return result
 
 
 def over_ground(radiance: Tensor, exposure: float, ground: Tensor) -> Tensor:
-    """Displayed images [..., 3] of radiance times coverage, and coverage, [..., 4], over a `ground` [3], displayed.
+    """Composites images over a `ground` [3], a displayed colour; returns displayed images [..., 3].
 
-    `exposure` makes radiance linear display values. In radiance's dtype. Differentiable in radiance.
+    `radiance` [..., 4] holds RGB radiance times coverage, and coverage. `exposure` is the factor from radiance to
+    linear display values. The result has the dtype of `radiance` and is differentiable in it.
     """
     ground = ground.to(radiance.dtype)
-    if compiled.runs(radiance) and not radiance.requires_grad:  # renderers that rasterise have no derivative to lose
+    if compiled.runs(radiance) and not radiance.requires_grad:  # the kernel has no backward pass
         shown = radiance.new_empty(*radiance.shape[:-1], 3)
-        of = (shown.numel() // 3, radiance.contiguous(), exposure, ground)
-        compiled.call("over_ground", radiance.dtype, *of, shown, compiled.threads())
+        inputs = (shown.numel() // 3, radiance.contiguous(), exposure, ground)
+        compiled.call("over_ground", radiance.dtype, *inputs, shown, compiled.threads())
         return shown
     coverage = radiance[..., 3:]
     surface = to_display(exposure * radiance[..., :3] / coverage.clamp_min(1e-6))
@@ -76,7 +83,7 @@ class _Covered(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, grad_output: Tensor) -> tuple[Tensor, None]:
-        # Each pixel stands there once, so that nothing has to be added up.
+        # Each index occurs once, so copying suffices and no sums are needed.
         [pixels] = ctx.saved_tensors
         whole = grad_output.new_zeros(ctx.shape)
         whole.view(-1, ctx.shape[-1]).index_copy_(0, pixels, grad_output)
@@ -91,8 +98,8 @@ class _Image(torch.autograd.Function):
         ctx.save_for_backward(radiance)
         image = canvas.empty.clone()
         if compiled.runs(radiance):
-            of = (canvas.base_color, canvas.coverage, canvas.under, canvas.pixels)
-            compiled.call("composite", radiance.dtype, len(radiance), radiance, *of, image, compiled.threads())
+            inputs = (canvas.base_color, canvas.coverage, canvas.under, canvas.pixels)
+            compiled.call("composite", radiance.dtype, len(radiance), radiance, *inputs, image, compiled.threads())
         else:
             shown = to_display(radiance * canvas.base_color)
             image.index_copy_(0, canvas.pixels, torch.addcmul(canvas.under, canvas.coverage, shown))
@@ -105,9 +112,9 @@ class _Image(torch.autograd.Function):
         canvas: Canvas = ctx.canvas
         grad_output = grad_output.reshape(-1, 3).contiguous()
         if compiled.runs(radiance):
-            found = torch.empty_like(radiance)
-            of = (canvas.base_color, canvas.coverage, canvas.pixels, grad_output)
-            compiled.call("composite_backward", radiance.dtype, len(radiance), radiance, *of, found, compiled.threads())
-            return found, None
-        steep = display_derivative(radiance * canvas.base_color) * canvas.base_color
-        return grad_output.index_select(0, canvas.pixels) * canvas.coverage * steep, None
+            d_radiance = torch.empty_like(radiance)
+            inputs = (canvas.base_color, canvas.coverage, canvas.pixels, grad_output, d_radiance)
+            compiled.call("composite_backward", radiance.dtype, len(radiance), radiance, *inputs, compiled.threads())
+            return d_radiance, None
+        derivative = display_derivative(radiance * canvas.base_color) * canvas.base_color
+        return grad_output.index_select(0, canvas.pixels) * canvas.coverage * derivative, None

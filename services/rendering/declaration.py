@@ -1,7 +1,7 @@
-"""What a renderer says of itself without being loaded: its parameter groups, and how attacks treat it.
+"""Declares renderers without loading them: their parameter groups, and how attacks treat them.
 
-Requests are checked, pages worded and perceptibility measured by these declarations. Neither torch nor OpenGL is needed
-to read them: a declaration names its class by its address, which is imported when the first image is asked for.
+These declarations are used to validate requests, to word pages and to measure perceptibility. Reading them needs
+neither torch nor OpenGL: a declaration names its class as "module:class", which is imported for the first image.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from services.scenes.resolve import ResolvedScene
 
 Labels = Callable[[tuple[int, ...]], list[str]]
-"""From the shape of a group's values to a label for each coordinate, in flat order."""
+"""A function from the shape of a group's values to a label for each coordinate, in flat order."""
 
 
 def labelled(*axes: str | tuple[str, ...]) -> Labels:
-    """Labels made axis by axis: of a tuple its words, of a string with {} in it the index of the coordinate.
+    """Returns a function that joins a word per axis: an axis is a tuple of words or a format string for the index.
 
     `labelled("object {}", ("red", "green"))` gives "object 0 red", "object 0 green", "object 1 red", …
     """
@@ -45,14 +45,14 @@ class Group:
 
     name: str
     shape: tuple[str, ...] = ()
-    """A word for each axis of its values: ("H", "W", "2")."""
+    """A word or a number for each axis of its values: ("H", "W", "2")."""
     unit: str
     words: str
-    """What pages call it: "surface normals"."""
+    """Its name on pages: "surface normals"."""
     labels: Labels | None = None
     """Labels of its coordinates; None for image-like groups."""
     vector_axes: int = 1
-    """How many trailing axes hold one vector. Perceptibility p is the root of the mean, over the other axes, of the
+    """Number of trailing axes that form a vector. Perceptibility p is the root of the mean, over the other axes, of the
     vectors' squared norms (paper, section 3.3)."""
     suggested_step: float | None = None
     """Learning rate of a method that steps by the sign of the gradient, in the group's unit (paper, section 4.1)."""
@@ -66,18 +66,18 @@ class Group:
 
 @dataclass(frozen=True, kw_only=True)
 class Declaration:
-    """A renderer as requests, pages and attacks know it. Raises ValueError for groups that are missing or repeated."""
+    """Metadata of a renderer. Raises ValueError if there is no group or a group's name is repeated."""
 
     name: str
     groups: tuple[Group, ...]
-    """In the order of every table."""
+    """The groups, in the order in which tables list them."""
     differentiable: bool
     method: str
-    """Attack method of requests that name none."""
+    """Default attack method."""
     base_renderer: str | None = None
-    """For a renderer that works on another's image: the renderer that draws it unless the request names another."""
+    """Default base renderer, for a renderer that attacks another renderer's image."""
     renderer: "str | type[Any] | None" = None
-    """The class, or its address "module:class"."""
+    """The class, or its location "module:class"."""
 
     def __post_init__(self) -> None:
         if not self.groups:
@@ -91,24 +91,24 @@ class Declaration:
         return tuple(group.name for group in self.groups)
 
     def group(self, name: str) -> Group:
-        """A group by its name. Raises KeyError."""
+        """Returns a group by its name. Raises KeyError for an unknown name."""
         return {group.name: group for group in self.groups}[name]
 
 
 @dataclass(frozen=True)
 class BuildRequest:
-    """What a renderer is built for."""
+    """The arguments for building a renderer."""
 
     scene: "ResolvedScene"
     groups: tuple[str, ...]
     """The attacked groups: only these change while the attack runs."""
     tolerance: "Tolerance"
-    """Largest error of a displayed value that images inside the attack may have; "exact" for none."""
+    """Largest error of a displayed value that images inside the attack may have; "exact" allows no shortcut."""
     base: "Renderer | None"
-    """The exact renderer of the image that is worked on, for a renderer with a `base_renderer`."""
+    """The exact renderer of the attacked image, for a renderer with a `base_renderer`; None for others."""
 
     def base_image(self) -> "Tensor":
-        """The base renderer's image as it would be saved: float32 [H, W, 3], multiples of 1/255."""
+        """Renders the base renderer's image, rounded to 8 bits: float32 [H, W, 3], multiples of 1/255."""
         from services.rendering.color import as_saved
 
         assert self.base is not None, "the renderer declares no base renderer"
@@ -117,18 +117,19 @@ class BuildRequest:
 
 
 class DeclaredRenderer:
-    """Base of a renderer class: what of the protocol follows from its declaration.
+    """Base class of renderers: implements the part of the protocol that follows from the declaration.
 
-    A class sets `declaration` itself, where that has its address, or gets it from `@register(declaration)`.
+    A subclass sets `declaration` itself if the declaration names the class's location; else `@register(declaration)`
+    sets it.
     """
 
     declaration: Declaration
     name: str
-    """The word of the request."""
+    """The renderer's name in a request."""
     groups: tuple[str, ...]
-    """Parameter groups, in the order of every table."""
+    """Names of the parameter groups, in the order in which tables list them."""
     differentiable: bool
-    """Whether gradients reach the input."""
+    """Whether images are differentiable with respect to the parameters."""
 
     def __init_subclass__(cls) -> None:
         if "declaration" in cls.__dict__:
@@ -136,17 +137,17 @@ class DeclaredRenderer:
 
     @classmethod
     def declare(cls, declaration: Declaration) -> None:
-        """Takes name, groups and differentiability from a declaration."""
+        """Sets name, groups and differentiability from a declaration."""
         cls.declaration = declaration
         cls.name, cls.groups = declaration.name, declaration.group_names
         cls.differentiable = declaration.differentiable
 
     def initial(self) -> "Parameters":
-        """The scene's own values; every renderer has its own."""
+        """Returns the scene's own values. Subclasses implement it."""
         raise NotImplementedError
 
     def names(self, group: str) -> list[str] | None:
-        """A label for each coordinate of a group, in flat order; None for image-like groups."""
+        """Returns a label for each coordinate of a group, in flat order; None for image-like groups."""
         labels = self.declaration.group(group).labels
         return None if labels is None else labels(tuple(self.initial()[group].shape))
 
@@ -155,7 +156,7 @@ class DeclaredRenderer:
         parameters: "Mapping[str, Tensor]",  # noqa: ARG002 - the protocol's
         reach: Mapping[str, float],  # noqa: ARG002
     ) -> "Sequence[InactiveCoordinate]":
-        """None: nothing is known to change no pixel."""
+        """Returns no coordinate: nothing is proved."""
         return ()
 
     @property
@@ -171,7 +172,7 @@ Class = TypeVar("Class", bound=type[DeclaredRenderer])
 
 
 def register(declaration: Declaration) -> Callable[[Class], Class]:
-    """Makes a renderer known: a decorator of its class, or a plain call where the declaration has the class's address.
+    """Registers a renderer: a decorator of its class, or a plain call if the declaration names the class's location.
 
     The class derives from `DeclaredRenderer`, implements `services.rendering.protocol.Renderer` and has a class method
     `build(request: BuildRequest)`. Raises ValueError for a name that is taken.

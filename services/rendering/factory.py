@@ -1,4 +1,4 @@
-"""From a resolved scene and a renderer's name to the renderer."""
+"""Builds a renderer by its name for a resolved scene."""
 
 from collections.abc import Sequence
 from pkgutil import resolve_name
@@ -18,10 +18,12 @@ def build(
     groups: Sequence[str] | None = None,
     tolerance: Tolerance = DEFAULT_TOLERANCE,
 ) -> Renderer:
-    """A registered renderer, compiled for attacks on `groups` (None: all) within `tolerance`.
+    """Builds a registered renderer for attacks on `groups` (None: all) within `tolerance`.
 
-    `base_renderer` names the renderer whose exact image is worked on, where the renderer has such (None: the one it
-    declares). Raises InvalidRequest("attack.renderer") for an unknown name, JobFailure("internal") for a renderer whose
+    `base_renderer` names the renderer that makes the image to be attacked, for a renderer that declares a base renderer
+    (None: the declared name).
+
+    Raises InvalidRequest("attack.renderer") for an unknown name, JobFailure("internal") for a renderer whose
     groups are not those it declares.
     """
     declaration = RENDERERS.get(renderer)

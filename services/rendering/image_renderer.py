@@ -1,4 +1,4 @@
-"""The renderer whose parameters are the pixels of a fixed image: image-space attacks are then nothing special."""
+"""The renderer whose parameters are the pixels of a fixed image: with it any attack method is an image-space attack."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
@@ -30,7 +30,10 @@ if TYPE_CHECKING:
     )
 )
 class ImageRenderer(DeclaredRenderer):
-    """Shows an image. `image` [H, W, 3] in [0,1], taken as it would be saved; `drawn_by` names its backend."""
+    """A renderer whose images are its parameters.
+
+    `image` is [H, W, 3] in [0,1]; `drawn_by` is the backend of the renderer that made it.
+    """
 
     def __init__(self, image: "Tensor", drawn_by: str) -> None:
         self._image = image.float()
@@ -42,23 +45,23 @@ class ImageRenderer(DeclaredRenderer):
 
     @classmethod
     def build(cls, request: BuildRequest) -> "ImageRenderer":
-        """The base renderer's image."""
+        """Makes the renderer of the base renderer's image, rounded to 8 bits."""
         assert request.base is not None
         return cls(request.base_image(), request.base.backend)
 
     def initial(self) -> "Parameters":
-        """The image, {"image": [H, W, 3]}."""
+        """Returns the image, {"image": [H, W, 3]}."""
         return {"image": self._image.cpu().clone()}
 
     def bounds(self) -> "Mapping[str, tuple[Tensor, Tensor]]":
-        """Pixels are in [0,1]."""
+        """Returns 0 and 1, the bounds of a pixel."""
         image = self._image.cpu()
         return {"image": (image.new_tensor(0.0), image.new_tensor(1.0))}
 
     def render(self, parameters: "Mapping[str, Tensor]") -> "Tensor":
-        """The pixels [B, H, W, 3], clipped to [0,1], on the device of the base renderer."""
+        """Returns the pixels [B, H, W, 3], clipped to [0,1], on the device of the base renderer."""
         return parameters["image"].to(self._image.device).clamp(0.0, 1.0)
 
     def exact(self) -> "ImageRenderer":
-        """Itself: nothing is approximated."""
+        """Returns itself: nothing is approximated."""
         return self

@@ -1,7 +1,7 @@
-"""What a renderer will do for one scene and one set of attacked groups, and what it leaves out, as a value to print.
+"""Defines a renderer's plan for a scene and a set of attacked groups: the steps of an image, and the work left out.
 
-A plan is made before anything is attacked, stored with the result and shown on the job's page. The renderers hold the
-executable side of it; nothing runs that the plan does not say.
+A plan is made before the attack starts, stored with the result and shown on the job's page. The renderers hold the
+executable form of it and run nothing that the plan does not list.
 """
 
 from collections.abc import Sequence
@@ -10,10 +10,10 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 Tolerance = float | Literal["exact"]
-"""Largest error of a displayed value, in [0,1], that the loop's images may have; "exact" for no shortcut at all."""
+"""Largest error of a displayed value, in [0,1], that images inside the attack may have; "exact" allows no shortcut."""
 
 DEFAULT_TOLERANCE = 1e-3
-"""A quarter of a step of an 8-bit image."""
+"""Default tolerance: about a quarter of a step of an 8-bit image."""
 
 
 class _Record(BaseModel):
@@ -21,18 +21,18 @@ class _Record(BaseModel):
 
 
 class Item(_Record):
-    """One kind of thing an image is made of: how many are kept, and why the others are not."""
+    """A quantity that an image is computed from: how many of it are kept, and why the others are left out."""
 
     part: str = Field("", description='part of the image it is about: "object 0"; empty for all of it')
     what: str = Field(description='"pixels", "directions", "lobes", "coordinates", …')
     kept: int
     of: int
-    why: str = Field(description="why the others are left out; what holds for all where none is")
-    error: float = Field(0.0, description="most that leaving them out moves a displayed value; 0: nothing")
+    why: str = Field(description="why the others are left out, or why all are kept")
+    error: float = Field(0.0, description="largest change of a displayed value due to leaving them out")
 
 
 class Stage(_Record):
-    """One step of making an image."""
+    """A step of making an image."""
 
     part: str = Field("", description='part of the image it is about: "object 0"; empty for all of it')
     name: str
@@ -45,7 +45,7 @@ class Stage(_Record):
         0.0, description="estimated error of a displayed value that the method costs; of rasterised images the mean"
     )
     share: float = Field(
-        0.0, description="of rasterised images: estimated share of covered pixels off by more than 1/255"
+        0.0, description="estimated share of covered pixels whose error exceeds 1/255; rasterised images only"
     )
 
     @field_validator("when", mode="before")
@@ -55,7 +55,7 @@ class Stage(_Record):
 
 
 class GradientError(_Record):
-    """How far the gradient of one group is from the exact one, measured at some pixels when the plan was made."""
+    """Error of the gradient with respect to a group against the exact gradient, measured when the plan was made."""
 
     part: str = Field(description='part of the image it is about: "object 0"')
     group: str
@@ -66,7 +66,7 @@ class GradientError(_Record):
 
 
 class Plan(_Record):
-    """What is kept, what is left out, why, by which method, at which estimated cost and error."""
+    """A renderer's plan: what is kept and what is left out, the steps, their methods, estimated costs and errors."""
 
     renderer: str
     groups: tuple[str, ...] = Field(description="the attacked groups: all others keep their values and no gradient")
@@ -99,7 +99,10 @@ class Plan(_Record):
         stages: Sequence[Stage] = (),
         gradients: Sequence[GradientError] = (),
     ) -> "Plan":
-        """The plan of these items and stages, with the error they add up to."""
+        """Makes the plan of these items and stages, and adds up their errors.
+
+        Errors within a part add up; the plan's error is that of the worst part plus that of entries without a part.
+        """
         errors: dict[str, float] = {}
         entries: list[Item | Stage] = [*items, *stages]
         for entry in entries:

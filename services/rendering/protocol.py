@@ -1,4 +1,4 @@
-"""The one protocol everything else is generic over: a renderer turns named parameter groups into images."""
+"""Defines the protocol of renderers: a renderer turns named parameter groups into images."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,13 +10,13 @@ from services.rendering.image_error import ImageError
 from services.rendering.plan import Plan
 
 Parameters = dict[str, Tensor]
-"""Group name to values. Without a batch dimension for a state or a perturbation, with one ([B, …]) to render.
-On the CPU, wherever images are made."""
+"""Values by group name, on the CPU whatever the renderer's device. Scene values and perturbations have no batch
+dimension; values to render have a leading batch dimension ([B, …])."""
 
 
 @dataclass(frozen=True)
 class InactiveCoordinate:
-    """A coordinate of a group, by its flat index, that changes no pixel; its name, and why."""
+    """A coordinate of a group that changes no pixel: its group, flat index and name, and the reason."""
 
     group: str
     index: int
@@ -25,7 +25,7 @@ class InactiveCoordinate:
 
 
 class Renderer(Protocol):
-    """A scene, compiled for one set of groups. `services.rendering.declaration.DeclaredRenderer` is a base for it.
+    """A scene, prepared for attacks on a set of groups. `DeclaredRenderer` (declaration) is a base class for it.
 
     `groups` is ordered and is the order used in tables. `backend` names everything that decides the bits of an image:
     library versions, GL platform and driver, dtype, threads. Rendering is deterministic: the same parameters give the
@@ -34,55 +34,58 @@ class Renderer(Protocol):
 
     @property
     def name(self) -> str:
-        """The word of the request."""
+        """The renderer's name in a request."""
         ...
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """Parameter groups, in the order of every table."""
+        """Names of the parameter groups, in the order in which tables list them."""
         ...
 
     @property
     def differentiable(self) -> bool:
-        """Whether gradients reach the input."""
+        """Whether images are differentiable with respect to the parameters."""
         ...
 
     @property
     def backend(self) -> str:
-        """Everything that decides the bits of the output: versions, driver, dtype, threads."""
+        """A line that names everything that decides the bits of an image: versions, driver, dtype, threads."""
         ...
 
     @property
     def size(self) -> tuple[int, int]:
-        """Height and width of the images."""
+        """Height and width of the images, pixels."""
         ...
 
     @property
     def plan(self) -> Plan:
-        """What it does for an image, and what it leaves out."""
+        """The plan: the steps of making an image, and the work that is left out."""
         ...
 
     def initial(self) -> Parameters:
-        """The scene's own values, {group: tensor}, without a batch dimension."""
+        """Returns the scene's own values, {group: tensor}, without a batch dimension."""
         ...
 
     def bounds(self) -> Mapping[str, tuple[Tensor, Tensor]]:
-        """Lowest and highest physically meaningful value of each group, broadcastable to it; ±inf where unbounded."""
+        """Returns the lowest and highest physically meaningful value of each group, broadcastable to it, or ±inf."""
         ...
 
     def names(self, group: str) -> list[str] | None:
-        """A word for each coordinate of a small group ("point 0 energy"), in flat order; None for image-like groups."""
+        """Returns a label for each coordinate of a small group ("point 0 energy"), in flat order; else None."""
         ...
 
     def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
-        """Images [B, H, W, 3] in [0,1], as displayed, on the renderer's device. Groups left out keep their initial
-        values; B is shared by all."""
+        """Renders images [B, H, W, 3] as displayed, in [0,1], on the renderer's device.
+
+        Groups that are left out keep their initial values; all others have the same batch size B.
+        """
         ...
 
     def inactive(self, parameters: Mapping[str, Tensor], reach: Mapping[str, float]) -> Sequence[InactiveCoordinate]:
-        """Coordinates proved to change no pixel at `parameters` {group: [...]}, moved by at most the group's `reach`.
+        """Returns coordinates proved to change no pixel.
 
-        A renderer that proves nothing returns none.
+        The proof holds at `parameters` {group: [...]} and wherever each group moves by at most its `reach`. A renderer
+        that proves nothing returns none.
         """
         ...
 
@@ -93,5 +96,8 @@ class Renderer(Protocol):
         ...
 
     def exact(self) -> "Renderer":
-        """The twin that judges: no shortcut, float64 where that matters. May be the renderer itself."""
+        """Returns the exact renderer of the same scene, whose images decide verdicts.
+
+        It takes no shortcut and computes in float64 where that matters. It may be the renderer itself.
+        """
         ...

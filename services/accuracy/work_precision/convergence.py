@@ -10,7 +10,7 @@ from torch import Tensor
 from services.accuracy.work_precision.shading_rows import TOO_FINE, ShadingRow
 from services.rendering.torch_renderer.lookup_table import look_up, node_vectors
 from services.rendering.torch_renderer.normals import to_vectors
-from services.rendering.torch_renderer.planner import ROWS
+from services.rendering.torch_renderer.planner import TABLE_ROWS
 
 STATED = 3
 """Catmull-Rom's derivatives at the nodes are central differences, so that its values are off by h³ between them (Keys
@@ -58,7 +58,7 @@ def smooth_orders(angles: Tensor) -> Iterator[OrderRow]:
     wanted = _smooth(to_vectors(leaf))
     (wanted_gradient,) = torch.autograd.grad(wanted.sum(), leaf)
     errors: dict[str, list[float]] = {"largest": [], "rms": [], "rms of the gradient by the normals": []}
-    for rows in ROWS:
+    for rows in TABLE_ROWS:
         leaf = at.clone().requires_grad_()
         found = look_up(_smooth(node_vectors(rows)), leaf)
         (gradient,) = torch.autograd.grad(found.sum(), leaf)
@@ -69,7 +69,7 @@ def smooth_orders(angles: Tensor) -> Iterator[OrderRow]:
             values.append(float(error.square().mean().sqrt()))
     for name, values in errors.items():
         stated = STATED - 1 if "gradient" in name else STATED
-        yield from _fitted("a smooth function", "float64", None, None, name, stated, ROWS, values)
+        yield from _fitted("a smooth function", "float64", None, None, name, stated, TABLE_ROWS, values)
 
 
 def shading_orders(shading: Sequence[ShadingRow]) -> Iterator[OrderRow]:

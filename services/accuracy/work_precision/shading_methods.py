@@ -11,7 +11,7 @@ from services.accuracy.work_precision.shading_subject import GROUPS, Subject
 from services.rendering.kernels import compiled
 from services.rendering.plan import Tolerance
 from services.rendering.torch_renderer.error_estimates import roughness
-from services.rendering.torch_renderer.planner import ROUGH_AT, ROWS, compile_plan, exact_recipe
+from services.rendering.torch_renderer.planner import ROUGHNESS_ROWS, TABLE_ROWS, compile_plan, exact_recipe
 from services.rendering.torch_renderer.shader import Method, Recipe
 from services.settings import settings
 
@@ -47,7 +47,7 @@ def methods(quick: bool) -> list[ShadingMethod]:
         ShadingMethod("sum", GROUPS, _direct(torch.float32), kernel="torch"),
         ShadingMethod("sum", GROUPS, _direct(torch.bfloat16), "bfloat16", kernel="torch"),
     ]
-    sizes = ROWS[::2] if quick else ROWS
+    sizes = TABLE_ROWS[::2] if quick else TABLE_ROWS
     for texels in PER_PIXEL_TEXELS:
         found += [ShadingMethod("table", GROUPS, _table(r, texels), rows=r, per_pixel_texels=texels) for r in sizes]
     wide = torch.float64
@@ -78,7 +78,9 @@ def _table(
 ) -> Callable[[Subject], tuple[Recipe, None]]:
     def made(of: Subject) -> tuple[Recipe, None]:
         plain = exact_recipe(of.sky)
-        order = roughness(of.surface, of.sky, of.intensity, GROUPS, ROUGH_AT).argsort(descending=True, stable=True)
+        order = roughness(of.surface, of.sky, of.intensity, GROUPS, ROUGHNESS_ROWS).argsort(
+            descending=True, stable=True
+        )
         return replace(
             plain, dtype=dtype, method=method, rows=rows, per_pixel_texels=order[:texels].sort().values
         ), None

@@ -12,7 +12,7 @@ from services.rendering.color import to_display
 from services.rendering.opengl.gbuffer import rasterise
 from services.rendering.torch_renderer import lookup_table
 from services.rendering.torch_renderer.environment_light import illumination
-from services.rendering.torch_renderer.error_estimates import REACH
+from services.rendering.torch_renderer.error_estimates import MAX_PERTURBATION
 from services.rendering.torch_renderer.normals import to_angles
 from services.rendering.torch_renderer.presets import preset
 from services.rendering.torch_renderer.renderer import sky_of
@@ -84,7 +84,7 @@ def subject(mesh: str, material: str, size: tuple[int, int], texels: tuple[int, 
     to_camera = torch.as_tensor(scene.view, dtype=torch.float64)[:3, :3]
     angles = to_angles(gbuffer.normals.double() @ to_camera).float().double().reshape(-1, 2)
     covered = gbuffer.coverage.flatten().nonzero()[:, 0]
-    pixels = covered[torch.argsort(lookup_table.place(angles[covered]), stable=True)]
+    pixels = covered[torch.argsort(lookup_table.normal_sort_keys(angles[covered]), stable=True)]
     sky, intensity = light_of(scene)
     values = {
         "normals": angles[pixels],
@@ -114,7 +114,7 @@ def moved(values: dict[str, Tensor]) -> dict[str, Tensor]:
     for group, value in values.items():
         random = generator(0, "work-precision", group)
         signs = (torch.rand(value.shape, generator=random, dtype=torch.float64) - 0.5).sign()
-        found[group] = value + FAR * REACH[group] * signs
+        found[group] = value + FAR * MAX_PERTURBATION[group] * signs
     found["illumination"].clamp_(min=0.0)
     return {group: value.float().double() for group, value in found.items()}
 

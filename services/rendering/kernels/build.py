@@ -1,9 +1,9 @@
-"""Compile the kernels, and find compiled ones: at set-up, in an image's build stage, or before the first use.
+"""Compiles the kernels and finds compiled libraries: at set-up, in the build of a container image, or at first use.
 
     python -m services.rendering.kernels.build
 
-A library lies in the kernel folder beside a manifest that says what it was made from. It is loaded without a compiler,
-by a process whose sources, settings and processor are those of the manifest.
+A library lies in the kernel folder beside a manifest of the sources, flags and processor it was compiled for. A process
+whose sources, settings and processor match the manifest loads the library and needs no compiler.
 """
 
 import hashlib
@@ -27,39 +27,39 @@ FLAGS = (
     "-Wno-maybe-uninitialized", "-Wno-ignored-attributes", "-Wno-psabi",
 )  # fmt: skip
 PORTABLE = {"x86_64": "x86-64-v3", "aarch64": "armv8-a"}
-"""What SCENE_ATTACK_KERNEL_ARCH=portable means: x86-64 processors since 2015 (AVX2 and FMA), and every 64-bit ARM."""
+"""Architectures of SCENE_ATTACK_KERNEL_ARCH=portable by machine: x86-64 with AVX2 and FMA (since 2015), 64-bit ARM."""
 
 
 class KernelsMissingError(OSError):
-    """There is no library that this process may load, and no compiler to make one; the message says which and why."""
+    """No compiled library suits this process, and there is no compiler; the message gives the reason."""
 
 
 class Manifest(BaseModel):
-    """What a compiled library was made from. Two libraries with the same manifest give the same bits."""
+    """The inputs of a compilation. Two libraries with the same manifest give the same bits."""
 
     model_config = ConfigDict(frozen=True)
 
     sources: str
-    """sha256 of all sources."""
+    """SHA-256 of all sources (hex)."""
     machine: str
-    """As `platform.machine()` says it: "x86_64" or "aarch64"."""
+    """The value of `platform.machine()`: "x86_64" or "aarch64"."""
     flags: tuple[str, ...]
     processor: str
-    """The processor's name and features where the flags compile for the one at hand, else empty."""
+    """Digest of the processor's name and features if the flags compile for this very processor, else empty."""
     features: tuple[str, ...]
-    """What a processor must have to run it, in the words of /proc/cpuinfo."""
+    """Instruction-set features that the library requires, as /proc/cpuinfo names them."""
     compiler: str
-    """Its version."""
+    """The compiler's version line."""
     library_sha256: str
-    """Of the library's bytes: loading a damaged one would end the process."""
+    """SHA-256 of the library's bytes (hex): loading a damaged one would end the process."""
 
     @property
     def identity(self) -> str:
-        """Sixteen hexadecimal digits for the manifest: part of every backend string."""
+        """Sixteen hexadecimal digits that identify the manifest; part of every backend string."""
         return hashlib.sha256(self.model_dump_json(exclude={"library_sha256"}).encode()).hexdigest()[:16]
 
     def refusal(self) -> str | None:
-        """Why this process may not load the library, as a clause; None where it may."""
+        """Returns the reason why this process may not load the library, as a clause; None if it may."""
         if self.machine != platform.machine():
             return f"they were compiled for {self.machine}, and this is {platform.machine()}"
         if self.sources != sources_sha256():
@@ -74,10 +74,10 @@ class Manifest(BaseModel):
 
 
 def library_path() -> tuple[Path, Manifest]:
-    """The library to load and its manifest: compiled now (some 10 s) where there is none that suits.
+    """Returns the library to load and its manifest; compiles it (about 10 s) if no suitable library exists.
 
-    Raises KernelsMissingError without a compiler, CalledProcessError where it fails, OSError where the folder cannot be
-    written.
+    Raises KernelsMissingError if there is no compiler, CalledProcessError if the compiler fails, OSError if the folder
+    cannot be written.
     """
     wanted = _wanted()
     found = _manifest(wanted.with_suffix(".json"))
@@ -89,13 +89,13 @@ def library_path() -> tuple[Path, Manifest]:
 
 
 def sources_sha256() -> str:
-    """sha256 of the names and texts of all sources."""
+    """Returns the SHA-256 (hex) of the names and texts of all sources."""
     texts = [f"{path.name}\n{path.read_text()}" for path in sorted(SOURCES.iterdir()) if path.suffix in SUFFIXES]
     return hashlib.sha256("\n".join(texts).encode()).hexdigest()
 
 
 def flags() -> tuple[str, ...]:
-    """The compiler's flags for SCENE_ATTACK_KERNEL_ARCH on this machine."""
+    """Returns the compiler's flags for SCENE_ATTACK_KERNEL_ARCH on this machine."""
     arch, machine = settings().kernel_arch, platform.machine()
     if arch == "portable":
         arch = PORTABLE.get(machine, "")
@@ -105,7 +105,7 @@ def flags() -> tuple[str, ...]:
 
 
 def _wanted() -> Path:
-    """Where the library for these sources, flags and (where they name it) this processor belongs."""
+    """Returns the path of the library for the sources, the flags and, if they are specific to it, the processor."""
     about = [sources_sha256(), platform.machine(), *flags(), _processor()]
     name = hashlib.sha256("\n".join(about).encode()).hexdigest()[:32]
     return settings().kernel_folder / f"{name}.so"
@@ -130,7 +130,7 @@ def _sha256(path: Path) -> str | None:
 
 
 def _why_none() -> str:
-    """Why no library in the folder may be loaded, by the newest of them."""
+    """Returns the reason why the newest library in the folder may not be loaded."""
     folder = settings().kernel_folder
     newest = max(folder.glob("*.json"), key=lambda path: path.stat().st_mtime, default=None)
     manifest = None if newest is None else _manifest(newest)
@@ -161,8 +161,8 @@ def _compile(path: Path) -> Manifest:
             library_sha256=str(_sha256(library)),
         )
         words.write_text(manifest.model_dump_json(indent=1) + "\n")
-        library.replace(path)  # two builds at once: each file is whole, the last one stays
-        words.replace(path.with_suffix(".json"))  # last: a library counts once its manifest is there
+        library.replace(path)  # atomic: of two concurrent builds the last one stays
+        words.replace(path.with_suffix(".json"))  # last: a library without a manifest is not loaded
     return manifest
 
 

@@ -1,8 +1,8 @@
-"""The compiled kernels of shading and rasterising: loaded once per process, and called.
+"""Loads the compiled kernels of shading and rasterising, once per process, and calls them.
 
-Without them the same sums run in torch, some ten times slower, and OpenGL draws all images; `SCENE_ATTACK_KERNEL`
-decides. The kernels call no Python and use `torch.get_num_threads()` threads, which never changes their bits. They run
-on the CPU only: tensors on another device go the way of torch.
+Without them the same sums run in torch, about ten times slower, and OpenGL draws all images; `SCENE_ATTACK_KERNEL`
+selects. The kernels call no Python and use `torch.get_num_threads()` threads, whose number never changes their bits.
+They run on the CPU only: tensors on another device are computed by torch.
 """
 
 import ctypes
@@ -33,7 +33,7 @@ POINTEES = {
 
 @dataclass(frozen=True)
 class Library:
-    """The loaded kernels: their functions by name, what they say about themselves, and where their bits come from."""
+    """The loaded kernels: their functions by name, their exported layouts, and the identity of their manifest."""
 
     functions: Mapping[str, Callable[..., None]]
     exports: layouts.Exports
@@ -41,7 +41,7 @@ class Library:
     checked: set[tuple[str, type]] = field(default_factory=set)
 
     def agree(self, structure: type[ctypes.Structure], name: str) -> None:
-        """Raises LayoutError, naming structure and field, where Python's class is not the library's structure."""
+        """Compares a Python structure with the library's. Raises LayoutError, naming the field, if they differ."""
         if (name, structure) not in self.checked:
             layouts.check(structure, name, self.exports)
             self.checked.add((name, structure))
@@ -49,10 +49,10 @@ class Library:
 
 @lru_cache(maxsize=1)
 def library() -> Library | None:
-    """The loaded kernels, compiled first if need be (some 10 s); None where torch does the work.
+    """Returns the loaded kernels, compiled first if necessary (about 10 s); None if torch computes instead.
 
-    Raises JobFailure("internal") where SCENE_ATTACK_KERNEL=native and there are none, LayoutError where Python's
-    structures are not the library's.
+    Raises JobFailure("internal") if SCENE_ATTACK_KERNEL=native and there are no kernels, LayoutError if Python's
+    structures differ from the library's.
     """
     wanted = settings().kernel
     if wanted == "torch":
@@ -70,7 +70,7 @@ def library() -> Library | None:
 
 
 def _described(loaded: ctypes.CDLL, identity: str) -> Library:
-    """The library with its functions typed as it says itself, and the structures of this room compared."""
+    """Sets the functions' argument types from the library's own table, and compares the structures of STRUCTURES."""
     table = loaded.layout_table
     table.argtypes, table.restype = [], ctypes.c_char_p
     exports = layouts.parse(table().decode())
@@ -85,23 +85,23 @@ def _described(loaded: ctypes.CDLL, identity: str) -> Library:
 
 
 def runs(values: Tensor) -> bool:
-    """Whether the kernels do the work for `values`: on the CPU, of a dtype they know."""
+    """Returns whether the kernels can process `values`: on the CPU, float32 or float64, and loaded."""
     return values.device.type == "cpu" and values.dtype in NAMES and library() is not None
 
 
 def backend() -> str:
-    """What computes the sums on the CPU: decides the bits of an image."""
+    """Returns the CPU implementation for the backend string: "torch", or "native" and the kernels' identity."""
     loaded = library()
     return "torch" if loaded is None else f"native {loaded.identity}"
 
 
 def call(name: str, dtype: torch.dtype, *arguments: object) -> None:
-    """Call `name` of the library for float32 or float64. The last argument of most is `threads()`.
+    """Calls the function `name` of the library for float32 or float64. The last argument of most is `threads()`.
 
-    Tensors are handed over as pointers: contiguous, on the CPU, of the dtype the function says it takes. So are
-    structures and arrays of them, once their layout has been compared. None is a null pointer.
+    Tensors are passed as pointers; they must be contiguous, on the CPU, and of the dtype that the function takes.
+    Structures and arrays of them are passed as pointers after their layout has been compared. None is a null pointer.
 
-    Raises TypeError for an argument of another type, LayoutError for a structure that differs.
+    Raises TypeError for a wrong number or type of arguments, LayoutError for a structure that differs.
     """
     loaded = library()
     assert loaded is not None
@@ -115,7 +115,7 @@ def call(name: str, dtype: torch.dtype, *arguments: object) -> None:
 
 
 def _plain(loaded: Library, argument: object, word: str, name: str) -> object:
-    """An argument as ctypes takes it for the C++ type `word`."""
+    """Converts an argument for ctypes, given the name `word` of its C++ type."""
     if isinstance(argument, Tensor):
         if POINTEES.get(argument.dtype) != word or not argument.is_contiguous() or argument.device.type != "cpu":
             raise TypeError(
@@ -131,5 +131,5 @@ def _plain(loaded: Library, argument: object, word: str, name: str) -> object:
 
 
 def threads() -> int:
-    """The number of threads for kernels that run in parallel: torch's."""
+    """Returns the number of threads for parallel kernels, which is torch's."""
     return torch.get_num_threads()

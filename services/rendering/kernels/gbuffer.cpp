@@ -1,12 +1,13 @@
-// Samples of a surface averaged to pixels (services/rendering/opengl/gbuffer.py).
+// Averages the samples of a G-buffer to pixels (services/rendering/opengl/gbuffer.py).
 
 #include "lanes.h"
 #include "layout.h"
 
 namespace {
 
-// Of height x width pixels with factor x factor samples each. geometry [samples, 4]: normal and depth; surface
-// [samples, 4]: colour and the object's number from 1, both 0 where nothing is. Normals stay sums.
+// The image has height x width pixels with factor x factor samples each. geometry [samples, 4]: normal and depth; surface
+// [samples, 4]: colour and the object's number from 1, both 0 where nothing is covered. color and depth are means, depth
+// over the samples of the pixel's majority object; owner is that object's index from 0, or -1; normals are sums.
 void average(int64_t height, int64_t width, int64_t factor, int64_t objects, const float *geometry,
              const float *surface, float *normals, float *coverage, float *color, float *depth, int64_t *owner,
              int threads) {

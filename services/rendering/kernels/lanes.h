@@ -1,7 +1,7 @@
-// Vectors of numbers, one normal a lane, and the functions that shading takes of them.
+// SIMD vectors with one normal per lane, and the elementary functions that shading needs.
 //
-// Every loop over blocks of normals is cut into parts whose number does not depend on the number of threads, and parts
-// are added up in order: the same bits on any number of cores.
+// Every loop over blocks of normals is split into parts whose number does not depend on the number of threads, and the
+// parts' sums are added in order, so the bits are the same for any number of threads.
 
 #pragma once
 
@@ -22,7 +22,7 @@ template <> struct Lanes<float> {
     static constexpr int count = 16, mantissa = 23, exp_terms = 8, log_terms = 5;
     static constexpr int32_t bias = 127, root_half = 0x3f3504f3;
     static constexpr float round_magic = 12582912.0f, ln2_high = 0.693359375f, ln2_low = -2.12194440e-4f;
-    // exp(-23) = 1e-10, a ten-thousandth of what the darkest lobe that a material may have reflects.
+    // exp(-23) = 1e-10, a ten-thousandth of the reflectance of the darkest lobe that a material may have.
     static constexpr float negligible = -23.0f;
 };
 template <> struct Lanes<double> {
@@ -32,7 +32,7 @@ template <> struct Lanes<double> {
     static constexpr int64_t bias = 1023, root_half = 0x3fe6a09e667f3bcd;
     static constexpr double round_magic = 6755399441055744.0, ln2_high = 6.93147180369123816490e-01,
                             ln2_low = 1.90821492927058770002e-10;
-    static constexpr double negligible = -1e300;  // nothing is: double is the exact path
+    static constexpr double negligible = -1e300;  // no lobe is negligible: double is the exact path
 };
 
 template <class T> using V = typename Lanes<T>::V;
@@ -87,7 +87,7 @@ template <class T> inline V<T> log_of(V<T> c, V<T> less_1) {
 template <class T> inline V<T> log_of(V<T> c) { return log_of<T>(c, c - T(1)); }
 template <class T> inline V<T> log_1_minus(V<T> q) { return log_of<T>(T(1) - q, -q); }  // q in [0, 1)
 
-// One vector of unit normals, and a cone around them that tells which directions none of them sees.
+// A block of unit normals, one per lane, and their bounding cone, which finds directions below every normal's horizon.
 template <class T> struct Block {
     V<T> x, y, z;
     T cx, cy, cz, cos_radius, sin_radius;
@@ -112,7 +112,7 @@ template <class T> struct Block {
         sin_radius = std::sqrt(std::max(T(0), 1 - cos_radius * cos_radius));
     }
 
-    // At least the largest cosine between a normal of the block and a unit vector.
+    // An upper bound of the cosine between a unit vector and any normal of the block.
     T closest(T vx, T vy, T vz) const {
         T c = cx * vx + cy * vy + cz * vz;
         if (cos_radius <= 0 || c >= cos_radius) return 1;
@@ -120,7 +120,7 @@ template <class T> struct Block {
     }
 };
 
-constexpr int64_t PART = 1024;  // normals whose slopes are added up before those of others
+constexpr int64_t PART = 1024;  // normals per part: a part's gradients are summed first
 
 }  // namespace
 

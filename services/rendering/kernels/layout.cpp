@@ -1,4 +1,4 @@
-// The table of the library's structures and functions (layout.h), for the caller to compare with its own.
+// Returns the table of the library's structures and functions (layout.h), which callers compare with their own.
 
 #include "lanes.h"
 #include "layout.h"

@@ -1,7 +1,7 @@
-// What the library tells its caller about itself: the layout of each structure that crosses the border and the
-// signature of each function, written by the compiler that laid them out (services/rendering/kernels/layouts.py).
+// Exports the layout of each structure that callers pass and the signature of each function, as the compiler sees them
+// (services/rendering/kernels/layouts.py).
 //
-// STRUCTURE(S, NAME, FIELD(S, a) FIELD(S, b)) and FUNCTION(f) each add lines to one table that all sources share.
+// STRUCTURE(S, NAME, FIELD(S, a) FIELD(S, b)) and FUNCTION(f) add lines to a text table that all sources share.
 
 #pragma once
 
@@ -9,7 +9,7 @@
 #include <cstdint>
 #include <string>
 
-// One table in the whole library, whatever source adds to it.
+// The text table, a single instance in the library.
 struct LayoutTable {
     static std::string &lines() {
         static std::string text;
@@ -19,7 +19,7 @@ struct LayoutTable {
 
 namespace {
 
-// The word for a type. Structures have the name they were given.
+// The table's name of a type. A structure's name is its layout_name().
 template <class T> struct Word {
     static std::string of() { return T::layout_name(); }
 };

@@ -1,8 +1,8 @@
-"""What the compiled library says about its functions and structures, and whether Python's structures agree.
+"""Compares Python's ctypes structures with the layouts that the compiled library exports.
 
-The C++ sources export one table of text (`layout.h`): the argument types of every function, and the size of every
-structure with the name, offset, size and type of each field. Python's `ctypes.Structure` classes are written by hand
-and are compared with it before anything is handed over: a field out of place is an error here, not garbage there.
+The C++ sources export a text table (`layout.h`): the argument types of every function, and the size of every structure
+with the name, offset, size and type of each field. Python's `ctypes.Structure` classes are written by hand and are
+compared with the table before they are passed, so that a misplaced field is an error instead of garbage.
 """
 
 import ctypes
@@ -16,16 +16,16 @@ SCALARS: dict[str, Any] = {
     "int64": ctypes.c_int64,
     "uint8": ctypes.c_uint8,
 }
-"""The table's words for numbers, and ctypes' classes. A pointer to a type is its word with a star behind it."""
+"""The ctypes class of each scalar type name in the table. A pointer's name is that of its type followed by a star."""
 
 
 class LayoutError(TypeError):
-    """Python and the compiled library disagree about a structure or a function."""
+    """A structure or a function differs between Python and the compiled library."""
 
 
 @dataclass(frozen=True)
 class Field:
-    """A field of a structure as the compiler laid it out: offset and size in bytes, and the word for its type."""
+    """A field of a structure as the compiler laid it out: offset and size in bytes, and the name of its type."""
 
     offset: int
     size: int
@@ -42,14 +42,14 @@ class StructureLayout:
 
 @dataclass(frozen=True)
 class Exports:
-    """The table: the words of each function's arguments, and each structure's layout, by name."""
+    """The parsed table: the argument type names of each function and the layout of each structure, by name."""
 
     functions: dict[str, tuple[str, ...]]
     structures: dict[str, StructureLayout]
 
 
 def parse(table: str) -> Exports:
-    """Read the text that the library exports. Raises LayoutError where it cannot be read."""
+    """Parses the table that the library exports. Raises LayoutError for a malformed line."""
     functions: dict[str, tuple[str, ...]] = {}
     structures: dict[str, StructureLayout] = {}
     fields: dict[str, Field] = {}
@@ -68,14 +68,14 @@ def parse(table: str) -> Exports:
 
 
 def argument_types(words: tuple[str, ...]) -> list[Any]:
-    """The ctypes classes of a function's arguments; every pointer is a `c_void_p`."""
+    """Returns the ctypes classes of a function's arguments; every pointer is a `c_void_p`."""
     return [ctypes.c_void_p if word.endswith("*") else SCALARS[word] for word in words]
 
 
 def check(structure: type[ctypes.Structure], name: str, exports: Exports) -> None:
-    """Compare a Python structure with the library's of that name, and the structures inside it or pointed to by it.
+    """Compares a Python structure, and the structures it contains or points to, with the library's of that name.
 
-    Raises LayoutError naming the structure and the field.
+    Raises LayoutError, naming the structure and the field.
     """
     layout = exports.structures.get(name)
     if layout is None:
@@ -100,7 +100,7 @@ def check(structure: type[ctypes.Structure], name: str, exports: Exports) -> Non
 
 
 def _check_type(kind: Any, word: str, where: str, exports: Exports) -> None:
-    """Whether a field's ctypes class means the same as the library's word for its type."""
+    """Raises LayoutError if a field's ctypes class does not match the library's type name `word`."""
     inner = getattr(kind, "_type_", None)
     if word.removesuffix("*") in exports.structures:
         structure = inner if word.endswith("*") else kind

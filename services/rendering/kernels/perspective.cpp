@@ -1,11 +1,12 @@
-// The sum over directions and lobes where every pixel has a viewer direction of its own (services/rendering/torch_renderer/perspective.py).
+// The shading sum over directions and lobes for a viewer at a finite distance, where each pixel has its own viewer
+// direction (services/rendering/torch_renderer/perspective.py).
 
 #include "lanes.h"
 #include "layout.h"
 
 namespace {
 
-constexpr int TERMS = 6;  // Bernstein coefficients of a curve
+constexpr int TERMS = 6;  // number of Bernstein coefficients of a curve
 
 template <class T> struct Scene {
     static std::string layout_name() { return "perspective.Scene." + Word<T>::of(); }
@@ -16,7 +17,7 @@ template <class T> struct Scene {
     const T *towards;           // [3, directions]
     const T *light;             // [3, directions]
     const T *material;          // [channels, lobes, 2, TERMS]: log kappa and log gamma
-    T cosine_floor, lowest, highest, most_kappa, most_gamma;  // the last two are logarithms
+    T cosine_floor, lowest, highest, max_log_kappa, max_log_gamma;  // bounds of n.h, of a lobe's log exponent, of curves
 };
 
 template <class T> inline V<T> root(V<T> x) {
@@ -25,7 +26,7 @@ template <class T> inline V<T> root(V<T> x) {
     return r;
 }
 
-// The angle of the vector (x, y), both >= 0 and not both 0: by halving it twice, then the series of atan.
+// The angle of the vector (x, y) from the x axis; x, y >= 0 and not both 0. It is halved twice, then atan's series runs.
 template <class T> inline V<T> angle(V<T> x, V<T> y) {
     V<T> r = y / (x + root<T>(x * x + y * y));
     r = r / (T(1) + root<T>(T(1) + r * r));
@@ -35,10 +36,11 @@ template <class T> inline V<T> angle(V<T> x, V<T> y) {
     return T(4) * r * p;
 }
 
-template <class T> struct Meeting {
+// Terms of the shading sum for one direction and a block of pixels.
+template <class T> struct BrdfTerms {
     V<T> cosine, q, log_half, hx, hy, hz, basis[TERMS];
 
-    Meeting(const Scene<T> &s, const Block<T> &b, const Block<T> &v, T wx, T wy, T wz) {
+    BrdfTerms(const Scene<T> &s, const Block<T> &b, const Block<T> &v, T wx, T wy, T wz) {
         cosine = most<T>(b.x * wx + b.y * wy + b.z * wz, V<T>{});
         V<T> sx = v.x + wx, sy = v.y + wy, sz = v.z + wz, dx = v.x - wx, dy = v.y - wy, dz = v.z - wz;
         V<T> length = root<T>(sx * sx + sy * sy + sz * sz), across = root<T>(dx * dx + dy * dy + dz * dz);
@@ -72,13 +74,14 @@ template <class T, int C> void forward(const Scene<T> &s, T *out, int threads) {
         for (int64_t d = 0; d < D; ++d) {
             const T wx = s.towards[d], wy = s.towards[D + d], wz = s.towards[2 * D + d];
             if (block.closest(wx, wy, wz) <= 0) continue;
-            Meeting<T> m(s, block, viewer, wx, wy, wz);
+            BrdfTerms<T> m(s, block, viewer, wx, wy, wz);
             for (int c = 0; c < C; ++c) {
                 V<T> rho{};
                 for (int l = 0; l < s.lobes; ++l) {
-                    const T *of = s.material + (c * s.lobes + l) * 2 * TERMS;
-                    V<T> kappa = least<T>(m.curve(of), all<T>(s.most_kappa));
-                    V<T> gamma = exponential<T>(most<T>(least<T>(m.curve(of + TERMS), all<T>(s.most_gamma)), all<T>(-40)));
+                    const T *curves = s.material + (c * s.lobes + l) * 2 * TERMS;
+                    V<T> kappa = least<T>(m.curve(curves), all<T>(s.max_log_kappa));
+                    V<T> log_gamma = least<T>(m.curve(curves + TERMS), all<T>(s.max_log_gamma));
+                    V<T> gamma = exponential<T>(most<T>(log_gamma, all<T>(-40)));
                     V<T> x = most<T>(least<T>(kappa + gamma * m.log_half, all<T>(s.highest)), all<T>(s.lowest));
                     rho += exponential_minus_1<T>(exponential<T>(x));
                 }
@@ -92,25 +95,25 @@ template <class T, int C> void forward(const Scene<T> &s, T *out, int threads) {
     }
 }
 
-// d_normals [count, 3], d_light [3, D], d_material as the material.
+// d_out, d_normals [count, 3]; d_light [3, D]; d_material has the shape of the material.
 template <class T, int C>
-void backward(const Scene<T> &s, const T *slope, T *d_light, T *d_material, T *d_normals, int threads) {
+void backward(const Scene<T> &s, const T *d_out, T *d_light, T *d_material, T *d_normals, int threads) {
     const int n = Lanes<T>::count, curves = C * s.lobes * 2 * TERMS;
     const int64_t D = s.directions, parts = (s.count + PART - 1) / PART, width = 3 * D + curves;
     std::vector<T> partial(parts * width, T(0));
 #pragma omp parallel for schedule(dynamic, 1) num_threads(threads)
     for (int64_t part = 0; part < parts; ++part) {
         const int64_t end = std::min(s.count, (part + 1) * PART);
-        std::vector<V<T>> of_light(3 * D, V<T>{}), of_material(curves, V<T>{});
+        std::vector<V<T>> sum_light(3 * D, V<T>{}), sum_material(curves, V<T>{});
         for (int64_t first = part * PART; first < end; first += n) {
             Block<T> block(s.normals, s.count, first), viewer(s.viewers, s.count, first);
             V<T> g[3] = {}, nx{}, ny{}, nz{};
             for (int i = 0; i < n && first + i < end; ++i)
-                for (int k = 0; k < 3; ++k) g[k][i] = slope[3 * (first + i) + k];
+                for (int k = 0; k < 3; ++k) g[k][i] = d_out[3 * (first + i) + k];
             for (int64_t d = 0; d < D; ++d) {
                 const T wx = s.towards[d], wy = s.towards[D + d], wz = s.towards[2 * D + d];
                 if (block.closest(wx, wy, wz) <= 0) continue;
-                Meeting<T> m(s, block, viewer, wx, wy, wz);
+                BrdfTerms<T> m(s, block, viewer, wx, wy, wz);
                 V<T> lit[3], d_cosine{}, d_log{};
                 for (int k = 0; k < 3; ++k) lit[k] = g[k] * s.light[k * D + d];
                 if (C == 1) lit[0] += lit[1] + lit[2];
@@ -119,23 +122,23 @@ void backward(const Scene<T> &s, const T *slope, T *d_light, T *d_material, T *d
                     for (int l = 0; l < s.lobes; ++l) {
                         const int place = (c * s.lobes + l) * 2 * TERMS;
                         V<T> log_kappa = m.curve(s.material + place), log_gamma = m.curve(s.material + place + TERMS);
-                        V<T> gamma = exponential<T>(most<T>(least<T>(log_gamma, all<T>(s.most_gamma)), all<T>(-40)));
-                        V<T> x = least<T>(log_kappa, all<T>(s.most_kappa)) + gamma * m.log_half;
+                        V<T> gamma = exponential<T>(most<T>(least<T>(log_gamma, all<T>(s.max_log_gamma)), all<T>(-40)));
+                        V<T> x = least<T>(log_kappa, all<T>(s.max_log_kappa)) + gamma * m.log_half;
                         V<T> exponent = exponential<T>(most<T>(least<T>(x, all<T>(s.highest)), all<T>(s.lowest)));
                         V<T> lobe = exponential_minus_1<T>(exponent);
                         rho += lobe;
                         V<T> y = (V<T>)((I<T>)(exponent * (lobe + T(1)) * weight) & (x < s.highest));
                         d_log += y * gamma;
-                        V<T> of_kappa = (V<T>)((I<T>)y & (log_kappa < s.most_kappa));
-                        V<T> of_gamma = (V<T>)((I<T>)(y * m.log_half * gamma) & (log_gamma < s.most_gamma));
+                        V<T> d_kappa = (V<T>)((I<T>)y & (log_kappa < s.max_log_kappa));
+                        V<T> d_gamma = (V<T>)((I<T>)(y * m.log_half * gamma) & (log_gamma < s.max_log_gamma));
                         for (int i = 0; i < TERMS; ++i) {
-                            of_material[place + i] += of_kappa * m.basis[i];
-                            of_material[place + TERMS + i] += of_gamma * m.basis[i];
+                            sum_material[place + i] += d_kappa * m.basis[i];
+                            sum_material[place + TERMS + i] += d_gamma * m.basis[i];
                         }
                     }
                     d_cosine += rho * lit[c];
-                    if (C == 3) of_light[c * D + d] += rho * m.cosine * g[c];
-                    else for (int k = 0; k < 3; ++k) of_light[k * D + d] += rho * m.cosine * g[k];
+                    if (C == 3) sum_light[c * D + d] += rho * m.cosine * g[c];
+                    else for (int k = 0; k < 3; ++k) sum_light[k * D + d] += rho * m.cosine * g[k];
                 }
                 d_cosine = (V<T>)((I<T>)d_cosine & (m.cosine > T(0)));
                 d_log = (V<T>)((I<T>)(d_log / (T(1) - m.q)) & (m.q < 1 - s.cosine_floor));
@@ -148,8 +151,8 @@ void backward(const Scene<T> &s, const T *slope, T *d_light, T *d_material, T *d
                 to[0] = nx[i], to[1] = ny[i], to[2] = nz[i];
             }
         }
-        for (int64_t i = 0; i < 3 * D; ++i) partial[part * width + i] = sum<T>(of_light[i]);
-        for (int i = 0; i < curves; ++i) partial[part * width + 3 * D + i] = sum<T>(of_material[i]);
+        for (int64_t i = 0; i < 3 * D; ++i) partial[part * width + i] = sum<T>(sum_light[i]);
+        for (int i = 0; i < curves; ++i) partial[part * width + 3 * D + i] = sum<T>(sum_material[i]);
     }
     for (int64_t i = 0; i < width; ++i) {
         T total = 0;
@@ -164,10 +167,10 @@ void backward(const Scene<T> &s, const T *slope, T *d_light, T *d_material, T *d
     EXPORT void shade_perspective_##NAME(const Scene<T> *s, T *out, int threads) {                                     \
         s->channels == 1 ? forward<T, 1>(*s, out, threads) : forward<T, 3>(*s, out, threads);                          \
     }                                                                                                                  \
-    EXPORT void shade_perspective_backward_##NAME(const Scene<T> *s, const T *slope, T *d_light, T *d_material,        \
+    EXPORT void shade_perspective_backward_##NAME(const Scene<T> *s, const T *d_out, T *d_light, T *d_material,        \
                                                   T *d_normals, int threads) {                                         \
-        s->channels == 1 ? backward<T, 1>(*s, slope, d_light, d_material, d_normals, threads)                          \
-                         : backward<T, 3>(*s, slope, d_light, d_material, d_normals, threads);                         \
+        s->channels == 1 ? backward<T, 1>(*s, d_out, d_light, d_material, d_normals, threads)                          \
+                         : backward<T, 3>(*s, d_out, d_light, d_material, d_normals, threads);                         \
     }
 
 #define DESCRIBE(T)                                                                                                    \
@@ -175,7 +178,7 @@ void backward(const Scene<T> &s, const T *slope, T *d_light, T *d_material, T *d
               FIELD(Scene<T>, count) FIELD(Scene<T>, directions) FIELD(Scene<T>, channels) FIELD(Scene<T>, lobes)      \
               FIELD(Scene<T>, normals) FIELD(Scene<T>, viewers) FIELD(Scene<T>, towards) FIELD(Scene<T>, light)        \
               FIELD(Scene<T>, material) FIELD(Scene<T>, cosine_floor) FIELD(Scene<T>, lowest)                          \
-              FIELD(Scene<T>, highest) FIELD(Scene<T>, most_kappa) FIELD(Scene<T>, most_gamma))                        \
+              FIELD(Scene<T>, highest) FIELD(Scene<T>, max_log_kappa) FIELD(Scene<T>, max_log_gamma))                        \
     FUNCTION(shade_perspective_##T) FUNCTION(shade_perspective_backward_##T)
 
 BOTH(float, float)

@@ -1,4 +1,4 @@
-// The sum over directions and lobes, for a viewer far away (services/rendering/torch_renderer/shading.py).
+// The shading sum over directions and lobes for a distant viewer (services/rendering/torch_renderer/shading.py).
 
 #include "lanes.h"
 #include "layout.h"
@@ -11,30 +11,30 @@ template <class T> struct Scene {
     int64_t count, directions;
     int channels, lobes;         // channels: 1 where all three have the same lobes
     const T *normals;            // [count, 3]
-    const T *towards;            // [3, directions]
-    const T *half;               // [4, directions]: half vector, and 1/2 where it has no direction (and is zero)
+    const T *towards;            // [3, directions], unit vectors to the light
+    const T *half;               // [4, directions]: half vector; fourth row 1/2 where it is zero, else 0
     const T *light;              // [3, directions]
-    const T *base, *tilt;        // [channels, directions]: reflectance of all other lobes, base + tilt * log n.h
+    const T *base, *tilt;        // [channels, directions]: sum of linearised lobes, base + tilt * log n.h
     const T *log_kappa, *gamma;  // [channels, lobes, directions]
-    T cosine_floor, lowest, highest;  // of n.h, and of the logarithm of a lobe's exponent
+    T cosine_floor, lowest, highest;  // bounds of n.h, and of the logarithm of a lobe's exponent
 
     const T *lobe(const T *of, int c, int l) const { return of + (c * lobes + l) * directions; }
 };
 
-// What one direction does to one block of normals.
-template <class T> struct Meeting {
+// Terms of the shading sum for one direction and a block of normals.
+template <class T> struct BrdfTerms {
     bool dark;
     V<T> cosine, q, log_half;
     T log_closest;
 
-    Meeting(const Scene<T> &s, const Block<T> &b, int64_t d) {
+    BrdfTerms(const Scene<T> &s, const Block<T> &b, int64_t d) {
         const int64_t D = s.directions;
         T wx = s.towards[d], wy = s.towards[D + d], wz = s.towards[2 * D + d];
         dark = b.closest(wx, wy, wz) <= 0;
         if (dark) return;
         T hx = s.half[d], hy = s.half[D + d], hz = s.half[2 * D + d], pad = s.half[3 * D + d];
         cosine = most<T>(b.x * wx + b.y * wy + b.z * wz, V<T>{});
-        // 1 - n.h as half the square of their distance: exact where they nearly meet and a sharp lobe looks
+        // 1 - n.h is half the squared distance of n and h, without cancellation where sharp lobes have their peak.
         V<T> dx = b.x - hx, dy = b.y - hy, dz = b.z - hz;
         q = least<T>(T(0.5) * (dx * dx + dy * dy + dz * dz) + pad, all<T>(1 - s.cosine_floor));
         log_half = log_1_minus<T>(q);
@@ -44,7 +44,7 @@ template <class T> struct Meeting {
 
     bool negligible(T log_kappa, T gamma) const { return log_kappa + gamma * log_closest < Lanes<T>::negligible; }
 
-    // Reflectance times cosine in one channel.
+    // Reflectance times cosine in channel c.
     V<T> reflected(const Scene<T> &s, int c, int64_t d) const {
         V<T> rho = s.base[c * s.directions + d] + s.tilt[c * s.directions + d] * log_half;
         for (int l = 0; l < s.lobes; ++l) {
@@ -65,7 +65,7 @@ template <class T, int C> void forward(const Scene<T> &s, T *out, int threads) {
         Block<T> block(s.normals, s.count, b * n);
         V<T> result[3] = {};
         for (int64_t d = 0; d < D; ++d) {
-            Meeting<T> m(s, block, d);
+            BrdfTerms<T> m(s, block, d);
             if (m.dark) continue;
             for (int c = 0; c < C; ++c) {
                 V<T> rho = m.reflected(s, c, d);
@@ -81,11 +81,11 @@ template <class T, int C> void forward(const Scene<T> &s, T *out, int threads) {
     }
 }
 
-constexpr int64_t TILE = 64;    // directions at once: their sums stay in the second-level cache
+constexpr int64_t TILE = 64;    // directions per tile: their sums fit in the second-level cache
 
 // d_light [3, D], d_kappa and d_gamma [C, lobes, D], d_normals [count, 3]; any of the three may be null.
 template <class T, int C>
-void backward(const Scene<T> &s, const T *slope, T *d_light, T *d_kappa, T *d_gamma, T *d_normals, int threads) {
+void backward(const Scene<T> &s, const T *d_out, T *d_light, T *d_kappa, T *d_gamma, T *d_normals, int threads) {
     const int n = Lanes<T>::count;
     const int64_t D = s.directions, parts = (s.count + PART - 1) / PART;
     const int lobes = C * s.lobes, width = 3 + 2 * lobes;
@@ -101,9 +101,9 @@ void backward(const Scene<T> &s, const T *slope, T *d_light, T *d_kappa, T *d_ga
                 Block<T> block(s.normals, s.count, first);
                 V<T> g[3] = {}, nx{}, ny{}, nz{};
                 for (int i = 0; i < n && first + i < end; ++i)
-                    for (int k = 0; k < 3; ++k) g[k][i] = slope[3 * (first + i) + k];
+                    for (int k = 0; k < 3; ++k) g[k][i] = d_out[3 * (first + i) + k];
                 for (int64_t d = tile; d < last; ++d) {
-                    Meeting<T> m(s, block, d);
+                    BrdfTerms<T> m(s, block, d);
                     if (m.dark) continue;
                     V<T> *to = sums.data() + (d - tile) * width;
                     V<T> lit[3], d_cosine{}, d_log{};
@@ -159,7 +159,7 @@ void backward(const Scene<T> &s, const T *slope, T *d_light, T *d_kappa, T *d_ga
             }
 }
 
-// out [C, D, count]: reflectance times cosine.
+// Writes reflectance times cosine to out [C, D, count].
 template <class T, int C> void transport(const Scene<T> &s, T *out, int threads) {
     const int n = Lanes<T>::count;
     const int64_t D = s.directions, blocks = (s.count + n - 1) / n;
@@ -168,7 +168,7 @@ template <class T, int C> void transport(const Scene<T> &s, T *out, int threads)
         Block<T> block(s.normals, s.count, b * n);
         const int lanes = (int)std::min<int64_t>(n, s.count - b * n);
         for (int64_t d = 0; d < D; ++d) {
-            Meeting<T> m(s, block, d);
+            BrdfTerms<T> m(s, block, d);
             for (int c = 0; c < C; ++c) {
                 V<T> rho = m.dark ? V<T>{} : m.reflected(s, c, d);
                 std::memcpy(out + (c * D + d) * s.count + b * n, &rho, lanes * sizeof(T));
@@ -183,10 +183,10 @@ template <class T, int C> void transport(const Scene<T> &s, T *out, int threads)
     EXPORT void shade_##NAME(const Scene<T> *s, T *out, int threads) {                                                 \
         s->channels == 1 ? forward<T, 1>(*s, out, threads) : forward<T, 3>(*s, out, threads);                          \
     }                                                                                                                  \
-    EXPORT void shade_backward_##NAME(const Scene<T> *s, const T *slope, T *d_light, T *d_kappa, T *d_gamma,           \
+    EXPORT void shade_backward_##NAME(const Scene<T> *s, const T *d_out, T *d_light, T *d_kappa, T *d_gamma,           \
                                       T *d_normals, int threads) {                                                     \
-        s->channels == 1 ? backward<T, 1>(*s, slope, d_light, d_kappa, d_gamma, d_normals, threads)                    \
-                         : backward<T, 3>(*s, slope, d_light, d_kappa, d_gamma, d_normals, threads);                   \
+        s->channels == 1 ? backward<T, 1>(*s, d_out, d_light, d_kappa, d_gamma, d_normals, threads)                    \
+                         : backward<T, 3>(*s, d_out, d_light, d_kappa, d_gamma, d_normals, threads);                   \
     }                                                                                                                  \
     EXPORT void transport_##NAME(const Scene<T> *s, T *out, int threads) {                                             \
         s->channels == 1 ? transport<T, 1>(*s, out, threads) : transport<T, 3>(*s, out, threads);                      \

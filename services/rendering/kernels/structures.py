@@ -1,4 +1,4 @@
-"""The structures that the shading kernels take, as C++ lays them out (`Scene` of shading.cpp and perspective.cpp)."""
+"""ctypes classes of the structures that the shading kernels take (`Scene` in shading.cpp and perspective.cpp)."""
 
 import ctypes
 from typing import Any
@@ -15,27 +15,27 @@ _LIMITS = "cosine_floor lowest highest"
 
 
 class SceneFloat(ctypes.Structure):
-    """The sum for a distant viewer in float32."""
+    """Arguments of the shading sum for a distant viewer, float32."""
 
     _fields_ = [*_DISTANT, *_fields(_LIMITS, ctypes.c_float)]
 
 
 class SceneDouble(ctypes.Structure):
-    """The sum for a distant viewer in float64."""
+    """Arguments of the shading sum for a distant viewer, float64."""
 
     _fields_ = [*_DISTANT, *_fields(_LIMITS, ctypes.c_double)]
 
 
 class PerspectiveFloat(ctypes.Structure):
-    """The sum for a viewer at a finite distance in float32."""
+    """Arguments of the shading sum for a viewer at a finite distance, float32."""
 
-    _fields_ = [*_PERSPECTIVE, *_fields(f"{_LIMITS} most_kappa most_gamma", ctypes.c_float)]
+    _fields_ = [*_PERSPECTIVE, *_fields(f"{_LIMITS} max_log_kappa max_log_gamma", ctypes.c_float)]
 
 
 class PerspectiveDouble(ctypes.Structure):
-    """The sum for a viewer at a finite distance in float64."""
+    """Arguments of the shading sum for a viewer at a finite distance, float64."""
 
-    _fields_ = [*_PERSPECTIVE, *_fields(f"{_LIMITS} most_kappa most_gamma", ctypes.c_double)]
+    _fields_ = [*_PERSPECTIVE, *_fields(f"{_LIMITS} max_log_kappa max_log_gamma", ctypes.c_double)]
 
 
 STRUCTURES: dict[str, type[ctypes.Structure]] = {
@@ -44,5 +44,5 @@ STRUCTURES: dict[str, type[ctypes.Structure]] = {
     "perspective.Scene.float32": PerspectiveFloat,
     "perspective.Scene.float64": PerspectiveDouble,
 }
-"""By the names the sources give them. They are compared when the library is loaded; those of other rooms, when they are
-first handed over."""
+"""The structures of this file by their names in the C++ sources. They are compared when the library is loaded;
+those declared elsewhere are compared when they are first passed."""

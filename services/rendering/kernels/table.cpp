@@ -1,4 +1,4 @@
-// Looking up tables over normals (services/rendering/torch_renderer/lookup_table.py).
+// Interpolates tables over normals (services/rendering/torch_renderer/lookup_table.py).
 
 #include <algorithm>
 #include <cmath>
@@ -10,10 +10,11 @@
 
 namespace {
 
-// A table over the sphere in the two angles of a normal: row i at polar angle (i + 1/2) h, column j at azimuth
-// -pi + (j + 1/2) h, h = pi / rows, 2 rows columns. Past a pole the rows come back half a turn further round.
+// The 16 nodes around a normal's angles, and the Catmull-Rom weights with their derivatives. A table has its row i at polar
+// angle (i + 1/2) h and its column j at azimuth -pi + (j + 1/2) h, with h = pi / rows and 2 * rows columns. Beyond a pole
+// the rows repeat in reverse order, shifted by half a turn of azimuth.
 template <class T> struct Spot {
-    int64_t nodes[4][4], line[4];  // places in the table, and its rows
+    int64_t nodes[4][4], line[4];  // node indices in the flattened table, and row indices
     T row[4], column[4], d_row[4], d_column[4];
 
     static int64_t wrapped(int64_t k, int64_t turn) { return k >= 0 && k < turn ? k : (k % turn + turn) % turn; }
@@ -67,7 +68,7 @@ template <class T> void look_up(int64_t count, int64_t rows, const T *angles, co
 constexpr int64_t LOOKUP_PARTS = 8;
 
 template <class T>
-void look_up_backward(int64_t count, int64_t rows, const T *angles, const T *table, const T *slope, T *d_angles,
+void look_up_backward(int64_t count, int64_t rows, const T *angles, const T *table, const T *d_out, T *d_angles,
                       T *d_table, int threads) {
     const int64_t size = 3 * 2 * rows * rows, step = (count + LOOKUP_PARTS - 1) / LOOKUP_PARTS;
     std::vector<T> partial(d_table ? LOOKUP_PARTS * size : 0, T(0));
@@ -76,7 +77,7 @@ void look_up_backward(int64_t count, int64_t rows, const T *angles, const T *tab
         T *into = partial.data() + part * size;
         for (int64_t p = part * step; p < std::min(count, (part + 1) * step); ++p) {
             Spot<T> at(angles + 2 * p, rows);
-            const T *g = slope + 3 * p;
+            const T *g = d_out + 3 * p;
             T d_azimuth = 0, d_polar = 0;
             for (int a = 0; a < 4; ++a)
                 for (int b = 0; b < 4; ++b) {
@@ -103,10 +104,10 @@ void look_up_backward(int64_t count, int64_t rows, const T *angles, const T *tab
         }
 }
 
-constexpr int64_t TILE = 4;  // nodes a side of a tile, as in table.py
+constexpr int64_t TILE = 4;  // side of a tile in nodes, as in lookup_table.py
 
-// Which tiles the values at some angles depend on: those at the corners of the 4 x 4 nodes around each. Threads that mark
-// the same tile write the same.
+// Marks the tiles that the values at `angles` depend on: those that hold the corners of the 4 x 4 nodes around each pair.
+// Threads that mark the same tile write the same value.
 template <class T> void touch(int64_t count, int64_t rows, const T *angles, uint8_t *touched, int threads) {
     const int64_t turn = 2 * rows;
 #pragma omp parallel for schedule(static) num_threads(threads)
@@ -126,9 +127,9 @@ template <class T> void touch(int64_t count, int64_t rows, const T *angles, uint
     EXPORT void look_up_##NAME(int64_t count, int64_t rows, const T *angles, const T *table, T *out, int threads) {    \
         look_up<T>(count, rows, angles, table, out, threads);                                                          \
     }                                                                                                                  \
-    EXPORT void look_up_backward_##NAME(int64_t count, int64_t rows, const T *angles, const T *table, const T *slope,  \
+    EXPORT void look_up_backward_##NAME(int64_t count, int64_t rows, const T *angles, const T *table, const T *d_out,  \
                                         T *d_angles, T *d_table, int threads) {                                        \
-        look_up_backward<T>(count, rows, angles, table, slope, d_angles, d_table, threads);                            \
+        look_up_backward<T>(count, rows, angles, table, d_out, d_angles, d_table, threads);                            \
     }                                                                                                                  \
     EXPORT void touch_##NAME(int64_t count, int64_t rows, const T *angles, uint8_t *touched, int threads) {            \
         touch<T>(count, rows, angles, touched, threads);                                                               \

@@ -48,7 +48,8 @@ def basis(theta_d: Tensor) -> Tensor:
 def half_vectors(directions: Tensor, viewer: Tensor) -> tuple[Tensor, Tensor]:
     """Returns half vectors [D, 3] and θ_d [D], radians, of light directions [D, 3] and a viewer direction [3].
 
-    All are unit vectors. For light from straight behind the surface the half vector has no direction: it is zero, and θ_d is π/2.
+    All are unit vectors. For light from straight behind the surface the half vector has no direction: it is zero, and
+    θ_d is π/2.
     """
     total = directions + viewer
     length = torch.linalg.vector_norm(total, dim=-1)
@@ -58,9 +59,10 @@ def half_vectors(directions: Tensor, viewer: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def lobes(coefficients: Tensor, curves: Tensor) -> tuple[Tensor, Tensor]:
-    """Evaluates log κ and γ, each [..., D], from coefficients [..., 2, DEGREE + 1] and curves = basis(θ_d) [D, DEGREE + 1].
+    """Evaluates log κ and γ, each [..., D], from coefficients [..., 2, DEGREE + 1].
 
-    Both are clamped to the upper ends of their ranges, with zero gradient beyond, so that no coefficient overflows.
+    `curves` is basis(θ_d) [D, DEGREE + 1]. Both results are clamped to the upper ends of their ranges, with zero
+    gradient beyond, so that no coefficient overflows.
     """
     values = coefficients @ curves.T
     return values[..., 0, :].clamp_max(LOG_KAPPA_RANGE[1]), values[..., 1, :].clamp_max(LOG_GAMMA_RANGE[1]).exp()

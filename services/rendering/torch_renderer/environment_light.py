@@ -18,7 +18,9 @@ PROBES = (16, 32)
 
 @dataclass(frozen=True)
 class Illumination:
-    """An environment map split into factors: the radiance of texel t is `exposure · chroma[t] · intensity[t]`, in displayed linear units.
+    """An environment map split into factors.
+
+    The radiance of texel t is `exposure · chroma[t] · intensity[t]`, in displayed linear units.
 
     intensity: float64 [rows, cols], ≥ 0, mean over the sphere ILLUMINATION_MEAN (all zero for a black map).
     chroma: float64 [rows, cols, 3], the colour at luminance 1; white where the map is black.
@@ -32,7 +34,10 @@ class Illumination:
 
 
 def illumination(environment: Tensor) -> Illumination:
-    """Splits a map into its factors. `environment` is linear RGB radiance [rows, cols, 3], finite and ≥ 0, of any scale."""
+    """Splits a map into its factors.
+
+    `environment` is linear RGB radiance [rows, cols, 3], finite and ≥ 0, of any scale.
+    """
     rows, cols, _ = environment.shape
     radiance = environment.to(torch.float64)
     # Divide by the maximum first, so that squares and sums of very large or very small maps stay in range.

@@ -179,7 +179,7 @@ class MeasuredErrors:
 
 
 def spread(surface: Surface, moving: bool, random: torch.Generator) -> Surface:
-    """Returns the surface with its own normals and, if `moving`, randomly perturbed copies of them (MAX_PERTURBATION)."""
+    """Returns the surface with its own normals and, if `moving`, randomly perturbed copies of them."""
     angles, again = surface.angles, 1
     if moving:
         again += max(2, min(MAX_COPIES, N_NORMALS // len(angles)))

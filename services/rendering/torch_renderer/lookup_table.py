@@ -23,9 +23,9 @@ TILE = 4
 
 
 def look_up(table: Tensor, angles: Tensor) -> Tensor:
-    """Interpolates a table [rows · 2 rows, 3] at azimuth and polar angle [P, 2], radians, any finite angles; returns [P, 3].
+    """Interpolates a table [rows · 2 rows, 3] at azimuth and polar angle [P, 2], radians; returns values [P, 3].
 
-    It is differentiable (once) in the table and in the angles.
+    The angles may have any finite values. It is differentiable (once) in the table and in the angles.
     """
     if compiled.runs(angles):
         result: Tensor = _LookUp.apply(table, angles.contiguous())  # type: ignore[no-untyped-call]

@@ -11,7 +11,7 @@ from services.scenes.resolve import ResolvedScene
 
 
 def smallest_map(scene: ResolvedScene, tolerance: Tolerance) -> tuple[int, int]:
-    """Returns the smallest of MAP_SIZES under which displayed values differ by at most `tolerance` from the largest map's.
+    """Returns the smallest of MAP_SIZES whose displayed values are within `tolerance` of those of the largest.
 
     The values are compared at the pixels that `map_error` samples. The result is the largest size where no smaller one
     suffices, for "exact", and for a scene without a source map (one that was not resolved from a library).

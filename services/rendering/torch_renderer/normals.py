@@ -33,9 +33,10 @@ def to_angles(vectors: Tensor) -> Tensor:
 
 
 def to_vectors(angles: Tensor) -> Tensor:
-    """Returns unit vectors [..., 3] in the camera's frame for angles [..., 2] (azimuth, polar), radians, any finite values.
+    """Returns unit vectors [..., 3] in the camera's frame for azimuth and polar angle [..., 2], radians.
 
-    It is differentiable; only once in float32 on the CPU, where a compiled kernel runs.
+    The angles may have any finite values. It is differentiable; only once in float32 on the CPU, where a
+    compiled kernel runs.
     """
     if angles.dtype == torch.float32 and compiled.runs(angles):
         result: Tensor = _Vectors.apply(angles.contiguous())  # type: ignore[no-untyped-call]

@@ -24,8 +24,8 @@ from services.rendering.torch_renderer.shader import Method, Recipe, Sky, Surfac
 TABLE_ROWS = (24, 32, 48, 64, 96, 128, 192, 256)
 """Numbers of rows of the tables that are tried."""
 CONVERGENCE_ORDER = 3
-"""Order of Catmull-Rom interpolation: a table's error falls at best with this power of its mesh width. Tables that cannot
-suffice, given an error already measured, are not tried."""
+"""Order of Catmull-Rom interpolation: a table's error falls at best with this power of its mesh width. Tables that
+cannot suffice, given an error already measured, are not tried."""
 PER_PIXEL_COUNTS = (0, 8, 16, 32, 64, 128)
 """Numbers of directions summed per pixel that are tried with each table."""
 ROUGHNESS_ROWS = 48

@@ -59,7 +59,7 @@ class TorchRenderer(DeclaredRenderer):
         """Plans the rendering of `scene`, rasterised in `gbuffer`, for attacks on `groups`.
 
         Only these groups may then be rendered with other values than the scene's own, unless `tolerance` is "exact".
-        "exact" computes in float64 throughout; with a number the plan chooses, by default float32.
+        "exact" computes in float64 throughout; with a number images are float32.
 
         Raises InvalidRequest for an unknown material preset.
         """

@@ -7,7 +7,14 @@ import torch
 from torch import Tensor
 
 from services.rendering.kernels import compiled
-from services.rendering.torch_renderer.lookup_table import PLACES, look_up, node_vectors, place, tiles, touched
+from services.rendering.torch_renderer.lookup_table import (
+    N_SORT_KEYS,
+    look_up,
+    node_vectors,
+    normal_sort_keys,
+    tiles,
+    touched,
+)
 from services.rendering.torch_renderer.normals import to_vectors
 
 pytestmark = pytest.mark.usefixtures("kernel")
@@ -90,8 +97,8 @@ def test_tiles_are_squares_of_all_nodes() -> None:
 
 def test_near_places_are_near_normals() -> None:
     angles = anywhere(20_000) % torch.tensor([2 * pi, pi], dtype=torch.float64) - torch.tensor([pi, 0.0])
-    numbers = place(angles)
+    numbers = normal_sort_keys(angles)
     assert numbers.min() >= 0
-    assert numbers.max() < PLACES
+    assert numbers.max() < N_SORT_KEYS
     ordered = to_vectors(angles[numbers.argsort()])
     assert (ordered[1:] * ordered[:-1]).sum(-1).mean() > 0.99

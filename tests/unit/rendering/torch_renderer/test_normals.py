@@ -3,7 +3,7 @@ from math import pi
 import pytest
 import torch
 
-from services.rendering.torch_renderer.normals import FURTHEST_ANGLE, to_angles, to_vectors
+from services.rendering.torch_renderer.normals import MAX_ANGLE, to_angles, to_vectors
 
 
 def test_vectors_come_back() -> None:
@@ -21,7 +21,7 @@ def test_float32_angles_lose_no_more_than_float32() -> None:
 
 def test_vectors_of_float32_angles_and_their_slopes_are_those_of_float64(kernel: str) -> None:
     random = torch.Generator().manual_seed(0)
-    angles = (torch.rand(1001, 2, generator=random) * 2 - 1) * FURTHEST_ANGLE
+    angles = (torch.rand(1001, 2, generator=random) * 2 - 1) * MAX_ANGLE
     # the quarter turns and what lies between, where one series hands over to the other; and far beyond any attack
     angles[:33] = torch.arange(-16, 17)[:, None] * (pi / 4)
     angles[33:36] = torch.tensor([[1e5, 0.5], [0.3, 2e6], [-3e30, 1e7]])
