@@ -1,1 +1,1 @@
-"""What is in front of the camera: descriptions, meshes, environment maps, built-in scenes."""
+"""Scenes: descriptions, cameras, meshes, environment maps, and the library of assets that scenes name."""

@@ -1,4 +1,4 @@
-"""The furniture catalogue: what models there are, who made them, how large they are. Read from `*.sh3f` archives.
+"""Reads the furniture catalogue (models, their creators and their sizes) from `*.sh3f` archives.
 
 The archives are Sweet Home 3D furniture libraries: zip files with a `PluginFurnitureCatalog.properties` that numbers
 its models (`name#12=…`) and an OBJ model with materials and textures for each.
@@ -22,8 +22,10 @@ INDEX_VERSION = 1
 
 
 class Model(BaseModel):
-    """One model of a library. `size` is width (x), depth (z), height (y) in centimetres; `rotation` the 3×3 matrix,
-    row by row, that turns the model upright and its front towards +z; `path` the OBJ file inside the archive.
+    """A model of a furniture library.
+
+    `size` is width (x), depth (z), height (y) in centimetres. `rotation` is the 3×3 matrix, row by row,
+    that turns the model upright and its front towards +z. `path` is the OBJ file inside the archive.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -47,9 +49,9 @@ class Model(BaseModel):
 
 
 def read_catalogue(directory: Path, index: Path) -> dict[str, Model]:
-    """All models of all `*.sh3f` archives in `directory` by slug, in catalogue order; empty if there are none.
+    """Returns all models of all `*.sh3f` archives in `directory` by slug, in catalogue order; empty if there are none.
 
-    `index` is a file the result is kept in, and taken from while the archives have the same names, sizes and times.
+    `index` is a cache file of the result, used while the archives have the same names, sizes and modification times.
     """
     archives = sorted(directory.glob("*.sh3f"))
     stamp = [INDEX_VERSION, *([path.name, path.stat().st_size, path.stat().st_mtime_ns] for path in archives)]
@@ -67,7 +69,7 @@ def read_catalogue(directory: Path, index: Path) -> dict[str, Model]:
 
 
 def read_archive(path: Path) -> list[Model]:
-    """The models of one archive, in the order of their numbers; their slugs are still empty.
+    """Returns the models of an archive, in the order of their numbers; their slugs are still empty.
 
     Models without a name, a size or an OBJ file that is in the archive are left out.
     """
@@ -103,10 +105,10 @@ def read_archive(path: Path) -> list[Model]:
 
 
 def with_slugs(models: list[Model]) -> list[Model]:
-    """The models with a unique slug each: the name; if taken, with the library's key; if taken too, with a number.
+    """Returns the models, each with a unique slug: its title; if taken, with its key, its library or a number added.
 
-    Models with an earlier place in the list are served first, so a name means the same model as long as no archive
-    is put before its own.
+    Slugs are assigned in the order of the list, so a slug means the same model as long as no archive is added before
+    its own.
     """
     taken: set[str] = set()
     named: list[Model] = []
@@ -122,7 +124,7 @@ def with_slugs(models: list[Model]) -> list[Model]:
 
 
 def slugify(text: str) -> str:
-    """Lower-case ASCII letters and digits with single hyphens: "Café table (2)" becomes "cafe-table-2"."""
+    """Returns `text` as lower-case ASCII letters and digits with single hyphens: "Café table (2)" → "cafe-table-2"."""
     ascii_only = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode()
     return re.sub(r"[^a-z0-9]+", "-", ascii_only.lower()).strip("-")
 

@@ -1,4 +1,4 @@
-"""What a mesh file claims to be and to hold, checked against its bytes before a parser spends memory on it."""
+"""Validates a mesh file's format and declared sizes against its bytes before a parser allocates memory for it."""
 
 import re
 import struct
@@ -24,15 +24,15 @@ def _obj(data: bytes, max_faces: int) -> None:
     faces = re.findall(rb"^[ \t]*f\b([^\r\n]*)", data, re.MULTILINE)
     if not faces:
         raise ValueError("it has no faces (`f a b c`)")
-    _few(sum(len(face.split()) - 2 for face in faces), max_faces)
+    _check_triangle_count(sum(len(face.split()) - 2 for face in faces), max_faces)
     number = rb"[ \t]+-?\d+(?:/-?\d*){0,2}"
     for face in faces:
-        # A backslash continues the line; what follows is then left to the parser.
+        # A backslash continues the line; the continuation is left to the parser.
         if not re.fullmatch(rb"(?:" + number + rb"){3,}[ \t]*\\?", face):
             raise ValueError(f"the face `f{face[:60].decode('latin-1')}` has no three vertex numbers")
     vertices = re.findall(rb"^[ \t]*v[ \t]+([^\r\n]*)", data, re.MULTILINE)
-    _few_vertices(len(vertices), max_faces)
-    _numbers(b" ".join(vertices))
+    _check_vertex_count(len(vertices), max_faces)
+    _check_numbers(b" ".join(vertices))
 
 
 def _ply(data: bytes, max_faces: int) -> None:
@@ -50,35 +50,35 @@ def _ply(data: bytes, max_faces: int) -> None:
                 raise ValueError("its header declares an element twice, or a negative number of them")
             counts[name] = row
         elif words[:1] == ["property"] and len(words) in (3, 5):
-            # A list may be empty: it needs its count only.
+            # A list may be empty, so at least its count is needed.
             kind = words[2] if words[1] == "list" else words[1]
             if kind not in _SIZES:
                 raise ValueError(f"its header names the unknown type {kind!r}")
-            # In text a value is at least a digit and a blank.
+            # In a text file a value takes at least a digit and a blank.
             needed += row * (2 if ascii_body else _SIZES[kind])
     if not counts.get("vertex") or not counts.get("face"):
         raise ValueError("it has no vertices or no faces")
-    _few(counts["face"], max_faces)
-    _few_vertices(counts["vertex"], max_faces)
+    _check_triangle_count(counts["face"], max_faces)
+    _check_vertex_count(counts["vertex"], max_faces)
     if needed > len(body) + 1:
         raise ValueError(f"its header declares at least {needed:,} bytes of elements, but {len(body):,} follow")
     if ascii_body and len(body.split(b"\n")) - 1 < sum(counts.values()):
         raise ValueError("it has fewer lines than its header declares")
     if ascii_body:
-        _numbers(body)
+        _check_numbers(body)
 
 
 def _stl(data: bytes, max_faces: int) -> None:
     if len(data) >= 84:
         (count,) = struct.unpack_from("<I", data, 80)
         if len(data) == 84 + 50 * count:
-            _few(count, max_faces)
+            _check_triangle_count(count, max_faces)
             return
     text = data[:4096].lstrip().lower()
     if not text.startswith(b"solid") or b"\0" in data:
         raise ValueError("it is neither text that begins with `solid` nor as long as its triangle count says")
     vertices = len(re.findall(rb"\bvertex\b", data, re.IGNORECASE))
-    _few(vertices // 3, max_faces)
+    _check_triangle_count(vertices // 3, max_faces)
     complete = len(re.findall(rb"\bvertex(?:[ \t]+[-+.\dA-Za-z]+){3}[ \t]*\r?$", data, re.IGNORECASE | re.MULTILINE))
     if not vertices:
         raise ValueError("it has no triangles")
@@ -98,9 +98,9 @@ def _off(data: bytes, max_faces: int) -> None:
     vertices, faces = int(counts[0]), int(counts[1])
     if vertices < 3 or faces < 1:
         raise ValueError("it has no vertices or no faces")
-    _few(faces, max_faces)
-    _few_vertices(vertices, max_faces)
-    _numbers(b" ".join(rest))
+    _check_triangle_count(faces, max_faces)
+    _check_vertex_count(vertices, max_faces)
+    _check_numbers(b" ".join(rest))
     if len(rest) - 1 < vertices + faces:
         raise ValueError(f"it declares {vertices:,} vertices and {faces:,} faces, but {len(rest) - 1:,} lines follow")
 
@@ -126,29 +126,30 @@ def _glb(data: bytes, max_faces: int) -> None:
         position = int(accessors[primitive["attributes"]["POSITION"]]["count"])
         corners += int(accessors[primitive["indices"]]["count"]) if "indices" in primitive else position
         vertices += position
-    # Counted as lists of triangles; strips of as many triangles have fewer corners.
-    _few(corners // 3, max_faces)
-    # Primitives may share one list of vertices, but the parser gives each a copy.
-    _few_vertices(vertices // 8, max_faces)
+    # Every primitive is counted as a triangle list; a strip of the same length has more, which the reader counts.
+    _check_triangle_count(corners // 3, max_faces)
+    # Primitives may share an accessor of vertices, but the parser copies it for each.
+    _check_vertex_count(vertices // 8, max_faces)
 
 
-def _numbers(text: bytes) -> None:
-    # Parsers stop at what is not a number and go on with what they have.
+def _check_numbers(text: bytes) -> None:
+    # Parsers stop at the first word that is not a number and continue with the numbers read so far.
     strange = text.translate(None, b"0123456789+-.eE \t\r\nnaifNAIF")
     if strange:
         raise ValueError(f"it has {strange[:20].decode('latin-1')!r} where there should be numbers")
 
 
-def _few(triangles: int, max_faces: int) -> None:
+def _check_triangle_count(triangles: int, max_faces: int) -> None:
     if triangles > max_faces:
         raise ValueError(f"it declares {triangles:,} triangles; at most {max_faces:,} are taken")
 
 
-def _few_vertices(vertices: int, max_faces: int) -> None:
-    # A triangle has three; more than that are not used.
+def _check_vertex_count(vertices: int, max_faces: int) -> None:
+    # A triangle has three vertices, so more than three per triangle are unused.
     if vertices > 3 * max_faces:
         raise ValueError(f"it declares {vertices:,} vertices; at most {3 * max_faces:,} are taken")
 
 
 CHECKS: dict[str, Callable[[bytes, int], None]] = {"obj": _obj, "ply": _ply, "stl": _stl, "glb": _glb, "off": _off}
-"""By kind: raises ValueError (or whatever its parsing trips over) if the file cannot be what it claims to be."""
+"""Validators by file kind. Each takes the bytes and the largest number of triangles, and raises ValueError (or another
+exception of its parsing) if the file cannot be valid."""

@@ -1,7 +1,7 @@
-"""The scene of a request: camera, objects, lights, ground.
+"""Defines the scene of a request: camera, objects, lights and ground.
 
-Angles in radians, lengths in scene units (an object of scale 1 fits the frame at the paper's distance of 1.8), +y up,
-colours in [0,1]. Every field has a default that works and bounds that are checked before anything is queued.
+Angles are in radians, lengths in scene units (an object of scale 1 fits the frame at the paper's distance of 1.8),
+colours in [0,1]; +y is up. Every field but the mesh has a default, and bounds that are checked before a job is queued.
 """
 
 from math import pi
@@ -19,22 +19,23 @@ Colour = tuple[Unit, Unit, Unit]
 Pixels = Annotated[int, Field(ge=1, le=2048)]
 
 ELEVATION = 0.3490658503988659
-"""π/9, the paper's fixed elevation."""
+"""The paper's fixed elevation, π/9 radians."""
 DISTANCE = 1.8
-"""The paper's fixed distance."""
+"""The paper's fixed camera distance, scene units."""
 FIELD_OF_VIEW = 0.8575
-"""49.1°, vertical: Blender's default lens, which the paper's views were taken with."""
+"""Vertical field of view, radians (49.1°): that of Blender's default lens, which the paper's views have."""
 GROUND = 128 / 255
+"""Default displayed value of the ground's channels."""
 MAP_SIZES = ((4, 8), (8, 16), (16, 32), (32, 64), (64, 128))
 """Sizes of environment maps that "auto" chooses from, the smallest first; the last is the largest there is."""
 MAX_LIGHTS = 4
-"""Lights of each kind, as many as pyrender has."""
+"""Maximum number of lights of each kind; pyrender's limit."""
 MIN_LENGTH = 1e-3
-"""Of a direction's largest coordinate, so that rounding does not turn it."""
+"""Lower bound of a direction's largest absolute coordinate, below which rounding would change the direction."""
 
 
 class Model(BaseModel):
-    """Base of every part of a request: frozen, no unknown fields."""
+    """Base class of every part of a request: frozen, without unknown fields."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -55,13 +56,13 @@ class Camera(Model):
     size: tuple[Pixels, Pixels] = Field((224, 224), description="height and width in pixels; the paper's is 448×448")
     viewer: Literal["distant", "perspective"] = Field(
         "distant",
-        description="what highlights see of the viewer (torch): one direction for all pixels, as in the paper, or each "
-        "pixel's own; at distance 3 the two differ by up to a third of a highlight",
+        description="viewer direction of highlights (torch): the same for all pixels, as in the paper, or each pixel's "
+        "own; at distance 3 the two differ by up to a third of a highlight",
     )
 
 
 class SceneObject(Model):
-    """One mesh in the scene, with its surface and its pose."""
+    """A mesh in the scene, with its surface and its pose."""
 
     mesh: str = Field(
         min_length=1,
@@ -87,13 +88,13 @@ class PointLight(Model):
 
 
 class DirectionalLight(Model):
-    """Light of the pyrender renderer from infinitely far away, alike everywhere; the sun."""
+    """A light of the pyrender renderer at infinite distance, with parallel rays, like the sun."""
 
     energy: Annotated[float, Field(ge=0, le=10_000, allow_inf_nan=False)] = Field(
         3.0, description="irradiance of a surface that faces it; 3 is about that of the default point light"
     )
     direction: Vector = Field(
-        (-1.2, -2.0, -1.5), description="the way its light travels; of any length above 0, which means nothing"
+        (-1.2, -2.0, -1.5), description="direction in which its light travels; any length above 0, which has no effect"
     )
 
     @field_validator("direction")
@@ -110,14 +111,14 @@ class SpotLight(Model):
     )
     position: Vector = Field((1.2, 2.0, 1.5), description="scene units")
     direction: Vector = Field(
-        (-1.2, -2.0, -1.5), description="the axis of its cone, away from the light; of any length above 0"
+        (-1.2, -2.0, -1.5), description="axis of its cone, pointing away from the light; any length above 0"
     )
     inner_angle: Annotated[float, Field(ge=0, le=pi / 2, allow_inf_nan=False)] = Field(
         0.0, description="angle from the axis where the light begins to fall off, radians; 0 to below `outer_angle`"
     )
     outer_angle: Annotated[float, Field(gt=0, le=pi / 2, allow_inf_nan=False)] = Field(
         pi / 4,
-        description="angle from the axis where it has fallen to nothing, radians; at most π/2",
+        description="angle from the axis where the light has fallen to 0, radians; at most π/2",
         validate_default=True,  # against an inner angle that was given
     )
 
@@ -154,12 +155,12 @@ class Environment(Model):
 
     @property
     def texels(self) -> tuple[int, int]:
-        """Rows and columns; the largest there are as long as "auto" has not been decided."""
+        """Rows and columns of the map; the largest size while "auto" is undecided."""
         return MAP_SIZES[-1] if self.size == "auto" else self.size
 
 
 class Lights(Model):
-    """All light of a scene. The torch renderer uses the environment, pyrender the others."""
+    """All lights of a scene. The torch renderer uses the environment map, pyrender the others."""
 
     ambient: Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)] = Field(
         0.4, description="mean radiance of the light from all around, brighter above (pyrender)"
@@ -177,14 +178,14 @@ class Lights(Model):
 
 
 class Scene(Model):
-    """What the camera sees. `{}` plus one object is a complete scene."""
+    """A complete scene. Only `objects` has no default."""
 
     camera: Camera = Camera()
     objects: tuple[SceneObject, ...] = Field(min_length=1, max_length=16)
     lights: Lights = Lights()
     ground: Colour = Field(
         (GROUND, GROUND, GROUND),
-        description="colour behind the objects as displayed; rounded to k/255, so that saving moves nothing",
+        description="displayed colour behind the objects; rounded to k/255, so that 8-bit images keep it exactly",
     )
 
     @field_validator("ground")

@@ -1,12 +1,12 @@
-"""Environment maps: light from every direction, as radiance on a grid of polar angle and azimuth.
+"""Environment maps: radiance from every direction, on a grid of polar angle and azimuth.
 
 Everywhere in this project row i of a map of `rows` rows is the polar angle θ = (i + ½)π/rows from +y and column j of
 `cols` columns the azimuth φ = (j + ½)2π/cols, measured about +y from +z towards +x: the direction
 (sin θ sin φ, cos θ, sin θ cos φ).
 
-Equirectangular image files run the other way round, because they are drawn as seen from inside: their top row is
-straight up, their middle column is +x, and going right the view turns to +z, −x, −z (Blender's and three.js's reading,
-with +y up). `from_image` turns one into the other.
+Equirectangular image files have the opposite azimuth, as they show the sphere from inside: their top row is straight
+up, their middle column is +x, and columns further right show +z, −x, −z (the convention of Blender and three.js, with
++y up). `from_image` converts them.
 """
 
 import hashlib
@@ -25,8 +25,10 @@ from services.scenes.mesh import Doubles, Floats
 
 @dataclass(frozen=True, eq=False)
 class EnvironmentMap:
-    """radiance: float32 [rows, cols, 3], linear, finite, at least 0, in this project's directions. sha256: of the
-    file. credit: the line to show.
+    """An environment map.
+
+    radiance: linear RGB, float32 [rows, cols, 3], finite, ≥ 0, in this project's directions. sha256: the hex digest of
+    the file. credit: the attribution line, or None.
     """
 
     name: str
@@ -36,9 +38,9 @@ class EnvironmentMap:
 
 
 def read_exr(path: Path, credit: str | None) -> EnvironmentMap:
-    """A map from an equirectangular OpenEXR image.
+    """Reads a map from an equirectangular OpenEXR image.
 
-    Raises JobFailure("asset-missing") if the file cannot be read or has no colours, and as `radiance_of` does.
+    Raises JobFailure("asset-missing") if the file cannot be read or has no colours, and the errors of `radiance_of`.
     """
     try:
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
@@ -54,16 +56,16 @@ def read_exr(path: Path, credit: str | None) -> EnvironmentMap:
 
 
 def uniform() -> EnvironmentMap:
-    """The same radiance, 1, from every direction."""
+    """Returns the map with radiance 1 in every direction."""
     radiance = np.ones((1, 4, 3), np.float32)
     return EnvironmentMap("uniform", radiance, hashlib.sha256(radiance.tobytes()).hexdigest(), credit=None)
 
 
 def radiance_of(pixels: NDArray[Any]) -> Floats:
-    """The radiance that the pixels [h,w,3] of a file stand for, in this project's directions.
+    """Converts the pixels [h,w,3] of an equirectangular file to radiance, float32, in this project's directions.
 
     Negative values, which filters leave beside bright spots, become 0. Raises InvalidRequest("environment", …) for
-    values that are not finite: what was bright enough to overflow is not dark, and how bright it was is not known.
+    values that are not finite: an overflowed value was bright, and its radiance is unknown.
     """
     values = np.asarray(pixels, np.float32)
     bad = int((~np.isfinite(values)).any(axis=-1).sum())
@@ -75,7 +77,7 @@ def radiance_of(pixels: NDArray[Any]) -> Floats:
 
 
 def from_image(image: Floats) -> Floats:
-    """An equirectangular image [h,w,3] in this project's directions (see the module's text)."""
+    """Converts an equirectangular image [h,w,3] to this project's directions (see the module's docstring)."""
     width = image.shape[1]
     mirrored = image[:, ::-1]
     # Image position u (0 left, 1 right) looks along the azimuth φ = 2π(¾ − u); mirrored, 1 − u comes first.
@@ -87,10 +89,10 @@ def from_image(image: Floats) -> Floats:
 
 
 def average(radiance: Floats, rows: int, cols: int, rotation: float = 0.0) -> Floats:
-    """The map on a grid of `rows` × `cols`, turned about +y by `rotation` radians: float32 [rows, cols, 3].
+    """Averages a map to `rows` × `cols` texels, turned about +y by `rotation` radians: float32 [rows, cols, 3].
 
-    Every texel is the mean radiance over its solid angle, each source texel counting by the solid angle they share, so
-    the light of the whole sphere stays the same for any grid. Positive rotations turn +z towards +x.
+    Every texel is the mean radiance over its solid angle, weighted by the solid angle shared with each source texel, so
+    the integral over the sphere is the same for any grid. Positive rotations turn +z towards +x.
     """
     height, width = radiance.shape[:2]
     source = np.cos(np.linspace(0, pi, height + 1))
@@ -104,7 +106,7 @@ def average(radiance: Floats, rows: int, cols: int, rotation: float = 0.0) -> Fl
 
 
 def _column_weights(width: int, cols: int, rotation: float) -> Doubles:
-    """Share [cols, width] of each source column in each target column of a map turned by `rotation`; rows sum to 1."""
+    """Returns the weight of each source column in each target column, [cols, width]; rows sum to 1."""
     # In units of source columns: target column j covers [low, low + span) of the unturned map, modulo the width.
     span = width / cols
     low = np.arange(cols) * span - rotation / (2 * pi) * width

@@ -1,4 +1,4 @@
-"""One furniture model, from its archive to a mesh: materials, upright, stretched to its catalogue size, fitted."""
+"""Loads a furniture model from its archive as a mesh: turned upright, scaled to its catalogue size, fitted."""
 
 import hashlib
 import posixpath
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
 
 def load_model(model: Model, furniture: Path, cache: Path) -> Mesh:
-    """The mesh of a catalogue model.
+    """Returns the mesh of a catalogue model.
 
-    furniture: the directory of the archives; cache: where processed meshes are kept. Its sha256 is that of the model
-    and every file it uses. Raises JobFailure("asset-missing") if the archive has gone or is damaged.
+    `furniture` is the directory of the archives, `cache` that of processed meshes. The mesh's sha256 covers the model's
+    size and rotation and every file it uses. Raises JobFailure("asset-missing") if the archive is missing or damaged.
     """
     try:
         with zipfile.ZipFile(furniture / model.archive) as archive:
@@ -33,7 +33,7 @@ def load_model(model: Model, furniture: Path, cache: Path) -> Mesh:
     kept = mesh_path(cache, digest)
     parts = load_parts(kept)
     if parts is None:
-        # trimesh takes half a second to import, and a mesh that is kept already needs nothing of it
+        # trimesh takes half a second to import, and a cached mesh does not need it
         from services.scenes.surfaces import to_parts
         from services.scenes.wavefront import read_obj
 
@@ -43,9 +43,9 @@ def load_model(model: Model, furniture: Path, cache: Path) -> Mesh:
 
 
 def upright(model: Model, surfaces: "list[Surface]") -> "list[Surface]":
-    """Surfaces turned by the model's rotation and stretched to its width, height and depth, in centimetres.
+    """Returns the surfaces turned by the model's rotation and scaled to its width, height and depth, in centimetres.
 
-    A side without extent (a flat image) keeps what it has.
+    An axis along which the model has no extent (a flat image) is not scaled.
     """
     rotation = np.asarray(model.rotation, np.float64).reshape(3, 3)
     turned = [surface.vertices @ rotation.T for surface in surfaces]
@@ -58,8 +58,8 @@ def upright(model: Model, surfaces: "list[Surface]") -> "list[Surface]":
 
 
 def _files(archive: zipfile.ZipFile, path: str) -> dict[str, bytes]:
-    """The model's own files by name relative to it: OBJ, its material library, its textures."""
-    archive.getinfo(path)  # a KeyError if the model itself is not there
+    """Returns the contents of the model's OBJ file, material libraries and textures, by name relative to its folder."""
+    archive.getinfo(path)  # raises KeyError if the model itself is missing
     folder = posixpath.dirname(path) + "/"
     names = sorted(name for name in archive.namelist() if name.startswith(folder) and not name.endswith("/"))
     wanted = (".obj", ".mtl", ".png", ".jpg", ".jpeg", ".bmp", ".gif")

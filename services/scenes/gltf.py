@@ -1,7 +1,8 @@
-"""From a binary glTF file to the parts of a mesh: every triangle of its scene in its place, with its material.
+"""Reads a binary glTF file as the parts of a mesh: every triangle of its scene, transformed, with its material.
 
-Nothing is smoothed, welded or turned over: glTF states normals, winding and tangents, and says what holds where they
-are left out (flat normals; tangents along the texture). Khronos, glTF 2.0 specification, 3.5 to 3.9.
+Vertices are not smoothed or welded and faces are not flipped: glTF states normals, winding and tangents, and
+defines the defaults where they are left out (flat normals; tangents along the texture). Khronos, glTF 2.0
+specification, 3.5 to 3.9.
 """
 
 from collections.abc import Iterator
@@ -17,13 +18,13 @@ from services.scenes.tangents import derive_tangents
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _MIN_HEIGHT = 1e-6
-"""Height to length of a triangle below which a normal from float32 coordinates is noise."""
+"""Ratio of a triangle's height to its longest edge below which a normal from float32 coordinates is noise."""
 
 
 def read_gltf(data: bytes, max_faces: int) -> tuple[Part, ...]:
-    """The parts of a GLB file's scene, fitted to the frame; those that blend come last.
+    """Returns the parts of a GLB file's scene, fitted to the frame; alpha-blended parts come last.
 
-    Raises ValueError, which names the part of the file, for what is wrong in it (`GltfFile`, `read_material`), for
+    Raises ValueError, which names the element of the file, for invalid elements (`GltfFile`, `read_material`), for
     vertices that are not finite or beyond MAX_COORDINATE, and for more than `max_faces` triangles or none with an area.
     """
     file = GltfFile(data)
@@ -59,12 +60,12 @@ class _Primitive:
         self.vertices, self.faces, self.attributes, self.material = vertices, faces, attributes, material
 
     def placed(self, transform: Doubles) -> "_Primitive":
-        """A copy in the file's frame. Mirroring turns the winding over, so that outsides stay outsides."""
+        """Returns a copy transformed by [4,4]. A mirroring transform also reverses the winding."""
         linear = transform[:3, :3]
         mirrored = np.linalg.det(linear) < 0
         attributes = dict(self.attributes)
         if "NORMAL" in attributes:
-            # The cofactors are the inverse transpose times the determinant; they exist for flat transforms too.
+            # The cofactor matrix is det · inverse transpose; it exists for singular transforms too.
             columns = linear.T
             cofactors = np.stack([np.cross(columns[(k + 1) % 3], columns[(k + 2) % 3]) for k in range(3)], axis=1)
             attributes["NORMAL"] = attributes["NORMAL"] @ cofactors.T * (-1.0 if mirrored else 1.0)
@@ -76,13 +77,13 @@ class _Primitive:
         return _Primitive(self.vertices @ linear.T + transform[:3, 3], faces, attributes, self.material)
 
     def taken(self, index: Longs, faces: Longs) -> "_Primitive":
-        """The vertices `index` in this order, and other faces."""
+        """Returns the vertices `index`, in this order, with the given faces."""
         attributes = {name: values[index] for name, values in self.attributes.items()}
         return _Primitive(self.vertices[index], faces, attributes, self.material)
 
 
 def _instances(file: GltfFile) -> Iterator[tuple[int, Doubles]]:
-    """The meshes of the scene and where they are [4,4], in the order of its tree of nodes."""
+    """Yields the index and the transform [4,4] of each mesh in the scene, in depth-first order of its nodes."""
     scenes = file.list("scenes")
     if scenes:
         roots = file.item("scenes", file.tree.get("scene", 0)).get("nodes", [])
@@ -104,7 +105,7 @@ def _instances(file: GltfFile) -> Iterator[tuple[int, Doubles]]:
 
 
 def _transform(node: dict[str, Any], where: str) -> Doubles:
-    """A node's own matrix [4,4]: stated, or a translation after a rotation after a scale."""
+    """Returns a node's local matrix [4,4]: the stated matrix, or translation · rotation · scale."""
     limit = MAX_COORDINATE
     if "matrix" in node:
         return numbers(node, "matrix", tuple(np.eye(4).ravel()), -limit, limit, where).reshape(4, 4).T
@@ -127,7 +128,7 @@ def _transform(node: dict[str, Any], where: str) -> Doubles:
 
 
 def _primitive(file: GltfFile, entry: Any, where: str) -> _Primitive | None:
-    """A primitive with only the vertices that its triangles use; None for points and lines."""
+    """Reads a primitive, with only the vertices that its triangles use; returns None for points and lines."""
     mode = entry.get("mode", _TRIANGLES)
     if mode not in (_TRIANGLES, _STRIP, _FAN):
         return None
@@ -166,14 +167,14 @@ def _primitive(file: GltfFile, entry: Any, where: str) -> _Primitive | None:
 
 
 def _parts(primitives: list[_Primitive], materials: list[Material]) -> tuple[Part, ...]:
-    """Scaled to the frame, without triangles of no area. Raises ValueError if none is left."""
+    """Returns the parts without degenerate triangles, fitted to the frame. Raises ValueError if no triangle is left."""
     points = np.concatenate([primitive.vertices for primitive in primitives])
     if not np.isfinite(points).all() or np.abs(points).max() > MAX_COORDINATE:
         raise ValueError(f"its nodes put vertices beyond {MAX_COORDINATE:g}")
     extent = float((points.max(axis=0) - points.min(axis=0)).max())
     if extent < 1 / MAX_COORDINATE:
         raise ValueError("all its vertices are at one point: it has no area")
-    # Files come in every unit; in their own, areas could over- or underflow.
+    # Files use any unit; in the file's own unit areas could overflow or underflow.
     middle = points.mean(axis=0)
     parts = []
     for primitive, material in zip(primitives, materials, strict=True):
@@ -197,7 +198,7 @@ def _blends(part: Part) -> bool:
 def _part(primitive: _Primitive, material: Material) -> Part:
     given = primitive.attributes
     flat = "NORMAL" not in given
-    if flat:  # each triangle has corners of its own
+    if flat:  # give each triangle its own vertices
         primitive = primitive.taken(primitive.faces.ravel(), np.arange(primitive.faces.size).reshape(-1, 3))
     normals = _normals(primitive)
     for name, texture in material.maps.items():
@@ -239,7 +240,7 @@ def _part(primitive: _Primitive, material: Material) -> Part:
 
 
 def _normals(primitive: _Primitive) -> Doubles:
-    """Unit normals [V,3]: the file's, and a face's where the file has none or one without a length."""
+    """Returns unit normals [V,3]: the file's, or a face's where the file has none or a zero vector."""
     corners = primitive.vertices[primitive.faces]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals = np.empty_like(primitive.vertices)
@@ -252,5 +253,5 @@ def _normals(primitive: _Primitive) -> Doubles:
 
 
 def _upwards(uv: Doubles) -> Doubles:
-    """Texture coordinates with v upwards, as OpenGL has them; glTF's run down."""
+    """Converts glTF's texture coordinates (v downwards) to OpenGL's (v upwards)."""
     return np.stack([uv[:, 0], 1 - uv[:, 1]], axis=1)

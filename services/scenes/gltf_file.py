@@ -1,4 +1,4 @@
-"""A binary glTF 2.0 file (GLB): its JSON, its accessors as arrays, its images. Khronos, glTF 2.0 specification, 3.6."""
+"""Reads a binary glTF 2.0 file (GLB): its JSON, its accessors as arrays, its images (Khronos, glTF 2.0, 3.6)."""
 
 import base64
 import binascii
@@ -16,7 +16,7 @@ from PIL import Image
 from services.scenes.mesh import Doubles, Longs
 
 READ_EXTENSIONS = ("KHR_mesh_quantization",)
-"""Extensions that a file may require."""
+"""glTF extensions that are supported and that a file may therefore require."""
 
 _TYPES = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
 _COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
@@ -25,11 +25,10 @@ _BASE64 = ";base64,"
 
 
 class GltfFile:
-    """The parts of a GLB file. Every method raises ValueError, which names the part, if what it reads is wrong."""
+    """The elements of a GLB file. Every method raises ValueError, which names the element, if it is invalid."""
 
     def __init__(self, data: bytes) -> None:
-        """Raises ValueError if the chunks are not those of a glTF 2 file, or if the file requires an extension that is
-        not read."""
+        """Raises ValueError if `data` is not in the chunks of a glTF 2 file or requires an unsupported extension."""
         self._binary = b""
         tree: Any = None
         position = 12
@@ -53,14 +52,14 @@ class GltfFile:
         self._images: dict[int, Image.Image] = {}
 
     def list(self, name: str) -> list[Any]:
-        """A top-level array of the JSON, empty if it is left out."""
+        """Returns a top-level array of the JSON; empty if the JSON does not have it."""
         found = self.tree.get(name, [])
         if not isinstance(found, list):
             raise ValueError(f"its {name} are not a list")
         return found
 
     def item(self, name: str, index: Any) -> dict[str, Any]:
-        """An element of a top-level array."""
+        """Returns an element of a top-level array."""
         entries = self.list(name)
         if not isinstance(index, int) or isinstance(index, bool) or not 0 <= index < len(entries):
             raise ValueError(f"it refers to {name}[{index!r}], which is not there")
@@ -70,21 +69,21 @@ class GltfFile:
         return found
 
     def values(self, index: Any, columns: tuple[int, ...]) -> Doubles:
-        """An accessor as float64 [count, columns]; normalized integers lie in [0,1] or [-1,1]."""
+        """Returns an accessor's values, float64 [count, columns]; normalized integers are mapped to [0,1] or [-1,1]."""
         stored = self._array(index, columns)
         if not self.item("accessors", index).get("normalized", False) or stored.dtype == np.float32:
             return stored.astype(np.float64)
         return np.maximum(stored / float(np.iinfo(stored.dtype).max), -1.0)
 
     def indices(self, index: Any) -> Longs:
-        """An accessor of unsigned integers as int64 [count]."""
+        """Returns the values of an accessor of unsigned integers, int64 [count]."""
         stored = self._array(index, (1,))
         if stored.dtype.kind != "u":
             raise ValueError(f"accessors[{index}] holds indices, but not as unsigned integers")
         return stored[:, 0].astype(np.int64)
 
     def image(self, index: Any) -> Image.Image:
-        """An image, not yet decoded; the same object each time."""
+        """Returns an image, not yet decoded; each call for an index returns the same object."""
         if index not in self._images:
             entry = self.item("images", index)
             if "bufferView" in entry:
@@ -139,7 +138,7 @@ class GltfFile:
 
 
 def _embedded(uri: Any, where: str) -> bytes:
-    """The bytes of a data URI; other addresses are never followed."""
+    """Returns the bytes of a data URI. Other URIs are never fetched: they raise ValueError."""
     if not isinstance(uri, str) or not uri.startswith("data:") or _BASE64 not in uri:
         raise ValueError(f"{where} is not in the file; only what is in the file is read")
     try:
@@ -157,9 +156,9 @@ def _size(value: Any, where: str) -> int:
 def numbers(
     entry: dict[str, Any], name: str, default: tuple[float, ...], low: float, high: float, where: str
 ) -> Doubles:
-    """A property of as many finite numbers as `default` has, each in [low, high]; float64.
+    """Returns a property that is a list of finite numbers in [low, high], as long as `default`; float64.
 
-    Raises ValueError, which names the property, for anything else.
+    Raises ValueError, which names the property, for any other value.
     """
     given = entry.get(name, default)
     if not isinstance(given, list | tuple) or len(given) != len(default):
@@ -168,7 +167,7 @@ def numbers(
 
 
 def number(entry: Any, name: str, default: float, low: float, high: float, where: str) -> float:
-    """As `numbers`, a property of one number."""
+    """Returns a property that is a single finite number in [low, high]. Raises ValueError, which names the property."""
     if not isinstance(entry, dict):
         raise ValueError(f"{where} is not an object")
     return _checked(entry.get(name, default), low, high, f"{where}.{name}")

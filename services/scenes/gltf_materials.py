@@ -1,4 +1,4 @@
-"""Metallic-roughness materials of a glTF file, validated. Khronos, glTF 2.0 specification, 3.9."""
+"""Reads and validates the metallic-roughness materials of a glTF file (Khronos, glTF 2.0 specification, 3.9)."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ _MODES: tuple[AlphaMode, ...] = ("OPAQUE", "MASK", "BLEND")
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """What a glTF file says of a material, with glTF's defaults; the fields are those of `MetallicRoughness`."""
+    """A material of a glTF file, with glTF's defaults. Its fields are those of `MetallicRoughness`, and `color`."""
 
     color: Floats
     metallic: float
@@ -32,7 +32,7 @@ class Material:
 
 
 def read_material(file: GltfFile, index: Any, textures: Textures) -> Material:
-    """materials[index]; None is glTF's default material: white, metallic 1, roughness 1.
+    """Reads materials[index]; None is glTF's default material: white, metallic 1, roughness 1.
 
     Raises ValueError, which names the property, for factors that are not finite or out of range, unknown alpha modes,
     and textures that are not images.
@@ -95,6 +95,6 @@ def _map(file: GltfFile, info: Any, textures: Textures, where: str) -> TextureMa
         raise ValueError(f"{where} wraps as {wrap!r}, which glTF has not")
     try:
         texels = textures.read(file.image(texture["source"]))
-    except (OSError, SyntaxError) as error:  # damaged behind its header
+    except (OSError, SyntaxError) as error:  # its header is intact, its data is not
         raise ValueError(f"{where}: images[{texture['source']}] is not a readable PNG or JPEG image") from error
     return TextureMap(texels, uv_set, wrap)

@@ -1,4 +1,4 @@
-"""Everything a scene can name: furniture, primitives, uploaded meshes, environment maps; with who made it."""
+"""The library of assets that a scene can name: furniture, primitives, uploaded meshes, environment maps."""
 
 import re
 import threading
@@ -19,12 +19,12 @@ from services.scenes.uploads import Upload, Uploads
 from services.suggestions import did_you_mean
 
 KEPT_MESHES = 32
-"""Meshes kept in memory, the latest used; a large one has some 30 MB."""
+"""Number of recently used meshes kept in memory; a large mesh takes about 30 MB."""
 SETUP = "run scripts/setup to fetch the furniture library and the environment maps"
 
 
 class Entry(BaseModel):
-    """One thing a scene can name, and whom to thank for it. `size` is width, depth, height in centimetres."""
+    """An asset that a scene can name, with its attribution. `size` is width, depth and height in centimetres."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -40,7 +40,7 @@ class Entry(BaseModel):
 
 
 class Library:
-    """The assets of an installation. cache_dir holds what scripts/setup fetched, data_dir what users uploaded.
+    """The assets of an installation: cache_dir holds the files that scripts/setup fetched, data_dir those of users.
 
     Safe to share between threads. Two Libraries on the same directories see the same assets.
     """
@@ -56,7 +56,7 @@ class Library:
         self._maps: dict[str, EnvironmentMap] = {}
 
     def mesh(self, name: str) -> Mesh:
-        """The mesh of that name: `furniture/<slug>`, `primitive/<name>` or `sha256:<hex>` of an upload.
+        """Returns the mesh of that name: `furniture/<slug>`, `primitive/<name>` or `sha256:<hex>` of an upload.
 
         Raises InvalidRequest("mesh", …) for an unknown name, with close matches, and JobFailure("asset-missing") if
         its file is damaged.
@@ -79,10 +79,10 @@ class Library:
         licence: str | None = None,
         search: str | None = None,
     ) -> list[Entry]:
-        """Meshes, by kind and then by name; each filter that is given must hold, without regard to case.
+        """Lists the meshes that match every filter, case-insensitively, by kind and then by name.
 
-        category, creator and licence must be equal; every word of search must be part of the name, the title, the
-        category or the creator. Without the furniture library there is no furniture in the list.
+        category, creator and licence match if they are equal; search matches if every word of it is part of the name,
+        title, category or creator. Furniture is listed only if its library is installed.
         """
         words = (search or "").lower().split()
 
@@ -98,13 +98,14 @@ class Library:
         return [entry for entry in self._all() if matches(entry)]
 
     def add_mesh(self, data: bytes, kind: str) -> Entry:
-        """Check an uploaded file (obj, ply, stl, glb or off) and store it by content; the same bytes give the same
-        entry. Raises InvalidRequest("file" or "kind", …).
+        """Validates an uploaded file (obj, ply, stl, glb or off), stores it by its SHA-256 and returns its entry.
+
+        The same bytes give the same entry. Raises InvalidRequest("file" or "kind", …).
         """
         return _uploaded(self._uploads.add(data, kind))
 
     def environment(self, name: str) -> EnvironmentMap:
-        """The environment map of that name. Raises InvalidRequest("environment", …) with close matches."""
+        """Returns the environment map of that name. Raises InvalidRequest("environment", …) with close matches."""
         with self._lock:
             if name not in self._maps:
                 known = {entry.name: entry for entry in self.environments()}
@@ -116,7 +117,7 @@ class Library:
             return self._maps[name]
 
     def environments(self) -> list[Entry]:
-        """The environment maps, by name; `uniform`, the same radiance 1 from everywhere, is always there."""
+        """Lists the environment maps by name; `uniform`, radiance 1 in every direction, is always among them."""
         maps = [_environment(path.stem) for path in self._environments.glob("*.exr")]
         even = Entry(
             name="uniform",
@@ -146,7 +147,7 @@ class Library:
 
     def _catalogue(self) -> dict[str, Model]:
         with self._lock:
-            # An empty catalogue is looked for again: the set-up may still be running.
+            # Read an empty catalogue again each time: the set-up may still be running.
             if not self._models:
                 self._models = read_catalogue(self._furniture, self._processed / "catalogue.json")
             return self._models

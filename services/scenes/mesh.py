@@ -1,4 +1,4 @@
-"""A mesh as renderers take it: triangles in parts, one surface each, upright, centred and scaled to fit the frame."""
+"""Defines the mesh that renderers take: parts with a surface each, upright, centred and scaled to fit the frame."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -17,7 +17,7 @@ Longs = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
 
 FIT_RADIUS = 0.9 * DISTANCE * sin(FIELD_OF_VIEW / 2)
-"""Bounding-sphere radius that fills nine tenths of the frame's height at the paper's distance, scene units."""
+"""Bounding-sphere radius of a fitted mesh, scene units: it fills 90 % of the frame's height at the paper's distance."""
 
 
 AlphaMode = Literal["OPAQUE", "MASK", "BLEND"]
@@ -39,7 +39,7 @@ class TextureMap:
 
 @dataclass(frozen=True, eq=False)
 class MetallicRoughness:
-    """A glTF 2.0 metallic-roughness material, and the vertex attributes that only it uses.
+    """A glTF 2.0 metallic-roughness material, and the vertex attributes that only such a material uses.
 
     metallic, roughness, alpha_cutoff, occlusion_strength: in [0,1]. normal_scale: factor on x and y of the normal map.
     emissive: linear RGB radiance. tangents: float32 [V,4], unit, with the sign of the bitangent cross(n, t); zeros
@@ -82,7 +82,7 @@ class Part:
 
     @property
     def textured(self) -> bool:
-        """Whether any image is on its surface."""
+        """Whether the surface has a texture of any kind."""
         return self.texture is not None or bool(self.metallic_roughness and self.metallic_roughness.maps)
 
 
@@ -90,7 +90,7 @@ class Part:
 class Mesh:
     """An object in its own frame: +y up, front towards +z, bounding-box centre at 0, bounding-sphere radius FIT_RADIUS.
 
-    sha256 is the hex digest of the source it was made from; credit is the line to show wherever the model is shown.
+    sha256 is the hex digest of the mesh's source; credit is the attribution line to show with the model, or None.
     """
 
     parts: tuple[Part, ...]
@@ -99,14 +99,14 @@ class Mesh:
 
     @property
     def triangles(self) -> int:
-        """Number of triangles in all parts."""
+        """Number of triangles of all parts."""
         return sum(len(part.faces) for part in self.parts)
 
 
 def fitted(parts: tuple[Part, ...]) -> tuple[Part, ...]:
-    """The parts moved and uniformly scaled together so that they fit the frame (see `Mesh`).
+    """Translates and uniformly scales the parts together so that they fit the frame (see `Mesh`).
 
-    Raises ValueError if they have no extent.
+    Raises ValueError if all vertices are at the same point.
     """
     points = np.concatenate([part.vertices for part in parts]).astype(np.float64)
     centre = (points.min(axis=0) + points.max(axis=0)) / 2

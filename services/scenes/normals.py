@@ -1,4 +1,4 @@
-"""Smooth vertex normals with a crease angle, for meshes as they are found: unwelded, doubled, partly inside out."""
+"""Computes smooth vertex normals with a crease angle, for unwelded meshes with duplicate or flipped faces."""
 
 from dataclasses import dataclass
 from math import cos, pi
@@ -11,17 +11,17 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 from services.scenes.mesh import Doubles, Longs
 
 CREASE_ANGLE = 40 * pi / 180
-"""Faces that meet at less than this angle are shaded as one smooth surface, radians."""
+"""Default crease angle, radians: faces that meet at a smaller angle are shaded as a smooth surface."""
 WELD = 1e-5
-"""Vertices closer than about this fraction of the mesh's diagonal are one point for shading."""
+"""Welding distance as a fraction of the mesh's diagonal: closer vertices count as the same point for shading."""
 
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """Vertices split where shading is not smooth.
+    """A mesh whose vertices are split where shading is not smooth.
 
-    `source` int64 [V]: the input vertex each vertex is a copy of; `normals` float64 [V,3]; `faces` int64 [F,3] into
-    them, with consistent winding; `kept` int64 [F]: the input face each came from.
+    source: int64 [V], the index of the input vertex that each vertex copies. normals: float64 [V,3], unit. faces: int64
+    [F,3], indices of these vertices, with consistent winding. kept: int64 [F], the index of each face in the input.
     """
 
     source: Longs
@@ -31,14 +31,13 @@ class Smoothed:
 
 
 def smooth_normals(vertices: Doubles, faces: Longs, crease: float = CREASE_ANGLE) -> Smoothed:
-    """Unit vertex normals: the mean of the face normals around a vertex, weighted by the faces' angles there.
+    """Computes unit vertex normals: means of the face normals around a vertex, weighted by the faces' angles there.
 
-    vertices [V,3] finite, faces [F,3]. Two faces are averaged at a vertex if one can walk from one to the other around
-    it, over edges where the faces meet at less than `crease` radians. Vertices at the same place count as one vertex
-    for this, so that texture seams and unshared vertices do not show; the vertices themselves are not merged. Faces
-    without area and repeated faces are dropped, faces wound against their neighbours are turned over (the winding of
-    most of the connected area is kept). Angle weights (Thürmer and Wüthrich 1998) do not depend on how a polygon
-    was cut into triangles.
+    vertices is finite [V,3], faces [F,3]. Two faces are averaged at a vertex if a path around it connects them over
+    edges where faces meet at less than `crease` radians. Coincident vertices count as the same vertex for this, so that
+    texture seams and unshared vertices do not show; the vertices themselves are not merged. Degenerate and duplicate
+    faces are dropped. Faces wound against their neighbours are flipped; the winding of most of a component's area is
+    kept. Angle weights (Thürmer and Wüthrich 1998) do not depend on the triangulation of a polygon.
     """
     points = weld(vertices)
     kept = usable_faces(vertices, faces, points)
@@ -61,11 +60,11 @@ def smooth_normals(vertices: Doubles, faces: Longs, crease: float = CREASE_ANGLE
         sums[:, axis] = np.bincount(groups.ravel(), weighted[:, :, axis].ravel(), minlength=len(sums))
     norms = np.linalg.norm(sums, axis=1)
 
-    # One output vertex per (input vertex, smooth fan): the seams of the input stay, and creases split.
+    # An output vertex per pair of input vertex and smooth fan: seams of the input stay, and creases are split.
     pairs, new = np.unique(faces.ravel() * np.int64(len(sums)) + groups.ravel(), return_inverse=True)
     source, group = np.divmod(pairs, len(sums))
     normals = sums[group] / np.maximum(norms[group], 1e-300)[:, None]
-    # A fan can cancel out (a folded-over sliver); any face of it is then as good as another.
+    # The normals of a fan may cancel (a folded sliver); then the normal of any of its faces is used.
     fallback = np.zeros(len(pairs), np.int64)
     fallback[new] = np.repeat(np.arange(len(faces)), 3)
     normals = np.where((norms[group] < 1e-9)[:, None], unit[fallback], normals)
@@ -113,10 +112,10 @@ def usable_faces(vertices: Doubles, faces: Longs, points: Longs) -> Longs:
 
 
 def _neighbours(corners: Longs) -> tuple[Longs, Longs, NDArray[np.bool_], NDArray[np.bool_]]:
-    """Pairs of faces that share an edge: first, second, whether they run along it in opposite directions (as they do
-    on a consistently wound surface), and whether they are the edge's only two faces.
+    """Returns the pairs of faces that share an edge, as four arrays: first, second, opposed, manifold.
 
-    Up to four faces at one edge all meet each other; of more, only those close in order.
+    opposed: the faces traverse the edge in opposite directions, as on a consistently wound surface. manifold: the edge
+    has only these two faces. Of up to four faces at an edge all pairs are returned; of more, only pairs close in order.
     """
     start, end = corners.ravel(), np.roll(corners, -1, axis=1).ravel()
     face = np.repeat(np.arange(len(corners)), 3)
@@ -139,7 +138,7 @@ def orientation(n: int, first: Longs, second: Longs, opposed: NDArray[np.bool_],
     graph = coo_array((np.ones(len(first), np.int8), (first, second)), shape=(n, n)).tocsr()
     _, component = connected_components(graph, directed=False)
     _, roots = np.unique(component, return_index=True)
-    # A virtual face n next to one face of every component makes one tree of all of them.
+    # A virtual face n, adjacent to a face of every component, joins all components into a tree.
     rows = np.concatenate([first, roots])
     columns = np.concatenate([second, np.full(len(roots), n)])
     joined = coo_array((np.ones(len(rows), np.int8), (rows, columns)), shape=(n + 1, n + 1)).tocsr()
@@ -165,7 +164,7 @@ def orientation(n: int, first: Longs, second: Longs, opposed: NDArray[np.bool_],
 
 
 def _angles(vertices: Doubles, faces: Longs) -> Doubles:
-    """The three inner angles of each face [F,3], radians."""
+    """Returns the three inner angles of each face, [F,3], radians."""
     corners = vertices[faces]
     after, before = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
     sine = np.linalg.norm(np.cross(after, before), axis=2)
@@ -174,11 +173,11 @@ def _angles(vertices: Doubles, faces: Longs) -> Doubles:
 
 
 def _groups(corners: Longs, first: Longs, second: Longs) -> Longs:
-    """A number for each corner [F,3]; corners at one point have the same if smooth edges (face pairs) join them."""
+    """Returns a group index for each corner, [F,3]; corners at a point share it if smooth edges connect their faces."""
     rows, columns = [], []
     for k in range(3):
         for m in range(3):
-            # Faces that share an edge share its two points: their corners there belong together.
+            # Faces that share an edge share its two points, so their corners there join the same group.
             same = corners[first, k] == corners[second, m]
             rows.append(first[same] * 3 + k)
             columns.append(second[same] * 3 + m)

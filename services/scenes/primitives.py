@@ -1,4 +1,4 @@
-"""Solids made from formulas, with exact normals."""
+"""Primitive solids with analytic normals."""
 
 import hashlib
 from collections.abc import Callable
@@ -8,15 +8,15 @@ import numpy as np
 
 from services.scenes.mesh import Doubles, Longs, Mesh, Part, fitted
 
-FINE = 128
-"""Segments around a round solid."""
+SEGMENTS = 128
+"""Number of segments around a round solid."""
 
 Shape = tuple[Doubles, Doubles, Longs]
 """Vertices [V,3], unit normals [V,3], faces [F,3]."""
 
 
 def primitive(name: str) -> Mesh:
-    """The primitive of that name (see PRIMITIVES), white, fitted to the frame. Raises KeyError."""
+    """Returns the primitive of that name (see PRIMITIVES), white, fitted to the frame. Raises KeyError if unknown."""
     vertices, normals, faces = PRIMITIVES[name]()
     part = Part(
         vertices=vertices.astype(np.float32),
@@ -31,7 +31,7 @@ def primitive(name: str) -> Mesh:
 
 
 def cube() -> Shape:
-    """A cube with flat sides."""
+    """Returns a cube with flat sides."""
     sides = []
     for axis in range(3):
         for sign in (-1.0, 1.0):
@@ -42,7 +42,7 @@ def cube() -> Shape:
 
 
 def sphere() -> Shape:
-    """A unit sphere of 20,480 near-equal triangles; it departs from round by less than 0.03 % of its radius."""
+    """Returns a unit sphere of 20,480 nearly equal triangles; its error is below 0.03 % of its radius."""
     import trimesh
 
     mesh = trimesh.creation.icosphere(subdivisions=5)
@@ -52,27 +52,27 @@ def sphere() -> Shape:
 
 
 def cylinder() -> Shape:
-    """A closed upright cylinder as high as it is wide."""
+    """Returns a closed upright cylinder as high as it is wide."""
     side = _revolved([(1, -1), (1, 1)], [(1, 0), (1, 0)])
     return _joined([side, _disk(1.0, 1.0), _disk(-1.0, -1.0)])
 
 
 def cone() -> Shape:
-    """A closed upright cone as high as it is wide."""
+    """Returns a closed upright cone as high as it is wide."""
     slope = np.array([2, 1]) / sqrt(5)
     return _joined([_revolved([(1, -1), (0, 1)], [slope, slope]), _disk(-1.0, -1.0)])
 
 
 def torus() -> Shape:
-    """A lying torus, its tube 0.4 times the radius of its circle."""
-    angle = np.linspace(0, 2 * pi, FINE // 2 + 1)
+    """Returns a horizontal torus whose minor radius is 0.4 times its major radius."""
+    angle = np.linspace(0, 2 * pi, SEGMENTS // 2 + 1)
     normal = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     return _revolved(np.array([1.0, 0.0]) + 0.4 * normal, normal)
 
 
 def capsule() -> Shape:
-    """An upright cylinder with hemispheres for ends."""
-    angle = np.linspace(0, pi / 2, FINE // 4 + 1)
+    """Returns an upright cylinder with hemispherical ends."""
+    angle = np.linspace(0, pi / 2, SEGMENTS // 4 + 1)
     dome = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     normal = np.concatenate([dome[::-1] * (1, -1), dome])
     centre = np.repeat([(0.0, -0.5), (0.0, 0.5)], len(dome), axis=0)
@@ -80,7 +80,7 @@ def capsule() -> Shape:
 
 
 def plane() -> Shape:
-    """A square facing +z."""
+    """Returns a square facing +z."""
     square = np.array([(-1.0, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
     return square, np.tile([0.0, 0.0, 1.0], (4, 1)), _QUAD
 
@@ -102,16 +102,16 @@ def _joined(shapes: list[Shape]) -> Shape:
 
 
 def _revolved(profile: object, normals: object) -> Shape:
-    """The surface that a profile of (radius, height) points, from its lowest outwards and up, sweeps about +y."""
+    """Revolves a profile of (radius, height) points, ordered from the lowest outwards and up, about +y."""
     points, across = np.asarray(profile, np.float64), np.asarray(normals, np.float64)
-    angle = np.arange(FINE + 1) * (2 * pi / FINE)
-    # The seam repeats its points exactly.
+    angle = np.arange(SEGMENTS + 1) * (2 * pi / SEGMENTS)
+    # The last column of points equals the first exactly.
     angle[-1] = 0.0
     around = np.stack([np.sin(angle), np.zeros_like(angle), np.cos(angle)], axis=1)
     up = np.array([0.0, 1.0, 0.0])
     vertices, normal = (around[:, None, :] * pair[None, :, :1] + up * pair[None, :, 1:] for pair in (points, across))
     rows = len(points)
-    i, j = np.meshgrid(np.arange(FINE), np.arange(rows - 1), indexing="ij")
+    i, j = np.meshgrid(np.arange(SEGMENTS), np.arange(rows - 1), indexing="ij")
     a = (i * rows + j).ravel()
     faces = np.concatenate([np.stack([a, a + rows, a + rows + 1], 1), np.stack([a, a + rows + 1, a + 1], 1)])
     vertices, normal = vertices.reshape(-1, 3), normal.reshape(-1, 3)
@@ -121,12 +121,12 @@ def _revolved(profile: object, normals: object) -> Shape:
 
 
 def _disk(height: float, facing: float) -> Shape:
-    angle = np.arange(FINE) * (2 * pi / FINE)
-    rim = np.stack([np.sin(angle), np.full(FINE, height), np.cos(angle)], axis=1)
-    k = np.arange(FINE)
-    faces = np.stack([np.full(FINE, FINE), k, (k + 1) % FINE], axis=1)
+    angle = np.arange(SEGMENTS) * (2 * pi / SEGMENTS)
+    rim = np.stack([np.sin(angle), np.full(SEGMENTS, height), np.cos(angle)], axis=1)
+    k = np.arange(SEGMENTS)
+    faces = np.stack([np.full(SEGMENTS, SEGMENTS), k, (k + 1) % SEGMENTS], axis=1)
     vertices = np.concatenate([rim, [[0.0, height, 0.0]]])
-    return vertices, np.tile([0.0, facing, 0.0], (FINE + 1, 1)), faces if facing > 0 else faces[:, ::-1]
+    return vertices, np.tile([0.0, facing, 0.0], (SEGMENTS + 1, 1)), faces if facing > 0 else faces[:, ::-1]
 
 
 def _digest(part: Part) -> str:

@@ -1,4 +1,4 @@
-"""Java's .properties format, as far as catalogues use it: all of it but the XML variant."""
+"""Parses Java's .properties format, without its XML variant."""
 
 import re
 from collections.abc import Iterator
@@ -7,9 +7,10 @@ _ESCAPES = {"t": "\t", "n": "\n", "r": "\r", "f": "\f"}
 
 
 def parse_properties(data: bytes) -> dict[str, str]:
-    """Keys and values of a .properties file (Latin-1, backslash escapes, continued lines, `#` and `!` comments).
+    """Returns the keys and values of a .properties file.
 
-    Of a repeated key the last value counts. A malformed backslash-u escape is kept as written.
+    The file is Latin-1 with backslash escapes, continued lines, and comments that begin with `#` or `!`.
+    A repeated key keeps its last value. A malformed backslash-u escape is kept as written.
     """
     values: dict[str, str] = {}
     for line in _logical_lines(data.decode("latin-1")):

@@ -1,4 +1,4 @@
-"""Reading a mesh file that nobody vouches for."""
+"""Reads untrusted mesh files."""
 
 from collections.abc import Iterable
 from io import BytesIO
@@ -14,9 +14,10 @@ from services.scenes.mesh import Part
 from services.scenes.surfaces import read_surfaces, to_parts
 
 KINDS = tuple(CHECKS)
+"""The file kinds that are read."""
 
 
-class _Nothing(trimesh.resolvers.Resolver):  # type: ignore[misc]  # trimesh has no types
+class _NoFiles(trimesh.resolvers.Resolver):  # type: ignore[misc]  # trimesh has no types
     """Refuses every file or address that a mesh names: only the uploaded bytes are read."""
 
     def __init__(self) -> None:
@@ -31,16 +32,16 @@ class _Nothing(trimesh.resolvers.Resolver):  # type: ignore[misc]  # trimesh has
     def write(self, name: str, data: Any) -> None:
         raise NotImplementedError
 
-    def namespaced(self, namespace: str) -> "_Nothing":
+    def namespaced(self, namespace: str) -> "_NoFiles":
         raise FileNotFoundError(namespace)
 
 
 def read_mesh(data: bytes, kind: str, max_faces: int) -> tuple[Part, ...]:
-    """The parts of a mesh file, fitted to the frame.
+    """Returns the parts of a mesh file, fitted to the frame. `kind` is an element of KINDS.
 
-    kind: one of KINDS. Raises InvalidRequest("kind", …) for another, and InvalidRequest("file", …) if the bytes are
-    not what the kind says, declare more than they hold, cannot be parsed, have no triangles or more than `max_faces`,
-    have vertices that are not finite, or have no area.
+    Raises InvalidRequest("kind", …) for an unknown kind, and InvalidRequest("file", …) if the bytes are not of that
+    kind, declare more data than they hold, cannot be parsed, have no triangles or more than `max_faces`, have vertices
+    that are not finite, or have no area.
     """
     if kind not in CHECKS:
         raise InvalidRequest("kind", f"{kind!r} meshes are not read; one of {', '.join(KINDS)} is")
@@ -50,12 +51,12 @@ def read_mesh(data: bytes, kind: str, max_faces: int) -> tuple[Part, ...]:
         CHECKS[kind](data, max_faces)
         if kind == "glb":
             return read_gltf(data, max_faces)
-        # Numbers that are not finite are reported below, by name, not by whichever product met them first.
+        # Suppress numpy's warnings: numbers that are not finite are reported below, by name.
         with np.errstate(all="ignore"):
-            scene = trimesh.load_scene(BytesIO(data), file_type=kind, resolver=_Nothing(), process=False)
+            scene = trimesh.load_scene(BytesIO(data), file_type=kind, resolver=_NoFiles(), process=False)
     except ValueError as error:
         raise InvalidRequest("file", f"it is not a readable {kind} mesh: {error}") from error
-    except Exception as error:  # whatever a parser of five formats trips over, the file was wrong
+    except Exception as error:  # parsers raise many types of exceptions; in every case the file is invalid
         raise InvalidRequest("file", f"it is not a readable {kind} mesh ({type(error).__name__})") from error
     count = triangles(scene)
     if count > max_faces:
@@ -67,6 +68,6 @@ def read_mesh(data: bytes, kind: str, max_faces: int) -> tuple[Part, ...]:
 
 
 def triangles(scene: trimesh.Scene) -> int:
-    """Triangles of a scene, counting every instance, without making any of them."""
+    """Returns the number of triangles of a scene over all instances, without creating the instances."""
     counts = {name: len(getattr(geometry, "faces", ())) for name, geometry in scene.geometry.items()}
     return sum(counts[scene.graph[node][1]] for node in scene.graph.nodes_geometry)

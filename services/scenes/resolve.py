@@ -1,4 +1,4 @@
-"""From a description to what renderers take: meshes, matrices, light."""
+"""Resolves a scene description to the data that renderers take: meshes, matrices, light."""
 
 import hashlib
 import json
@@ -18,18 +18,18 @@ from services.scenes.mesh import FIT_RADIUS, Doubles, Floats, Mesh
 from services.scenes.view import camera_to_world, model_matrix, projection, visible_area
 
 VISIBLE = 1.0
-"""Pixels that an object's triangles must cover, hidden ones counted, for it to be in view."""
+"""Smallest area of an object's triangles in the frame, pixels, hidden ones included, for it to count as visible."""
 
 
 @dataclass(frozen=True, eq=False)
 class ResolvedScene:
-    """A scene with everything it names.
+    """A scene description with the loaded assets that it names.
 
-    meshes, models: one for each object; models are float64 [4,4], mesh to world. view: float64 [4,4], camera to world.
+    meshes, models: one per object; models are float64 [4,4], mesh to world. view: float64 [4,4], camera to world.
     projection: float64 [4,4], OpenGL. environment: float32 [rows, cols, 3], linear radiance in the directions of
-    services.scenes.environment, turned and averaged down. source_map: the map before that, float32 [h, w, 3], None
-    where `environment` was made otherwise. credits: lines to show with every image of the scene.
-    sha256: of the canonical description and the contents of every mesh and map in it.
+    services.scenes.environment, rotated and averaged down. source_map: the map at full resolution, float32 [h, w, 3],
+    or None if `environment` did not come from a library. credits: attribution lines to show with every image of the
+    scene. sha256: the hex digest of the canonical description and the contents of every mesh and map in it.
     """
 
     description: Scene
@@ -44,9 +44,9 @@ class ResolvedScene:
 
     @cached_property
     def finest_environment(self) -> Floats | None:
-        """The map averaged to the largest size, as `environment` is to its own; None where that is its own.
+        """The map averaged to the largest size; None if `environment` has that size or there is no source map.
 
-        A texel is one direction, so that it differs also where the source has no finer texels.
+        A texel is treated as a single direction, so results differ even if the source has no finer texels.
         """
         if self.source_map is None or self.environment.shape[:2] == MAP_SIZES[-1]:
             return None
@@ -59,10 +59,11 @@ class ResolvedScene:
 
 
 def resolve(scene: Scene, library: Library) -> ResolvedScene:
-    """Load what the scene names and place it.
+    """Loads the assets that the scene names and computes their transforms.
 
-    Raises InvalidRequest with the full path of what is wrong: "scene.objects.0.mesh" for an unknown mesh,
-    "scene.objects.0" for an object of which nothing is in the frame, "scene.lights.environment.map" for an unknown map.
+    Raises InvalidRequest with the path of the invalid field: "scene.objects.0.mesh" for an unknown mesh,
+    "scene.objects.0" for an object outside the frame or smaller than a pixel, "scene.lights.environment.map" for an
+    unknown map.
     """
     meshes = tuple(_mesh(library, k, placed.mesh) for k, placed in enumerate(scene.objects))
     light = scene.lights.environment
@@ -89,7 +90,7 @@ def resolve(scene: Scene, library: Library) -> ResolvedScene:
 
 
 def canonical_json(model: BaseModel) -> str:
-    """The one JSON text of a description: all fields, sorted keys, no blanks, shortest floats, no negative zero."""
+    """Returns the canonical JSON of a description: all fields, sorted keys, no blanks, shortest floats, no −0."""
 
     def plain(value: Any) -> Any:
         if isinstance(value, dict):
@@ -102,7 +103,7 @@ def canonical_json(model: BaseModel) -> str:
 
 
 def fingerprint(description: BaseModel, contents: Sequence[str]) -> str:
-    """SHA-256 (hex) of a description and the digests of what it names, in order."""
+    """Returns the SHA-256 (hex) of a description and of the digests `contents` of the assets it names, in order."""
     return hashlib.sha256("\n".join([canonical_json(description), *contents]).encode()).hexdigest()
 
 
@@ -114,7 +115,7 @@ def _mesh(library: Library, index: int, name: str) -> Mesh:
 
 
 def _far(scene: Scene, view: Doubles) -> float:
-    """A far plane behind everything, with room for objects that an attack moves."""
+    """Returns the distance of a far plane behind all objects, with room for objects that an attack moves."""
     reach = (
         float(np.linalg.norm(np.subtract(o.translation, view[:3, 3]))) + o.scale * FIT_RADIUS for o in scene.objects
     )

@@ -1,4 +1,4 @@
-"""From display values to linear radiance."""
+"""Converts displayed sRGB values to linear values."""
 
 import numpy as np
 
@@ -6,5 +6,5 @@ from services.scenes.mesh import Doubles
 
 
 def to_linear(display: Doubles) -> Doubles:
-    """Linear values of sRGB display values in [0,1]: the inverse sRGB curve (IEC 61966-2-1). Any shape."""
+    """Returns the linear values of displayed sRGB values in [0,1], of any shape: the inverse curve of IEC 61966-2-1."""
     return np.where(display <= 0.04045, display / 12.92, ((display + 0.055) / 1.055) ** 2.4)

@@ -1,4 +1,4 @@
-"""Processed meshes on disk, so that the second time is fast. Safe to delete at any moment."""
+"""Caches processed meshes on disk. The files may be deleted at any time."""
 
 import json
 import zipfile
@@ -12,18 +12,18 @@ from services import atomic_write
 from services.scenes.mesh import MetallicRoughness, Part, TextureMap
 
 FORMAT = 2
-"""Part of every file's name: raise it when anything that decides a processed mesh changes."""
+"""Version of the cache, part of every file's name. Increase it with any change to the processing of meshes."""
 VERTEX_ATTRIBUTES = ("tangents", "second_uv", "vertex_colors")
-"""The arrays of a `MetallicRoughness`."""
+"""Names of the array fields of a `MetallicRoughness`."""
 
 
 def mesh_path(directory: Path, key: str) -> Path:
-    """Where the processed mesh of a source with this digest is kept."""
+    """Returns the path of the processed mesh of a source, whose digest is part of `key`."""
     return directory / f"{key}-v{FORMAT}.npz"
 
 
 def save_parts(path: Path, parts: tuple[Part, ...]) -> None:
-    """Write parts as an uncompressed .npz, atomically."""
+    """Writes parts as an uncompressed .npz file, atomically."""
     arrays: dict[str, Any] = {}
     for k, part in enumerate(parts):
         fields = {name: value for name, value in vars(part).items() if value is not None}
@@ -37,7 +37,7 @@ def save_parts(path: Path, parts: tuple[Part, ...]) -> None:
 
 
 def load_parts(path: Path) -> tuple[Part, ...] | None:
-    """The parts written by `save_parts`; None if there is no such file or it is damaged."""
+    """Reads the parts written by `save_parts`; returns None if the file is missing or damaged."""
     try:
         with np.load(BytesIO(path.read_bytes()), allow_pickle=False) as arrays:
             names = set(arrays.files)
@@ -64,12 +64,12 @@ def load_parts(path: Path) -> tuple[Part, ...] | None:
 
 
 def _material_arrays(key: str, material: MetallicRoughness) -> dict[str, Any]:
-    """A material as arrays named after `key`, its numbers and words as JSON."""
+    """Returns a material as arrays whose names begin with `key`; its scalar and text fields are JSON."""
     fields = dict(vars(material))
     arrays = {f"{key}.{name}": fields.pop(name) for name in VERTEX_ATTRIBUTES}
     maps = fields.pop("maps")
-    arrays |= {f"{key}.{name}": one.texels for name, one in maps.items()}
-    fields["maps"] = {name: (one.uv_set, one.wrap) for name, one in maps.items()}
+    arrays |= {f"{key}.{name}": texture_map.texels for name, texture_map in maps.items()}
+    fields["maps"] = {name: (texture_map.uv_set, texture_map.wrap) for name, texture_map in maps.items()}
     return arrays | {key: np.array(json.dumps(fields))}
 
 

@@ -1,4 +1,4 @@
-"""From triangles with a material, as a file has them, to the parts of a mesh."""
+"""Converts a file's triangles and materials to the parts of a mesh."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,17 +13,18 @@ from services.scenes.normals import CREASE_ANGLE, smooth_normals
 from services.scenes.srgb import to_linear
 
 MAX_TEXTURE = 1024
-"""Textures are reduced to this many pixels a side; a frame has no more."""
+"""Largest side of a texture, pixels; larger textures are downscaled."""
 MAX_TEXTURE_SOURCE = 2**26
-"""Pixels of all textures of a file together; more are not decoded."""
+"""Maximum number of pixels of all textures of a file together, before downscaling."""
 MAX_COORDINATE = 1e30
+"""Largest magnitude of a file's coordinates."""
 PLAIN = (204, 204, 204, 255)
-"""Colour of a surface whose material says nothing: a light grey, as displayed."""
+"""Displayed RGBA, 0 to 255, of a surface without a stated colour: light grey."""
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Triangles of one material: vertices [V,3], faces [F,3], uv [V,2] or None; color and texture as in `Part`."""
+    """Triangles of the same material: vertices [V,3], faces [F,3], uv [V,2] or None; color and texture as in `Part`."""
 
     vertices: Doubles
     faces: Longs
@@ -33,10 +34,10 @@ class Surface:
 
 
 def read_surfaces(scene: trimesh.Scene, opacity: Mapping[str, float] | None = None) -> list[Surface]:
-    """All triangles of a loaded scene, every instance in its place; points and lines are left out.
+    """Returns all triangles of a loaded scene, with every instance transformed; points and lines are left out.
 
-    `opacity`: by material name, where the loader does not read it (MTL `d` and `Tr`). Raises ValueError if vertices are
-    not finite or beyond MAX_COORDINATE, or if a face names a vertex that is not there.
+    `opacity` holds opacities by material name, which the loader does not read (MTL `d` and `Tr`). Raises ValueError if
+    vertices are not finite or beyond MAX_COORDINATE, or if a face names a vertex that is not there.
     """
     surfaces = []
     textures = Textures()
@@ -45,7 +46,7 @@ def read_surfaces(scene: trimesh.Scene, opacity: Mapping[str, float] | None = No
         geometry = scene.geometry[name]
         if not isinstance(geometry, trimesh.Trimesh) or not len(geometry.faces):
             continue
-        # Checked before they meet a matrix: warnings of non-finite products would hide what is wrong.
+        # Checked before the matrix product, whose warnings about non-finite values would hide the cause.
         if not (np.isfinite(geometry.vertices).all() and np.isfinite(transform).all()):
             raise ValueError("it has vertices that are not finite numbers")
         if max(np.abs(geometry.vertices).max(), np.abs(transform).max()) > MAX_COORDINATE:
@@ -59,9 +60,10 @@ def read_surfaces(scene: trimesh.Scene, opacity: Mapping[str, float] | None = No
 
 
 def to_parts(surfaces: Sequence[Surface], crease: float = CREASE_ANGLE) -> tuple[Part, ...]:
-    """Smooth normals over all surfaces together (a change of material is not a crease), then fitted to the frame.
+    """Computes smooth normals over all surfaces together; returns the parts fitted to the frame, opaque parts first.
 
-    Opaque parts come first. Vertices must be finite. Raises ValueError if there are no triangles with an area.
+    A change of material is not a crease. Vertices must be finite. Raises ValueError if there are no triangles with an
+    area.
     """
     surfaces = sorted(surfaces, key=lambda surface: bool(surface.color[3] < 1))
     offsets = np.cumsum([0, *(len(surface.vertices) for surface in surfaces)])
@@ -74,7 +76,7 @@ def to_parts(surfaces: Sequence[Surface], crease: float = CREASE_ANGLE) -> tuple
     extent = float((used.max(axis=0) - used.min(axis=0)).max())
     if extent < 1 / MAX_COORDINATE:
         raise ValueError("all its vertices are at one point: it has no area")
-    # Files come in every unit; in their own, areas could over- or underflow.
+    # Files use any unit; in the file's own unit areas could overflow or underflow.
     vertices = (vertices - used.mean(axis=0)) / extent
 
     smoothed = smooth_normals(vertices, faces, crease)
@@ -118,7 +120,7 @@ def _surface(
 
 
 def _coloured(vertices: Doubles, faces: Longs, visual: Any) -> Surface:
-    """A surface with vertex or face colours or none: one colour a face, held in a texture with one texel a colour."""
+    """Returns a surface with vertex, face or no colours. Each face's colour becomes a texel of a texture."""
     if getattr(visual, "kind", None) not in ("vertex", "face"):
         return Surface(vertices, faces, None, _display_color(PLAIN), None)
     palette, index = np.unique(np.asarray(visual.face_colors, np.uint8), axis=0, return_inverse=True)
@@ -134,14 +136,14 @@ def _coloured(vertices: Doubles, faces: Longs, visual: Any) -> Surface:
 
 
 class Textures:
-    """Decodes each image of a file once, and not more than MAX_TEXTURE_SOURCE pixels of them."""
+    """Decodes each image of a file once, up to MAX_TEXTURE_SOURCE pixels in total."""
 
     def __init__(self) -> None:
         self._done: dict[int, tuple[Image.Image, Bytes]] = {}
         self._pixels = 0
 
     def read(self, image: Image.Image) -> Bytes:
-        """The image as uint8 [h,w,4], at most MAX_TEXTURE a side. Raises ValueError where there is too much."""
+        """Returns the image, uint8 [h,w,4], at most MAX_TEXTURE a side. Raises ValueError beyond MAX_TEXTURE_SOURCE."""
         if id(image) not in self._done:
             self._pixels += image.width * image.height
             if self._pixels > MAX_TEXTURE_SOURCE:
@@ -153,12 +155,12 @@ class Textures:
 
 
 def _diffuse(material: Any, textured: bool, opacity: Mapping[str, float]) -> Doubles:
-    """Linear RGBA of an MTL material, whose colours are meant for the screen."""
+    """Returns the linear RGBA of an MTL material, whose colours are displayed sRGB values."""
     stated = "kd" in material.kwargs
     rgba = np.asarray(material.diffuse if stated else PLAIN, np.float64) / 255
     color = np.append(to_linear(rgba[:3]), opacity.get(material.name, 1.0))
     if textured and (not stated or rgba[:3].max() < 0.05):
-        # Exporters write no Kd, or Kd 0, under a texture that is meant to be seen.
+        # Exporters write no Kd, or Kd 0, with a texture that should be visible.
         color[:3] = 1.0
     return color
 

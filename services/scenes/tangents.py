@@ -1,4 +1,4 @@
-"""Tangents of a surface along its texture coordinates, for normal maps without tangents of their own."""
+"""Derives tangents from texture coordinates, for normal maps of meshes without tangents."""
 
 from typing import NamedTuple
 
@@ -8,8 +8,11 @@ from services.scenes.mesh import Doubles, Longs
 
 
 class Tangents(NamedTuple):
-    """`source` int64 [V]: the input vertex each vertex is a copy of; `tangents` float64 [V,4]: unit, orthogonal to the
-    normal, with the sign of the bitangent cross(n, t); `faces` int64 [F,3] into them."""
+    """Vertices with tangents.
+
+    source: int64 [V], the index of the input vertex that each vertex copies. tangents: float64 [V,4], unit, orthogonal
+    to the normal, with the sign of the bitangent cross(n, t). faces: int64 [F,3], indices of these vertices.
+    """
 
     source: Longs
     tangents: Doubles
@@ -17,10 +20,11 @@ class Tangents(NamedTuple):
 
 
 def derive_tangents(vertices: Doubles, normals: Doubles, uv: Doubles, faces: Longs) -> Tangents:
-    """Directions of growing u: the mean over the faces at a vertex, weighted by area (Lengyel 2001).
+    """Computes the direction of increasing u at each vertex: the area-weighted mean over its faces (Lengyel 2001).
 
-    vertices, normals [V,3], uv [V,2] with v upwards, faces [F,3]. A vertex between faces whose texture is mirrored and
-    faces whose texture is not is split. Where the texture coordinates span no area, any tangent will do.
+    vertices and normals are [V,3], uv [V,2] with v upwards, faces [F,3]. A vertex between faces whose texture is
+    mirrored and faces whose texture is not is split. Where the texture coordinates span no area, the tangent is
+    arbitrary.
     """
     first, second = (vertices[faces[:, k]] - vertices[faces[:, 0]] for k in (1, 2))
     du1, dv1 = (uv[faces[:, 1]] - uv[faces[:, 0]]).T
@@ -28,7 +32,7 @@ def derive_tangents(vertices: Doubles, normals: Doubles, uv: Doubles, faces: Lon
     area = du1 * dv2 - du2 * dv1
     sign = np.where(area < 0, -1.0, 1.0)
     along = sign[:, None] * (first * dv2[:, None] - second * dv1[:, None])
-    # In place of 1 / area in texture space, which has no bound, the area on the surface.
+    # Weighted by the area on the surface instead of 1 / area in texture space, which is unbounded.
     length = np.linalg.norm(along, axis=1, keepdims=True)
     weight = np.linalg.norm(np.cross(first, second), axis=1, keepdims=True)
     along = np.where(length > 0, along / np.where(length > 0, length, 1) * weight, 0.0)
@@ -38,7 +42,7 @@ def derive_tangents(vertices: Doubles, normals: Doubles, uv: Doubles, faces: Lon
     source, flipped = pairs // 2, pairs % 2 == 1
     sums = np.stack([np.bincount(corner.ravel(), np.repeat(along[:, k], 3), len(pairs)) for k in range(3)], axis=1)
     normal = normals[source]
-    # The axis that the normal leans to least gives a tangent where the texture gives none.
+    # Where the texture gives no tangent, project the coordinate axis that is most perpendicular to the normal.
     spare = np.eye(3)[np.abs(normal).argmin(axis=1)]
     candidates = [direction - normal * (normal * direction).sum(1, keepdims=True) for direction in (sums, spare)]
     lengths = [np.linalg.norm(candidate, axis=1, keepdims=True) for candidate in candidates]

@@ -1,4 +1,4 @@
-"""Meshes that users uploaded: checked once, kept by the SHA-256 of their bytes, never by a name from outside."""
+"""Stores meshes that users upload: validated once, named by the SHA-256 of their bytes, never by a user's file name."""
 
 import hashlib
 from pathlib import Path
@@ -13,7 +13,7 @@ from services.settings import settings
 
 
 class Upload(BaseModel):
-    """What is known of an uploaded mesh; kept beside it as JSON."""
+    """Metadata of an uploaded mesh, stored beside it as JSON. `size` is in bytes."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -31,10 +31,10 @@ class Uploads:
         self._processed = processed
 
     def add(self, data: bytes, kind: str) -> Upload:
-        """Check and keep a file; what is kept already is not checked again.
+        """Validates and stores a file, and returns its metadata; a file that is stored already is not validated again.
 
-        Raises InvalidRequest("kind", …) for a kind that is not read, InvalidRequest("file", …) for everything that is
-        wrong with the bytes.
+        Raises InvalidRequest("kind", …) for a kind that is not read, InvalidRequest("file", …) for invalid or too many
+        bytes.
         """
         limit = settings().max_upload_bytes
         if len(data) > limit:
@@ -46,25 +46,25 @@ class Uploads:
         parts = _parts(data, kind)
         record = Upload(sha256=sha256, kind=kind, size=len(data), triangles=sum(len(part.faces) for part in parts))
         save_parts(mesh_path(self._processed, f"{sha256}-{kind}"), parts)
-        # The record goes last: an entry that can be seen is complete.
+        # The metadata is written last, so that every listed upload is complete.
         atomic_write.write(self._directory / sha256, data)
         atomic_write.write(self._directory / f"{sha256}.json", record.model_dump_json().encode())
         return record
 
     def record(self, sha256: str) -> Upload | None:
-        """What is known of the upload with this digest (64 hexadecimal digits); None if there is none."""
+        """Returns the metadata of the upload with this digest (64 hexadecimal digits); None if there is none."""
         try:
             return Upload.model_validate_json((self._directory / f"{sha256}.json").read_bytes())
         except (OSError, ValidationError):
             return None
 
     def all(self) -> list[Upload]:
-        """All uploads, by digest."""
+        """Returns the metadata of all uploads, ordered by digest."""
         names = sorted(path.stem for path in self._directory.glob("*.json") if not path.name.startswith("."))
         return [record for record in map(self.record, names) if record is not None]
 
     def load(self, upload: Upload) -> Mesh:
-        """The mesh of an upload. Raises JobFailure("asset-missing") if its bytes have gone or changed."""
+        """Returns the mesh of an upload. Raises JobFailure("asset-missing") if its bytes are missing or changed."""
         kept = mesh_path(self._processed, f"{upload.sha256}-{upload.kind}")
         parts = load_parts(kept)
         if parts is None:
@@ -80,6 +80,6 @@ class Uploads:
 
 
 def _parts(data: bytes, kind: str) -> tuple[Part, ...]:
-    from services.scenes.reading import read_mesh  # imports trimesh, which a mesh that is kept already does not need
+    from services.scenes.reading import read_mesh  # imports trimesh, which a cached mesh does not need
 
     return read_mesh(data, kind, settings().max_faces)

@@ -1,4 +1,4 @@
-"""The camera: where it stands, how it projects, and whether it sees anything of an object."""
+"""Computes camera poses, projections and model matrices, and the visible area of a mesh."""
 
 from math import cos, pi, sin, tan
 
@@ -9,14 +9,15 @@ from services.scenes.description import Camera, SceneObject
 from services.scenes.mesh import Doubles, Mesh
 
 NEAR = 0.01
-"""Nothing closer to the camera than this is drawn, scene units."""
+"""Distance of the near plane from the camera, scene units."""
 
 
 def camera_to_world(camera: Camera) -> Doubles:
-    """The camera's pose, float64 [4,4]: it looks along its −z at the origin, its +y as far up as can be.
+    """Returns the camera's pose, float64 [4,4], camera to world.
 
-    It stands at distance · (sin az · cos el, sin el, cos az · cos el). Straight above or below, where up has no
-    meaning, the azimuth still decides which way its +y points: the limit of lower elevations.
+    The camera looks along its −z at the origin, with its +y upwards. Its position is distance · (sin az · cos el, sin
+    el, cos az · cos el). Straight above or below the origin, its +y has the direction that lower elevations tend to at
+    the same azimuth.
     """
     azimuth, elevation = camera.azimuth, camera.elevation
     back = np.array([sin(azimuth) * cos(elevation), sin(elevation), cos(azimuth) * cos(elevation)])
@@ -28,7 +29,7 @@ def camera_to_world(camera: Camera) -> Doubles:
 
 
 def projection(camera: Camera, far: float) -> Doubles:
-    """OpenGL's perspective matrix, float64 [4,4], for the camera's vertical field of view and its size."""
+    """Returns OpenGL's perspective matrix, float64 [4,4], with the far plane at distance `far`, scene units."""
     height, width = camera.size
     focal = 1 / tan(camera.field_of_view / 2)
     matrix = np.zeros((4, 4))
@@ -39,9 +40,9 @@ def projection(camera: Camera, far: float) -> Doubles:
 
 
 def rotation_matrix(vectors: Doubles) -> Doubles:
-    """Rotations [..., 3, 3] of rotation vectors [..., 3] (axis times angle in radians), by Rodrigues' formula.
+    """Returns rotation matrices [..., 3, 3] of rotation vectors [..., 3] (axis times angle in radians).
 
-    With K = [v]×: 1 + (sin θ / θ) K + ½ (sin(θ/2) / (θ/2))² K², exact to rounding for any angle.
+    Rodrigues' formula, with K = [v]×: 1 + (sin θ / θ) K + ½ (sin(θ/2) / (θ/2))² K², exact to rounding for any angle.
     """
     x, y, z = np.moveaxis(np.asarray(vectors, np.float64), -1, 0)
     none = np.zeros_like(x)
@@ -52,13 +53,14 @@ def rotation_matrix(vectors: Doubles) -> Doubles:
 
 
 def model_matrix(placed: SceneObject) -> Doubles:
-    """Mesh to world, float64 [4,4]: scaled, then rotated by the rotation vector, then moved."""
+    """Returns an object's mesh-to-world matrix, float64 [4,4]: translation · rotation · scale."""
     return model_matrices(np.array(placed.translation), np.array(placed.rotation), np.array(placed.scale))
 
 
 def model_matrices(translations: Doubles, rotations: Doubles, scales: Doubles) -> Doubles:
-    """Mesh to world, float64 [..., 4, 4]; `model_matrix` of translations [..., 3], rotation vectors [..., 3] and
-    scales [...].
+    """Returns mesh-to-world matrices, float64 [..., 4, 4], as `model_matrix` does.
+
+    translations and rotations (rotation vectors) are [..., 3], scales [...].
     """
     matrices = np.broadcast_to(np.eye(4), (*np.shape(scales), 4, 4)).copy()
     matrices[..., :3, :3] = rotation_matrix(rotations) * scales[..., None, None]
@@ -67,10 +69,11 @@ def model_matrices(translations: Doubles, rotations: Doubles, scales: Doubles) -
 
 
 def visible_area(mesh: Mesh, to_clip: Doubles, size: tuple[int, int], enough: float) -> float:
-    """Area in pixels of the mesh's triangles inside the frame, hidden ones and both sides counted; at least `enough`
-    as soon as that is reached. to_clip: mesh to clip space [4,4]; size: height and width in pixels.
+    """Returns the summed area of the mesh's triangles inside the frame, in pixels.
 
-    Triangles that reach behind the camera or out of the frame count with the part that is inside.
+    Hidden triangles and back faces count. Triangles that reach behind the camera or out of the frame count with the
+    part that is inside. The sum stops once it reaches `enough`. `to_clip` is the matrix from mesh to clip space [4,4];
+    `size` is the frame's height and width in pixels.
     """
     total = 0.0
     pixels = np.array([size[1] / 2, size[0] / 2])
@@ -78,13 +81,13 @@ def visible_area(mesh: Mesh, to_clip: Doubles, size: tuple[int, int], enough: fl
         points = (
             np.concatenate([part.vertices.astype(np.float64), np.ones((len(part.vertices), 1))], axis=1) @ to_clip.T
         )
-        # One column for each plane of the frustum; inside is positive.
+        # Signed distance to each plane of the frustum, one column per plane; inside is positive.
         heights = np.stack([points[:, 3] + sign * points[:, axis] for axis in range(3) for sign in (1, -1)], axis=1)
         inside: NDArray[np.bool_] = heights[part.faces] >= 0
         whole = inside.all(axis=(1, 2))
         screen = points[part.faces[whole]]
         total += float(_areas(screen[..., :2] / screen[..., 3:] * pixels).sum())
-        # A triangle with all corners beyond one plane is out; the rest is cut, until there is enough.
+        # A triangle with all corners beyond a plane is outside; the others are clipped, until the area is enough.
         for face in part.faces[~whole & np.all(inside.any(axis=1), axis=1)]:
             if total >= enough:
                 return total
@@ -103,7 +106,7 @@ def _areas(triangles: Doubles) -> Doubles:
 
 
 def _cut(polygon: Doubles) -> Doubles:
-    """The part of a convex polygon [n,4] in clip space that is inside the frustum (Sutherland and Hodgman 1974)."""
+    """Clips a convex polygon [n,4] in clip space to the frustum (Sutherland and Hodgman 1974)."""
     for axis in range(3):
         for sign in (1, -1):
             if not len(polygon):

@@ -1,4 +1,4 @@
-"""Wavefront OBJ files as the furniture's exporters wrote them, read from memory by trimesh."""
+"""Reads the furniture's Wavefront OBJ files from memory, through trimesh."""
 
 import posixpath
 import re
@@ -12,7 +12,7 @@ from services.scenes.surfaces import Surface, read_surfaces
 
 
 def read_obj(files: dict[str, bytes], name: str) -> list[Surface]:
-    """The surfaces of the model in the file `name`, with the material library and textures among `files`."""
+    """Returns the surfaces of the model in the file `name`; `files` holds it, its material library and its textures."""
     resolver = _Members(files)
     obj = files[name]
     opacity: dict[str, float] = {}
@@ -27,7 +27,7 @@ def read_obj(files: dict[str, bytes], name: str) -> list[Surface]:
 
 
 def read_opacity(mtl: str) -> dict[str, float]:
-    """Opacity of each material of an MTL file that gives one: `d`, or else one minus `Tr`; within [0,1]."""
+    """Returns the opacity in [0,1] of each material in an MTL file that states it: `d`, or else 1 − `Tr`."""
     opacity: dict[str, float] = {}
     dissolved: set[str] = set()
     name = ""
@@ -49,13 +49,13 @@ def read_opacity(mtl: str) -> dict[str, float]:
 
 
 class _Members(trimesh.resolvers.Resolver):  # type: ignore[misc]  # trimesh has no types
-    """Hands out the files of one model and nothing else."""
+    """Resolves names to the files of a model and to no others."""
 
     def __init__(self, files: dict[str, bytes]) -> None:
         self._files = {name.lower(): data for name, data in files.items()}
 
     def get(self, key: str) -> bytes:
-        # Exporters write any case, backslashes, and where the file was on their own disk; it may be beside the model.
+        # Exporters write any case, backslashes and absolute paths; the file itself may lie beside the model.
         path = posixpath.normpath(key.strip().replace("\\", "/")).lower()
         return self._files[path if path in self._files else posixpath.basename(path)]
 
