@@ -1,4 +1,4 @@
-"""An image classifier as a target: resize, normalise, run."""
+"""Wraps an image classifier as a target: it resizes and normalises images and runs the network."""
 
 from dataclasses import dataclass, field
 
@@ -12,10 +12,10 @@ from services.targets.packing import pack
 
 @dataclass
 class Classifier:
-    """A differentiable network over images, frozen, on the device of the setting; implements `Target`.
+    """A frozen, differentiable image classifier on the configured device; implements `Target`.
 
-    `mean` and `scale` are its input normalisation: (pixel − mean) / scale with pixels in [0,1]. On the CPU its
-    convolutions are packed, where that computes the same (`packing`).
+    `mean` and `scale` define its input normalisation, (pixel − mean) / scale with pixels in [0,1]. On the CPU its
+    convolutions are packed if packed ones compute the same (`packing`).
     """
 
     name: str
@@ -41,17 +41,17 @@ class Classifier:
 
     @property
     def backend(self) -> str:
-        """What decides the bits of its answers."""
+        """A line that names everything that decides the bits of its scores: version, device, dtype, threads."""
         kind = str(self.dtype).removeprefix("torch.")
         where = describe(self._device)
         return f"torch {torch.__version__} {where} {kind} {torch.get_num_threads()} threads"
 
     def logits(self, images: Tensor, question: str | None = None) -> Tensor:
-        """Scores [B, K] of images [B, H, W, 3] in [0,1]; see `Target.logits`."""
+        """Returns scores [B, K] of images [B, H, W, 3] in [0,1]; see `Target.logits`."""
         if question is not None:
             raise ValueError(f"{self.name} takes no question")
         width = images.shape[2]
-        # Row by row: with three numbers to broadcast at a time it takes six times as long.
+        # Normalised row by row: broadcasting over the three channels takes six times as long.
         mean, scale = self._mean.repeat(width), self._scale.repeat(width)
         x = ((images.to(self._device, self.dtype).flatten(2) - mean) / scale).reshape(images.shape).permute(0, 3, 1, 2)
         if tuple(x.shape[-2:]) != self.input_size:

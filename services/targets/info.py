@@ -1,4 +1,4 @@
-"""The targets as they are listed and registered. Nothing of torch is needed for that, so that the API can do it."""
+"""Lists and registers targets. It needs no torch, so that the API can import it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class TargetInfo(BaseModel):
-    """A target's card, as it is listed."""
+    """A target's model card: its name, task, input size, source and licence. `input_size` is height and width."""
 
     name: str
     title: str
@@ -34,7 +34,7 @@ Loader = TypeVar("Loader", bound=Load)
 
 @dataclass(frozen=True)
 class RegisteredTarget:
-    """A target's card, its labels, and how it is loaded."""
+    """A target's card, and the functions that return its labels and load it."""
 
     info: TargetInfo
     labels: Callable[[], tuple[str, ...]]
@@ -45,7 +45,7 @@ TARGETS: Registry[RegisteredTarget] = Registry("target", "services.targets")
 
 
 def register(info: TargetInfo, labels: Callable[[], tuple[str, ...]]) -> Callable[[Loader], Loader]:
-    """Decorator of the function that loads a target, given the dtype it computes in. `labels` returns one per score.
+    """Returns a decorator of the function that loads a target, given its dtype. `labels` returns a label per score.
 
     Raises ValueError for a name that is taken.
     """
@@ -58,5 +58,5 @@ def register(info: TargetInfo, labels: Callable[[], tuple[str, ...]]) -> Callabl
 
 
 def available() -> list[TargetInfo]:
-    """All targets this installation can load."""
+    """Returns the cards of all targets that this installation can load."""
     return [target.info for target in TARGETS.values()]

@@ -1,9 +1,8 @@
-"""A frozen convolution as oneDNN runs it fastest: weights laid out once, the activation in the same pass, and a
-derivative of its own.
+"""A frozen convolution with oneDNN: weights are reordered once, the activation is fused, the backward pass is its own.
 
-Left to autograd, every call lays the weights out anew, an activation is a pass over memory of its own, and an odd row
-of padding is a copy. A frozen network needs only the derivative with respect to the input, and that of a convolution
-with stride 1 is again such a convolution, with the kernel turned by half a turn.
+Under autograd every call reorders the weights, an activation takes another pass over memory, and asymmetric padding
+takes a copy. A frozen network needs only the derivative with respect to the input, and that of a convolution with
+stride 1 is again a convolution with stride 1, with the kernel rotated by 180°.
 """
 
 from collections.abc import Callable
@@ -23,19 +22,19 @@ from services.targets.same_padding import SameConv2d
 Pair = tuple[int, int]
 
 ACTIVATIONS: dict[type[nn.Module], tuple[float, float]] = {nn.ReLU: (0.0, inf), nn.ReLU6: (0.0, 6.0)}
-"""What an activation holds values within; its derivative is 1 strictly between, else 0."""
+"""Range to which each activation clamps values; its derivative is 1 strictly inside, else 0."""
 
 
 @dataclass(frozen=True)
 class Padding:
-    """Rows and columns of zeros around an input: as many `after` on both sides, and `extra` (0 or 1) fewer before."""
+    """Zero padding of an input: `after` rows and columns behind it, and `extra` (0 or 1) fewer before it."""
 
     after: Pair
     extra: Pair
 
     @classmethod
     def of(cls, convolution: nn.Conv2d, size: Pair) -> "Padding | None":
-        """The padding of an input of `size`; None where it is no such padding, or not of zeros."""
+        """Returns the padding of an input of `size`; None if it is not of this form or not of zeros."""
         if convolution.padding_mode != "zeros":
             return None
         if isinstance(convolution, SameConv2d):
@@ -48,15 +47,15 @@ class Padding:
             zeros = tuple((amount, amount) for amount in convolution.padding)  # type: ignore[assignment]
         (top, bottom), (left, right) = zeros
         extra = (bottom - top, right - left)
-        if any(extra) and convolution.dilation != (1, 1):  # a row before the kernel would be a dilated one
+        if any(extra) and convolution.dilation != (1, 1):  # the row of zeros added to the kernel would be dilated
             return None
         return cls((bottom, right), extra)
 
 
 class PackedConvolution(nn.Module):
-    """A frozen `nn.Conv2d` and the activation behind it, for inputs [B, channels, *size], any B.
+    """A frozen `nn.Conv2d` fused with the activation that follows it, for inputs [B, channels, *size], any B.
 
-    `plain` takes inputs of another size, dtype or device.
+    Inputs of another size, dtype or device are passed to `plain`.
     """
 
     def __init__(
@@ -67,18 +66,18 @@ class PackedConvolution(nn.Module):
         self.clamp = None if activation is None else ACTIVATIONS[type(activation)]
         self.stride, self.dilation, self.groups = convolution.stride, convolution.dilation, convolution.groups
         self.padding, self.bias = padding.after, convolution.bias
-        # The input has `extra` rows fewer before than behind; a row of zeros before the kernel's own does the same.
+        # The padding before the input is `extra` rows smaller; a row of zeros before the kernel's rows compensates it.
         self.weight = F.pad(convolution.weight, (padding.extra[1], 0, padding.extra[0], 0))
 
-    # Laid out when first needed: a process that only asks for scores never needs the turned kernels.
+    # Reordered when first needed: a process that only computes scores never needs the rotated kernels.
     @cached_property
     def packed(self) -> Tensor:
-        """The weights as `convolve` takes them."""
+        """The weights reordered for `convolve`."""
         return onednn.lay_out(self.weight, self.padding, self.stride, self.dilation, self.groups, self.size)
 
     @cached_property
     def turned(self) -> Callable[[Tensor], Tensor]:
-        """∂/∂input from ∂/∂output, of the convolution without its activation."""
+        """A function from ∂/∂output to ∂/∂input of the convolution without its activation."""
         back = [d * (k - 1) - p for d, k, p in zip(self.dilation, self.weight.shape[2:], self.padding, strict=True)]
         if self.stride != (1, 1) or min(back) < 0:
             return self._derivative
@@ -95,14 +94,14 @@ class PackedConvolution(nn.Module):
         )
 
     def forward(self, x: Tensor) -> Tensor:
-        """[B, inputs, h, w] to [B, outputs, h', w']."""
+        """Maps [B, inputs, h, w] to [B, outputs, h', w']."""
         if tuple(x.shape[2:]) != self.size or x.dtype != torch.float32 or x.device.type != "cpu":
             return self.plain(x)  # type: ignore[no-any-return]
         result: Tensor = _Convolve.apply(x, self)  # type: ignore[no-untyped-call]
         return result
 
     def convolve(self, x: Tensor) -> Tensor:
-        """The result, with its activation."""
+        """Returns the convolution of x with the activation applied."""
         of = (self.padding, self.stride, self.dilation, self.groups)
         return onednn.convolve(x, self.packed, self.bias, *of, self.clamp)
 

@@ -1,7 +1,7 @@
-"""Which convolutions of a network are packed, and the proof that packed ones compute the same.
+"""Replaces the convolutions of a network by packed convolutions, after checking that they compute the same.
 
-Any frozen `nn.Conv2d` is packed. Where it stands in an `nn.Sequential`, a batch normalisation behind it is folded in
-(in evaluation it is an affine map), and a ReLU or ReLU6 behind that becomes part of it.
+Every frozen `nn.Conv2d` is packed. If it is in an `nn.Sequential`, a batch normalisation that follows it is folded in
+(in evaluation it is an affine map), and a ReLU or ReLU6 that follows is fused.
 """
 
 from collections.abc import Iterator
@@ -20,12 +20,12 @@ from services.targets.same_padding import SameConv2d
 TOLERANCE = 1e-5
 """Largest ‖packed − plain‖ / ‖plain‖ of a layer's values and of its derivative; rounding in float32 is some 1e-6."""
 KINK = 1e-3
-"""The derivative is not compared this near to where an activation begins or ends to hold values: rounding decides."""
+"""Distance from an activation's bounds within which derivatives are not compared, as rounding decides them there."""
 
 
 @dataclass(frozen=True)
 class Site:
-    """Where a convolution stands: the names, in `parent`, of itself and of what is taken into it."""
+    """A convolution in its parent module: the names of the convolution and of the layers to fuse with it."""
 
     parent: nn.Module
     names: tuple[str, ...]
@@ -37,10 +37,11 @@ class Site:
 
 
 def pack(network: nn.Module, size: Pair) -> bool:
-    """Replace the convolutions of a frozen float32 network on the CPU by packed ones, for images of `size` (height,
-    width) in channels_last. Returns whether that was done; else the network is as it was.
+    """Replaces the convolutions of a frozen float32 network on the CPU by packed ones; returns whether it did.
 
-    Scores and gradients stay the same but for rounding: one layer of each kind is compared with the plain one first.
+    The packed network is for images of `size` (height, width) in channels_last. On failure the network is unchanged.
+
+    Scores and gradients change by rounding only: a layer of each kind is compared with the plain layer first.
     """
     if not onednn.available():
         return False
@@ -64,7 +65,7 @@ def pack(network: nn.Module, size: Pair) -> bool:
 
 
 def relative_errors(packed: PackedConvolution, batch: int = 1) -> tuple[float, float]:
-    """‖packed − plain‖ / ‖plain‖ of values and of the derivative with respect to the input, at random inputs."""
+    """Returns ‖packed − plain‖ / ‖plain‖ of values and of the derivative by the input, at random inputs."""
     random = torch.Generator().manual_seed(0)
     x = torch.randn(batch, packed.weight.shape[1] * packed.groups, *packed.size, generator=random)
     x = x.contiguous(memory_format=torch.channels_last)
@@ -86,7 +87,7 @@ def _relative(found: Tensor, wanted: Tensor) -> float:
 
 
 def _sites(module: nn.Module) -> Iterator[Site]:
-    """The convolutions under a module, with what stands behind each in an `nn.Sequential`."""
+    """Yields the convolutions under a module, each with the layers that follow it and can be fused."""
     if isinstance(module, PackedConvolution):
         return
     names = [name for name, _ in module.named_children()]
@@ -109,7 +110,7 @@ def _foldable(module: nn.Module) -> bool:
 
 
 def _input_sizes(network: nn.Module, convolutions: list[nn.Module], size: Pair) -> dict[nn.Module, Pair]:
-    """Height and width of each convolution's input for an image of `size`, of those that are reached."""
+    """Returns height and width of the input of each convolution that an image of `size` reaches."""
     sizes: dict[nn.Module, Pair] = {}
 
     def note(convolution: nn.Module, inputs: tuple[Tensor, ...]) -> None:
@@ -125,7 +126,7 @@ def _input_sizes(network: nn.Module, convolutions: list[nn.Module], size: Pair) 
 
 
 def _packed(site: Site, size: Pair) -> PackedConvolution | None:
-    """The packed convolution for a site; None where its padding is of another kind."""
+    """Returns the packed convolution for a site; None if its padding is not supported."""
     convolution, *others = site.modules
     assert isinstance(convolution, nn.Conv2d)
     padding = Padding.of(convolution, size)
@@ -140,13 +141,13 @@ def _packed(site: Site, size: Pair) -> PackedConvolution | None:
 
 
 def _trouble(layers: list[PackedConvolution]) -> str:
-    """What is wrong with packed layers, judged by the smallest of each kind; empty where nothing is."""
+    """Returns the error of packed layers as a sentence, tested on the smallest layer of each kind; empty if none."""
     kinds: dict[object, PackedConvolution] = {}
     for layer in sorted(layers, key=lambda layer: layer.size):
         kind = (layer.weight[0, 0].numel() > 1, layer.stride, layer.dilation, layer.groups > 1, layer.clamp)
         kinds.setdefault(kind, layer)
     for layer in kinds.values():
         errors = relative_errors(layer)
-        if not max(errors) <= TOLERANCE:  # not a number is trouble too
+        if not max(errors) <= TOLERANCE:  # also true for NaN
             return f"a packed convolution is off by {errors[0]:.1e} in its values, {errors[1]:.1e} in its derivative"
     return ""

@@ -1,4 +1,4 @@
-"""What an attack needs of a network."""
+"""Defines the protocol of targets: the networks that attacks run against."""
 
 from typing import Protocol
 
@@ -10,22 +10,22 @@ class Target(Protocol):
 
     @property
     def name(self) -> str:
-        """The word of the request."""
+        """The target's name in a request."""
         ...
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """One per score, unique."""
+        """The label of each score; labels are unique."""
         ...
 
     @property
     def input_size(self) -> tuple[int, int]:
-        """Height and width of the images it was trained on."""
+        """Height and width of the network's input, pixels."""
         ...
 
     @property
     def differentiable(self) -> bool:
-        """Whether gradients reach the input."""
+        """Whether scores are differentiable with respect to the images."""
         ...
 
     @property
@@ -35,19 +35,19 @@ class Target(Protocol):
 
     @property
     def weights_sha256(self) -> str:
-        """Of the file the weights came from."""
+        """SHA-256 (hex) of the weights file."""
         ...
 
     @property
     def backend(self) -> str:
-        """Everything that decides the bits of the output: versions, driver, dtype, threads."""
+        """A line that names everything that decides the bits of the scores: versions, device, dtype, threads."""
         ...
 
     def logits(self, images: Tensor, question: str | None = None) -> Tensor:
-        """Unnormalised scores [B, K], float32, on the device of the images.
+        """Returns unnormalised scores [B, K], float32 or wider, on the device of the images.
 
-        `images` [B, H, W, 3] in [0,1], on any device and of any size: resized to `input_size` (antialiased bilinear)
-        and normalised here. Differentiable with respect to `images` where `differentiable` is true. One image's scores
-        never depend on the others in the batch.
+        `images` [B, H, W, 3] in [0,1], on any device and of any size; they are resized to `input_size` (antialiased
+        bilinear) and normalised here. Differentiable with respect to `images` where `differentiable` is true. An
+        image's scores do not depend on the other images in the batch.
         """
         ...

@@ -1,4 +1,4 @@
-"""The targets by name. Knowing them costs nothing; loading one reads its weights, once per process."""
+"""Finds and loads targets by name. Loading reads the weights, once per process."""
 
 from functools import lru_cache
 
@@ -12,7 +12,7 @@ __all__ = ["TargetInfo", "available", "labels", "load"]
 
 
 def labels(name: str) -> tuple[str, ...]:
-    """The labels of a target, without loading it. Raises InvalidRequest("target.name") for an unknown one."""
+    """Returns the labels of a target, without loading it. Raises InvalidRequest("target.name") for an unknown name."""
     return _known(name).labels()
 
 

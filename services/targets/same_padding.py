@@ -7,14 +7,14 @@ from torch.nn import functional as F
 
 
 class SameConv2d(nn.Conv2d):
-    """`nn.Conv2d` whose output has ⌈size / stride⌉ rows and columns; an odd row or column of zeros is added behind."""
+    """`nn.Conv2d` whose output has ⌈size / stride⌉ rows and columns; an odd row or column of zeros comes last."""
 
     def __init__(self, inputs: int, outputs: int, kernel: int, **options: Any) -> None:
-        """`options` as `nn.Conv2d` has them, without padding and dilation."""
+        """`options` are those of `nn.Conv2d`, except padding and dilation."""
         super().__init__(inputs, outputs, kernel, **options)
 
     def forward(self, input: Tensor) -> Tensor:  # noqa: A002 - torch's name
-        """[B, inputs, h, w] to [B, outputs, ⌈h/stride⌉, ⌈w/stride⌉]."""
+        """Maps [B, inputs, h, w] to [B, outputs, ⌈h/stride⌉, ⌈w/stride⌉]."""
         (top, bottom), (left, right) = self.zeros((input.shape[-2], input.shape[-1]))
         padding = (top, left)
         if (top, left) != (bottom, right):
@@ -22,7 +22,7 @@ class SameConv2d(nn.Conv2d):
         return F.conv2d(input, self.weight, self.bias, self.stride, padding, groups=self.groups)
 
     def zeros(self, size: tuple[int, int]) -> tuple[tuple[int, int], tuple[int, int]]:
-        """The zeros added to an input of `size` (height, width): (above, below) and (left, right)."""
+        """Returns the padding of an input of `size` (height, width): (above, below) and (left, right)."""
         found = []
         for length, kernel, stride in zip(size, self.kernel_size, self.stride, strict=True):
             total = max((-(-length // stride) - 1) * stride + kernel - length, 0)
