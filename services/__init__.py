@@ -1,4 +1,4 @@
-"""Everything of scene-attack that is neither HTTP nor queue."""
+"""The parts of scene-attack that both the API and the worker use, without HTTP and the queue."""
 
 import os
 

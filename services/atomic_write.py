@@ -1,4 +1,4 @@
-"""Files that are either the old one or the whole new one, whatever happens to the writer."""
+"""Writes files atomically: after a crash of the writer a file is either the old or the complete new version."""
 
 import os
 import secrets
@@ -9,11 +9,11 @@ from pathlib import Path
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Gives a temporary path beside `path`, for the caller to write a file to; on leaving, that file becomes `path`.
+    """Yields a temporary path beside `path` for the caller to write to; on exit that file replaces `path`.
 
     The file and its directory entry are on the disk (fsync) when this returns. If the caller raises, the temporary
-    file is removed and `path` stays as it was; a killed process leaves a file that ends in `.part`. Several writers may
-    write at once: each file is whole, and the last one stays. Missing directories are made.
+    file is removed and `path` stays as it was; a killed process leaves a file that ends in `.part`. Concurrent
+    writers are safe: each file is complete, and the last one stays. Missing directories are created.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f"{path.name}.{secrets.token_hex(8)}.part")
@@ -28,7 +28,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write(path: Path, data: bytes) -> None:
-    """Write a file's bytes atomically; see `replacing`."""
+    """Writes a file's bytes atomically; see `replacing`."""
     with replacing(path) as part:
         part.write_bytes(data)
 

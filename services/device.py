@@ -1,7 +1,7 @@
-"""Where networks and the torch renderer compute: SCENE_ATTACK_DEVICE.
+"""Selects the device on which networks and the torch renderer compute (SCENE_ATTACK_DEVICE).
 
-Parameters of a renderer and everything an attack remembers are CPU tensors, drawn from CPU generators, wherever images
-are computed: a checkpoint means the same on every device. Images are on the renderer's device.
+Parameters of a renderer and the state of an attack are always CPU tensors, drawn from CPU generators, so that a
+checkpoint is valid on every device. Images are on the renderer's device.
 """
 
 import os
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
 
 def device() -> "torch.device":
-    """The device of the setting; "auto" is the first CUDA device where there is one, else the CPU.
+    """Returns the device of the setting; "auto" is the first CUDA device if there is one, else the CPU.
 
-    Raises InvalidRequest, naming the setting, for a device that is not there.
+    Raises InvalidRequest, naming the setting, for a device that does not exist.
     """
     import torch
 
@@ -29,7 +29,7 @@ def device() -> "torch.device":
     if index >= count:
         there = f"{count} CUDA device{'s' if count > 1 else ''}, numbered from 0" if count else "no CUDA device"
         raise InvalidRequest(f"SCENE_ATTACK_DEVICE={wanted}", f"this machine has {there}; use auto or cpu")
-    _same_bits_again()
+    _make_deterministic()
     return torch.device("cuda", index)
 
 
@@ -40,14 +40,14 @@ def check_device() -> None:
 
 
 def describe(where: "torch.device") -> str:
-    """A device in a backend string: "cpu", or a CUDA device with its model."""
+    """Returns a device's part of a backend string: "cpu", or the CUDA device and its model."""
     import torch
 
     return where.type if where.type != "cuda" else f"{where} ({torch.cuda.get_device_name(where)})"
 
 
-def _same_bits_again() -> None:
-    """Let CUDA's libraries choose the same algorithms in every run, in float32 where float32 is asked for."""
+def _make_deterministic() -> None:
+    """Makes CUDA's libraries deterministic, and turns off TensorFloat-32."""
     import torch
 
     os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # read when cuBLAS is first used

@@ -1,11 +1,11 @@
-"""The two ways a request can go wrong: it was bad, or running it failed."""
+"""Defines the errors of requests and jobs: an invalid request, a failed job, a cancelled job."""
 
 
 class InvalidRequest(ValueError):
-    """The caller asked for something that cannot be done; nothing was queued.
+    """A request is invalid; no job was queued.
 
-    `field` is the dotted path of the part of the spec that was wrong ("scene.objects.0.mesh"), `detail` says what was
-    wrong and what would be right. The API answers 422 with it, the command line exits with code 2.
+    `field` is the dotted path of the invalid part of the spec ("scene.objects.0.mesh"); `detail` states the error and
+    the valid values. The API answers 422 with it, the command line exits with code 2.
     """
 
     def __init__(self, field: str, detail: str) -> None:

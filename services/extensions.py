@@ -1,7 +1,7 @@
-"""What is added by a file of its own: attacks, renderers and targets, built in or from an operator's folder.
+"""Registers attacks, renderers and targets, from built-in modules or from files that an operator names.
 
-A registry finds the built-in modules of its package by itself. `load` runs the files that an operator names; one that
-fails leaves no trace but its error.
+A registry imports the built-in modules of its package by itself. `load` runs an operator's files; a file that fails
+registers nothing, and its error is reported.
 """
 
 import re
@@ -29,8 +29,8 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
     """Entries by name, in alphabetical order.
 
     At the first look-up the built-in modules are imported: those of `package` in whose text a line begins with
-    `register(` or `@register(`. The text is looked at so that the package's other modules, and torch with them, need
-    not be imported to know what there is.
+    `register(` or `@register(`. The text is searched so that the package's other modules, and torch with them, need not
+    be imported to list the entries.
     """
 
     def __init__(self, kind: str, package: str) -> None:
@@ -40,7 +40,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         self._complete = False
 
     def add(self, name: str, entry: Entry) -> None:
-        """Raises ValueError for a name that is taken, or that is not made of a-z, 0-9, - and _."""
+        """Adds an entry. Raises ValueError for a name that is taken, or that is not made of a-z, 0-9, - and _."""
         if not NAME.fullmatch(name):
             raise ValueError(f"{name!r} is no name for a {self.kind}: use a-z, 0-9, - and _")
         if name in self._entries:
@@ -60,12 +60,12 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         return len(self._entries)
 
     def snapshot(self) -> dict[str, Entry]:
-        """A copy of the entries, for `restore`."""
+        """Returns a copy of the entries, for `restore`."""
         self._find()
         return dict(self._entries)
 
     def restore(self, entries: dict[str, Entry]) -> None:
-        """Back to the entries of a `snapshot`."""
+        """Resets the entries to those of a `snapshot`."""
         self._entries = dict(entries)
 
     def _find(self) -> None:
@@ -84,17 +84,17 @@ class Extension:
 
     path: Path
     sha256: str | None
-    """Of the very bytes that were run; None for a file that cannot be read."""
+    """SHA-256 (hex) of the bytes that were run; None for a file that cannot be read."""
     adds: frozenset[tuple[str, str]] = frozenset()
     """Kind and name of what it registered: ("renderer", "tint")."""
     error: str | None = None
-    """Why it was not loaded; None if it was."""
+    """The error because of which it was not loaded; None if it was loaded."""
 
 
 def load(paths: Sequence[Path], registries: Sequence[Registry[Any]]) -> tuple[Extension, ...]:
     """Runs each file, and each .py file of each folder but those whose name begins with "_", in alphabetical order.
 
-    What a file registered before it failed is taken back, so that it is loaded whole or not at all.
+    If a file fails, its registrations are undone, so that it is loaded completely or not at all.
     """
     return tuple(_load(file, registries) for path in paths for file in _files(path))
 
@@ -112,7 +112,7 @@ def _load(path: Path, registries: Sequence[Registry[Any]]) -> Extension:
     digest = sha256(data).hexdigest()
     module = ModuleType(f"scene_attack_extension_{next(_NUMBERS)}_{path.stem}")
     module.__file__ = str(path)
-    sys.modules[module.__name__] = module  # pydantic and dataclasses look their module up
+    sys.modules[module.__name__] = module  # pydantic and dataclasses look up the module of a class
     try:
         with redirect_stdout(sys.stderr):  # stdout is the command's: with --json it is read by a program
             exec(compile(data, str(path), "exec", dont_inherit=True), module.__dict__)
@@ -122,13 +122,13 @@ def _load(path: Path, registries: Sequence[Registry[Any]]) -> Extension:
         del sys.modules[module.__name__]
         for registry, entries in zip(registries, before, strict=True):
             registry.restore(entries)
-        return Extension(path, digest, error=_told(error, path))
+        return Extension(path, digest, error=_error_line(error, path))
     adds = {(r.kind, name) for r, entries in zip(registries, before, strict=True) for name in r if name not in entries}
     return Extension(path, digest, frozenset(adds))
 
 
-def _told(error: BaseException, path: Path) -> str:
-    """The error in one line, with the line of the file it came from."""
+def _error_line(error: BaseException, path: Path) -> str:
+    """Returns the error as a single line, with the line number of the file that raised it."""
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
     where = f"line {lines[-1]}: " if lines else ""
     try:

@@ -1,4 +1,4 @@
-"""Whether numbers are numbers."""
+"""Tests tensors for infinities and NaN."""
 
 from math import isfinite
 
@@ -7,6 +7,6 @@ from torch import Tensor
 
 
 def finite(values: Tensor) -> bool:
-    """Whether no value is infinite or not a number. Both show in the extremes, and those take one pass."""
+    """Returns whether every value is finite. The minimum and maximum, which a single pass computes, suffice."""
     low, high = torch.aminmax(values.detach())
     return isfinite(float(low)) and isfinite(float(high))

@@ -1,4 +1,4 @@
-"""Structured logs of the service's processes: one line an event, JSON unless a person is looking at a terminal."""
+"""Structured logs of the service's processes: a line per event, as JSON unless stderr is a terminal."""
 
 import logging
 import sys
@@ -9,7 +9,7 @@ import structlog
 
 
 def configure(process: str) -> None:
-    """Send structlog's and the standard library's records to stderr, each carrying the name of the process."""
+    """Sends structlog's and the standard library's records to stderr, each with the name of the process."""
 
     def name(_logger: Any, _method: str, record: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
         return {"process": process, **record}
@@ -51,5 +51,5 @@ def configure(process: str) -> None:
 
 
 def logger(name: str) -> Any:
-    """A structured logger; `log.info("job taken", job=id)`."""
+    """Returns a structured logger; usage: `log.info("job taken", job=id)`."""
     return structlog.get_logger(name)

@@ -1,4 +1,4 @@
-"""Settings from the environment (prefix SCENE_ATTACK_), with defaults that work on a laptop."""
+"""Reads settings from environment variables (prefix SCENE_ATTACK_); the defaults work on a laptop."""
 
 import os
 from functools import lru_cache
@@ -10,7 +10,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 
 
 class Settings(BaseSettings):
-    """Everything an operator may set; `scene-attack serve --help` and docs/operations.md explain each."""
+    """All settings of an operator; `scene-attack serve --help` and docs/operations.md describe them."""
 
     model_config = SettingsConfigDict(env_prefix="SCENE_ATTACK_", frozen=True)
 
@@ -70,16 +70,16 @@ class Settings(BaseSettings):
 
     @property
     def extension_paths(self) -> list[Path]:
-        """The files and folders of `extensions`."""
+        """The files and folders listed in `extensions`."""
         return [Path(part).expanduser() for part in (self.extensions or "").split(os.pathsep) if part]
 
     def environ(self) -> dict[str, str]:
-        """The environment variables that give a child process these settings."""
+        """Returns the environment variables that give a child process these settings."""
         values = {name: getattr(self, name) for name in type(self).model_fields}
         return {f"SCENE_ATTACK_{name.upper()}": str(value) for name, value in values.items() if value is not None}
 
 
 @lru_cache(maxsize=1)
 def settings() -> Settings:
-    """The process's settings, read from the environment once."""
+    """Returns the process's settings, read from the environment once."""
     return Settings()

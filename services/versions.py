@@ -1,4 +1,4 @@
-"""Which versions made a result."""
+"""Reads the versions of Python and packages, which are recorded with a result."""
 
 import platform
 from functools import lru_cache
@@ -7,5 +7,5 @@ from importlib.metadata import version
 
 @lru_cache
 def versions(*packages: str) -> dict[str, str]:
-    """Of Python and of installed packages. Read once in a process: it takes milliseconds, in every job."""
+    """Returns the versions of Python and of the installed `packages` by name. Cached, as reading takes milliseconds."""
     return {"python": platform.python_version()} | {name: version(name) for name in packages}
