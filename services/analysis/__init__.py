@@ -1,1 +1,1 @@
-"""What an attack did: perceptibility, subsets, verification, images."""
+"""Measures of an attack's outcome: perceptibility, subset ablation, the network's answers, images."""

@@ -1,4 +1,4 @@
-"""The network's answer to an image, in numbers a person reads."""
+"""The network's answer to an image as labels and probabilities."""
 
 from torch import Tensor
 
@@ -8,7 +8,7 @@ from services.targets.scores import probability
 
 
 def answer(logits: Tensor, labels: tuple[str, ...], goal: ResolvedGoal) -> Answer:
-    """The answer in scores [K]. On a tie the lower index wins, as in `ResolvedGoal.fooled`."""
+    """The answer that scores [K] give. On a tie the lower index is the answer, as in `ResolvedGoal.fooled`."""
     index = int(logits.argmax())
     order = logits.argsort(descending=True, stable=True)[:5].tolist()
     return Answer(

@@ -1,4 +1,4 @@
-"""Images on disk, and the perturbation made visible."""
+"""Reads and writes PNG files, and makes a visible image of the perturbation."""
 
 from pathlib import Path
 
@@ -7,11 +7,11 @@ from PIL import Image
 from torch import Tensor
 
 MAGNIFICATION = 5
-"""As in the paper's figures: five times, around 128."""
+"""Factor by which differences are shown, as in the paper's figures."""
 
 
 def magnified(original: Tensor, attacked: Tensor) -> Tensor:
-    """(attacked − original)·5 + 128, clipped; all uint8 [H, W, 3]."""
+    """The image (attacked − original)·5 + 128, clipped to 0…255; all three images are uint8 [H, W, 3]."""
     change = attacked.to(torch.int32) - original.to(torch.int32)
     return (change * MAGNIFICATION + 128).clamp(0, 255).to(torch.uint8)
 
@@ -22,7 +22,7 @@ def save_png(image: Tensor, path: Path) -> None:
 
 
 def load_png(path: Path) -> Tensor:
-    """A saved image, uint8 [H, W, 3]."""
+    """Reads an image as uint8 [H, W, 3]. Raises OSError, also for a file that is not an image."""
     with Image.open(path) as image:
         return torch.frombuffer(bytearray(image.convert("RGB").tobytes()), dtype=torch.uint8).reshape(
             image.height, image.width, 3

@@ -1,10 +1,10 @@
-"""What the analysis says, as records: nothing of torch is needed to read them."""
+"""Records of the analysis. This module does not import torch, so that the API can read them."""
 
 from pydantic import BaseModel, ConfigDict, Field
 
 
 class Answer(BaseModel):
-    """The network's answer to one image, as saved (8 bits)."""
+    """The network's answer to one image, rounded to 8 bits."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -16,7 +16,7 @@ class Answer(BaseModel):
 
 
 class Subset(BaseModel):
-    """The found perturbation with only some groups applied, rendered exactly."""
+    """The network's answer to the stored perturbation with only some of its groups applied, rendered exactly."""
 
     model_config = ConfigDict(extra="forbid")
 

@@ -1,4 +1,6 @@
-"""Which groups did the damage: the found perturbation with every subset of its groups (paper, section 4.1.2)."""
+"""Subset ablation: applies every subset of a perturbation's groups, to tell which groups fool the network (paper,
+section 4.1.2).
+"""
 
 from itertools import combinations
 
@@ -12,15 +14,16 @@ from services.attacks.verifier import Verifier
 from services.rendering.protocol import Parameters
 
 Judged = tuple[Tensor, Tensor]
-"""A saved image, uint8 [H, W, 3], and the network's scores of it [K]."""
+"""An exact image rounded to 8 bits, uint8 [H, W, 3], and the network's scores of it, [K]."""
 
 
 def subsets(
     verifier: Verifier, goal: ResolvedGoal, perturbation: Parameters, original: Judged, attacked: Judged
 ) -> list[Subset]:
-    """All 2^k subsets, the empty one first and the full one last.
+    """Renders and classifies all 2^k subsets of k groups; the empty set is first and the full set is last.
 
-    The empty and the full set were rendered and asked about already: the table agrees with the result to the bit.
+    `original` and `attacked`, the images and scores of the empty and the full set, are used as they are, so that the
+    table agrees with the result to the bit.
     """
     rows = []
     for size in range(len(perturbation) + 1):

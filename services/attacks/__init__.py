@@ -1,1 +1,1 @@
-"""Goals, budgets, traces and the attacks themselves."""
+"""Goals, budgets, traces, the attack loop, and one module for each attack."""

@@ -1,4 +1,4 @@
-"""A running attack on disk: one safetensors file, replaced atomically."""
+"""Saves a running attack to one safetensors file, replaced atomically, and loads it again."""
 
 import json
 from dataclasses import fields
@@ -20,7 +20,7 @@ _PLAIN = ("step", "settings", "below_noise", "seconds", "stopped", "fooled", "ve
 
 
 def save(path: Path, run: AttackState, problem: AttackProblem, method: Method, verifier: Verifier) -> None:
-    """Writes the run and the method's state."""
+    """Writes the loop's state, the method's state, and the query and render counts of `problem` and `verifier`."""
     tensors = {f"method.{name}": value for name, value in method.state().items()}
     tensors |= {f"stored.{group}": value for group, value in run.stored.items()}
     tensors |= {"ever": run.ever, "image": run.image, "scores": run.scores}
@@ -32,9 +32,10 @@ def save(path: Path, run: AttackState, problem: AttackProblem, method: Method, v
 
 
 def load(path: Path | None, problem: AttackProblem, method: Method, verifier: Verifier) -> AttackState | None:
-    """The saved run, or None if there is none. The method gets its state, problem and verifier their counts.
+    """Returns the saved state of the loop, or None if `path` is None, missing, damaged or of an earlier version.
 
-    A file that cannot be read is as good as none: the attack starts again and ends in the same result.
+    Also loads the method's state into `method`, and the counts into `problem` and `verifier`. After None the attack
+    starts again and ends in the same result.
     """
     if path is None or not path.exists():
         return None

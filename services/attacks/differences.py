@@ -1,7 +1,7 @@
-"""Central differences of the objective, coordinate by coordinate, and the noise they have to beat.
+"""Central differences of the objective, coordinate by coordinate, and the noise floor below which they are discarded.
 
-All attacked groups are one vector here, group after group (`layout`). Each coordinate's two images depend on nothing
-but that coordinate, so an estimate is the same whatever else is differenced beside it.
+All attacked groups form one vector here, group after group (`layout`). The two images of a coordinate depend on that
+coordinate alone, so its estimate is the same whichever other coordinates are estimated in the same call.
 """
 
 from dataclasses import dataclass
@@ -13,9 +13,9 @@ from services.attacks.problem import AttackProblem, distances, truncate
 from services.attacks.seeds import generator
 
 CHUNK_VALUES = 8_000_000
-"""Values (pixels × channels) rendered at a time: about 100 MB with the network's activations beside it."""
+"""Largest number of values (pixels × channels) rendered in one batch; with the network's activations about 100 MB."""
 NEARLY = 1.5
-"""A candidate is as steady as the steadiest if it changes by at most this factor more."""
+"""A half-step counts as steady if its gradients change by at most this factor more than the steadiest half-step's."""
 CANDIDATES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4)
 """Half-steps among which `measure_half_steps` chooses."""
 
@@ -23,7 +23,7 @@ CANDIDATES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4)
 def objective(problem: AttackProblem, images: Tensor) -> Tensor:
     """The hinge-free objective of ZOO, [B] float64: log-probability advantage + λ·‖ΔY‖².
 
-    Each image is scored alone: the sums run over its own pixels, never over the batch.
+    `images` is [B, H, W, 3] in [0,1]. The sums run over the pixels of each image, never over the batch.
     """
     advantage = problem.goal.advantage(problem.logits(images)).double()
     if problem.weight == 0:
@@ -33,7 +33,10 @@ def objective(problem: AttackProblem, images: Tensor) -> Tensor:
 
 @torch.no_grad()
 def evaluate(problem: AttackProblem, vectors: Tensor) -> Tensor:
-    """The objective at perturbations [B, total], [B] float64 on the CPU, in chunks of bounded memory."""
+    """The objective at the perturbations `vectors` [B, total]: [B] float64 on the CPU.
+
+    Images are rendered in chunks of at most `CHUNK_VALUES` values. Raises as `AttackProblem.render` and `logits` do.
+    """
     height, width = problem.renderer.size
     size = max(1, min(28, CHUNK_VALUES // (height * width * 3)))
     start = problem.layout.flatten(problem.initial)
@@ -48,19 +51,20 @@ def evaluate(problem: AttackProblem, vectors: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Central differences. `below_noise` marks those whose two values differ by less than the noise; there the gradient
-    is 0.
-    """
+    """Central differences at k coordinates."""
 
     gradients: Tensor
+    """∂objective/∂x, float64 [k]; 0 where `below_noise`."""
     below_noise: Tensor
+    """Whether the two values of the objective differ by no more than the noise, bool [k]."""
 
 
 def estimate(problem: AttackProblem, delta: Tensor, coordinates: Tensor, half_steps: Tensor, noise: float) -> Estimate:
     """∂objective/∂x_d ≈ (f(x + δ_d e_d) − f(x − δ_d e_d)) / 2δ_d at the coordinates [k] (paper, section 3.2).
 
-    `delta` [total] is the perturbation; `half_steps` [k] are the δ_d. Where a side would leave the physical bounds it
-    stops there, and the true distance divides.
+    `delta` [total] is the perturbation, `half_steps` [k] are the δ_d in the groups' units, `noise` is the objective's
+    noise floor. A side that would leave the physical bounds is clamped to them, and the difference is divided by the
+    distance that remains. Raises as `evaluate` does.
     """
     rows = torch.arange(len(coordinates))
     sides = []
@@ -78,7 +82,7 @@ def estimate(problem: AttackProblem, delta: Tensor, coordinates: Tensor, half_st
 
 
 def clamped(problem: AttackProblem, vectors: Tensor) -> Tensor:
-    """Perturbations [B, total] pulled back into the physical bounds."""
+    """Perturbations [B, total], clamped so that the perturbed parameters are within the renderer's physical bounds."""
     within = problem.clamp(problem.layout.unflatten(vectors))
     return torch.cat([within[g].flatten(1) for g in problem.layout.groups], dim=1)
 
@@ -86,7 +90,8 @@ def clamped(problem: AttackProblem, vectors: Tensor) -> Tensor:
 def measure_noise(problem: AttackProblem, delta: Tensor, samples: int = 8) -> float:
     """Noise floor of the objective at the perturbation `delta` [total]: its spread under floating-point rounding.
 
-    Images are jittered by one unit in the last place at 1, of their own dtype; twice the range seen is called noise.
+    The image is jittered `samples` times by at most the machine epsilon of its dtype. The noise floor is twice the
+    range of the objective over these images.
     """
     layout = problem.layout
     random = generator(problem.seed, "noise")
@@ -101,12 +106,13 @@ def measure_noise(problem: AttackProblem, delta: Tensor, samples: int = 8) -> fl
 
 
 def measure_half_steps(problem: AttackProblem, reach: Tensor, noise: float, probes: int = 4) -> dict[str, float]:
-    """For each group the half-step whose gradients agree best with those of the neighbouring half-steps.
+    """Returns for each group the half-step among `CANDIDATES` whose gradients agree best with its neighbours'.
 
-    Too small a step drowns in rounding and in the pixels of an edge, too large a one sees curvature; both show as
-    disagreement with the next step. Gradients are probed at a few random coordinates of the perturbation ±`reach`
-    [total]: at zero the λ term is symmetric, any step cancels it, and the far too large ones look steady. Where all are
-    below the noise, the largest step is taken.
+    A step that is too small is dominated by rounding and by pixels at silhouettes, a step that is too large by
+    curvature; both show as disagreement with the gradients of the next step. Gradients are estimated at `probes` random
+    coordinates per group, at a perturbation of random signs times `reach` [total], in the groups' units. At the
+    perturbation 0 the λ term would be symmetric: every step would cancel it, and far too large steps would look steady.
+    A group whose differences are all below `noise` gets the largest step.
     """
     layout = problem.layout
     signs = torch.randint(0, 2, (layout.total,), generator=generator(problem.seed, "reach"))
@@ -125,8 +131,8 @@ def measure_half_steps(problem: AttackProblem, reach: Tensor, noise: float, prob
 def _steadiest(gradients: Tensor) -> int:
     """Index of a candidate, given gradients [probes, candidates], largest step first; 0 if all are below the noise.
 
-    The change towards both neighbours is what counts, so only inner candidates can win. Among those nearly as steady as
-    the steadiest the largest step is taken: by chance two small steps may agree on noise, two large ones hardly do.
+    A candidate is compared with both neighbours, so only inner candidates can be chosen. The largest step is taken
+    among those nearly as steady as the steadiest: two small steps may agree by chance on noise, two large ones hardly.
     """
     size = gradients.norm(dim=0)
     gap = (gradients[:, 1:] - gradients[:, :-1]).norm(dim=0) / torch.maximum(size[1:], size[:-1])

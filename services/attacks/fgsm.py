@@ -1,4 +1,4 @@
-"""Iterative FGSM through the renderer (paper, section 3.2): the sign of the gradient, with momentum."""
+"""Iterative FGSM through the renderer (paper, section 3.2): steps along the gradient's sign, with momentum."""
 
 from __future__ import annotations
 
@@ -17,17 +17,21 @@ if TYPE_CHECKING:
 
 
 class Fgsm(AttackSettings):
-    """Iterative FGSM: the sign of the gradient, momentum, weight decay on the perturbation (paper, section 3.2)."""
+    """Iterative FGSM: steps along the gradient's sign, with momentum and weight decay of the perturbation (paper,
+    section 3.2).
+    """
 
     method: Literal["fgsm"] = "fgsm"
-    steps: Annotated[int, Field(ge=1, le=10_000)] = Field(120, description="most steps")
+    steps: Annotated[int, Field(ge=1, le=10_000)] = Field(120, description="largest number of steps")
     learning_rate: dict[str, Rate] = Field(
-        default_factory=dict, description="per group, in the group's units; default: the paper's"
+        default_factory=dict, description="step size of each group, in the group's units; default: the paper's"
     )
-    momentum: Annotated[float, Field(ge=0, lt=1)] = Field(0.9, description="of the signed gradients")
-    weight_decay: Annotated[float, Field(ge=0, le=1)] = Field(1e-4, description="pull of the perturbation towards 0")
+    momentum: Annotated[float, Field(ge=0, lt=1)] = Field(0.9, description="momentum μ of the signed gradients")
+    weight_decay: Annotated[float, Field(ge=0, le=1)] = Field(
+        1e-4, description="factor on the perturbation that is added to the sign"
+    )
     truncation: Annotated[int, Field(ge=1, le=255)] | None = Field(
-        18, description="U: most an RGB value may move from the original inside the loop, in 1/255; null: no limit"
+        18, description="U: largest change of an RGB value from the original inside the loop, in 1/255; null: no limit"
     )
 
     @classmethod
@@ -50,8 +54,9 @@ class Fgsm(AttackSettings):
 class FgsmMethod:
     """v ← μ·v + sign(∇ log-odds) + decay·Δ;  Δ ← Δ − η·v, for each group with its own η.
 
-    The sign of the gradient of the log-odds is that of the probability, without its dead zone on confident networks.
-    Weight decay and momentum act on the perturbation, which starts at zero, not on the scene's own values.
+    The gradients of the log-odds and of the probability have the same sign, but the probability's vanishes in float32
+    when the network is confident. Weight decay and momentum act on the perturbation, which starts at zero, not on the
+    scene's own values.
     """
 
     needs_gradient = True
@@ -62,11 +67,11 @@ class FgsmMethod:
         self.velocity: Parameters = problem.nothing()
 
     def start(self, problem: AttackProblem) -> dict[str, object]:  # noqa: ARG002 - nothing to measure
-        """Nothing to measure."""
+        """FGSM measures no settings."""
         return {}
 
     def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:  # noqa: ARG002
-        """One step along the evaluation's gradients. Returns the number of groups whose gradient is zero throughout."""
+        """Takes one step along `view.gradients`. Returns the number of groups whose gradient is zero throughout."""
         moved = {}
         for group, seen in view.perturbation.items():
             delta = seen.detach()
@@ -77,7 +82,7 @@ class FgsmMethod:
         return sum(bool(gradient.min() == gradient.max() == 0) for gradient in view.gradients.values())
 
     def state(self) -> dict[str, Tensor]:
-        """Perturbation and velocity."""
+        """The perturbation and the velocity of each group."""
         named = {f"perturbation.{g}": v for g, v in self.perturbation.items()}
         return named | {f"velocity.{g}": v for g, v in self.velocity.items()}
 

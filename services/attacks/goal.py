@@ -1,4 +1,4 @@
-"""What an attack wants the network to say, as numbers: an objective to minimise and a test of success."""
+"""The goal of an attack as numbers: an objective to minimise and a test of success."""
 
 from dataclasses import dataclass
 
@@ -10,9 +10,11 @@ from services.targets.scores import advantage, log_odds, probability
 
 @dataclass(frozen=True)
 class ResolvedGoal:
-    """A goal over label indices. `reach` None: stop saying `leave`; otherwise: say `reach`.
+    """A goal over label indices: if `reach` is None, the network must stop answering `leave`; else it must answer
+    `reach`.
 
-    A network with one label only has no other answer: `objective` and `advantage` raise InvalidRequest("target.name").
+    All methods take logits [..., K]. `objective` and `advantage` raise InvalidRequest("target.name") if K is 1, since
+    such a network has no other answer.
     """
 
     leave: int | None
@@ -24,13 +26,13 @@ class ResolvedGoal:
 
     @property
     def label(self) -> int:
-        """The label whose probability is followed: the one to reach, or else to leave."""
+        """The label whose probability the trace records: `reach` if it is given, else `leave`."""
         label = self.leave if self.reach is None else self.reach
         assert label is not None
         return label
 
     def objective(self, logits: Tensor) -> Tensor:
-        """What FGSM descends, [B]: the log-odds of the label to leave, or minus those of the label to reach.
+        """The objective that FGSM minimises, [B]: the log-odds of the label to leave, or minus those of `reach`.
 
         Its gradient has the direction of the paper's loss (the probability) and does not vanish on a confident network.
         """
@@ -39,7 +41,7 @@ class ResolvedGoal:
         return odds if self.reach is None else -odds
 
     def advantage(self, logits: Tensor) -> Tensor:
-        """Log-probability advantage still to be overcome, [B]; negative once fooled (paper, attack curves)."""
+        """Log-probability advantage of the present answer, [B]; negative once fooled (paper, attack curves)."""
         _several(logits)
         value = advantage(logits, self.label)
         return value if self.reach is None else -value
@@ -50,7 +52,7 @@ class ResolvedGoal:
         return value if self.reach is None else 1 - value
 
     def fooled(self, logits: Tensor) -> Tensor:
-        """Whether the first answer is what the goal asks for, [B] bool. On a tie the lower index is the answer."""
+        """Whether the most probable label meets the goal, [B] bool. On a tie the lower index is the answer."""
         answer = logits.argmax(dim=-1)
         return answer != self.label if self.reach is None else answer == self.label
 

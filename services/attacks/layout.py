@@ -1,4 +1,4 @@
-"""All attacked groups as one vector, group after group: what methods work on that treat every coordinate alike."""
+"""All attacked groups as one vector, group after group, for methods that treat every coordinate alike."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from services.rendering.protocol import Parameters
 
 @dataclass(frozen=True)
 class Layout:
-    """Where each group's coordinates are in the vector."""
+    """The position of each group's coordinates in a vector of length `total`."""
 
     groups: tuple[str, ...]
     shapes: dict[str, torch.Size]
@@ -20,7 +20,7 @@ class Layout:
 
     @classmethod
     def of(cls, values: Mapping[str, Tensor]) -> "Layout":
-        """The layout of groups, in their order."""
+        """The layout of the groups in `values`, in their order."""
         starts, total = {}, 0
         for group, value in values.items():
             starts[group] = total
@@ -36,11 +36,11 @@ class Layout:
         return next(g for g in reversed(self.groups) if coordinate >= self.starts[g])
 
     def flatten(self, parameters: Mapping[str, Tensor]) -> Tensor:
-        """One vector of all groups."""
+        """The groups' values, each of its group's shape, as one vector [total]."""
         return torch.cat([parameters[g].flatten() for g in self.groups])
 
     def unflatten(self, vectors: Tensor) -> Parameters:
-        """Vectors [..., total] as groups [..., shape]."""
+        """Vectors [..., total] as tensors [..., *shape], by group."""
         lead = vectors.shape[:-1]
         return {
             g: vectors[..., self.starts[g] : self.starts[g] + self.shapes[g].numel()].reshape(*lead, *self.shapes[g])
@@ -48,11 +48,11 @@ class Layout:
         }
 
     def spread(self, by_group: Mapping[str, float]) -> Tensor:
-        """Each coordinate with its group's value, float64 [total]."""
+        """A vector, float64 [total], in which every coordinate has its group's value."""
         return torch.cat([torch.full((self.shapes[g].numel(),), by_group[g]) for g in self.groups]).double()
 
     def mask(self, coordinates: Iterable[tuple[str, int]]) -> Tensor:
-        """True at coordinates given as group and index within it, bool [total]."""
+        """A mask, bool [total], that is true at the given (group, flat index within the group)."""
         found = torch.zeros(self.total, dtype=torch.bool)
         found[[self.starts[group] + index for group, index in coordinates]] = True
         return found

@@ -1,4 +1,4 @@
-"""The one loop all attacks run in: evaluate, verify, stop or advance."""
+"""The loop that runs every attack: evaluate, verify, stop or advance."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -21,7 +21,11 @@ from services.targets.scores import probability
 
 @dataclass(frozen=True)
 class Budget:
-    """When to stop without success. Queries count every image put to the network, verification included."""
+    """The limits at which an attack stops without success; None means no limit.
+
+    `queries` counts every image that the network classifies, verification included. `seconds` is wall-clock time over
+    all attempts of a job.
+    """
 
     steps: int
     queries: int | None = None
@@ -30,7 +34,11 @@ class Budget:
 
 @dataclass
 class AttackRun:
-    """One attack as the loop runs it. The checkpoint is resumed from if it fits, and written every few seconds."""
+    """One attack as the loop runs it.
+
+    The loop resumes from the file `checkpoint_path` if it holds a readable checkpoint, and writes it every few seconds.
+    It calls `on_row` with every new row of the trace.
+    """
 
     problem: AttackProblem
     method: Method
@@ -49,22 +57,23 @@ def run(
     checkpoint_path: Path | None = None,
     on_row: Callable[[TraceRow], None] = lambda _: None,
 ) -> AttackState:
-    """Attacks until an adversary is verified or the budget is spent.
+    """Attacks until an adversary is verified or the budget is spent, and returns the final state.
 
-    At every step the image, as it would be saved, is put to the network. If that fools it, the perturbation is
-    rendered afresh by the exact path; the loop ends when that fools the network too, and goes on otherwise (truncation
-    makes image and parameters disagree).
+    At every step the network classifies the image rounded to 8 bits. If the goal is met, the verifier renders the
+    perturbation by the exact path and asks the network again. The loop ends if that image meets the goal too, and goes
+    on otherwise (truncation makes image and parameters disagree). Raises JobFailure("non-finite") if an image, a score
+    or a gradient is not finite, and what `problem.interrupt` raises.
     """
     [found] = run_together([AttackRun(problem, method, verifier, budget, checkpoint_path, on_row)])
     return found
 
 
 def run_together(attacks: Sequence[AttackRun]) -> list[AttackState]:
-    """Several attacks in lockstep, one pass of the network a step for all; each ends when it ends. Results in order.
+    """Runs several attacks in lockstep, with one pass of the network per step for all; returns states in their order.
 
-    They share the network, the question, the size of the images and whether the method needs gradients (ValueError
-    otherwise). Each ends as it would alone, but for the rounding of the network's sums, which depends on the size of a
-    batch. An error in one ends all.
+    Raises ValueError unless they share the network, the question, the size of the images and whether the method needs
+    gradients. Each attack ends at its own step, with the result it would have alone, except for the rounding of the
+    network's sums, which depends on the batch size. An error in one attack ends all.
     """
     shared = {
         (id(a.problem.target), a.problem.question, a.problem.renderer.size, a.method.needs_gradient) for a in attacks
@@ -78,7 +87,7 @@ def run_together(attacks: Sequence[AttackRun]) -> list[AttackState]:
 
 
 class _Running:
-    """An attack and how far it is."""
+    """An attack and its state."""
 
     def __init__(self, attack: AttackRun) -> None:
         self.attack = attack

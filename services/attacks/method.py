@@ -1,6 +1,7 @@
-"""The protocol of an attack method. Its whole state is tensors that can be saved and loaded.
+"""The protocol of an attack method. Its whole state is a set of named tensors, which a checkpoint saves and loads.
 
-`services.attacks.spec.register` makes one known; its class is made of its settings and an `AttackProblem`.
+`services.attacks.spec.register` registers a method's class. The class is called with the settings and an
+`AttackProblem`.
 """
 
 from typing import Protocol
@@ -16,7 +17,7 @@ class Method(Protocol):
 
     @property
     def needs_gradient(self) -> bool:
-        """Whether `advance` wants a view with a graph."""
+        """Whether `advance` reads `view.gradients`."""
         ...
 
     @property
@@ -25,20 +26,20 @@ class Method(Protocol):
         ...
 
     def start(self, problem: AttackProblem) -> dict[str, object]:
-        """Called once before the first step, not on resuming; returns settings that were found by measuring."""
+        """The loop calls this once before the first step, not on resuming. Returns the settings found by measuring."""
         ...
 
     def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:
-        """Moves the perturbation one step.
+        """Moves the perturbation by one step, given its evaluation `view` and the number `step`, which begins at 0.
 
         Returns the number of differences that were below the noise, or of groups whose gradient is zero throughout.
         """
         ...
 
     def state(self) -> dict[str, Tensor]:
-        """Everything `advance` depends on, by name."""
+        """Every tensor that `advance` depends on, by name."""
         ...
 
     def load(self, state: dict[str, Tensor]) -> None:
-        """Continues from a state."""
+        """Continues from a state that `state()` returned."""
         ...

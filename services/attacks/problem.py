@@ -1,4 +1,4 @@
-"""An attack's problem: a renderer, a network, a goal; and the count of everything asked of them."""
+"""An attack's problem: a renderer, a network and a goal, with counts of the images rendered and classified."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,7 +17,7 @@ from services.rendering.protocol import Parameters, Renderer
 from services.targets.protocol import Target
 
 ROUNDING = 1e-6
-"""A pixel at exactly U is not beyond it; float32 sums of k/255 are off by less than this."""
+"""Tolerance of the comparison with U: float32 sums of k/255 are off by less, and a change of exactly U is allowed."""
 
 
 @dataclass(frozen=True)
@@ -25,18 +25,18 @@ class Evaluation:
     """One perturbation, its image, and its gradients."""
 
     perturbation: Parameters
-    """The perturbation seen; leaves of the graph of `images` if a gradient was asked for."""
+    """The perturbation by group; its tensors are leaves of the graph of `images` if a gradient was asked for."""
     images: Tensor
-    """The float image [1, H, W, 3], truncated where U asks."""
+    """The float image [1, H, W, 3] in [0,1], truncated to U around the original."""
     truncated: Tensor
-    """Pixels held back, bool [H, W]."""
+    """Pixels with a truncated value, bool [H, W]."""
     gradients: Parameters = field(default_factory=dict)
     """∂objective/∂perturbation by group, for a method that needs it; see `gradients`."""
 
 
 @dataclass
 class AttackProblem:
-    """Renders perturbations and puts images to the network, counting both.
+    """Renders perturbations and classifies images, and counts both (`renders`, `queries`).
 
     `truncation` is U in [0,1] or None; `weight` is λ of the summed squares of the image's change (zoo).
     """
@@ -58,7 +58,7 @@ class AttackProblem:
     layout: Layout = field(init=False)
     """The attacked groups as one vector."""
     bounds: dict[str, tuple[Tensor, Tensor]] = field(init=False)
-    """Lowest and highest perturbation of the groups that have physical bounds."""
+    """Smallest and largest perturbation of each group that has physical bounds."""
 
     def __post_init__(self) -> None:
         start, bounds = self.renderer.initial(), self.renderer.bounds()
@@ -77,7 +77,7 @@ class AttackProblem:
         return {group: torch.zeros_like(value) for group, value in self.initial.items()}
 
     def clamp(self, perturbation: Mapping[str, Tensor]) -> Parameters:
-        """The perturbation, pulled back so that the perturbed parameters stay physically meaningful."""
+        """The perturbation, clamped so that the perturbed parameters are within the renderer's physical bounds."""
         return {
             group: value.clamp(*self.bounds[group]) if group in self.bounds else value
             for group, value in perturbation.items()
@@ -120,11 +120,11 @@ def ask(problems: Sequence[AttackProblem], images: Tensor) -> Tensor:
 
 
 def quantize(images: Tensor) -> tuple[Tensor, Tensor]:
-    """Images in [0,1], of any shape, as they are saved (uint8) and as a reader of the file sees them (float32).
+    """Rounds images in [0,1], of any shape, to 8 bits. Returns them as uint8 and as k/255 in float32.
 
-    The latter is differentiable as if nothing were rounded (a straight-through derivative): one pass of the network
-    gives the verdict on the saved image and the gradient. benchmarks/rounded_gradient.py compares it with the
-    float image's gradient.
+    The derivative of the float32 result is that of the unrounded images (a straight-through derivative), so one pass of
+    the network gives both the verdict on the saved image and the gradient. benchmarks/rounded_gradient.py compares
+    this gradient with the unrounded image's.
     """
     result: tuple[Tensor, Tensor] = _Quantize.apply(images)  # type: ignore[no-untyped-call]
     return result
@@ -145,12 +145,12 @@ class _Quantize(torch.autograd.Function):
 def gradients(problems: Sequence[AttackProblem], views: Sequence[Evaluation], logits: Tensor) -> list[Parameters]:
     """∂objective/∂perturbation of each problem at its view, by group, in one backward pass.
 
-    `logits` [B, K], one row a problem, with a graph that leads to the views. Raises JobFailure("non-finite") naming the
-    group.
+    `logits` [B, K] has one row for each problem, and a graph that leads to the views. Raises JobFailure("non-finite")
+    naming the group.
     """
     objective = torch.stack([p.goal.objective(of) for p, of in zip(problems, logits, strict=True)]).sum()
     leaves = [view.perturbation[group] for p, view in zip(problems, views, strict=True) for group in p.groups]
-    # zeros where every pixel is held back, or out of the parameter's reach
+    # zeros where every pixel is truncated, or does not depend on the parameter
     by_leaf = iter(torch.autograd.grad(objective, leaves, materialize_grads=True))
     found = [{group: next(by_leaf) for group in p.groups} for p in problems]
     for group, gradient in (item for of in found for item in of.items()):
@@ -160,10 +160,10 @@ def gradients(problems: Sequence[AttackProblem], views: Sequence[Evaluation], lo
 
 
 def distances(images: Tensor, original: Tensor) -> Tensor:
-    """‖ΔY‖ of each image [B, H, W, 3] from the original [1, H, W, 3], [B] float64.
+    """Euclidean distance ‖ΔY‖ of each image [B, H, W, 3] from the original [1, H, W, 3]: [B] float64.
 
-    Differences and their sums along a row are of the images' type, which costs a few last places; the sum over rows,
-    which is long, is not.
+    Differences and their sums along a row are of the images' dtype, which costs a few last places; the long sum over
+    rows is in float64.
     """
     rows = torch.linalg.vector_norm((images - original).flatten(2), dim=2)
     found: Tensor = torch.linalg.vector_norm(rows, dim=1, dtype=torch.float64)
@@ -171,9 +171,10 @@ def distances(images: Tensor, original: Tensor) -> Tensor:
 
 
 def truncate(images: Tensor, original: Tensor, limit: float | None) -> tuple[Tensor, Tensor]:
-    """Images with no RGB value further than `limit` from the original, and which pixels that held back.
+    """Clamps RGB values to within `limit` of the original. Returns the images and the mask of changed pixels.
 
-    `images` [1, H, W, 3]; the mask is bool [H, W]. A held-back value passes no gradient (paper, section 3.3).
+    `images` and `original` are [1, H, W, 3] in [0,1]; `limit` is in [0,1], or None for no limit; the mask is bool
+    [H, W]. A clamped value passes no gradient (paper, section 3.3).
     """
     nowhere = torch.zeros(images.shape[1:3], dtype=torch.bool, device=images.device)
     if limit is None:

@@ -1,4 +1,4 @@
-"""Randomness that can be resumed: each step has a generator of its own, derived from the job's seed."""
+"""Random numbers of an attack that may be resumed: each step has its own generator, derived from the job's seed."""
 
 import hashlib
 
@@ -7,13 +7,13 @@ from torch import Tensor
 
 
 def generator(seed: int, *words: str | int) -> torch.Generator:
-    """A CPU generator that depends on the seed and the words (what for, which step) and on nothing else."""
+    """A CPU generator that depends on the seed and on `words` alone, which name the purpose and the step."""
     text = "/".join([str(seed), *map(str, words)])
     number = int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big")
     return torch.Generator().manual_seed(number % 2**63)
 
 
 def draw(pool: Tensor, count: int, seed: int, *words: str | int) -> Tensor:
-    """`count` different elements of a pool [n], in ascending order; all of them if there are fewer."""
+    """Draws `count` distinct elements of `pool` [n], in ascending order; all of them if n is smaller."""
     chosen = torch.randperm(len(pool), generator=generator(seed, *words))[:count]
     return pool[chosen].sort().values

@@ -1,8 +1,8 @@
-"""What the settings of every attack have in common, the registry of attacks, and the goal of a request.
+"""The base class of all attacks' settings, the registry of attacks, and the goal of a request.
 
 An attack is one file: it derives its settings from `AttackSettings`, writes its method as a class
-(services.attacks.method), and puts both together with `@register(Settings)`. The request's union of attacks, the paths
-of errors, openapi.yaml and the tables in docs/scene.md follow from the registry. Nothing here needs torch.
+(services.attacks.method), and registers both with `@register(Settings)`. The request's union of attacks, the paths of
+errors, openapi.yaml and the tables in docs/scene.md follow from the registry. This module does not import torch.
 """
 
 from collections.abc import Callable
@@ -24,18 +24,19 @@ Seed = Annotated[int, Field(ge=0, le=LARGEST_SEED)]
 
 
 class Goal(Model):
-    """What the network should be brought to say.
+    """The answer that the attack wants from the network. A label is a name or an index.
 
-    Non-targeted: `leave` is the true label, which must be the network's first answer to begin with; left out, the
-    network's first answer is the label to leave. Targeted: `reach` is the label wanted. A label is a name or an index.
+    Non-targeted: the network must stop answering `leave`, the true label, which must be its answer to the original
+    image. If `leave` is left out, it is the network's answer to the original image. Targeted: the network must answer
+    `reach`.
     """
 
-    leave: Label | None = Field(None, description="the true label; the network must stop saying it")
-    reach: Label | None = Field(None, description="a label the network must come to say (targeted)")
+    leave: Label | None = Field(None, description="the true label, which the network must stop answering")
+    reach: Label | None = Field(None, description="the label that the network must answer (targeted)")
 
 
 def _base_renderers() -> list[str]:
-    """Names of the renderers that draw an image of their own."""
+    """Names of the renderers that need no base renderer."""
     return [name for name, one in RENDERERS.items() if one.base_renderer is None]
 
 
@@ -48,30 +49,35 @@ def _base_renderer_names(schema: dict[str, Any]) -> None:
 
 
 class AttackSettings(Model):
-    """Settings that every method has. Those left out are filled in, so that the stored spec says every number that ran.
+    """Settings that every method has. Settings left out are filled in, so that the stored spec states all of them.
 
-    A method adds its own, among them `method: Literal["its-name"] = "its-name"`, and may narrow `steps` and
-    `truncation` or give them other defaults.
+    A method's settings derive from this class. They add fields, among them `method: Literal["its-name"] = "its-name"`,
+    and may narrow `steps` and `truncation` or give them other defaults.
     """
 
-    renderer: str = Field("torch", description="whose parameters are attacked", json_schema_extra=_renderer_names)
-    groups: tuple[str, ...] = Field((), max_length=8, description="parameter groups; empty means all the renderer has")
+    renderer: str = Field(
+        "torch", description="the renderer whose parameters are attacked", json_schema_extra=_renderer_names
+    )
+    groups: tuple[str, ...] = Field(
+        (), max_length=8, description="the parameter groups to attack; empty means all groups of the renderer"
+    )
     base_renderer: str | None = Field(
         None,
-        description="for a renderer that works on another's image, as `image` does: the renderer that draws it; "
-        "default torch",
+        description="for a renderer that changes another renderer's image, as `image` does: the renderer of that "
+        "image; default torch",
         json_schema_extra=_base_renderer_names,
     )
     queries: Annotated[int, Field(ge=1, le=10_000_000)] | None = Field(
-        None, description="stop after so many network queries"
+        None, description="limit of network queries, after which the attack stops"
     )
     seconds: Annotated[float, Field(gt=0, le=86_400, allow_inf_nan=False)] | None = Field(
-        None, description="stop after so many seconds; such a job may end differently on another machine"
+        None, description="limit of run time in seconds; a job that reaches it may end differently on another machine"
     )
     method: str
-    steps: Annotated[int, Field(ge=1, le=100_000)] = Field(500, description="most steps")
+    steps: Annotated[int, Field(ge=1, le=100_000)] = Field(500, description="largest number of steps")
     truncation: Annotated[int, Field(ge=1, le=255)] | None = Field(
-        None, description="U: most an RGB value may move from the original inside the loop, in 1/255; null: no limit"
+        None,
+        description="U: largest change of an RGB value from the original inside the loop, in 1/255; null: no limit",
     )
 
     @property
@@ -81,7 +87,7 @@ class AttackSettings(Model):
 
     @classmethod
     def complete(cls, data: dict[str, Any]) -> dict[str, Any]:
-        """Fills in what else a method derives from the renderer and the groups; overridden by methods that do."""
+        """Fills in settings that the method derives from the renderer and the groups. The base class derives none."""
         return data
 
     @model_validator(mode="before")
@@ -134,7 +140,7 @@ def _one_of(names: list[str], value: str) -> str:
 
 
 def _completed(given: dict[str, Any]) -> dict[str, Any]:
-    """The data with the groups and the base renderer said, where they were left out."""
+    """The data with the groups and the base renderer filled in where they were left out."""
     data = dict(given)
     if "picture" in data:  # the name of `base_renderer` in version 0.1
         if "base_renderer" in data:
@@ -157,12 +163,14 @@ def _completed(given: dict[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Attack:
-    """A registered attack: the model of its settings, and its method, a class made of settings and a problem."""
+    """A registered attack."""
 
     settings: type[AttackSettings]
+    """The pydantic model of its settings."""
     method: type[Any]
-    """See services.attacks.method.Method."""
+    """The class of its method (services.attacks.method.Method), called with the settings and an AttackProblem."""
     needs_gradient: bool
+    """Whether the method needs a differentiable renderer."""
 
 
 ATTACKS: Registry[Attack] = Registry("method", "services.attacks")
@@ -171,10 +179,10 @@ MethodClass = TypeVar("MethodClass", bound=type[Any])
 
 
 def register(settings: type[AttackSettings]) -> Callable[[MethodClass], MethodClass]:
-    """Decorator of a method's class that makes it known under the name that its settings' field `method` has.
+    """Returns a class decorator that registers a method under the name in the field `method` of its settings.
 
-    Raises ValueError if that field is no `Literal` of one name, if the name is taken, or if the class lacks a part of
-    the protocol; pydantic's errors if the settings make no schema.
+    Raises ValueError if that field is not a `Literal` of one name, if the name is taken, or if the class lacks a part
+    of the protocol. Raises pydantic's errors if the settings have no JSON schema.
     """
     settings.model_json_schema()
     annotation = settings.model_fields["method"].annotation

@@ -1,4 +1,4 @@
-"""The state of a running attack: trace, verdicts and the perturbation that counts."""
+"""The state of a running attack: its trace, its verdicts and the perturbation that the result will store."""
 
 from dataclasses import dataclass, field
 
@@ -11,7 +11,7 @@ from services.rendering.protocol import Parameters
 
 @dataclass
 class AttackState:
-    """All that a loop has gathered; with the method's state, all it needs to go on."""
+    """The loop's state. Together with the method's state it is enough to resume the attack."""
 
     step: int = 0
     trace: list[TraceRow] = field(default_factory=list)
@@ -19,15 +19,15 @@ class AttackState:
     ever: Tensor = field(default_factory=lambda: torch.zeros(0, 0, dtype=torch.bool))
     """Pixels that were ever truncated, bool [H, W]."""
     below_noise: int = 0
-    """What `Method.advance` returned last."""
+    """The number that `Method.advance` returned last."""
     seconds: float = 0.0
     stopped: str = ""
     fooled: bool = False
     verified: bool = False
     stored_step: int = 0
     stored: Parameters = field(default_factory=dict)
-    """The perturbation that counts: the verified one, else the last that fooled the loop, else the last."""
+    """The perturbation to store: the verified one, else the last that met the goal inside the loop, else the last."""
     image: Tensor = field(default_factory=lambda: torch.zeros(0, 0, 3, dtype=torch.uint8))
-    """The loop's own image of it, uint8 [H, W, 3]."""
+    """The loop's image of the stored perturbation, truncated and rounded, uint8 [H, W, 3]."""
     scores: Tensor = field(default_factory=lambda: torch.zeros(0))
     """The network's scores of that image, [K]."""

@@ -28,7 +28,7 @@ class Verifier:
 
     @torch.no_grad()
     def render(self, perturbation: Mapping[str, Tensor]) -> Tensor:
-        """The exact image [H, W, 3], not yet rounded. Groups left out are unperturbed; {} is the original."""
+        """The exact image [H, W, 3] in [0,1], not yet rounded. Groups left out are unperturbed; {} is the original."""
         exact = self.renderer.exact()
         start = exact.initial()
         changed = {g: (start[g] + perturbation[g].to(start[g].dtype))[None] for g in perturbation}
@@ -39,17 +39,17 @@ class Verifier:
         return images[0]
 
     def image(self, perturbation: Mapping[str, Tensor]) -> Tensor:
-        """The exact image as saved, uint8 [H, W, 3]."""
+        """The exact image rounded to 8 bits, uint8 [H, W, 3], on the CPU."""
         return to_bytes(self.render(perturbation)).cpu()
 
     @torch.no_grad()
     def logits(self, image: Tensor) -> Tensor:
-        """Scores [K] of a saved image, uint8 [H, W, 3]; one at a time, so that their bits depend on nothing else."""
+        """Scores [K] of an image, uint8 [H, W, 3]. The batch is always of one image, so that no other changes bits."""
         self.queries += 1
         logits = self.target.logits(from_bytes(image)[None], self.question)
         check_scores(self.target, logits, 1)
         return logits[0]
 
     def fooled(self, perturbation: Mapping[str, Tensor], goal: ResolvedGoal) -> bool:
-        """Whether the exact image of the perturbation does what the goal asks."""
+        """Whether the network's answer to the exact image of the perturbation meets the goal."""
         return bool(goal.fooled(self.logits(self.image(perturbation))))

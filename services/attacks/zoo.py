@@ -22,44 +22,49 @@ PRESETS: dict[str, dict[str, Any]] = {
     "paper-vqa": {"delta": 1e-3, "learning_rate": 1e-2, "weight": 0.5, "steps": 500},
     "measured": {"delta": "measured", "learning_rate": 2e-3, "weight": 0.1, "steps": 500},
 }
-"""Settings of the paper (sections 4.1 and 4.2), and the same with difference steps chosen from the measured noise."""
+"""The paper's settings (sections 4.1 and 4.2), and the same with difference steps chosen from the measured noise."""
 BETAS = (0.9, 0.999)
 EPSILON = 1e-8
 REACH = 10
-"""Difference steps are measured where an attack comes in this number of steps."""
+"""Difference steps are measured at a perturbation of this number of learning rates per coordinate."""
 
 Step = Annotated[float, Field(ge=1e-12, le=1, allow_inf_nan=False)]
 
 
 class Zoo(AttackSettings):
-    """Zeroth-order optimisation: central differences on random coordinates, Adam, loss + weight·‖ΔY‖² (section 3.2)."""
+    """Zeroth-order optimisation: Adam on central differences at random coordinates, of loss + weight·‖ΔY‖² (paper,
+    section 3.2).
+    """
 
     method: Literal["zoo"] = "zoo"
     preset: Literal["paper-classification", "paper-vqa", "measured"] = Field(
-        "measured", description="where settings left out come from"
+        "measured", description="the set of values from which settings left out are taken"
     )
     coordinates: Annotated[int, Field(ge=1, le=4096)] = Field(
-        128, description="random coordinates differenced in a step; all of them if there are fewer"
+        128, description="random coordinates that are differenced and moved in each step; all if there are fewer"
     )
     delta: Step | Literal["measured"] | dict[str, Step] = Field(
-        "measured", description="half-step of the central difference, in the group's units, one for all or per group"
+        "measured",
+        description="half-step of the central difference, in the group's units: one value, or one for each group",
     )
-    learning_rate: Rate | dict[str, Rate] = Field(2e-3, description="Adam's, in the group's units, one or per group")
+    learning_rate: Rate | dict[str, Rate] = Field(
+        2e-3, description="Adam's learning rate, in the group's units: one value, or one for each group"
+    )
     weight: Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)] = Field(
         0.1, description="λ: weight of the summed squares of the image's change"
     )
     truncation: Annotated[int, Field(ge=1, le=255)] | None = Field(
-        None, description="U as for fgsm; the paper keeps changes small by λ alone"
+        None, description="U, as for fgsm; null: no limit, as in the paper, which keeps changes small by λ alone"
     )
 
     @property
     def distance_weight(self) -> float:
-        """λ."""
+        """λ, which is `weight`."""
         return self.weight
 
     @classmethod
     def complete(cls, data: dict[str, Any]) -> dict[str, Any]:
-        """Fills in the preset's settings."""
+        """Fills in the settings of the preset where they were left out."""
         return PRESETS.get(str(data.get("preset", "measured")), {}) | data
 
     @model_validator(mode="after")
@@ -72,11 +77,11 @@ class Zoo(AttackSettings):
 
 @register(Zoo)
 class ZooMethod:
-    """Each step differences a random subset of coordinates and moves only those, each with an Adam state of its own.
+    """Each step estimates the gradient at random coordinates and moves only those, each with an Adam state of its own.
 
-    A difference below the noise says nothing about its coordinate: it is counted, and the coordinate's Adam state is
-    left alone. Coordinates that provably change no pixel at the start are not drawn from, as long as that is still so
-    where the attack has come to; the others get their share.
+    A coordinate whose difference is below the noise does not move and keeps its Adam state; such differences are
+    counted. Inactive coordinates, which provably change no pixel, are never drawn. They are found at the start and
+    examined again at each step.
     """
 
     needs_gradient = False
@@ -99,7 +104,9 @@ class ZooMethod:
         return self.layout.unflatten(self.delta)
 
     def start(self, problem: AttackProblem) -> dict[str, object]:
-        """Measures the noise of the objective and, where asked, each group's difference step; finds what to skip."""
+        """Measures the objective's noise floor and, for `delta: "measured"`, each group's half-step; finds inactive
+        coordinates. Returns them as `noise`, `delta` and `skipped`.
+        """
         from services.attacks.differences import measure_half_steps, measure_noise
 
         self.noise = measure_noise(problem, self.delta)
@@ -115,7 +122,10 @@ class ZooMethod:
         return {"delta": chosen, "noise": self.noise, "skipped": skipped}
 
     def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:  # noqa: ARG002
-        """Differences, then Adam on the coordinates whose difference is above the noise. Returns how many are below."""
+        """Moves the coordinates whose difference is above the noise, by Adam. Returns the number of the others.
+
+        Raises JobFailure("non-finite").
+        """
         from services.attacks.differences import clamped, estimate
         from services.attacks.seeds import draw
 
@@ -135,7 +145,7 @@ class ZooMethod:
         return int(found.below_noise.sum())
 
     def state(self) -> dict[str, Tensor]:
-        """Perturbation, Adam's moments and counts, difference steps, what was inactive, and noise."""
+        """The perturbation, Adam's moments and counts, half-steps, the mask of inactive coordinates, and the noise."""
         return {
             "delta": self.delta,
             "first": self.first,
@@ -153,7 +163,7 @@ class ZooMethod:
         self.inactive = state["inactive"]
 
     def _find_inactive(self, problem: AttackProblem) -> list[InactiveCoordinate]:
-        """The attacked coordinates that change no pixel where the attack is, moved by their difference step."""
+        """The attacked coordinates that change no pixel of the present image when moved by their half-step."""
         reach = {g: float(self.half_steps[self.layout.starts[g]]) for g in self.layout.groups}
         at = {g: problem.initial[g] + value for g, value in self.perturbation.items()}
         return [one for one in problem.renderer.inactive(at, reach) if one.group in self.layout.groups]
@@ -162,7 +172,7 @@ class ZooMethod:
         return self.layout.mask((one.group, one.index) for one in found)
 
     def _active(self, problem: AttackProblem) -> Tensor:
-        """The coordinates to draw from. Those once inactive are examined again; none ever was in most scenes."""
+        """The coordinates to draw from: all but those inactive at the start that still are. Most scenes have none."""
         still = self.inactive & self._mask(self._find_inactive(problem)) if self.inactive.any() else self.inactive
         return (~still).nonzero()[:, 0]
 

@@ -1,4 +1,4 @@
-"""One job from spec to result, in this process; the worker and `scene-attack run` both call it."""
+"""Runs one job from spec to result in this process. The worker and `scene-attack run` both call it."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -31,7 +31,10 @@ _VERSIONED = ("scene-attack", "torch", "numpy", "pyrender-maintained", "PyOpenGL
 
 
 class Progress(BaseModel):
-    """Where a running job is. `row` is the newest row of the trace, while attacking."""
+    """The progress of a running job: its phase, the steps taken, and the largest number of steps.
+
+    `row` is the newest row of the trace in the phase "attacking", otherwise None.
+    """
 
     phase: Literal["loading", "attacking", "analysing"]
     step: int = 0
@@ -50,9 +53,10 @@ def execute(
 ) -> Result:
     """Runs a job and writes its files into `out`.
 
-    Files: result.json, trace.json, perturbation.safetensors (one tensor a group), original.png, attacked.png,
-    perturbation.png (×5 + 128). `checkpoint` is written every few seconds and resumed from.
-    Raises InvalidRequest, JobFailure, or Cancelled once `cancelled()` is true (asked before every rendering).
+    The files are result.json, trace.json, perturbation.safetensors (one tensor for each group), original.png,
+    attacked.png, and perturbation.png (the difference times 5, plus 128). `progress` is called in every phase and with
+    every row of the trace. The attack writes the file `checkpoint` every few seconds and resumes from it.
+    Raises InvalidRequest, JobFailure, or Cancelled once `cancelled()`, which is called before every rendering, is true.
     """
 
     def interrupt() -> None:
@@ -142,7 +146,7 @@ def _write(prepared: Prepared, problem: AttackProblem, found: AttackState, out: 
 
 @torch.no_grad()
 def _image_error(problem: AttackProblem, found: AttackState, exact: Tensor) -> float:
-    """Of the stored perturbation's image as the loop renders it, before any truncation."""
+    """Largest difference between the exact image and the loop's image of the stored perturbation, before truncation."""
     moved = {group: (problem.initial[group] + value)[None] for group, value in found.stored.items()}
     return float((problem.renderer.render(moved)[0].double() - exact.double()).abs().max())
 

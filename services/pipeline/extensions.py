@@ -1,6 +1,6 @@
-"""The operator's extensions, as this process loaded them: once, before the first request can be parsed.
+"""Loads the operator's extensions, once in each process, when this module is imported.
 
-Whoever needs the registries with the extensions in them takes them from here.
+Modules that need the registries with the extensions in them import the registries from here.
 """
 
 from services.attacks.spec import ATTACKS
@@ -13,16 +13,16 @@ from services.targets.info import TARGETS
 __all__ = ["ATTACKS", "EXTENSIONS", "RENDERERS", "TARGETS", "log_extensions"]
 
 EXTENSIONS = load(settings().extension_paths, (ATTACKS, RENDERERS, TARGETS))
-"""The files that SCENE_ATTACK_EXTENSIONS names."""
+"""The files that SCENE_ATTACK_EXTENSIONS names, each with the names it registered or the error that it raised."""
 
 log = logger(__name__)
 
 
 def log_extensions() -> None:
-    """One line for each extension: what it adds, or why it was left out."""
-    for one in EXTENSIONS:
-        if one.error is None:
-            adds = sorted(f"{kind} {name}" for kind, name in one.adds)
-            log.info("extension loaded", file=str(one.path), sha256=one.sha256, adds=adds)
+    """Logs a line for each extension: the names that it registered, or the reason for which it was left out."""
+    for extension in EXTENSIONS:
+        if extension.error is None:
+            adds = sorted(f"{kind} {name}" for kind, name in extension.adds)
+            log.info("extension loaded", file=str(extension.path), sha256=extension.sha256, adds=adds)
         else:
-            log.warning("extension left out", file=str(one.path), error=one.error)
+            log.warning("extension left out", file=str(extension.path), error=extension.error)

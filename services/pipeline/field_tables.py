@@ -1,4 +1,4 @@
-"""The part of docs/scene.md that follows from what is registered: attacks with their settings, renderers, groups.
+"""Writes the part of docs/scene.md that follows from the registries: settings of attacks, and groups of renderers.
 
 `python -m services.pipeline.field_tables` writes it again.
 """
@@ -18,7 +18,7 @@ END = "<!-- end -->"
 
 
 def tables() -> str:
-    """Markdown: a section for each attack, and one for the renderers."""
+    """The part as Markdown: a section for each attack, and one for the renderers."""
     lines: list[str] = []
     for name, attack in ATTACKS.items():
         lines += [f"## `attack` with `method: {name}`", "", " ".join((attack.settings.__doc__ or "").split()), ""]
@@ -27,13 +27,13 @@ def tables() -> str:
             ("field", "default", "meaning"), ([f"`{f}`", _default(i), i.description or ""] for f, i in fields)
         )
     lines += ["## Renderers and their parameter groups", ""]
-    lines += ["`method` may be left out; then it is the renderer's own.", ""]
+    lines += ["If a request leaves `method` out, it is the method that this table gives for the renderer.", ""]
     columns = ("renderer", "method", "group", "shape", "unit", "step of fgsm")
     return "\n".join(lines + list(_table(columns, _groups()))).rstrip()
 
 
 def page(text: str) -> str:
-    """A page with the part between its two marks written again."""
+    """The Markdown page `text` with the part between `BEGIN` and `END` replaced by `tables()`."""
     before, rest = text.split(BEGIN)
     return f"{before}{BEGIN}\n\n{tables()}\n\n{END}{rest.split(END)[1]}"
 

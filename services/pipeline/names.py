@@ -1,4 +1,4 @@
-"""What a person calls the scene and the attack of a job: the same words in every list and table."""
+"""Short names of a job's scene, attack and parameter groups, as all lists and tables show them."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -7,22 +7,25 @@ from services.pipeline.extensions import RENDERERS
 
 
 def scene_name(spec: Mapping[str, Any]) -> str:
-    """The meshes of a full spec without their folder: "grand-piano", "couch, cube"."""
+    """The meshes of a full spec without their folder, e.g. "grand-piano" or "couch, cube"."""
     meshes = [str(thing["mesh"]) for thing in spec["scene"]["objects"]]
     return ", ".join(mesh[:14] if mesh.startswith("sha256:") else mesh.rpartition("/")[2] for mesh in meshes)
 
 
 def group_words(spec: Mapping[str, Any], group: str) -> str:
-    """What pages call a parameter group of a full spec's renderer: "surface normals"."""
+    """The words of pages for a parameter group of a full spec's renderer, e.g. "surface normals".
+
+    A group that the renderer does not declare, or whose renderer is not installed, is called by its name.
+    """
     renderer = RENDERERS.get(spec["attack"]["renderer"])
     return renderer.group(group).words if renderer is not None and group in renderer.group_names else group
 
 
 def attack_name(spec: Mapping[str, Any]) -> str:
-    """Renderer, groups and method of a full spec: "image fgsm", "torch combined fgsm", "pyrender color zoo".
+    """Renderer, groups and method of a full spec, e.g. "image fgsm", "torch combined fgsm" or "pyrender color zoo".
 
-    "combined" stands for all the groups of a renderer that has several; the group of a renderer with one is not named.
-    A renderer that is not installed here, as of a job of another time, has its groups named.
+    "combined" stands for all groups of a renderer with several groups. The only group of a renderer is not named. If
+    the renderer is not installed, as an extension removed since the job ran, all its attacked groups are named.
     """
     attack = spec["attack"]
     renderer, groups, known = attack["renderer"], tuple(attack["groups"]), RENDERERS.get(attack["renderer"])

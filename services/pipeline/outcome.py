@@ -1,4 +1,4 @@
-"""The few numbers of a result that lists and tables show."""
+"""The part of a result that lists and tables of jobs show."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from services.pipeline.result import Result
 
 
 class Outcome(BaseModel):
-    """A result in one line."""
+    """The verdict, the network's answers and the cost of a finished job."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -26,7 +26,7 @@ class Outcome(BaseModel):
 
 
 def outcome(result: Result) -> dict[str, Any]:
-    """The outcome of a result, as stored beside it."""
+    """The outcome of a result as JSON data, which the database stores beside the result."""
     return Outcome(
         fooled=result.fooled,
         verified=result.verified,

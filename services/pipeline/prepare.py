@@ -1,4 +1,4 @@
-"""Everything of a job that can go wrong before it begins: assets, target, goal, and the network's first answer."""
+"""Prepares a job: resolves its assets, target and labels, builds the renderer, and checks the network's answer."""
 
 from dataclasses import dataclass
 
@@ -25,44 +25,44 @@ from services.targets.scores import probability
 
 @dataclass
 class Prepared:
-    """A request with everything it names in hand, and the image it starts from."""
+    """A job that is ready to run: its spec, the objects that the spec names, and the original image."""
 
     spec: JobSpec
-    """With the label to leave filled in."""
+    """The spec with the label to leave and the size of the environment map filled in."""
     scene: ResolvedScene
     renderer: Renderer
     target: Target
     goal: ResolvedGoal
     verifier: Verifier
     original: Tensor
-    """The exact image of the scene as saved, uint8 [H, W, 3]."""
+    """The exact image of the scene rounded to 8 bits, uint8 [H, W, 3]."""
     logits: Tensor
-    """The network's scores of it, [K]."""
+    """The network's scores of the original image, [K]."""
 
     @property
     def backend(self) -> str:
-        """Everything that decides the bits of the verdict: the exact renderer's backend and the network's."""
+        """The backends of the exact renderer and of the network, on which the bits of the verdict depend."""
         return f"{self.renderer.exact().backend}; {self.target.backend}"
 
 
 def preflight(spec: JobSpec, library: Library) -> JobSpec:
-    """The spec as it would run. Raises InvalidRequest for whatever would keep it from running.
+    """Returns the spec as it would run. Raises InvalidRequest if it cannot run, as `prepare` does.
 
-    Only the exact renderer is made: whether the request can run is asked of its image alone.
+    Only the exact renderer is built, without a plan for the job's tolerance: the check needs no other image.
     """
     return _prepare(spec, library, "exact").spec
 
 
 def plan(spec: JobSpec, library: Library) -> Plan:
-    """How the images of a job would be made, without asking the network anything. Raises as `prepare` does."""
+    """Returns the plan that a job would run, without loading the network. Raises InvalidRequest as `prepare` does."""
     return _renderer(spec, _scene(spec, library), spec.tolerance).plan
 
 
 def prepare(spec: JobSpec, library: Library) -> Prepared:
     """Looks up meshes, map, materials, target and labels, renders the scene exactly and asks the network.
 
-    Raises InvalidRequest naming the field: unknown names, a label out of range, an object out of view, an image the
-    network already gets wrong (goal.leave), or already answers as wanted (goal.reach).
+    Raises InvalidRequest naming the field, for: unknown names, a label out of range, an object out of view, an image
+    that the network gets wrong (goal.leave), or one that it already answers with the label to reach (goal.reach).
     """
     return _prepare(spec, library, spec.tolerance)
 
@@ -104,7 +104,7 @@ def _scene(spec: JobSpec, library: Library) -> ResolvedScene:
 
 
 def _with_chosen_map(spec: JobSpec, scene: ResolvedScene, library: Library) -> ResolvedScene:
-    """The scene with the smallest map that the job's tolerance allows; of the default size if no map lights it."""
+    """The scene with the smallest map that the job's tolerance allows, or the default size if no renderer uses one."""
     lit_by_map = TORCH.name in (spec.attack.renderer, spec.attack.base_renderer)
     size = smallest_map(scene, spec.tolerance) if lit_by_map else Environment().size
     lights = spec.scene.lights
@@ -130,7 +130,7 @@ def _label(wanted: str | int | None, labels: tuple[str, ...], field: str, target
 
 
 def _first_answer(logits: Tensor, leave: int | None, reach: int | None, labels: tuple[str, ...]) -> int | None:
-    """The label to leave, checked against the network's first answer."""
+    """The label to leave, checked against the network's answer to the original image, [K] scores."""
     first = int(logits.argmax())
     said = f"{labels[first]!r} ({float(probability(logits, first)):.2f})"
     if leave is not None and first != leave:

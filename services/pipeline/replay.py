@@ -1,4 +1,4 @@
-"""A stored result rendered again from its perturbation alone: does it still hold, on this machine, now?"""
+"""Renders the perturbation of a stored result again, to check the result on this machine."""
 
 from pathlib import Path
 
@@ -17,19 +17,22 @@ from services.scenes.library import Library
 
 
 class Replay(BaseModel):
-    """What came out, beside what was stored."""
+    """The stored answer and the answer to the image that was rendered again."""
 
     stored: Answer
     replayed: Answer
     pixels_differing: int
+    """Pixels in which the image rendered again differs from the stored one, both 8 bits."""
     fooled: bool
+    """Whether the replayed answer meets the goal."""
     same_backend: bool
+    """Whether renderer and network are those of the stored result, so that all bits should agree."""
 
 
 def replay(directory: Path, library: Library) -> Replay:
-    """Renders the perturbation of a result directory by the exact path and asks the network.
+    """Renders the perturbation in a result directory by the exact path and asks the network.
 
-    Raises InvalidRequest where a file is missing or damaged.
+    Raises InvalidRequest("directory") if a file is missing or damaged, and as `prepare` does.
     """
     try:
         result = Result.model_validate_json((directory / "result.json").read_bytes())

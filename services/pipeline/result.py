@@ -1,4 +1,4 @@
-"""What a finished job says: `result.json`, the API's `result`, the dashboard's job page."""
+"""The record of a finished job: `result.json`, the API's `result`, and the content of the dashboard's job page."""
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -13,7 +13,7 @@ class _Record(BaseModel):
 
 
 class Provenance(_Record):
-    """What it takes to get the same bits again."""
+    """The inputs and versions that reproduce the result bit for bit."""
 
     seed: int
     backend: str
@@ -23,15 +23,17 @@ class Provenance(_Record):
     meshes: dict[str, str] = Field(description="mesh name to sha256 of its file")
     credits: list[str] = Field(description="creators and licences of the models and maps shown")
     extensions: dict[str, str] = Field(
-        default_factory=dict, description="extension files the method, renderer or target came from, with their sha256"
+        default_factory=dict,
+        description="name to sha256 of the extension files that registered the method, a renderer or the target",
     )
 
 
 class Result(_Record):
     """The outcome of a job that ran to its end.
 
-    fooled: inside the loop the (truncated, 8-bit) image was misclassified as the goal asks. verified: the stored
-    perturbation, rendered afresh by the exact path and rounded to 8 bits, still is. Only a verified adversary counts.
+    fooled: the network's answer to the loop's image, truncated and rounded to 8 bits, met the goal. verified: its
+    answer to the stored perturbation, rendered afresh by the exact path and rounded to 8 bits, meets the goal too. Only
+    a verified perturbation is called an adversary.
     """
 
     spec: dict[str, object]
@@ -41,15 +43,17 @@ class Result(_Record):
     leave: str | None
     reach: str | None
     original: Answer
-    attacked: Answer = Field(description="the exact re-rendering of the stored perturbation")
-    in_loop: Answer = Field(description="the loop's own, truncated image at the stored step")
-    perceptibility: float = Field(description="p(ΔY) of the exact re-rendering")
+    attacked: Answer = Field(description="the answer to the exact image of the stored perturbation")
+    in_loop: Answer = Field(description="the answer to the loop's image, truncated, at the stored step")
+    perceptibility: float = Field(description="p(ΔY) of the exact image of the stored perturbation")
     group_perceptibility: dict[str, float]
-    beyond_truncation: int | None = Field(description="pixels of the exact re-rendering that moved more than U")
-    plan: Plan = Field(description="how the images inside the attack were made, and the error that should cost")
+    beyond_truncation: int | None = Field(
+        description="pixels of the exact image with a value that differs from the original by more than U"
+    )
+    plan: Plan = Field(description="how the images inside the attack were rendered, and their estimated error")
     image_error: float = Field(
-        description="the error it did cost: largest difference of a displayed value, in [0,1], between the stored "
-        "perturbation rendered by the plan and exactly"
+        description="the plan's measured error: largest difference of a displayed value, in [0,1], between the images "
+        "of the stored perturbation by the plan and by the exact renderer"
     )
     sampled_error: ImageError | None = Field(
         None,
@@ -59,17 +63,19 @@ class Result(_Record):
     )
     environment_map_error: float | None = Field(
         None,
-        description="what the environment map's resolution costs beside: largest difference of a displayed value, at "
-        "some pixels of the original, to the same scene under a map of 64×128; null where the renderer uses no map or "
-        "one of that size",
+        description="the error of the environment map's resolution, not part of the plan's error: largest difference "
+        "of a displayed value, at up to 256 pixels of each object of the original, from the same scene under a map of "
+        "64×128; null if the renderer uses no map or one of that size",
     )
     subsets: list[Subset]
-    settings: dict[str, object] = Field(description="settings found while running, e.g. measured difference steps")
+    settings: dict[str, object] = Field(
+        description="settings measured at the start of the attack, e.g. difference steps"
+    )
     steps: int
     queries: int
     renders: int
-    truncated: int = Field(description="pixels that were ever truncated")
+    truncated: int = Field(description="pixels that were truncated in at least one step")
     seconds: float
-    step: int = Field(description="step whose perturbation is stored")
+    step: int = Field(description="the step at which the stored perturbation was found")
     trace: list[TraceRow]
     provenance: Provenance

@@ -1,6 +1,6 @@
-"""A whole request: the same JSON for `POST /v1/jobs` and `scene-attack run`.
+"""The model of a whole request, which is the same JSON for `POST /v1/jobs` and `scene-attack run`.
 
-The request's union of attacks is made of all that are registered, the operator's extensions among them.
+The union of attacks in a request consists of all registered attacks, the operator's extensions among them.
 """
 
 from collections.abc import Iterable, Mapping
@@ -23,14 +23,14 @@ DEFAULT_TARGET = "efficientnet-lite0"
 
 
 class TargetChoice(Model):
-    """The network under attack, and the question put to it where it takes one."""
+    """The network under attack and, if it answers questions about images, the question."""
 
-    name: str = Field(DEFAULT_TARGET, min_length=1, max_length=100)
-    question: str | None = Field(None, max_length=1000, description="for targets that answer questions")
+    name: str = Field(DEFAULT_TARGET, min_length=1, max_length=100, description="a name that `GET /v1/targets` lists")
+    question: str | None = Field(None, max_length=1000, description="the question, for targets that take one")
 
 
 class JobSpec(Model):
-    """One attack on one scene. Everything but the objects has a default; the stored spec says them all."""
+    """One attack on one scene. Every field but the scene's objects has a default; the stored spec states all values."""
 
     scene: Scene
     target: TargetChoice = TargetChoice()
@@ -38,22 +38,22 @@ class JobSpec(Model):
     attack: AnyAttack = Field(default_factory=lambda: ATTACKS[_method_for({})].settings.model_validate({}))
     tolerance: Annotated[float, Field(ge=1e-6, le=0.1, allow_inf_nan=False)] | Literal["exact"] = Field(
         DEFAULT_TOLERANCE,
-        description="largest error of a displayed value, in [0,1], of images inside the attack; `exact` for none; "
-        "the verdict is always on the exact image",
+        description="largest error of a displayed value, in [0,1], of images inside the attack; `exact` for no "
+        "approximation; the verdict is always on the exact image",
     )
-    seed: Seed = Field(0, description="of everything random in the job")
+    seed: Seed = Field(0, description="seed of every random number in the job")
 
     @model_validator(mode="before")
     @classmethod
     def _default_method(cls, data: Any) -> Any:
-        """`method` may be left out: then it is the one that the renderer declares."""
+        """Fills in the method that the renderer declares if the request leaves `method` out."""
         if isinstance(data, dict) and isinstance(data.get("attack"), dict) and "method" not in data["attack"]:
             data = data | {"attack": data["attack"] | {"method": _method_for(data["attack"])}}
         return data
 
 
 def _method_for(attack: Mapping[str, Any]) -> str:
-    """The method of a renderer, where a request names none. An unknown renderer is refused later, by its own field."""
+    """The method that the renderer declares. An unknown renderer is refused later, when its own field is validated."""
     default = AttackSettings.model_fields["renderer"].default
     renderer = attack.get("renderer", default)
     known = isinstance(renderer, str) and renderer in RENDERERS
@@ -61,7 +61,7 @@ def _method_for(attack: Mapping[str, Any]) -> str:
 
 
 def parse(data: object) -> JobSpec:
-    """A spec from JSON data. Raises InvalidRequest naming the first bad field; `problems` has them all."""
+    """Parses JSON data into a spec. Raises InvalidRequest for the first bad field; `problems` returns all of them."""
     try:
         return JobSpec.model_validate(data)
     except ValidationError as error:
@@ -69,12 +69,12 @@ def parse(data: object) -> JobSpec:
 
 
 def problems(error: ValidationError) -> list[InvalidRequest]:
-    """One InvalidRequest per bad field, with the path a client would write (no tags of unions or of the method)."""
+    """One InvalidRequest for each bad field, with its path in the request, without pydantic's tags of unions."""
     return named(error.errors(include_url=False, include_input=False))
 
 
 def named(items: Iterable[Mapping[str, Any]]) -> list[InvalidRequest]:
-    """The same for pydantic's error items however they came, as from the web framework."""
+    """As `problems`, for the items of a pydantic error, which the web framework passes on without the error itself."""
     found = []
     for item in items:
         path = _written(item["loc"])
@@ -87,7 +87,7 @@ def named(items: Iterable[Mapping[str, Any]]) -> list[InvalidRequest]:
 
 
 def _written(place: Iterable[int | str]) -> list[str]:
-    """The path as a client writes it: pydantic puts the method after "attack" and the type after a field of several."""
+    """The path as a client writes it: pydantic adds the method after "attack", and the type after a union's field."""
     path: list[str] = []
     tagged = False
     for part in place:
