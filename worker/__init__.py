@@ -1,1 +1,1 @@
-"""Takes jobs from the queue and runs them in warm processes."""
+"""The workers: they take jobs from the queue and run them in warm processes."""

@@ -1,7 +1,7 @@
 """The warm process that runs jobs: networks and the OpenGL context are loaded once and kept from job to job.
 
-`python -m worker.job_process FD`, started by a worker. It writes progress and the outcome itself; its parent keeps the
-lease and ends it if need be.
+A worker starts it with `python -m worker.job_process FD`. The process writes progress and outcome to the record; the
+worker renews the lease, and kills the process if it does not stop.
 """
 
 import json
@@ -31,15 +31,15 @@ from services.scenes.library import Library
 from services.settings import Settings, settings
 
 REPORT_SECONDS = 0.25
-"""Progress is written at most so often; the trace rows in between go along with the next report."""
+"""Shortest time between two writes of progress. The next write includes the trace rows since the last one."""
 POLL_SECONDS = 0.02
-"""The record is asked whether to stop before every rendering, but at most so often: far less than a step takes."""
+"""Shortest time between two reads of the record before a rendering, to see whether to stop; a step takes far longer."""
 
 log = logger(__name__)
 
 
 class Reporter:
-    """Tells the record how far a job is, and the job what the record says."""
+    """Writes a job's progress to the record, and reads from it whether the job should stop."""
 
     def __init__(self, repository: Repository, attempt: Attempt, clock: Callable[[], float] = time.monotonic) -> None:
         self._repository = repository
@@ -51,7 +51,7 @@ class Reporter:
         self._stop = False
 
     def progress(self, progress: Progress) -> None:
-        """Called by the job, once a step."""
+        """Records the progress; the job calls it once a step. Raises JobFailure("non-finite")."""
         if progress.row is not None:
             self._rows.append(finite(progress.row.model_dump(mode="json")))
         now = self._clock()
@@ -62,7 +62,7 @@ class Reporter:
         self._rows = []
 
     def stop(self) -> bool:
-        """Whether the job was cancelled, or belongs to somebody else by now."""
+        """Whether the job was cancelled or the attempt has lost its lease."""
         now = self._clock()
         if not self._stop and now - self._checked_at >= POLL_SECONDS:
             self._checked_at = now
@@ -71,7 +71,7 @@ class Reporter:
 
 
 def finite(record: dict[str, Any]) -> dict[str, Any]:
-    """The record, if all its numbers are finite. Raises JobFailure("non-finite")."""
+    """Returns `record` if all its numbers are finite; otherwise raises JobFailure("non-finite")."""
     try:
         json.dumps(record, allow_nan=False)
     except ValueError as error:
@@ -80,7 +80,7 @@ def finite(record: dict[str, Any]) -> dict[str, Any]:
 
 
 class Jobs:
-    """What the process keeps between jobs."""
+    """The record, the artifact store, the library and the working files, which the process keeps between jobs."""
 
     def __init__(self, settings: Settings) -> None:
         self._repository = Repository(connect_database(settings))
@@ -89,7 +89,7 @@ class Jobs:
         self._working_files = WorkingFiles(settings.data_dir)
 
     def run(self, attempt: Attempt) -> None:
-        """Run one attempt and record how it ended."""
+        """Runs one attempt and records its outcome."""
         repository = self._repository
         job = repository.get(attempt.job_id)
         if job is None:
@@ -136,7 +136,7 @@ def classify(error: BaseException) -> JobFailure:
     if isinstance(error, JobFailure):
         return error
     if isinstance(error, InvalidRequest):
-        # It was good when it was taken: what it names must have gone since.
+        # Preflight accepted the request, so something that it names has been removed since.
         return JobFailure("asset-missing", str(error))
     if isinstance(error, MemoryError | torch.OutOfMemoryError) or "can't allocate memory" in str(error):
         return JobFailure("out-of-memory", "the job needed more memory than a job process may have")
@@ -144,7 +144,7 @@ def classify(error: BaseException) -> JobFailure:
 
 
 def main() -> None:
-    """Load everything once, say so, then run jobs until the parent is gone."""
+    """Loads network and OpenGL once, reports that it is ready, then runs jobs until its parent ends."""
     configure("job")
     values = settings()
     connection = connect()

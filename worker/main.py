@@ -1,4 +1,4 @@
-"""`scene-attack worker`: N workers kept running, and the record kept in order."""
+"""`scene-attack worker`: supervises the worker processes and maintains the record."""
 
 import secrets
 import socket
@@ -27,9 +27,9 @@ log = logger(__name__)
 
 
 def run() -> int:
-    """Supervise the workers until SIGTERM or SIGINT. Returns the exit status.
+    """Supervises the workers until SIGTERM or SIGINT. Returns the exit status.
 
-    Raises InvalidRequest if the device of the settings is not there.
+    Raises InvalidRequest if the device of the settings is not there, and JobFailure if no Redis URL is set.
     """
     check_device()
     configure("worker-supervisor")
@@ -46,12 +46,12 @@ def run() -> int:
 
 
 def workers(values: Settings, repository: Repository) -> list[Program]:
-    """The worker programs."""
+    """The worker programs, as many as the settings say."""
     return [_worker(index, values, repository) for index in range(values.workers)]
 
 
 def _worker(index: int, values: Settings, repository: Repository) -> Program:
-    # A new name at each start: a lease of the name before is then known to be a dead worker's.
+    # Each start has a new name, so that a lease under an earlier name is known to be a dead worker's.
     name = ""
 
     def command() -> list[str]:
@@ -72,7 +72,8 @@ def _worker(index: int, values: Settings, repository: Repository) -> Program:
 
 
 def housekeeping(values: Settings, repository: Repository) -> Callable[[], None]:
-    """What a supervisor does once a second: take lapsed leases back, send queued jobs that the queue has lost.
+    """Returns the function that a supervisor calls once a second. It takes lapsed leases back and sends queued jobs
+    that the queue has lost.
 
     Several supervisors may do so at once; each step is a transaction that changes a job at most once.
     """

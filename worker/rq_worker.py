@@ -1,6 +1,6 @@
-"""The RQ worker: takes job ids off the queue and runs them one by one. It forks nothing.
+"""The RQ worker: it takes job ids off the queue and runs the jobs one by one, without forking.
 
-`python -m worker.rq_worker NAME`, started and restarted by the supervisor.
+The supervisor starts and restarts it with `python -m worker.rq_worker NAME`.
 """
 
 import sys
@@ -24,29 +24,29 @@ log = logger(__name__)
 
 
 class JobWorker(SimpleWorker):  # type: ignore[misc]
-    """RQ's in-process worker, with a heartbeat during jobs, a quick stop, and an eye on what messages ask for."""
+    """RQ's in-process worker, with heartbeats during jobs and a quick stop; it refuses messages of other functions."""
 
     max_connection_wait_time = 2.0
     log_job_description = False
 
     def __init__(self, runner: Runner, **options: Any) -> None:
-        # RQ listens 15 seconds less than the lifetime it is given, and says that it lives in between.
+        # RQ listens for worker_ttl - 15 seconds at a time and sends a heartbeat in between.
         super().__init__([queue.NAME], worker_ttl=15 + queue.HEARTBEAT_SECONDS, serializer="json", **options)
         self._runner = runner
         self._message: Message | None = None
         self._beaten = 0.0
 
     def run(self, job_id: str) -> None:
-        """Run a job, saying to Redis now and then that this worker lives."""
+        """Runs a job, and sends heartbeats to Redis meanwhile."""
         self._runner.run(job_id, self._beat)
 
     def heartbeat(self, timeout: int | None = None, pipeline: Any = None) -> None:
-        """Say that this worker lives, for as long as it works on a queue."""
+        """Sends RQ's heartbeat, and records that this worker is alive."""
         super().heartbeat(timeout, pipeline)
         queue.Queue(self.connection).alive(self.name)
 
     def register_death(self) -> None:
-        """Say that it does not any more."""
+        """Records that this worker has ended."""
         super().register_death()
         queue.Queue(self.connection).gone(self.name)
 
@@ -61,7 +61,7 @@ class JobWorker(SimpleWorker):  # type: ignore[misc]
             log.warning("Redis is out of reach, the job goes on", error=str(error))
 
     def execute_job(self, job: Message, queue_: Any) -> None:
-        """Run a message's job if it is a message of ours; a function named by anybody else is never called."""
+        """Runs the job of a message that names `worker.task.run_job`; deletes a message that names another function."""
         if job.func_name != queue.TASK:
             log.error("message refused", function=job.func_name)
             job.delete()
@@ -73,30 +73,30 @@ class JobWorker(SimpleWorker):  # type: ignore[misc]
             self._message = None
 
     def dequeue_job_and_maintain_ttl(self, timeout: int | None, max_idle_time: int | None = None) -> Any:
-        """Take a message only when the job process is warm: a job is never leased to wait for it."""
+        """Takes a message only when the job process is warm, so that no leased job waits for the process to start."""
         self._runner.ensure_ready()
         return super().dequeue_job_and_maintain_ttl(timeout, max_idle_time)
 
     def handle_warm_shutdown_request(self) -> None:
-        """On SIGTERM and SIGINT the running job is given back rather than waited for."""
+        """Handles SIGTERM and SIGINT: the running job is queued again, rather than waited for."""
         self._runner.request_stop()
 
     def subscribe(self) -> None:
-        """Commands through Redis (stop a job, shut down) are not listened to: they come through the record."""
+        """Does nothing: RQ's commands through Redis are ignored, since jobs are stopped through the record."""
 
     def set_shutdown_requested_date(self) -> None:
-        """RQ would tell Redis from within the signal handler, and stop stopping when Redis is away."""
+        """Does nothing: RQ would call Redis within the signal handler, and fail to stop if Redis does not answer."""
 
 
 def main() -> None:
-    """Work until told to stop."""
+    """Runs jobs until SIGTERM or SIGINT; exits with status 1 if the job process cannot be started."""
     configure("worker")
     values = settings()
     name = sys.argv[1]
     runner = Runner(values, Repository(connect_database(values)), name)
     assert values.redis_url is not None
     try:
-        runner.ensure_ready()  # it counts as a live worker only once it can run something
+        runner.ensure_ready()  # before the worker registers as live
         worker = JobWorker(runner, name=name, connection=queue.connect(values.redis_url))
         bind(worker.run)
         worker.work(logging_level="WARNING")

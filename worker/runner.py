@@ -1,6 +1,6 @@
-"""One job at a time: leases it, hands it to the warm job process, and keeps watch until it ends.
+"""Runs one job at a time: leases it, sends it to the warm job process, and watches that process until the job ends.
 
-Neither torch nor OpenGL is loaded here, so whatever happens to the job process, this one lives to report it.
+The worker's process loads neither torch nor OpenGL, so it survives a crash of the job process and can report it.
 """
 
 import time
@@ -15,20 +15,21 @@ from services.logs import logger
 from services.settings import Settings
 
 START_SECONDS = 180.0
-"""Longest a job process may take to load."""
+"""Longest time that a job process may take to load."""
 POLL_SECONDS = 0.1
-"""How often the watch looks whether the worker is to stop."""
+"""Longest time between two checks whether the worker should stop."""
 STOP_SECONDS = 10.0
-"""A job process that has not stopped by itself so long after its job was cancelled or taken back is killed."""
+"""Time after which a job process is killed if it still runs a job that was cancelled or taken back."""
 MAX_JOBS = 200
+"""Number of jobs after which a job process is replaced."""
 MAX_GROWTH = 2 * 2**30
-"""Jobs, and bytes of growth since it was ready, after which a job process is replaced."""
+"""Growth of a job process's resident memory, in bytes, after which the process is replaced."""
 
 log = logger(__name__)
 
 
 class Runner:
-    """Runs jobs for one worker, whose name `owner` is on the leases."""
+    """Runs jobs for the worker `owner`, under whose name the jobs are leased."""
 
     def __init__(self, settings: Settings, repository: Repository, owner: str) -> None:
         self._settings = settings
@@ -40,17 +41,17 @@ class Runner:
         self._stopping = False
 
     def request_stop(self) -> None:
-        """Give back the job that runs, if one does, and take no other. Safe in a signal handler."""
+        """Makes `run` queue a running job again and return. May be called in a signal handler."""
         self._stopping = True
 
     def close(self) -> None:
-        """End the job process."""
+        """Kills the job process."""
         if self._child is not None:
             self._child.kill()
             self._child = None
 
     def ensure_ready(self) -> None:
-        """Have a warm job process. Raises ChildDied if none can be had."""
+        """Starts the job process, or replaces it, if needed, and waits until it is warm. Raises ChildDied."""
         if self._child is not None and (not self._child.alive() or self._needs_replacement()):
             self.close()
         if self._child is not None:
@@ -69,7 +70,11 @@ class Runner:
         return self._jobs >= MAX_JOBS or self._child.memory() - self._memory > MAX_GROWTH
 
     def run(self, job_id: str, beat: Callable[[], None]) -> None:
-        """Run a job to its end, whatever that is. Does nothing if it is not queued any more. `beat` is called often."""
+        """Leases and runs a job until it ends, fails, is cancelled, or is queued again because the worker stops.
+
+        Does nothing if the job is not queued any more. Calls `beat` about once a second. Raises ChildDied if no job
+        process can be started.
+        """
         self.ensure_ready()
         attempt = self._repository.lease(job_id, self._owner, self._settings.lease_seconds)
         if attempt is None:
@@ -116,6 +121,6 @@ class Runner:
         try:
             return self._repository.renew(attempt, self._settings.lease_seconds)
         except OperationalError as error:
-            # The lease is still good for a while; if the database stays away, the reaper decides.
+            # The lease has not lapsed yet. If the database stays unreachable, another supervisor takes the job back.
             log.warning("lease not renewed", job=attempt.job_id, error=str(error))
             return Standing.GO_ON

@@ -1,4 +1,4 @@
-"""`scene-attack serve`: Redis where none is given, the API and the workers; they start and stop together."""
+"""`scene-attack serve`: runs Redis (unless a URL is set), the API and the workers; they start and stop together."""
 
 import socket
 import sys
@@ -19,7 +19,7 @@ log = logger(__name__)
 
 
 def serve(values: Settings) -> int:
-    """Run the whole service until SIGTERM or SIGINT; prints "ready URL" once it takes jobs. Returns the exit status.
+    """Runs the whole service until SIGTERM or SIGINT; prints "ready URL" once it takes jobs. Returns the exit status.
 
     Raises OSError if the address is taken, InvalidRequest if the device of the settings is not there.
     """
@@ -52,12 +52,12 @@ def serve(values: Settings) -> int:
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """A listening socket; port 0 takes a free one. Raises OSError if the address is taken."""
+    """Opens a listening socket; port 0 stands for any free port. Raises OSError if the address is taken."""
     return socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
 
 
 def _api(values: Settings, listener: socket.socket) -> Program:
-    # The socket is the supervisor's: it stays open while the API restarts, and requests wait instead of failing.
+    # The supervisor owns the socket. It stays open while the API restarts, so that requests wait instead of failing.
     fd = listener.fileno()
     return Program("api", lambda: [sys.executable, "-m", "api.main", str(fd)], values.environ(), fds=[fd])
 
@@ -69,7 +69,7 @@ def _reachable(host: str) -> str:
 
 
 class _Announcement:
-    """Says once, on stdout, that the service is ready."""
+    """Prints "ready URL" on stdout, once, as soon as the service is ready."""
 
     def __init__(self, url: str) -> None:
         self._url = url

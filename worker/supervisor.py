@@ -1,4 +1,4 @@
-"""Keeps programs running: starts them, restarts whichever ends, and ends them all together."""
+"""Supervises programs: starts them, restarts a program that ends, and ends all of them together."""
 
 import os
 import signal
@@ -14,19 +14,20 @@ from services.logs import logger
 
 POLL_SECONDS = 0.1
 TICK_SECONDS = 1.0
-"""How often the supervisor's duty is called."""
+"""Time between two calls of the supervisor's duty."""
 STEADY_SECONDS = 10.0
-"""A program that ran so long is restarted at once; one that keeps failing sooner waits longer each time."""
+"""A program that ran at least this long is restarted at once. Before, each failure doubles the wait and adds 0.1 s."""
 LONGEST_WAIT = 5.0
+"""Longest wait before a restart, in seconds."""
 STOP_SECONDS = 4.0
-"""Time to end by themselves; then they are killed."""
+"""Time that programs have to end after SIGTERM, before they are killed."""
 
 log = logger(__name__)
 
 
 @dataclass
 class Program:
-    """Something to keep running. `command` is asked anew at each start; `ended` is told of each end."""
+    """A program to keep running. `command()` is called before each start, and `ended()` after each end."""
 
     name: str
     command: Callable[[], Sequence[str]]
@@ -34,14 +35,14 @@ class Program:
     fds: Sequence[int] = ()
     ended: Callable[[], None] = lambda: None
     last: bool = False
-    """Stopped after the others, which need it to stop well."""
+    """Whether to stop it after the others, because they use it while they stop."""
 
     process: "subprocess.Popen[bytes] | None" = field(default=None, init=False)
     _started: float = field(default=0.0, init=False)
     _wait: float = field(default=0.0, init=False)
 
     def keep_running(self) -> None:
-        """Start it if it does not run and its time has come."""
+        """Starts the program if it does not run and the wait after its last end is over."""
         if self.process is not None:
             status = self.process.poll()
             if status is None:
@@ -62,7 +63,7 @@ class Program:
             pass_fds=tuple(self.fds),
             stdin=subprocess.DEVNULL,
             stdout=sys.__stderr__,
-            start_new_session=True,  # Ctrl-C reaches the supervisor only, which stops them in order
+            start_new_session=True,  # Ctrl-C then reaches the supervisor only, which stops the programs in order
             preexec_fn=die_with_parent,  # safe: a supervisor has one thread
         )
         self._started = time.monotonic()
@@ -70,7 +71,7 @@ class Program:
 
 
 class Supervisor:
-    """Runs programs, and a duty once a second, until told to stop."""
+    """Keeps programs running and calls `duty` once a second, until `stop` or a signal."""
 
     def __init__(self, programs: Sequence[Program], duty: Callable[[], None]) -> None:
         self._programs = programs
@@ -78,7 +79,7 @@ class Supervisor:
         self._stop = threading.Event()
 
     def run(self) -> None:
-        """Block until SIGTERM, SIGINT or stop(); then end all programs."""
+        """Blocks until SIGTERM, SIGINT or `stop()`, then ends all programs."""
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: self._stop.set())
         due = time.monotonic()
@@ -95,7 +96,7 @@ class Supervisor:
             self._end([program for program in self._programs if program.last])
 
     def stop(self) -> None:
-        """Make `run` return."""
+        """Makes `run` end all programs and return."""
         self._stop.set()
 
     def _end(self, programs: Sequence[Program]) -> None:

@@ -1,4 +1,4 @@
-"""The one function a message on the queue may name, in a module that is imported under the same name everywhere."""
+"""The only function that a message on the queue may name. Its module has the same name in every process."""
 
 from collections.abc import Callable
 
@@ -6,12 +6,12 @@ _run: Callable[[str], None] | None = None
 
 
 def bind(run: Callable[[str], None]) -> None:
-    """Say what runs a job in this process."""
+    """Sets the function that runs a job, given its id, in this process."""
     global _run
     _run = run
 
 
 def run_job(job_id: str) -> None:
-    """What a message asks for: run this job."""
+    """Runs the job with this id. RQ calls this function for a message."""
     assert _run is not None, "this process is no worker"
     _run(job_id)

@@ -1,1 +1,1 @@
-"""Error against run time, and stability on extreme cases."""
+"""Measurements of accuracy: error against run time, errors during whole attacks, and stability on extreme cases."""

@@ -1,4 +1,4 @@
-"""Odd scenes under whole attacks: the error of every image against the plan's estimate."""
+"""Attacks odd scenes and compares the error of every image of an attack with the plan's estimate."""
 
 import random
 from collections.abc import Iterator
@@ -23,7 +23,7 @@ from services.scenes.resolve import resolve
 from services.targets import registry
 
 FLAT = ("primitive/plane", "primitive/cube", "furniture/table4")
-"""Meshes of few normals: an attack takes them far from where a table was measured."""
+"""Meshes with few distinct normals, which an attack moves far from the normals at which a table was measured."""
 ROUND = (
     "primitive/sphere",
     "primitive/cylinder",
@@ -52,7 +52,7 @@ class AttackedScene:
 
 
 class AttackErrors(BaseModel):
-    """The errors of the images of one attack, as displayed values in [0,1]."""
+    """The errors of all images of one attack. An error is a difference of displayed values in [0,1]."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -60,19 +60,22 @@ class AttackErrors(BaseModel):
     scene: dict[str, Any]
     groups: tuple[str, ...]
     tolerance: float
-    table: bool = Field(description="whether the plan looks pixels up in a table")
-    estimate: float = Field(description="the plan's error")
+    table: bool = Field(description="whether the plan uses a table over normals")
+    estimate: float = Field(description="the plan's estimated error")
     images: int
-    worst: float = Field(description="largest error of any image against the exact renderer's")
+    worst: float = Field(description="largest error of any image, against the exact renderer's image")
     worst_step: int
     beyond: int = Field(description="images with a larger error than the estimate")
-    failed_checks: int = Field(description="images summed pixel by pixel as their sampled check failed")
+    failed_checks: int = Field(description="images summed pixel by pixel because their sampled check failed")
     gradients: tuple[GradientError, ...]
     seconds: float
 
 
 def random_scenes(count: int, seed: int = 0, sizes: tuple[int, ...] = (64, 80, 96)) -> Iterator[AttackedScene]:
-    """`count` scenes of flat and round meshes, in turns over all combinations of groups."""
+    """Yields `count` random scenes of flat and round meshes, which take turns over all combinations of groups.
+
+    `sizes` are the heights and widths of images to choose from, in pixels.
+    """
     draw = random.Random(seed)
     for k in range(count):
         size = draw.choice(sizes)
@@ -85,7 +88,7 @@ def random_scenes(count: int, seed: int = 0, sizes: tuple[int, ...] = (64, 80, 9
 
 
 def adversarial_scenes(seed: int = 1) -> Iterator[AttackedScene]:
-    """16 scenes chosen to break a table's estimate: one normal or few, glossy, all attacks that move normals."""
+    """Yields 16 scenes chosen to break a table's estimate: glossy objects with few normals, which are attacked."""
     draw = random.Random(seed)
     moving = [groups for groups in GROUPS if "normals" in groups]
     choices = [
@@ -127,8 +130,10 @@ def _scene(
 
 
 def attack_errors(case: AttackedScene, library: Library, steps: int = STEPS) -> AttackErrors:
-    """Attacks a scene for all `steps`, fooled or not and without truncation, and compares every image with the exact
-    renderer's. Raises as `resolve` does."""
+    """Attacks a scene by FGSM and compares the image of every step with the exact renderer's.
+
+    The attack takes all `steps`, also after the network is fooled, and does not truncate. Raises as `resolve` does.
+    """
     began = perf_counter()
     scene = resolve(case.scene, library)
     renderer = TorchRenderer(scene, rasterise(scene), case.groups, case.tolerance)
@@ -152,7 +157,7 @@ def attack_errors(case: AttackedScene, library: Library, steps: int = STEPS) -> 
 
 
 def _errors(renderer: TorchRenderer, groups: tuple[str, ...], steps: int) -> Iterator[float]:
-    """The error of each image of an attack by FGSM with the paper's settings."""
+    """Yields the error of each image of an attack by FGSM with the paper's settings."""
     target = registry.load(TARGET)
     settings = Fgsm(groups=groups, truncation=None)
     start = renderer.exact().render({group: renderer.initial()[group][None].double() for group in groups})

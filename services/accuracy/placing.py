@@ -1,4 +1,4 @@
-"""Small scenes to be extreme in: a mesh in front of the camera, under a given map."""
+"""Small scenes for extreme cases: one object in front of the camera, under a given environment map."""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -13,12 +13,12 @@ from services.scenes.resolve import ResolvedScene, resolve
 from services.settings import settings
 
 TABLES = (128, 128)
-"""Height and width of an image with so many pixels that a plan prefers tables to sums."""
+"""Height and width, in pixels, of an image large enough that a plan prefers tables to sums."""
 
 
 @lru_cache(maxsize=1)
 def library() -> Library:
-    """The installation's meshes and maps."""
+    """The meshes and environment maps of this installation."""
     return Library(settings().cache_dir, settings().data_dir)
 
 
@@ -32,9 +32,10 @@ def placed(
     lights: dict[str, Any] | None = None,
     ground: tuple[float, float, float] | None = None,
 ) -> ResolvedScene:
-    """A scene of one object: a mesh by name or by its parts, described by `camera`, `thing`, `lights` and `ground`.
+    """Resolves a scene of one object, whose mesh is given by name or by its parts.
 
-    `radiance` [rows, cols, 3] takes the place of the environment map as it is. Raises as `resolve` does.
+    `size` is the image's height and width in pixels. `camera`, `thing` (the object), `lights` and `ground` are fields
+    of the scene's description. `radiance` [rows, cols, 3] replaces the environment map. Raises as `resolve` does.
     """
     description = Scene.model_validate(
         {
@@ -51,20 +52,20 @@ def placed(
 
 
 def sky(rows: int = 8, cols: int = 16) -> Floats:
-    """A coloured map of high contrast, [rows, cols, 3]; the same every time."""
+    """A random coloured map of high contrast, [rows, cols, 3], with a fixed seed."""
     random = np.random.default_rng(20)
     return np.exp(random.normal(size=(rows, cols, 3))).astype(np.float32)
 
 
 def sun(radiance: float, around: float, rows: int = 16, cols: int = 32) -> Floats:
-    """One texel of `radiance`, above and to the right of the default camera, in a sky of `around`."""
+    """A map [rows, cols, 3] of radiance `around`, with one texel of `radiance` above and right of the camera."""
     found = np.full((rows, cols, 3), around, np.float32)
     found[rows // 4, cols // 4] = radiance
     return found
 
 
 def broad_sun() -> Floats:
-    """A smooth bright region of some hundred texels in a dim sky, [16, 32, 3]: no few texels hold most of its light."""
+    """A map [16, 32, 3] with a smooth bright region of about a hundred texels, so that its light is spread out."""
     theta, phi = np.meshgrid((np.arange(16) + 0.5) * np.pi / 16, (np.arange(32) + 0.5) * np.pi / 16, indexing="ij")
     towards = np.stack([np.sin(theta) * np.sin(phi), np.cos(theta), np.sin(theta) * np.cos(phi)], axis=-1)
     bright = np.exp(6 * (towards @ (0.77, 0.45, 0.45)))

@@ -1,4 +1,4 @@
-"""What made a report: the packages it depends on, and the backend."""
+"""The provenance of a report: the packages on which its figures depend, and the backend."""
 
 import torch
 
@@ -18,5 +18,5 @@ PACKAGES = (
 
 
 def backend() -> str:
-    """What renders and sums in this process."""
+    """The devices, kernels and OpenGL driver that render in this process, as one line of text."""
     return f"torch cpu, {torch.get_num_threads()} threads, shading {compiled.backend()}; {gl_backend()}"

@@ -1,10 +1,10 @@
-"""Images that the rasteriser draws in attacks, against OpenGL's: none may be off by more than its plan says.
+"""Compares the images that the rasteriser draws in attacks with OpenGL's: no error may exceed the plan's estimate.
 
     python -m services.accuracy.rasterised_images [--scenes 60] [--images 5000] [--out FILE]
 
-Scenes are drawn at random: one to five objects of furniture and primitives, of colours below 1, in one to three lamps.
-Around several places that an attack may come to, both sides of the differences of every coordinate are drawn in one
-batch, as ZOO asks for them; each assembled image is compared with the exact renderer's, and gradients of a random
+Scenes are chosen at random: one to five objects of furniture and primitives, with colours below 1, under one to three
+point lights. At several random perturbations within an attack's reach, both sides of the difference of every coordinate
+are rendered in one batch, as ZOO does. Each image is compared with the exact renderer's, and gradients of a random
 linear objective with those of the exact images.
 """
 
@@ -36,11 +36,11 @@ MESHES = (
 )
 SEED = 0
 STEP = 0.01
-"""Half the difference of a gradient."""
+"""Half-step of the differences from which gradients are computed, in the groups' units."""
 
 
 def scenes(count: int) -> Iterator[Scene]:
-    """Random scenes, the same ones every time. Every second has three objects or more."""
+    """Yields `count` random scenes from a fixed seed. Every second scene has three objects or more."""
     random = np.random.default_rng(SEED)
     for index in range(count):
         objects = int(random.integers(3, 6)) if index % 2 else int(random.integers(1, 3))
@@ -63,8 +63,10 @@ def scenes(count: int) -> Iterator[Scene]:
 
 
 def compare(scene: Scene, library: Library, images: int) -> dict[str, Any]:
-    """A scene's row: how many images were compared, the largest errors, what its plan says, and the gradients' error
-    as the largest difference over the largest gradient of its group."""
+    """Compares at least `images` images of a scene. Returns the number compared, the largest errors (mean and share),
+    the plan's estimates of both, and the gradients' error: the largest difference relative to the largest gradient of
+    the group.
+    """
     renderer = PyrenderRenderer(resolve(scene, library))
     stage = next((stage for stage in renderer.plan.stages if stage.name == "rasterise"), None)
     random = torch.Generator().manual_seed(SEED)
@@ -98,7 +100,7 @@ def compare(scene: Scene, library: Library, images: int) -> dict[str, Any]:
 
 
 def _gradient_error(ours: Tensor, exact: Tensor, weight: Tensor, at: dict[str, Tensor]) -> float:
-    """Largest over the groups."""
+    """The largest error of a group's gradient, relative to the largest exact gradient of the group."""
     sides = [(of[::2] - of[1::2]).double().flatten(1) for of in (ours, exact)]
     found, true = (side @ weight.double() / (2 * STEP) for side in sides)
     worst, first = 0.0, 0
@@ -109,15 +111,15 @@ def _gradient_error(ours: Tensor, exact: Tensor, weight: Tensor, at: dict[str, T
 
 
 def beyond(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The scenes of which an image is off by more than its plan says."""
+    """The rows of scenes with an image whose error exceeds the plan's estimate."""
     return [row for row in rows if row["mean"] > row["plan_mean"] or row["share"] > row["plan_share"]]
 
 
 def main() -> None:
-    """Measures, prints and writes; ends with status 1 if an image was off by more than its plan says."""
+    """Runs the comparison, prints and writes the rows, and exits with status 1 if an error exceeded an estimate."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenes", type=int, default=60)
-    parser.add_argument("--images", type=int, default=5000, help="altogether, at least")
+    parser.add_argument("--images", type=int, default=5000, help="least number of images, over all scenes")
     parser.add_argument("--out", type=Path, default=Path("docs/results/rasterised_images.json"))
     options = parser.parse_args()
     library = Library(settings().cache_dir, settings().data_dir)

@@ -1,1 +1,1 @@
-"""A job from request to result: spec, record, queue, artifacts, execution."""
+"""The infrastructure of jobs: the record in the database, the queue, the artifact store, and child processes."""

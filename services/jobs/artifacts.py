@@ -1,4 +1,4 @@
-"""The artifact store: files of results under the hash of their bytes."""
+"""The artifact store: files of results, each named by the hash of its bytes."""
 
 import hashlib
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from pathlib import Path
 from services import atomic_write
 
 MEDIA_TYPES = {".json": "application/json", ".png": "image/png"}
-"""By file name ending; everything else, safetensors too, is plain bytes."""
+"""Media types by file name ending. All other files, safetensors too, are application/octet-stream."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class ArtifactStore:
         self._root = root
 
     def put(self, source: Path) -> Stored:
-        """Copy a file in. It is on the disk when this returns: a row that names it never names nothing."""
+        """Copies a file into the store. Its bytes are on the disk when this returns, so a row may then name them."""
         data = source.read_bytes()
         stored = Stored(hashlib.sha256(data).hexdigest(), len(data))
         goal = self.path(stored.sha256)
@@ -34,10 +34,10 @@ class ArtifactStore:
         return stored
 
     def path(self, sha256: str) -> Path:
-        """Where the file with this hash lies, if it does."""
+        """The path of the file with this hash, whether or not it exists."""
         return self._root / sha256[:2] / sha256
 
 
 def media_type(name: str) -> str:
-    """The media type of an artifact."""
+    """The media type of an artifact with this file name."""
     return MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")

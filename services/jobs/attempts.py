@@ -1,4 +1,4 @@
-"""What a running attempt writes to the record, and what becomes of a job whose attempt cannot go on.
+"""Leases of jobs: the writes of a running attempt to the record, and the return of jobs whose attempt has ended early.
 
 An attempt is fenced: its writes carry its number and change nothing once the job has been taken back, finished or
 given to a later attempt.
@@ -29,7 +29,7 @@ class Attempt:
 
 
 class Standing(Enum):
-    """What the record says to a running attempt."""
+    """Whether a running attempt should go on, stop because its job is cancelled, or stop because it lost the lease."""
 
     GO_ON = "go on"
     CANCEL = "cancel"
@@ -40,7 +40,9 @@ class Attempts(Transactions):
     """Leases of jobs, and the writes of the attempts that hold them."""
 
     def lease(self, job_id: str, owner: str, seconds: float) -> Attempt | None:
-        """Take a queued job. None if it is not queued any more, as when its id was delivered twice."""
+        """Leases a queued job to `owner` for `seconds`. Returns None if the job is not queued any more, e.g. because
+        its id was delivered twice.
+        """
         with self._write() as session:
             job = self._move(
                 session,
@@ -57,7 +59,7 @@ class Attempts(Transactions):
             return None if job is None else Attempt(job.id, job.attempt)
 
     def standing(self, attempt: Attempt) -> Standing:
-        """Whether the attempt should go on."""
+        """Reads whether the attempt should go on."""
         with self._read() as session:
             found = session.execute(select(Job.state, Job.attempt).where(Job.id == attempt.job_id)).one_or_none()
         if found is None or found.attempt != attempt.number or found.state not in ACTIVE:
@@ -65,14 +67,14 @@ class Attempts(Transactions):
         return Standing.CANCEL if found.state == State.CANCELLING else Standing.GO_ON
 
     def renew(self, attempt: Attempt, seconds: float) -> Standing:
-        """Extend the lease by so many seconds from now."""
+        """Extends the lease to `seconds` from now. Returns the attempt's standing."""
         with self._write() as session:
             until = self._clock() + timedelta(seconds=seconds)
             session.execute(update(Job).where(*_fence(attempt)).values(lease_until=until))
         return self.standing(attempt)
 
     def progress(self, attempt: Attempt, phase: str, step: int, steps: int, rows: Sequence[dict[str, Any]]) -> bool:
-        """Record how far the attempt is and the trace rows since its last report. False if it was fenced off."""
+        """Records the attempt's progress and the trace rows since its last report. Returns False if fenced off."""
         with self._write() as session:
             changed = (
                 update(Job)
@@ -92,7 +94,7 @@ class Attempts(Transactions):
     def succeed(
         self, attempt: Attempt, result: dict[str, Any], outcome: dict[str, Any], artifacts: Sequence[Artifact]
     ) -> bool:
-        """Record the result; the artifacts' bytes must be in the store already. False if it was fenced off."""
+        """Records the result; the artifacts' bytes must be in the store already. Returns False if fenced off."""
         with self._write() as session:
             ended = self._end(session, attempt, State.SUCCEEDED, result=result, outcome=outcome)
             if ended:
@@ -100,12 +102,12 @@ class Attempts(Transactions):
             return ended
 
     def fail(self, attempt: Attempt, kind: str, detail: str) -> bool:
-        """End the job with a typed failure. False if the attempt was fenced off."""
+        """Ends the job with a typed failure. Returns False if the attempt was fenced off."""
         with self._write() as session:
             return self._end(session, attempt, State.FAILED, failure_kind=kind, failure_detail=detail)
 
     def cancelled(self, attempt: Attempt) -> bool:
-        """Record that the attempt stopped as asked. False if it was fenced off."""
+        """Records that the attempt stopped because the job was cancelled. Returns False if it was fenced off."""
         with self._write() as session:
             return self._end(session, attempt, State.CANCELLED)
 
@@ -114,17 +116,19 @@ class Attempts(Transactions):
         return self._move(session, attempt.job_id, to, _fence(attempt)[1:], **values) is not None
 
     def give_back(self, attempt: Attempt) -> None:
-        """Queue the job again, as when its worker is shut down; no attempt is counted as lost."""
+        """Queues the job again when its worker is shut down. The attempt does not count as lost."""
         with self._write() as session:
             self._return(session, attempt, lost=0, max_attempts=1)
 
     def lose(self, attempt: Attempt, max_attempts: int) -> None:
-        """The attempt's process died: queue the job again, or fail it when that happened too often."""
+        """Queues the job again after its process died, or fails it after `max_attempts` such deaths."""
         with self._write() as session:
             self._return(session, attempt, lost=1, max_attempts=max_attempts)
 
     def take_back(self, max_attempts: int, owner: str | None = None) -> list[str]:
-        """Lose all attempts whose lease has lapsed, or that an owner known to be dead still holds. Returns job ids."""
+        """Ends all attempts whose lease has lapsed, or that the dead worker `owner` holds, as `lose` does. Returns the
+        ids of their jobs.
+        """
         gone = Job.lease_until < self._clock()
         if owner is not None:
             gone = or_(gone, Job.lease_owner == owner)

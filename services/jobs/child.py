@@ -1,7 +1,7 @@
-"""A process of our own that stays warm, answers requests over a pipe, and never outlives its parent.
+"""A child process that stays warm, answers requests over a pipe, and never outlives its parent.
 
-It is spawned as a fresh interpreter: a fork after OpenGL or torch was touched hangs. A message is a JSON object and,
-where files are sent, bytes after it.
+It is spawned as a fresh interpreter, because a fork hangs after its parent has used OpenGL or torch. A message is a
+JSON object, followed by the bytes of a file if the request sends one.
 """
 
 import json
@@ -22,18 +22,18 @@ ALLOCATOR = {
     "MALLOC_TRIM_THRESHOLD_": str(8 * 2**30),
     "MALLOC_TOP_PAD_": str(256 * 2**20),
 }
-"""glibc gives large blocks back to the system at once; a pass of 28 images then takes 560 ms of CPU time instead of
-370, spent in page faults. These keep them. Read at start only, so a parent sets them."""
+"""Settings with which glibc keeps large freed blocks. By default it returns them to the system at once, and page faults
+raise the CPU time of a pass of 28 images from 370 to 560 ms. glibc reads them at start, so the parent sets them."""
 
 
 class ChildDied(Exception):
-    """The child is gone; there will be no answer."""
+    """The child process has ended, so no answer will come."""
 
 
 class Child:
-    """The parent's end. Not thread-safe; one request at a time.
+    """The parent's end of the pipe. Only `end` is thread-safe, and only one request may be open at a time.
 
-    `module` is run with `python -m`; it calls `requests()` and answers with `reply()`.
+    The child runs `python -m module`, which reads requests with `requests()` and answers with `reply()`.
     """
 
     def __init__(self, module: str, settings: Settings) -> None:
@@ -52,15 +52,15 @@ class Child:
 
     @property
     def pid(self) -> int:
-        """Its process id."""
+        """The child's process id."""
         return self._process.pid
 
     def alive(self) -> bool:
-        """Whether it still runs."""
+        """Whether the child still runs."""
         return self._process.poll() is None
 
     def memory(self) -> int:
-        """Resident bytes; 0 once it is dead."""
+        """The child's resident memory in bytes, or 0 once it has ended."""
         try:
             with open(f"/proc/{self.pid}/statm") as file:
                 return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
@@ -68,14 +68,14 @@ class Child:
             return 0
 
     def send(self, message: dict[str, Any], data: bytes = b"") -> None:
-        """Send a request. Raises ChildDied."""
+        """Sends a request, and the bytes `data` after it. Raises ChildDied."""
         try:
             self._connection.send_bytes(json.dumps(message).encode() + b"\n" + data)
         except OSError as error:
             raise ChildDied from error
 
     def receive(self, seconds: float) -> dict[str, Any] | None:
-        """The next answer, or None if there is none within so many seconds. Raises ChildDied."""
+        """Returns the next answer, or None if none comes within `seconds`. Raises ChildDied."""
         try:
             if not self._connection.poll(seconds):
                 return None
@@ -85,23 +85,23 @@ class Child:
             raise ChildDied from error
 
     def end(self) -> None:
-        """Have it killed, from any thread: whoever waits for its answer is told that it died."""
+        """Kills the child, from any thread. A thread that waits in `receive` then gets ChildDied."""
         self._process.kill()
 
     def kill(self) -> int:
-        """End it at once and wait until it is gone. Returns its exit status, negative for a signal."""
+        """Kills the child and waits until it has ended. Returns its exit status, negative for a signal."""
         self._process.kill()
         self._connection.close()
         return self._process.wait()
 
 
 def connect() -> Connection:
-    """The child's end, from the command line its parent gave it."""
+    """Returns the child's end of the pipe, whose file descriptor is the command line's first argument."""
     return Connection(int(sys.argv[1]))
 
 
 def requests(connection: Connection) -> Iterator[tuple[dict[str, Any], bytes]]:
-    """Requests as they come. When the parent is gone the process ends at once, whatever it was doing."""
+    """Yields requests as (message, bytes) as they come. The process exits at once when its parent has ended."""
     inbox: SimpleQueue[bytes] = SimpleQueue()
     Thread(target=_read, args=(connection, inbox), daemon=True).start()
     while True:
@@ -118,5 +118,5 @@ def _read(connection: Connection, inbox: "SimpleQueue[bytes]") -> None:
 
 
 def reply(connection: Connection, message: dict[str, Any]) -> None:
-    """Answer the parent."""
+    """Sends an answer to the parent."""
     connection.send_bytes(json.dumps(message).encode())

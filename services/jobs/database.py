@@ -1,4 +1,4 @@
-"""Opening the database and bringing its tables up to date."""
+"""Opens the database and migrates its tables."""
 
 import fcntl
 import json
@@ -14,13 +14,13 @@ from services.settings import Settings
 
 MIGRATIONS = Path(__file__).parent / "migrations"
 BUSY_MILLISECONDS = 10_000
-"""How long a writer waits for another; SQLite has one writer at a time."""
+"""How long a transaction waits for another one's lock; SQLite has one writer at a time."""
 
 
 def connect(settings: Settings) -> Engine:
-    """An engine for the settings' database; SQLite in the data directory unless a URL is given."""
+    """Returns an engine for the settings' database, which is SQLite in the data directory unless a URL is set."""
     url = settings.database_url or f"sqlite:///{settings.data_dir / 'jobs.sqlite'}"
-    # A number that is not finite is never stored: JSON has no word for it.
+    # Numbers that are not finite are refused, because JSON cannot represent them.
     engine = create_engine(url, json_serializer=partial(json.dumps, allow_nan=False), pool_pre_ping=True)
     if make_url(url).get_backend_name() == "sqlite":
         settings.data_dir.mkdir(parents=True, exist_ok=True)
@@ -30,7 +30,7 @@ def connect(settings: Settings) -> Engine:
 
 
 def _tune_sqlite(connection: Any, _record: Any) -> None:
-    connection.isolation_level = None  # BEGIN is ours, see below
+    connection.isolation_level = None  # _begin_sqlite issues BEGIN
     cursor = connection.cursor()
     # NORMAL never corrupts under WAL; a power cut may undo the last commits, and an undone job runs again.
     for pragma in (
@@ -44,14 +44,14 @@ def _tune_sqlite(connection: Any, _record: Any) -> None:
 
 
 def _begin_sqlite(connection: Connection) -> None:
-    # A transaction that reads first and writes later fails at once when another wrote in between, without waiting:
-    # one that will write takes the lock at its start.
+    # A transaction that reads first and writes later fails at once, without waiting, if another one wrote in between.
+    # A transaction that will write therefore takes the lock at its start.
     writes = connection.get_execution_options().get("writes", False)
     connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 
 
 def migrate(engine: Engine, settings: Settings) -> None:
-    """Bring the tables to the newest revision; processes that start together wait for one another."""
+    """Migrates the tables to the newest revision. Processes that start together wait for one another."""
     settings.data_dir.mkdir(parents=True, exist_ok=True)
     with (settings.data_dir / "migrate.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)

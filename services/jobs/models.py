@@ -1,4 +1,4 @@
-"""The tables of the record. The database is the truth about every job; Redis only carries ids."""
+"""The tables of the record. The database holds the state of every job; Redis carries their ids only."""
 
 from datetime import UTC, datetime
 from enum import StrEnum
@@ -9,7 +9,7 @@ from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 
 class State(StrEnum):
-    """Where a job stands. Succeeded means that it ran to its end, not that the network was fooled."""
+    """The state of a job. Succeeded means that it ran to its end, not that the network was fooled."""
 
     QUEUED = "queued"
     RUNNING = "running"
@@ -20,22 +20,22 @@ class State(StrEnum):
 
     @property
     def terminal(self) -> bool:
-        """Whether nothing can happen to the job any more."""
+        """Whether the job has ended, so that its state cannot change any more."""
         return self in (State.SUCCEEDED, State.FAILED, State.CANCELLED)
 
 
 class UtcTime(TypeDecorator[datetime]):
-    """Aware UTC datetimes; SQLite stores no time zone, so it is taken off and put back."""
+    """A column of aware UTC datetimes. SQLite stores no time zone, so it is removed on writing and added on reading."""
 
     impl = DateTime
     cache_ok = True
 
     def process_bind_param(self, value: datetime | None, dialect: Dialect) -> datetime | None:  # noqa: ARG002
-        """To the database: naive UTC."""
+        """Converts an aware datetime to the naive UTC time that the database stores."""
         return None if value is None else value.astimezone(UTC).replace(tzinfo=None)
 
     def process_result_value(self, value: datetime | None, dialect: Dialect) -> datetime | None:  # noqa: ARG002
-        """From the database: aware UTC."""
+        """Converts the naive UTC time of the database to an aware datetime."""
         return None if value is None else value.replace(tzinfo=UTC)
 
 
@@ -68,11 +68,11 @@ class Job(Base):
     cancelled_at: Mapped[datetime | None]
 
     sent_at: Mapped[datetime | None]
-    """When the id was last put on the queue in this state; empty until then."""
+    """The time at which the id was last put on the queue since the job entered the state queued; None before that."""
     attempt: Mapped[int] = mapped_column(default=0)
-    """Times it was taken by a worker. Every write of an attempt carries its number and fails when that is over."""
+    """Number of times that a worker leased the job. Writes carry it and change nothing if it has increased since."""
     lost: Mapped[int] = mapped_column(default=0)
-    """Attempts that ended with the death of their process."""
+    """Number of attempts whose process died."""
     lease_owner: Mapped[str | None] = mapped_column(String(100))
     lease_until: Mapped[datetime | None]
 
@@ -80,7 +80,7 @@ class Job(Base):
     step: Mapped[int | None]
     steps: Mapped[int | None]
     outcome: Mapped[dict[str, Any] | None]
-    """The few numbers of the result that lists show."""
+    """The part of the result that lists show (services.pipeline.outcome)."""
     result: Mapped[dict[str, Any] | None] = mapped_column(deferred=True)
     failure_kind: Mapped[str | None] = mapped_column(String(64))
     failure_detail: Mapped[str | None] = mapped_column(Text)
@@ -89,13 +89,13 @@ class Job(Base):
 
     @property
     def times(self) -> dict[str, datetime]:
-        """State to the last time it was entered, in the order of the states."""
+        """The last time at which the job entered each state, in the order of the states."""
         found = {state.value: getattr(self, f"{state.value}_at") for state in State}
         return {state: time for state, time in found.items() if time is not None}
 
 
 class Event(Base):
-    """Something that happened to a job: numbered without gaps, so that a reader can resume after any of them."""
+    """A change of a job's state or progress. Events of a job are numbered without gaps, so a reader can resume."""
 
     __tablename__ = "events"
 
@@ -107,7 +107,7 @@ class Event(Base):
 
 
 class Artifact(Base):
-    """A named file of a finished job; its bytes lie in the artifact store under their hash."""
+    """A named file of a finished job, whose bytes are in the artifact store under their hash."""
 
     __tablename__ = "artifacts"
 
@@ -119,7 +119,7 @@ class Artifact(Base):
 
 
 class IdempotencyKey(Base):
-    """A client's key for one submission, and the answer it was first given."""
+    """A client's key for one submission, with the digest of the request and the first answer to it."""
 
     __tablename__ = "idempotency_keys"
 

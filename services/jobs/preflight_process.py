@@ -1,6 +1,7 @@
-"""The process that checks requests before they are queued: warm network and OpenGL context, strangers' mesh files.
+"""The process that checks requests and uploaded meshes before they are accepted. Its network and OpenGL context stay
+loaded, and it parses meshes that are not trusted.
 
-`python -m services.jobs.preflight_process FD`, started by the API.
+The API starts it with `python -m services.jobs.preflight_process FD`.
 """
 
 import resource
@@ -18,13 +19,16 @@ from services.scenes.library import Library
 from services.settings import settings
 
 MESH_BYTES = 3 * 2**30
-"""Address space the parse of an uploaded mesh may add."""
+"""Bytes of address space that parsing an uploaded mesh may add."""
 
 log = logger(__name__)
 
 
 def answer(message: dict[str, Any], data: bytes, library: Library) -> dict[str, Any]:
-    """The answer to one question: {"spec": …}, {"entry": …}, a bad field {"field", "detail"}, or {"trouble"}."""
+    """Answers one request: {"check": spec} by {"spec"}, and {"mesh": kind}, with the file as `data`, by {"entry"}.
+
+    A request with a bad field is answered by {"field", "detail"}, and a check that failed by {"trouble"}.
+    """
     try:
         if "check" in message:
             return {"spec": preflight(JobSpec.model_validate(message["check"]), library).model_dump(mode="json")}
@@ -54,7 +58,7 @@ def _limited(extra: int) -> Iterator[None]:
 
 
 def main() -> None:
-    """Load everything once, say so, then answer until the parent is gone."""
+    """Loads network and OpenGL once, reports that it is ready, then answers requests until its parent ends."""
     configure("preflight")
     values = settings()
     connection = connect()

@@ -1,4 +1,4 @@
-"""The queue: RQ on Redis carries job ids to workers. It may forget everything; the record does not."""
+"""The queue: RQ on Redis carries job ids to workers. If Redis loses them, they are sent again from the record."""
 
 from contextlib import suppress
 from dataclasses import dataclass
@@ -13,22 +13,22 @@ from services.jobs.repository import Repository, Waiting
 
 NAME = "scene-attack"
 TASK = "worker.task.run_job"
-"""The only function a message may name."""
+"""The only function that a message may name."""
 HEARTBEAT_SECONDS = 5
-"""A live worker says so at least this often."""
+"""Longest time between two heartbeats of a worker."""
 _SIGN = f"{NAME}:worker:"
 SETTLE_SECONDS = 5.0
-"""A message younger than this may be in the hands of a worker that has not leased its job yet."""
+"""Age below which a missing message is not sent again: a worker may have taken it and not leased its job yet."""
 
 
 def connect(url: str) -> Redis:
-    """A client that gives up soon when Redis does not answer."""
+    """Returns a Redis client that gives up after 3 seconds without an answer."""
     return Redis.from_url(url, socket_timeout=3, socket_connect_timeout=3)
 
 
 @dataclass(frozen=True)
 class Queue:
-    """Messages that say: this job, in this attempt, waits."""
+    """The queue of messages, each of which stands for a queued job and the number of attempts it has had."""
 
     redis: Redis
 
@@ -36,7 +36,7 @@ class Queue:
         return rq.Queue(NAME, connection=self.redis, serializer="json")
 
     def send(self, job_id: str, attempt: int) -> None:
-        """Put a job's id on the queue, once. `attempt` is the number of attempts it has had. Raises RedisError."""
+        """Puts a job's id on the queue, once. `attempt` is the number of attempts it has had. Raises RedisError."""
         with suppress(DuplicateJobError):
             self._queue().enqueue_call(
                 TASK,
@@ -50,29 +50,32 @@ class Queue:
             )
 
     def waiting(self) -> set[str]:
-        """Ids of the messages that wait. Raises RedisError."""
+        """Ids of the messages on the queue. Raises RedisError."""
         return set(self._queue().get_job_ids())
 
     def forget(self, job_id: str, attempt: int) -> None:
-        """Remove what is left of a message that no worker can receive any more. Raises RedisError."""
+        """Deletes the data of a message that is not on the queue any more. Raises RedisError."""
         with suppress(NoSuchJobError):
             Message.fetch(_message_id(job_id, attempt), connection=self.redis, serializer="json").delete()
 
     def alive(self, worker: str) -> None:
-        """Say that a worker lives. RQ's own register would stay empty after Redis lost it. Raises RedisError."""
+        """Records that a worker is alive. RQ does not restore its own register if Redis loses it. Raises RedisError."""
         self.redis.set(_SIGN + worker, "", ex=3 * HEARTBEAT_SECONDS)
 
     def gone(self, worker: str) -> None:
-        """Say that a worker has ended. Raises RedisError."""
+        """Records that a worker has ended. Raises RedisError."""
         self.redis.delete(_SIGN + worker)
 
     def live_workers(self) -> int:
-        """How many workers gave a sign of life lately. Raises RedisError."""
+        """The number of workers with a heartbeat in the last 15 seconds. Raises RedisError."""
         return sum(1 for _ in self.redis.scan_iter(match=_SIGN + "*", count=1000))
 
 
 def reconcile(repository: Repository, queue: Queue) -> int:
-    """Send every queued job that no message stands for, as after a loss of Redis. Returns how many were sent."""
+    """Sends every queued job that has no message, e.g. after Redis lost its data. Returns how many were sent.
+
+    Raises RedisError.
+    """
     jobs = repository.queued()
     if not jobs:
         return 0

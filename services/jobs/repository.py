@@ -1,6 +1,6 @@
-"""The record of jobs. All SQL of the service is here, in `attempts` and in `transactions`.
+"""The record of jobs. All SQL of the service is in this module, in `attempts` and in `transactions`.
 
-Every change of a job is one transaction, together with its event; so are a result and its artifacts.
+Every change of a job is one transaction together with its event; a result and its artifacts are one, too.
 """
 
 from collections.abc import Callable
@@ -19,16 +19,16 @@ from services.pipeline.spec import JobSpec
 
 
 class QueueFull(Exception):
-    """As many jobs are queued as the settings allow."""
+    """The number of queued jobs has reached the limit of the settings."""
 
 
 class KeyReused(Exception):
-    """An idempotency key came back with a different request."""
+    """An idempotency key was used before with a different request."""
 
 
 @dataclass(frozen=True)
 class Key:
-    """A client's idempotency key and the digest of what it asked for."""
+    """A client's idempotency key and the digest of the request that it came with."""
 
     value: str
     digest: str
@@ -36,7 +36,7 @@ class Key:
 
 @dataclass(frozen=True)
 class Waiting:
-    """A queued job: the attempts it has had, and when its id was last put on the queue."""
+    """A queued job: its id, the number of attempts it has had, and the time when its id was last put on the queue."""
 
     job_id: str
     attempt: int
@@ -44,21 +44,21 @@ class Waiting:
 
 
 class Repository(Attempts):
-    """The record of jobs: what clients and the queue ask of it, and what its attempts write."""
+    """The record of jobs: the operations of clients and of the queue, and, from `Attempts`, those of workers."""
 
-    # What clients ask
+    # Operations of clients
 
     def ping(self) -> None:
-        """Raise if the database does not answer."""
+        """Raises SQLAlchemyError if the database does not answer."""
         with self._read() as session:
             session.execute(text("SELECT 1"))
 
     def create(
         self, spec: JobSpec, max_queued: int, key: Key | None, answer: Callable[[Job], dict[str, Any]]
     ) -> tuple[Job | None, dict[str, Any]]:
-        """Record a new queued job. Returns it and its answer, or None and the first answer where the key was used.
+        """Records a new queued job. Returns it and `answer(job)`, or None and the key's first answer if it was used.
 
-        Raises QueueFull, and KeyReused where the key came with another request.
+        Raises QueueFull if `max_queued` jobs are queued, and KeyReused if the key came with another request.
         """
         with self._write() as session:
             if key is not None and (first := _first_answer(session, key)) is not None:
@@ -89,17 +89,17 @@ class Repository(Attempts):
             return job, said
 
     def first_answer(self, key: Key) -> dict[str, Any] | None:
-        """What the key's first request was answered; None for a new key. Raises KeyReused."""
+        """The answer to the first request with this key, or None for a new key. Raises KeyReused."""
         with self._read() as session:
             return _first_answer(session, key)
 
     def get(self, job_id: str, *, with_result: bool = False) -> Job | None:
-        """A job; its result only if asked for, since it may be large."""
+        """A job, or None if the id is unknown. The result, which may be large, is read only if `with_result`."""
         with self._read() as session:
             return session.get(Job, job_id, options=[undefer(Job.result)] if with_result else [])
 
     def page(self, state: State | None, limit: int, before: tuple[datetime, str] | None) -> list[Job]:
-        """Jobs from the newest, older than the job with (created_at, id) `before`."""
+        """At most `limit` jobs, newest first, in `state` if given, older than `before`, a job's (created_at, id)."""
         query = select(Job).order_by(Job.created_at.desc(), Job.id.desc()).limit(limit)
         if state is not None:
             query = query.where(Job.state == state)
@@ -109,29 +109,32 @@ class Repository(Attempts):
             return list(session.scalars(query))
 
     def request_cancel(self, job_id: str) -> Job | None:
-        """Cancel a queued job at once, ask a running one to stop, leave any other as it is. None if unknown."""
+        """Cancels a queued job at once, and asks a running job to stop; leaves other jobs as they are.
+
+        Returns the job, or None if the id is unknown.
+        """
         with self._write() as session:
             if self._move(session, job_id, State.CANCELLED, [Job.state == State.QUEUED]) is None:
                 self._move(session, job_id, State.CANCELLING, [Job.state == State.RUNNING])
             return session.get(Job, job_id)
 
     def events(self, job_id: str, after: int, limit: int = 500) -> list[Event]:
-        """Events of a job in order, those with a number above `after`."""
+        """At most `limit` events of a job with a number above `after`, in order."""
         query = select(Event).where(Event.job_id == job_id, Event.number > after).order_by(Event.number).limit(limit)
         with self._read() as session:
             return list(session.scalars(query))
 
     def artifacts(self, job_id: str) -> list[Artifact]:
-        """Artifacts of a job by name."""
+        """The artifacts of a job, sorted by name."""
         with self._read() as session:
             return list(session.scalars(select(Artifact).where(Artifact.job_id == job_id).order_by(Artifact.name)))
 
     def artifact(self, job_id: str, name: str) -> Artifact | None:
-        """One artifact of a job."""
+        """An artifact of a job, or None if there is none of this name."""
         with self._read() as session:
             return session.get(Artifact, (job_id, name))
 
-    # What the queue asks
+    # Operations of the queue
 
     def queued(self) -> list[Waiting]:
         """All queued jobs, oldest first."""
@@ -141,7 +144,7 @@ class Repository(Attempts):
             return [Waiting(*row) for row in found]
 
     def sent(self, job_id: str, attempt: int) -> None:
-        """Note that a queued job's id was put on the queue."""
+        """Records that a queued job's id was put on the queue now."""
         with self._write() as session:
             session.execute(
                 update(Job)

@@ -1,4 +1,4 @@
-"""Taking requests: what the API's routes do with jobs, apart from HTTP."""
+"""Submission of jobs: the part of the API's `POST /v1/jobs` that does not depend on HTTP."""
 
 import hashlib
 from collections.abc import Callable
@@ -19,20 +19,20 @@ log = logger(__name__)
 
 @dataclass(frozen=True)
 class Submissions:
-    """Makes jobs of specs that were found good."""
+    """Turns checked specs into jobs. At most `max_queued` jobs may be queued."""
 
     repository: Repository
     queue: Queue
     max_queued: int
 
     def submit(self, spec: JobSpec, key: Key | None, answer: Callable[[Job], dict[str, Any]]) -> dict[str, Any]:
-        """Record the job, then send its id. Returns `answer(job)`, or the first answer of a key that came again.
+        """Records the job, then sends its id. Returns `answer(job)`, or the first answer if the key was used before.
 
-        Raises QueueFull, and KeyReused where the key came with another request.
+        Raises QueueFull, and KeyReused if the key came with another request.
         """
         try:
             job, said = self.repository.create(spec, self.max_queued, key, answer)
-        except IntegrityError:  # the same key, at the same moment, from another process
+        except IntegrityError:  # another process recorded the same key at the same moment
             job, said = self.repository.create(spec, self.max_queued, key, answer)
         if job is not None:
             self._send(job)
@@ -42,7 +42,7 @@ class Submissions:
         try:
             self.queue.send(job.id, job.attempt)
         except RedisError as error:
-            # The row is there; the supervisor sends it when Redis is back.
+            # The job is recorded; the supervisor sends it when Redis answers again.
             log.warning("queue out of reach, job waits in the record", job=job.id, error=str(error))
             return
         self.repository.sent(job.id, job.attempt)
@@ -50,5 +50,5 @@ class Submissions:
 
 
 def digest(spec: JobSpec) -> str:
-    """What an idempotency key stands for: the request with its defaults filled in."""
+    """Hex SHA-256 of a request with its defaults filled in, by which an idempotency key recognises it."""
     return hashlib.sha256(spec.model_dump_json().encode()).hexdigest()

@@ -1,4 +1,4 @@
-"""Transactions on the record of jobs, and the one way in which a job changes its state."""
+"""Transactions on the record of jobs, and the only function that changes a job's state."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -13,7 +13,7 @@ from services.jobs.models import Event, Job, State
 
 
 class Transactions:
-    """Sessions for reading and writing. `clock` gives the time of every write; tests set it."""
+    """Sessions for reading and writing. `clock` returns the time of every write; tests replace it."""
 
     def __init__(self, engine: Engine, clock: Callable[[], datetime] = lambda: datetime.now(UTC)) -> None:
         self._reads = engine
@@ -33,7 +33,7 @@ class Transactions:
     def _move(
         self, session: Session, job_id: str, to: State, where: Sequence[ColumnElement[bool]], **values: Any
     ) -> Job | None:
-        """Change a job's state where it still is as `where` says, and record the event. None if it was not."""
+        """Changes a job's state if it meets the conditions `where`, and records the event; otherwise returns None."""
         now = self._clock()
         changed = (
             update(Job)
@@ -49,10 +49,10 @@ class Transactions:
 
 
 def story(job: Job) -> dict[str, Any]:
-    """The data of a state event."""
-    told: dict[str, Any] = {"state": job.state.value, "attempt": job.attempt}
+    """The data of a state event: state and attempt, with the outcome or the failure of a job that has ended."""
+    data: dict[str, Any] = {"state": job.state.value, "attempt": job.attempt}
     if job.state == State.SUCCEEDED:
-        told["outcome"] = job.outcome
+        data["outcome"] = job.outcome
     if job.state == State.FAILED:
-        told["failure"] = {"kind": job.failure_kind, "detail": job.failure_detail}
-    return told
+        data["failure"] = {"kind": job.failure_kind, "detail": job.failure_detail}
+    return data

@@ -1,4 +1,4 @@
-"""What every process that renders and asks networks does first; all of them alike, or their images might not be."""
+"""Start-up of every process that renders and classifies. It is the same for all, so that their images agree."""
 
 import resource
 
@@ -12,7 +12,10 @@ from services.targets import registry
 
 
 def warm_up(values: Settings) -> str:
-    """Bound the memory, set torch's threads, load the default network, open the OpenGL context. Returns its backend."""
+    """Limits the memory, sets torch's threads, loads the default network and opens the OpenGL context.
+
+    Returns the name of the OpenGL backend.
+    """
     resource.setrlimit(resource.RLIMIT_AS, (values.job_memory_bytes, values.job_memory_bytes))
     torch.set_num_threads(values.threads)
     log_extensions()

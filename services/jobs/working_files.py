@@ -1,4 +1,4 @@
-"""Files of jobs on their way: checkpoints, and the directory an attempt writes into. All of it may be lost."""
+"""Files of running jobs: checkpoints, and the directory into which an attempt writes. No result depends on them."""
 
 import shutil
 from collections.abc import Iterator
@@ -10,20 +10,20 @@ from services.jobs.repository import Repository
 
 
 class WorkingFiles:
-    """`data_dir/checkpoints/<job id>` and `data_dir/running/<job id>-<attempt>/`."""
+    """The files `data_dir/checkpoints/<job id>` and the directories `data_dir/running/<job id>-<attempt>/`."""
 
     def __init__(self, data_dir: Path) -> None:
         self._checkpoints = data_dir / "checkpoints"
         self._running = data_dir / "running"
 
     def checkpoint(self, job_id: str) -> Path:
-        """The file a job saves itself to, so that a later attempt goes on from there."""
+        """The path of a job's checkpoint, from which a later attempt resumes."""
         self._checkpoints.mkdir(parents=True, exist_ok=True)
         return self._checkpoints / job_id
 
     @contextmanager
     def attempt_directory(self, attempt: Attempt) -> Iterator[Path]:
-        """An empty directory for one attempt, gone afterwards."""
+        """Creates an empty directory for one attempt, and removes it on leaving."""
         out = self._running / f"{attempt.job_id}-{attempt.number}"
         out.mkdir(parents=True)
         try:
@@ -32,14 +32,14 @@ class WorkingFiles:
             shutil.rmtree(out, ignore_errors=True)
 
     def forget(self, repository: Repository, job_id: str) -> None:
-        """Remove a job's checkpoint if the job is over."""
+        """Removes a job's checkpoint if the job has ended."""
         job = repository.get(job_id)
         if job is None or job.state.terminal:
             for file in self._checkpoints.glob(f"{job_id}*"):
                 file.unlink(missing_ok=True)
 
     def sweep(self, repository: Repository) -> None:
-        """Remove what killed processes left behind of attempts and jobs that are over."""
+        """Removes the files that killed processes left behind of attempts and jobs that have ended."""
         for out in self._running.glob("*-*"):
             job_id, _, number = out.name.rpartition("-")
             job = repository.get(job_id)
