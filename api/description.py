@@ -1,4 +1,4 @@
-"""What the API says of itself and of its errors, in the OpenAPI document."""
+"""The OpenAPI document's description of the API and of its errors."""
 
 from typing import Any
 
@@ -9,23 +9,23 @@ from api.problems import MEDIA_TYPE, ProblemDetails
 DESCRIPTION = """\
 Attacks on vision models through the scene: its light, its surfaces, its poses.
 
-A request is checked whole before it becomes a job; what is wrong with it is answered at once, naming the fields. Every
-error is a problem (RFC 9457). Angles are radians, lengths scene units, colours and images in [0,1].
+A request is checked completely before it becomes a job; errors are answered at once and name the fields. Every error is
+a problem document (RFC 9457). Angles are in radians, lengths in scene units, colours and images in [0,1].
 """
 
 ERRORS = {
     "400": "The request could not be read.",
-    "404": "There is no such thing.",
+    "404": "The path names nothing that exists.",
     "413": "The body is too large.",
-    "415": "The body is of the wrong kind.",
+    "415": "The body has the wrong media type.",
     "416": "The file has no such range.",
     "422": "A field is wrong; `errors` names it.",
-    "503": "Not now; `Retry-After` says when to try again.",
+    "503": "The service cannot take the request now; `Retry-After` says when to try again.",
 }
 
 
 def describe(app: FastAPI) -> None:
-    """Have the app describe its errors as it sends them."""
+    """Adds the API's description and its errors, as `api.problems` sends them, to the app's OpenAPI document."""
     original = app.openapi
 
     def openapi() -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What is refused before a request is looked at: bodies that are too large, and other web sites' requests."""
+"""Middleware that refuses requests before they are parsed: bodies that are too large, and other web sites' requests."""
 
 from collections.abc import Mapping
 from ipaddress import ip_address
@@ -14,16 +14,17 @@ from services.errors import InvalidRequest
 JSON_BYTES = 2**20
 """Largest body that is not an upload."""
 FORM_BYTES = 2**16
-"""What a multipart form needs around its file."""
+"""Bytes that a multipart form may have in addition to its file."""
 DRAIN = 4
-"""A body up to so many times too large is read and thrown away, so that the client hears the answer; beyond that the
-connection is closed on it."""
+"""A body of at most this many times the limit is read and discarded, so that the client receives the answer. The
+connection is closed on a larger body."""
 
 
 class BodyLimit:
-    """Answers 413 for bodies over their path's limit, before reading more than that into memory.
+    """Answers 413 for bodies over the limit of their path, and reads no more than the limit into memory.
 
-    `uploads` maps a path to the most bytes its file may have; there a body that is too large is a bad `file`, 422.
+    `uploads` maps a path to the largest size of its file in bytes. There a body that is too large is answered by 422
+    for the field `file`.
     """
 
     def __init__(self, app: ASGIApp, uploads: Mapping[str, int]) -> None:
@@ -47,7 +48,7 @@ class BodyLimit:
             nonlocal total
             message = await receive()
             total += len(message.get("body", b""))
-            if total > limit:  # a body that did not say its length
+            if total > limit:  # a body without content-length
                 raise _too_large(limit, upload)
             return message
 
@@ -68,9 +69,9 @@ async def _drain(receive: Receive) -> None:
 
 
 class SameSite:
-    """Refuses what another web site has a browser send here: foreign Origins, and foreign Hosts while on loopback.
+    """Refuses requests that another web site makes a browser send: foreign Origins, and foreign Hosts on loopback.
 
-    There is no password yet; a page the user happens to visit must not be able to start jobs on their machine.
+    The service has no password yet, so a page that the user visits must not be able to start jobs on their machine.
     """
 
     def __init__(self, app: ASGIApp, loopback: bool) -> None:
@@ -92,7 +93,7 @@ class SameSite:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether a host name or address means this machine alone."""
+    """Whether a host name or address is this machine's loopback."""
     if host == "localhost":
         return True
     try:

@@ -1,4 +1,4 @@
-"""The HTTP API."""
+"""The HTTP API: its application, and the function that serves it."""
 
 import socket
 import sys
@@ -35,7 +35,10 @@ log = logger(__name__)
 
 
 def create_app(values: Settings | None = None) -> FastAPI:
-    """The app. It opens database, Redis and its preflight process when it starts, and closes them when it ends."""
+    """Creates the app, with `values` or else the environment's settings.
+
+    The app opens the database, Redis and its preflight process when it starts, and closes them when it ends.
+    """
     chosen = values or settings()
 
     @asynccontextmanager
@@ -83,7 +86,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
 
 
 def run(listener: socket.socket | None = None) -> int:
-    """Serve until SIGTERM or SIGINT, on a socket already listening or else on the settings' address.
+    """Serves until SIGTERM or SIGINT, on a socket already listening or else on the settings' address.
 
     Raises InvalidRequest if the device of the settings is not there.
     """
@@ -98,7 +101,7 @@ def run(listener: socket.socket | None = None) -> int:
         log_config=None,
         access_log=False,
         server_header=False,
-        timeout_graceful_shutdown=2,  # event streams do not end by themselves
+        timeout_graceful_shutdown=2,  # event streams of running jobs would not end
     )
     uvicorn.Server(config).run(sockets=[listener])
     return 0

@@ -9,7 +9,7 @@ from services.settings import Settings
 
 
 def document() -> str:
-    """The description of the API as YAML."""
+    """The OpenAPI document of the API as YAML."""
     schema = create_app(Settings()).openapi()
     return yaml.safe_dump(schema, sort_keys=False, allow_unicode=True, width=120)
 

@@ -1,4 +1,4 @@
-"""Asking the preflight process, so that the API itself never touches OpenGL, torch or a stranger's file."""
+"""Sends requests to the preflight process, so that the API itself uses neither OpenGL nor torch and parses no mesh."""
 
 import asyncio
 from concurrent.futures import ThreadPoolExecutor
@@ -13,42 +13,42 @@ from services.settings import Settings
 
 START_SECONDS = 180.0
 CHECK_SECONDS = 120.0
-"""Longest check of a spec: the scene is rendered and classified once."""
+"""Longest check of a spec, in which the scene is rendered and classified once."""
 MESH_SECONDS = 30.0
-"""Longest parse of an uploaded mesh; beyond it the process is killed, whatever the file made it do."""
+"""Longest time for parsing an uploaded mesh, after which the process is killed."""
 
 log = logger(__name__)
 
 
 class Unavailable(Exception):
-    """The check could not be made; it may be tried again."""
+    """The check could not be completed; the client may try again."""
 
 
 class Preflight:
-    """One warm process, one question at a time; started again when it died."""
+    """The preflight process, which handles one request at a time and is restarted if it dies."""
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self._child: Child | None = None
-        # One thread: questions wait for one another, and a client that hangs up leaves its own to finish.
+        # With one thread, requests wait for one another; the request of a client that disconnects still finishes.
         self._thread = ThreadPoolExecutor(1, "preflight")
 
     def start(self) -> None:
-        """Begin to warm up, without waiting."""
+        """Starts the process, without waiting until it is warm."""
         self._thread.submit(self._warm)
 
     def close(self) -> None:
-        """End the process; questions that wait are dropped."""
+        """Ends the process; waiting requests are dropped."""
         child = self._child
         if child is not None:
-            child.end()  # a question that is being asked gets ChildDied
+            child.end()  # a request in progress gets ChildDied
         self._thread.shutdown(cancel_futures=True)
         if self._child is not None:
             self._child.kill()
             self._child = None
 
     async def check(self, spec: JobSpec) -> JobSpec:
-        """The spec as it would run. Raises InvalidRequest, or Unavailable."""
+        """Returns the spec as it would run. Raises InvalidRequest if it cannot run, and Unavailable."""
         try:
             answer = await self._ask({"check": spec.model_dump(mode="json")}, None, CHECK_SECONDS)
         except ChildDied as error:
@@ -56,7 +56,7 @@ class Preflight:
         return JobSpec.model_validate(answer["spec"])
 
     async def add_mesh(self, file: BinaryIO, kind: str) -> Entry:
-        """Check and store an uploaded mesh. Raises InvalidRequest, or Unavailable."""
+        """Checks and stores an uploaded mesh of format `kind`. Raises InvalidRequest("file"), and Unavailable."""
         try:
             answer = await self._ask({"mesh": kind}, file, MESH_SECONDS)
         except ChildDied as error:
@@ -76,7 +76,7 @@ class Preflight:
     def _ask_now(self, message: dict[str, Any], file: BinaryIO | None, seconds: float) -> dict[str, Any]:
         child = self._warm()
         try:
-            # Uploads wait on the disk; only the one whose turn it is comes into memory.
+            # Waiting uploads stay on the disk; only the file of this request is read into memory.
             child.send(message, b"" if file is None else file.read())
             answer = child.receive(seconds)
             if answer is not None:

@@ -1,4 +1,4 @@
-"""Every error as `application/problem+json` (RFC 9457)."""
+"""Turns every error of the API into `application/problem+json` (RFC 9457)."""
 
 from collections.abc import Sequence
 from http import HTTPStatus
@@ -23,24 +23,24 @@ log = logger(__name__)
 
 
 class BadField(BaseModel):
-    """One thing that was wrong with a request."""
+    """A field of a request with an invalid value."""
 
     field: str = Field(description='dotted path in the request, e.g. "scene.objects.0.mesh"')
-    detail: str = Field(description="what was wrong, and what would be right")
+    detail: str = Field(description="why the value is invalid, and which values are valid")
 
 
 class ProblemDetails(BaseModel):
     """An error (RFC 9457)."""
 
-    type: str = Field("about:blank", description="about:blank: the status says it all")
-    title: str = Field(description="the words of the HTTP status")
+    type: str = Field("about:blank", description="always about:blank: the status identifies the kind of problem")
+    title: str = Field(description="the reason phrase of the HTTP status")
     status: int
-    detail: str = Field(description="what was wrong, for a person")
-    errors: list[BadField] = Field([], description="the fields that were wrong, where the request was at fault")
+    detail: str = Field(description="the error in words")
+    errors: list[BadField] = Field([], description="the invalid fields, if the request has any")
 
 
 def problem(status: int, detail: str, errors: Sequence[InvalidRequest] = (), headers: Any = None) -> JSONResponse:
-    """A problem as a response."""
+    """A response with a problem document; `errors` are its invalid fields, `headers` are added to the response."""
     body = ProblemDetails(
         title=HTTPStatus(status).phrase,
         status=status,
@@ -51,12 +51,12 @@ def problem(status: int, detail: str, errors: Sequence[InvalidRequest] = (), hea
 
 
 def invalid(errors: Sequence[InvalidRequest]) -> JSONResponse:
-    """422 for fields that were wrong."""
+    """A 422 response for these invalid fields."""
     return problem(422, "; ".join(str(error) for error in errors[:3]), errors)
 
 
 class BadRequestField(HTTPException):
-    """An InvalidRequest found while the body is still being read, where the framework lets only its own errors pass."""
+    """An InvalidRequest raised while the body is being read, where the framework passes on only HTTPException."""
 
     def __init__(self, error: InvalidRequest) -> None:
         super().__init__(422, str(error))
@@ -64,7 +64,7 @@ class BadRequestField(HTTPException):
 
 
 def http_problem(error: HTTPException) -> Response:
-    """A framework error as a problem; its status and headers stay."""
+    """A framework error as a problem document with the same status and headers."""
     if error.status_code < 400:
         return Response(status_code=error.status_code, headers=error.headers)
     errors = error.errors if isinstance(error, BadRequestField) else ()
@@ -72,7 +72,7 @@ def http_problem(error: HTTPException) -> Response:
 
 
 def install(app: FastAPI) -> None:
-    """Give an app these answers for all its errors."""
+    """Installs handlers on the app that answer every error by a problem document."""
 
     @app.exception_handler(InvalidRequest)
     def _invalid(_: Request, error: InvalidRequest) -> Response:
@@ -83,7 +83,7 @@ def install(app: FastAPI) -> None:
         items = error.errors()
         if items and items[0]["type"] == "json_invalid":
             return problem(400, f"the body is not JSON: {items[0]['ctx']['error']} at character {items[0]['loc'][-1]}")
-        # Bodies are known by their own paths, query parameters and headers by their names.
+        # pydantic's paths begin with "body", "query" or "header"; clients know fields without that part.
         return invalid(named([item | {"loc": item["loc"][1:]} for item in items]))
 
     @app.exception_handler(HTTPException)
@@ -113,9 +113,9 @@ _LATER = {"Retry-After": "5"}
 
 
 class Answers:
-    """Turns the plain-text errors of the framework's own parts (as for ranges) into problems.
+    """Turns the plain-text errors of the framework's parts, e.g. for ranges, into problem documents.
 
-    Also tells browsers, with every answer, to take its media type at its word.
+    It also adds the header that forbids browsers to guess media types to every response.
     """
 
     def __init__(self, app: ASGIApp) -> None:

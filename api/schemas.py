@@ -1,4 +1,4 @@
-"""What the API says about jobs."""
+"""The schemas of the API's responses."""
 
 import base64
 import binascii
@@ -17,15 +17,15 @@ from services.scenes.library import Entry
 
 
 class ProgressView(BaseModel):
-    """How far a job is."""
+    """The progress of a job."""
 
     phase: str = Field(description='"loading", "attacking" or "analysing"')
     step: int
-    steps: int = Field(description="most steps it may take")
+    steps: int = Field(description="largest number of steps")
 
 
 class FailureView(BaseModel):
-    """Why a job failed."""
+    """The reason for which a job failed."""
 
     kind: str = Field(
         description='"non-finite", "asset-missing", "out-of-memory", "worker-lost", "timeout" or "internal"'
@@ -34,36 +34,36 @@ class FailureView(BaseModel):
 
 
 class JobSummary(BaseModel):
-    """A job as it is listed."""
+    """A job without its result, as lists show it."""
 
     id: str
     state: State = Field(description="succeeded means that it ran to its end, not that the network was fooled")
     created: datetime
-    times: dict[str, datetime] = Field(description="state to the last time it was entered")
-    attempt: int = Field(description="times it was started")
+    times: dict[str, datetime] = Field(description="for each state, the last time at which the job entered it")
+    attempt: int = Field(description="number of attempts that were started")
     seed: int
     progress: ProgressView | None
     spec: Annotated[JobSpec | dict[str, Any], Field(union_mode="left_to_right")] = Field(
-        description="the request with everything it left out filled in; as it was stored, where its attack or renderer "
+        description="the request with the values of all fields filled in; as it was stored, if its attack or renderer "
         "is not installed any more"
     )
-    outcome: Outcome | None = Field(description="the result in one line, once it succeeded")
+    outcome: Outcome | None = Field(description="the part of the result that lists show, once the job succeeded")
     failure: FailureView | None
 
     @classmethod
     def of(cls, job: Job) -> Self:
-        """The summary of a record."""
+        """The summary of a job in the database."""
         return cls(**_fields(job))
 
 
 class JobView(JobSummary):
-    """A job with all it found."""
+    """A job with its result."""
 
-    result: Result | None = Field(description="once it succeeded")
+    result: Result | None = Field(description="the result, once the job succeeded")
 
     @classmethod
     def of(cls, job: Job, with_result: bool = False) -> Self:
-        """The view of a record; a result is there only if it was read with it."""
+        """The view of a job in the database; `with_result` requires that the job was read with its result."""
         return cls(**_fields(job), result=job.result if with_result else None)
 
 
@@ -88,7 +88,7 @@ def _fields(job: Job) -> dict:  # type: ignore[type-arg]
 
 
 class JobPage(BaseModel):
-    """Some jobs, newest first."""
+    """A page of the list of jobs, newest first."""
 
     items: list[JobSummary]
     next: str | None = Field(description="`cursor` of the page after this one; null on the last")
@@ -98,18 +98,18 @@ class ArtifactView(BaseModel):
     """A file of a finished job."""
 
     name: str
-    sha256: str = Field(description="of its bytes; also its ETag")
+    sha256: str = Field(description="SHA-256 of the file's bytes, which is also its ETag")
     media_type: str
     size: int = Field(description="bytes")
 
     @classmethod
     def of(cls, artifact: Artifact) -> Self:
-        """The view of a record."""
+        """The view of an artifact in the database."""
         return cls(name=artifact.name, sha256=artifact.sha256, media_type=artifact.media_type, size=artifact.size)
 
 
 class ArtifactList(BaseModel):
-    """The files of a job; none until it succeeded."""
+    """The files of a job; the list is empty until the job succeeded."""
 
     items: list[ArtifactView]
 
@@ -121,15 +121,15 @@ class AssetList(BaseModel):
 
 
 class SceneLibrary(BaseModel):
-    """What a scene can name."""
+    """The meshes and environment maps that a scene can name."""
 
-    meshes: list[Entry] = Field(description="those that match the filters")
+    meshes: list[Entry] = Field(description="the meshes that match the filters")
     environments: list[Entry] = Field(description="all environment maps")
-    credits: list[str] = Field(description="creators and licences of everything listed here")
+    credits: list[str] = Field(description="creators and licences of the meshes and maps listed here")
 
 
 class Health(BaseModel):
-    """A part that is well."""
+    """The answer of a process that is alive."""
 
     status: str
 
@@ -137,10 +137,10 @@ class Health(BaseModel):
 class ExtensionView(BaseModel):
     """A file of SCENE_ATTACK_EXTENSIONS, as the service loaded it."""
 
-    file: str = Field(description="its name, without the folder")
-    sha256: str | None = Field(description="of its bytes; null where it cannot be read")
-    adds: list[str] = Field(description='kind and name of what it registers, e.g. "renderer tint"')
-    error: str | None = Field(description="why it was left out; null if it was loaded")
+    file: str = Field(description="the file's name, without the folder")
+    sha256: str | None = Field(description="SHA-256 of the file's bytes; null if it cannot be read")
+    adds: list[str] = Field(description='kind and name of each registration, e.g. "renderer tint"')
+    error: str | None = Field(description="the reason for which it was left out; null if it was loaded")
 
     @classmethod
     def of(cls, extension: Extension) -> Self:
@@ -155,9 +155,9 @@ class Readiness(BaseModel):
     ready: bool
     database: bool
     redis: bool
-    workers: int = Field(description="workers that gave a sign of life in the last seconds")
+    workers: int = Field(description="number of workers with a heartbeat in the last 15 seconds")
     extensions: list[ExtensionView] = Field(
-        description="as this process loaded them; the service is ready without those that were left out"
+        description="the extensions that this process loaded or left out; the service can be ready without the latter"
     )
 
 
@@ -167,7 +167,7 @@ def cursor_after(job: Job) -> str:
 
 
 def read_cursor(cursor: str) -> tuple[datetime, str]:
-    """The place a cursor stands for. Raises InvalidRequest("cursor")."""
+    """The (created_at, id) of the job after which the cursor's page begins. Raises InvalidRequest("cursor")."""
     try:
         time, job_id = base64.urlsafe_b64decode(cursor + "=" * (-len(cursor) % 4)).decode().split(" ")
         place = datetime.fromisoformat(time)

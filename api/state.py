@@ -1,4 +1,4 @@
-"""What the routes work with; one per app."""
+"""The objects that the routes use, of which each app has its own, and dependencies that provide them."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -37,7 +37,7 @@ ServicesDependency = Annotated[Services, Depends(services)]
 
 
 def known_job(job_id: str, services: ServicesDependency) -> Job:
-    """The job of the path, without its result; 404 if there is none."""
+    """The job with the id in the path, without its result. Answers 404 if there is none."""
     job = services.repository.get(job_id)
     if job is None:
         raise no_such("job")
@@ -48,5 +48,5 @@ KnownJob = Annotated[Job, Depends(known_job)]
 
 
 def no_such(what: str) -> HTTPException:
-    """404 for something in the path."""
+    """The 404 error for a part of the path; `what` is its kind, e.g. "job"."""
     return HTTPException(404, f"there is no such {what}")

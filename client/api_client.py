@@ -1,4 +1,4 @@
-"""The service over HTTP."""
+"""A client of the service's HTTP API."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -14,14 +14,14 @@ from services import atomic_write
 
 TERMINAL = ("succeeded", "failed", "cancelled")
 _PATIENCE = 30.0
-"""Seconds without a byte after which an event stream is taken for dead; the service sends a comment more often."""
+"""Seconds without a byte after which an event stream counts as dropped; the service sends a comment more often."""
 _CHECK = 300.0
-"""Seconds the service may take to check a request; its first one waits for a process to warm up."""
+"""Seconds that the service may take to check a request; the first request waits for a process to warm up."""
 _RECONNECTS = 8
 
 
 class ApiError(Exception):
-    """The service refused: its problem document in one line."""
+    """A request that the service refused, with the HTTP status and the problem document; its text is one line."""
 
     def __init__(self, status: int, problem: Mapping[str, Any]) -> None:
         self.status = status
@@ -32,7 +32,7 @@ class ApiError(Exception):
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened to a job, numbered."""
+    """An event of a job: its number, its kind ("state" or "progress") and its data."""
 
     number: str
     kind: str
@@ -40,7 +40,7 @@ class Event:
 
 
 class ApiClient:
-    """Calls the service; raises ApiError where it refuses, httpx.HTTPError where it is silent."""
+    """Calls the service at a URL. Methods raise ApiError if it refuses, and httpx.HTTPError if it does not answer."""
 
     def __init__(self, url: str, *, transport: httpx.BaseTransport | None = None) -> None:
         self._http = httpx.Client(base_url=url, timeout=_PATIENCE, transport=transport)
@@ -55,11 +55,11 @@ class ApiClient:
 
     @property
     def url(self) -> str:
-        """Where the service is, without a slash at the end."""
+        """The URL of the service, without a slash at the end."""
         return str(self._http.base_url).rstrip("/")
 
     def submit(self, spec: Mapping[str, Any]) -> dict[str, Any]:
-        """Queues a job."""
+        """Queues a job and returns it."""
         return self._json(self._http.post("/v1/jobs", json=spec, timeout=_CHECK))
 
     def job(self, job_id: str) -> dict[str, Any]:
@@ -72,7 +72,7 @@ class ApiClient:
         return self._json(self._http.get("/v1/jobs", params={k: v for k, v in given.items() if v is not None}))
 
     def cancel(self, job_id: str) -> dict[str, Any]:
-        """Asks a job to stop; harmless if it has ended."""
+        """Asks a job to stop and returns it; has no effect on a job that has ended."""
         return self._json(self._http.post(f"/v1/jobs/{job_id}/cancel"))
 
     def events(self, job_id: str, after: str | None = None) -> Iterator[Event]:
@@ -83,14 +83,14 @@ class ApiClient:
             try:
                 with connect_sse(self._http, "GET", f"/v1/jobs/{job_id}/events", headers=headers) as stream:
                     if stream.response.status_code == httpx.codes.NO_CONTENT:
-                        return  # over, and all of it told
+                        return  # the job has ended, and all its events were received
                     if stream.response.status_code != httpx.codes.OK:
                         stream.response.read()
                         raise _refusal(stream.response)
                     for event in stream.iter_sse():
                         failures = 0
                         if not event.data:
-                            continue  # a sign of life
+                            continue  # a comment that keeps the connection alive
                         after = event.id
                         found = Event(event.id, event.event, event.json())
                         yield found
@@ -101,7 +101,7 @@ class ApiClient:
                 if failures > _RECONNECTS:
                     raise
             else:
-                failures += 1  # ended politely, before the job did: the service is restarting
+                failures += 1  # the stream ended before the job did: the service is restarting
                 if failures > _RECONNECTS:
                     raise httpx.RemoteProtocolError("the event stream keeps ending before the job does")
             sleep(min(0.1 * 2**failures, 5.0))
@@ -111,7 +111,7 @@ class ApiClient:
         return list(self._json(self._http.get(f"/v1/jobs/{job_id}/artifacts"))["items"])
 
     def download(self, job_id: str, name: str, to: Path) -> None:
-        """Writes one artifact to the file `to`, which appears only when it is whole."""
+        """Writes one artifact to the file `to`, which appears only when it is complete."""
         with self._http.stream("GET", f"/v1/jobs/{job_id}/artifacts/{name}") as response:
             if response.status_code != httpx.codes.OK:
                 response.read()
@@ -121,7 +121,7 @@ class ApiClient:
                     file.write(chunk)
 
     def add_asset(self, path: Path, kind: str) -> dict[str, Any]:
-        """Uploads a mesh; `kind` is obj, ply, stl, glb or off."""
+        """Uploads a mesh and returns its library entry; `kind` is obj, ply, stl, glb or off."""
         with path.open("rb") as file:
             return self._json(
                 self._http.post("/v1/assets", files={"file": (path.name, file)}, data={"kind": kind}, timeout=_CHECK)

@@ -1,4 +1,4 @@
-"""`scene-attack`: the front door. Exit codes: 0 done, 1 failed, 2 bad input."""
+"""The command line `scene-attack`. Its exit code is 0 on success, 1 on failure, 2 for bad input."""
 
 import sys
 from typing import Annotated, NoReturn
@@ -48,7 +48,7 @@ demo.register(app)
 
 
 def main() -> None:
-    """Runs the command line; an error that was foreseen becomes one line on stderr and an exit code."""
+    """Runs the command line. An expected error becomes one line on stderr and an exit code."""
     try:
         app()
     except KeyboardInterrupt:
@@ -58,11 +58,11 @@ def main() -> None:
     except JobFailure as error:
         _end(1, f"failed ({error.kind}): {error.detail}")
     except Exception as error:
-        _end_of_talk(error)
+        _end_with(error)
 
 
-def _end_of_talk(error: Exception) -> NoReturn:
-    """A bad setting, or an error of talking to a service; any other is raised again."""
+def _end_with(error: Exception) -> NoReturn:
+    """Ends with a message for a bad setting or an error of a service; raises any other error again."""
     from httpx import HTTPError
     from pydantic import ValidationError
 

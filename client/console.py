@@ -1,4 +1,4 @@
-"""Output: tables and progress for people, JSON for machines. Results go to stdout, all else to stderr."""
+"""Output of the command line: tables and progress, or JSON. Results go to stdout, everything else to stderr."""
 
 import json
 import sys
@@ -11,26 +11,26 @@ from rich.text import Text
 
 
 def out() -> Console:
-    """The console of results. Wide where there is no terminal, so that no column of a log is cut."""
+    """The console of results, on stdout. Without a terminal it is 200 columns wide, so that no column is cut."""
     return Console(width=None if sys.stdout.isatty() else 200)
 
 
 def err() -> Console:
-    """The console of progress and remarks."""
+    """The console of progress and remarks, on stderr."""
     return Console(stderr=True, width=None if sys.stderr.isatty() else 200)
 
 
 def report_extensions() -> None:
-    """Says on stderr which extensions were left out, and why."""
+    """Prints on stderr the extensions that were left out, with the reasons."""
     from services.pipeline.extensions import EXTENSIONS
 
-    for one in EXTENSIONS:
-        if one.error is not None:
-            err().print(f"extension left out: {one.path}: {one.error}", markup=False, highlight=False)
+    for extension in EXTENSIONS:
+        if extension.error is not None:
+            err().print(f"extension left out: {extension.path}: {extension.error}", markup=False, highlight=False)
 
 
 def print_json(data: Any) -> None:
-    """One JSON document on stdout."""
+    """Prints one JSON document on stdout. Raises ValueError for a number that is not finite."""
     print(json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False))
 
 
@@ -48,17 +48,17 @@ STATE_STYLES = {"succeeded": "green", "failed": "red", "cancelled": "yellow", "r
 
 
 def state_text(state: str) -> Text:
-    """The state of a job, coloured."""
+    """The state of a job, in its colour."""
     return Text(state, style=STATE_STYLES.get(state, ""))
 
 
 def answer_text(answer: Mapping[str, Any] | None) -> str:
-    """A label and its confidence: "grand piano 0.77"."""
+    """A label and its confidence, e.g. "grand piano 0.77"; empty for None."""
     return "" if answer is None else f"{answer['label']} {answer['confidence']:.2f}"
 
 
 def small(value: float | str) -> str:
-    """An error or a tolerance: "8.0e-04", "0"; words as they are."""
+    """An error or a tolerance, e.g. "8.0e-04" or "0"; the tolerance "exact" stays as it is."""
     return value if isinstance(value, str) else f"{value:.1e}" if value else "0"
 
 

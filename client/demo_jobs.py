@@ -1,4 +1,4 @@
-"""The jobs of the demonstration: three things the network knows, each attacked in three spaces."""
+"""The jobs of the demonstration: three objects that the network recognises, each attacked by three renderers."""
 
 from typing import Any
 
@@ -7,10 +7,10 @@ SCENES: dict[str, dict[str, Any]] = {
     "grand piano": {"objects": [{"mesh": "furniture/grand-piano", "material": "glossy-paint"}]},
     "power drill": {"objects": [{"mesh": "furniture/drill", "material": "plastic"}]},
 }
-"""The true label, which the network must say to begin with, and the scene.
+"""The scenes by their true label, which is the network's answer to the original image.
 
-Two of which the network is sure (log-probability margins of 4.7 and more in pyrender's image) and one of which it is
-less so (2.5): light, colour and pose rarely fool a sure network, and a demonstration should show both.
+The network is confident of two (log-probability margins of at least 4.7 in pyrender's image) and less so of the third
+(2.5). Light, colour and pose rarely fool a confident network, and the demonstration should show both outcomes.
 """
 
 ATTACKS: tuple[dict[str, Any], ...] = (
@@ -18,8 +18,8 @@ ATTACKS: tuple[dict[str, Any], ...] = (
     {"renderer": "torch", "groups": ["normals", "illumination", "material"], "method": "fgsm"},
     {"renderer": "pyrender", "method": "zoo", "steps": 60, "weight": 1e-3, "learning_rate": 5e-3},
 )
-"""FGSM with the paper's settings. ZOO with a λ a hundred times smaller than the paper's, so that changes may be seen:
-with the paper's 0.1 no physical attack in any trial of ours fooled the network."""
+"""FGSM has the paper's settings. ZOO has a λ a hundred times smaller than the paper's 0.1, with which no physical
+attack fooled the network in our trials."""
 
 
 def specs() -> list[dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""A running job on the terminal: one line that moves, or, in a log, a line now and then."""
+"""Shows a running job on the terminal: a progress line, or, without a terminal, a new line every few seconds."""
 
 from collections.abc import Mapping
 from time import monotonic
@@ -52,5 +52,5 @@ class JobLine:
 
 
 def row_text(row: Mapping[str, Any]) -> str:
-    """The newest step in words: first answer, confidence, perceptibility, queries."""
+    """A row of the trace as text: answer, confidence, perceptibility, queries."""
     return f"{row['label']} {row['confidence']:.2f}  p {row['perceptibility'] * 1000:.1f}e-3  {row['queries']} queries"

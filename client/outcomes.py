@@ -1,4 +1,4 @@
-"""The outcome of jobs as table rows (services.pipeline.outcome.Outcome, as JSON)."""
+"""Formats the outcomes of jobs (services.pipeline.outcome.Outcome, as JSON) as table rows."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -11,7 +11,7 @@ COLUMNS = ("scene", "attack", "before", "after", "network", "verified", "p ×1e-
 
 
 def cells(scene: str, attack: str, outcome: Mapping[str, Any]) -> list[str | Text]:
-    """One row under COLUMNS."""
+    """The cells of one table row, in the order of COLUMNS."""
     return [
         scene,
         attack,
@@ -26,10 +26,10 @@ def cells(scene: str, attack: str, outcome: Mapping[str, Any]) -> list[str | Tex
 
 
 def answer_cell(outcome: Mapping[str, Any], when: str) -> str:
-    """The network's answer "before" or "after", with its confidence: "grand piano 0.77"."""
+    """The network's answer "before" or "after" the attack, with its confidence, e.g. "grand piano 0.77"."""
     return f"{outcome[when]} {outcome[when + '_confidence']:.2f}"
 
 
 def verdict(fooled: bool) -> Text:
-    """The network was fooled, or it held."""
+    """The word "fooled" or "held", in its colour."""
     return Text("fooled", style="bold magenta") if fooled else Text("held", style="bold blue")

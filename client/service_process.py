@@ -1,4 +1,4 @@
-"""A whole service of one's own, as a child process: started, waited for, stopped."""
+"""Runs a whole service as a child process: starts it, waits until it is ready, stops it."""
 
 import os
 import signal
@@ -16,14 +16,14 @@ STOP_SECONDS = 30.0
 
 @contextmanager
 def running_service(data: Path, environ: dict[str, str]) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
-    """Starts `scene-attack serve` on the data directory with these settings; gives its address once it takes jobs.
+    """Starts `scene-attack serve` with the data directory `data` and the environment variables `environ`.
 
-    Its log is `data`/service.log. It is stopped on leaving, also when that is by SIGTERM or SIGINT. Raises
-    JobFailure("internal") if it ends before it is ready.
+    Gives its URL and its process once it takes jobs. Its log is `data`/service.log. The service is stopped on leaving,
+    also by SIGTERM or SIGINT. Raises JobFailure("internal") if it ends before it is ready.
     """
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
-    # A shell without job control starts what runs in the background with SIGINT ignored, and Python then leaves it
-    # ignored. We own a service that has to be stopped in order, so we take the signal as `serve` does.
+    # A shell without job control starts background processes with SIGINT ignored, and Python then leaves it ignored.
+    # The service has to be stopped in order, so this process handles the signal, as `serve` does.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     data.mkdir(parents=True, exist_ok=True)
     log = data / "service.log"
@@ -35,8 +35,8 @@ def running_service(data: Path, environ: dict[str, str]) -> Iterator[tuple[str, 
             stdout=subprocess.PIPE,
             stderr=errors,
             text=True,
-            start_new_session=True,  # Ctrl-C reaches us alone; we stop it
-            preexec_fn=die_with_parent,  # safe: there is one thread; for when we are killed and cannot
+            start_new_session=True,  # Ctrl-C then reaches this process alone, which stops the service
+            preexec_fn=die_with_parent,  # safe: there is one thread; it ends the service if this process is killed
         )
     assert process.stdout is not None
     try:

@@ -1,4 +1,4 @@
-"""Reading a spec from a file or from standard input."""
+"""Reads a spec from a file or from standard input."""
 
 import json
 import sys
@@ -9,9 +9,9 @@ from services.errors import InvalidRequest
 
 
 def read(path: str, seed: int | None = None) -> dict[str, Any]:
-    """The JSON object in the file `path`, or on standard input for "-", with `seed` put over its own.
+    """The JSON object in the file `path`, or on standard input for "-". A given `seed` replaces the spec's seed.
 
-    Raises InvalidRequest("SPEC", …) for a file that is not there or not a JSON object.
+    Raises InvalidRequest("SPEC") for a file that does not exist or does not hold a JSON object.
     """
     try:
         text = sys.stdin.read() if path == "-" else Path(path).read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The dashboard: pages made here, from the same record as the API; nothing is loaded from elsewhere."""
+"""The dashboard: HTML pages made from the same record as the API, which load nothing from other sites."""
 
 from api.dashboard.routes import router
 

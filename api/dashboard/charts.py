@@ -1,4 +1,4 @@
-"""Curves of a trace, laid out for an SVG of fixed size; the template only writes the numbers down."""
+"""Computes the layout of a trace's curves in an SVG of fixed size, which the template then writes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,12 +8,12 @@ WIDTH, HEIGHT = 420, 210
 LEFT, RIGHT, TOP, BOTTOM = 46, 12, 12, 28
 """Margins in SVG units."""
 BUCKETS = 200
-"""A long curve is drawn by the lowest and the highest point of so many stretches: no spike is lost."""
+"""A long curve is divided into this number of buckets, and drawn through the lowest and highest point of each."""
 
 
 @dataclass(frozen=True)
 class Tick:
-    """A mark on an axis: where, in SVG units, and what it says."""
+    """A tick of an axis: its position in SVG units, and its text."""
 
     at: float
     text: str
@@ -21,7 +21,7 @@ class Tick:
 
 @dataclass(frozen=True)
 class Chart:
-    """One curve, in SVG units."""
+    """A chart with one curve; positions are in SVG units."""
 
     title: str
     x_label: str
@@ -44,8 +44,9 @@ def chart(
     threshold: float | None = None,
     note: str = "",
 ) -> Chart:
-    """Lays out a curve of at least one point (x, y). `low` and `high` are values the y axis must show; at `threshold`
-    a line is drawn.
+    """Lays out a curve through `points` (x, y), of which at least one must be finite.
+
+    The y axis includes the values `low`, `high` and `threshold`; a line is drawn at `threshold`.
     """
     points = [point for point in points if isfinite(point[0]) and isfinite(point[1])]
     shown = [y for _, y in points] + [value for value in (low, high, threshold) if value is not None]
@@ -67,7 +68,7 @@ def chart(
 
 
 class _Axis:
-    """Maps values onto the stretch [start, end] of the image."""
+    """A linear map from values to positions between `start` and `end`, in SVG units."""
 
     def __init__(self, values: Sequence[float], start: float, end: float) -> None:
         self._low, self._high = min(values), max(values)
@@ -80,7 +81,7 @@ class _Axis:
         return self._start + part * (self._end - self._start)
 
     def ticks(self, most: int) -> list[Tick]:
-        """At multiples of 1, 2 or 5 times a power of ten, at most so many."""
+        """At most `most` ticks, at multiples of 1, 2 or 5 times a power of ten."""
         step = _nice((self._high - self._low) / (most - 1))
         first = -floor(-self._low / step + 1e-9)
         values = [(first + i) * step for i in range(most + 1) if (first + i) * step <= self._high + step * 1e-9]

@@ -1,4 +1,4 @@
-"""The pages. They read the record as the API does; a little script keeps them up to date, and they work without it."""
+"""Routes of the dashboard's pages. A script keeps the pages up to date; they also work without it."""
 
 from collections.abc import Iterator
 from datetime import UTC, datetime
@@ -18,7 +18,7 @@ from services.jobs.models import Event, State
 from services.pipeline.names import group_words
 
 PAGE = 30
-"""Jobs on one page of the list."""
+"""Number of jobs on one page of the list."""
 
 HEADERS = {
     "Content-Security-Policy": (
@@ -58,25 +58,25 @@ def jobs_part(
     state: State | None = None,
     cursor: Annotated[str | None, Query(max_length=200)] = None,
 ) -> Response:
-    """The part of the list that changes."""
+    """The part of the list that the script reloads."""
     return _list("_jobs.html", services, state, cursor)
 
 
 @router.get("/jobs/{job_id}")
 def job(job_id: str, services: ServicesDependency) -> Response:
-    """One job."""
+    """The page of one job."""
     return _job("job.html", job_id, services)
 
 
 @router.get("/parts/jobs/{job_id}")
 def job_part(job_id: str, services: ServicesDependency) -> Response:
-    """The part of a job's page that changes."""
+    """The part of a job's page that the script reloads."""
     return _job("_job.html", job_id, services)
 
 
 @router.post("/jobs/{job_id}/cancel")
 def cancel(job_id: str, services: ServicesDependency) -> Response:
-    """The cancel button."""
+    """Cancels a job, as the button on its page asks, and redirects to the page."""
     if services.repository.request_cancel(job_id) is None:
         return _missing()
     return RedirectResponse(f"/jobs/{job_id}", 303, HEADERS)
@@ -84,7 +84,7 @@ def cancel(job_id: str, services: ServicesDependency) -> Response:
 
 @router.get("/static/{name}")
 def static(name: str, request: Request) -> Response:
-    """Style, script and icon. Their address carries a version, so that they can be kept."""
+    """Style, script and icon. Their address contains a version, so that browsers may cache them."""
     data = _STATIC.get(name)
     if data is None:
         return _missing()

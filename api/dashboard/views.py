@@ -1,4 +1,4 @@
-"""What the pages show of a job, made of the record's rows."""
+"""The data that the pages show of a job, taken from the record."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ IMAGES = ("original.png", "attacked.png", "perturbation.png")
 
 @dataclass(frozen=True)
 class Line:
-    """A job in the list."""
+    """The data of a job in the list."""
 
     id: str
     state: State
@@ -31,7 +31,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Page:
-    """A job on its page."""
+    """The data of a job's page."""
 
     line: Line
     spec: dict[str, Any]
@@ -47,7 +47,7 @@ class Page:
 
 
 def line(job: Job) -> Line:
-    """A job as the list shows it."""
+    """The data that the list shows of a job."""
     return Line(
         id=job.id,
         state=job.state,
@@ -64,7 +64,7 @@ def line(job: Job) -> Line:
 
 
 def page(job: Job, events: Iterable[Event], artifacts: Sequence[Artifact]) -> Page:
-    """A job as its page shows it. The trace is the result's, or, without one, what its events tell so far."""
+    """The data that a job's page shows. The trace is the result's or, if there is none yet, that of the events."""
     trace = job.result["trace"] if job.result else trace_of_events(events)
     return Page(
         line=line(job),
@@ -82,7 +82,7 @@ def page(job: Job, events: Iterable[Event], artifacts: Sequence[Artifact]) -> Pa
 
 
 def trace_of_events(events: Iterable[Event]) -> list[dict[str, Any]]:
-    """The trace so far. An attempt that took up an older checkpoint tells some steps again: the later word counts."""
+    """The trace so far. A resumed attempt repeats some steps; its rows replace the earlier rows of these steps."""
     rows: list[dict[str, Any]] = []
     for event in events:
         if event.kind != "progress":
@@ -95,7 +95,7 @@ def trace_of_events(events: Iterable[Event]) -> list[dict[str, Any]]:
 
 
 def charts(trace: Sequence[dict[str, Any]], spec: dict[str, Any], against: str) -> list[Chart]:
-    """The curves of a trace against "step" or "seconds"; none for an empty one."""
+    """The charts of a trace against "step" or "seconds"; an empty list for an empty trace."""
     if not trace:
         return []
     goal = spec["goal"]

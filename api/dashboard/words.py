@@ -1,4 +1,4 @@
-"""Numbers, times and reasons as a person reads them."""
+"""Formats numbers, times and reasons for the pages."""
 
 import json
 from datetime import datetime
@@ -31,17 +31,17 @@ def failure(kind: str | None) -> str:
 
 
 def milli(value: float) -> str:
-    """A perceptibility in thousandths, as the paper's tables have it: "5.70"."""
+    """A perceptibility in thousandths, as in the paper's tables, e.g. "5.70"."""
     return f"{value * 1000:.2f}"
 
 
 def small(value: float | str) -> str:
-    """An error or a tolerance: "8.0e-04", "0"; words as they are."""
+    """An error or a tolerance, e.g. "8.0e-04" or "0"; the tolerance "exact" stays as it is."""
     return value if isinstance(value, str) else f"{value:.1e}" if value else "0"
 
 
 def percent(value: float) -> str:
-    """A probability: "76.6 %", with a space that does not break; small ones keep a digit: "0.0021 %"."""
+    """A probability with a no-break space, e.g. "76.6 %"; below 0.1 % with two significant digits, e.g. "0.0021 %"."""
     return (
         f"{value:.1%}".replace("%", "\N{NO-BREAK SPACE}%")
         if value >= 0.001 or value == 0
@@ -50,7 +50,7 @@ def percent(value: float) -> str:
 
 
 def seconds(value: float) -> str:
-    """A duration: "4.2 s", "3 min 20 s", "2 h 5 min"."""
+    """A duration given in seconds, e.g. "4.2 s", "3 min 20 s" or "2 h 5 min"."""
     if value < 60:
         return f"{value:.1f} s"
     whole = round(value)
@@ -60,7 +60,7 @@ def seconds(value: float) -> str:
 
 
 def ago(then: datetime, now: datetime) -> str:
-    """How long ago: "just now", "5 min ago", "3 h ago", "2 days ago"."""
+    """The time from `then` to `now`, e.g. "just now", "5 min ago", "3 h ago" or "2 days ago"."""
     minutes = int((now - then).total_seconds() // 60)
     if minutes < 1:
         return "just now"

@@ -1,1 +1,1 @@
-"""One module of thin endpoints per resource."""
+"""The routes of the API, with one module for each resource."""

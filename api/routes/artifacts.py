@@ -1,4 +1,4 @@
-"""The files of a finished job."""
+"""Routes for the files of a finished job."""
 
 import re
 from typing import Annotated
@@ -14,7 +14,7 @@ router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
 @router.get("/{job_id}/artifacts")
 def listing(job: KnownJob, services: ServicesDependency) -> ArtifactList:
-    """The files of a job; none until it succeeded."""
+    """Lists the files of a job; the list is empty until the job succeeded."""
     return ArtifactList(items=[ArtifactView.of(artifact) for artifact in services.repository.artifacts(job.id)])
 
 
@@ -23,21 +23,21 @@ def listing(job: KnownJob, services: ServicesDependency) -> ArtifactList:
     response_class=FileResponse,
     responses={
         200: {"content": {"application/octet-stream": {}, "application/json": {}, "image/png": {}}},
-        206: {"description": "the range asked for"},
-        304: {"description": "the client has it already"},
+        206: {"description": "the requested range"},
+        304: {"description": "the client has the file already"},
     },
 )
 def download(
     job: KnownJob, name: str, services: ServicesDependency, if_none_match: Annotated[str | None, Header()] = None
 ) -> Response:
-    """One file. Its ETag is the hash of its bytes; it never changes, and parts of it can be had by Range."""
+    """Downloads a file. Its ETag is the hash of its bytes, it never changes, and Range requests return parts of it."""
     artifact = services.repository.artifact(job.id, name)
     if artifact is None:
         raise no_such("artifact")
     headers = {
         "ETag": f'"{artifact.sha256}"',
         "Cache-Control": "private, max-age=31536000, immutable",
-        # A file is never a page of this site, whatever is in it.
+        # A browser must not run a file as a page of this site.
         "Content-Security-Policy": "default-src 'none'; sandbox",
     }
     if if_none_match is not None and _matches(if_none_match, artifact.sha256):

@@ -1,4 +1,4 @@
-"""Meshes that users upload."""
+"""Routes for meshes that users upload."""
 
 from typing import Annotated
 
@@ -13,7 +13,7 @@ router = APIRouter(prefix=PATH, tags=["scenes"])
 
 
 def form_body(request: Request) -> None:
-    """415 unless the body is a multipart form."""
+    """Answers 415 unless the body is a multipart form."""
     if not request.headers.get("content-type", "").lower().startswith("multipart/form-data"):
         raise HTTPException(415, "send the mesh as multipart/form-data with the parts `file` and `kind`")
 
@@ -21,14 +21,14 @@ def form_body(request: Request) -> None:
 @router.post("", status_code=201, dependencies=[Depends(form_body)])
 async def upload(
     services: ServicesDependency,
-    file: Annotated[UploadFile, File(description="the mesh; files it refers to are not looked at")],
+    file: Annotated[UploadFile, File(description="the mesh; files that it refers to are not read")],
     kind: Annotated[str, Form(max_length=16, description="obj, ply, stl, glb or off")],
 ) -> Entry:
-    """Check a mesh and keep it by the hash of its bytes; scenes name it by the `name` in the answer."""
+    """Checks a mesh and stores it under the hash of its bytes. Scenes name it by the `name` in the answer."""
     return await services.preflight.add_mesh(file.file, kind)
 
 
 @router.get("")
 def listing(services: ServicesDependency) -> AssetList:
-    """The meshes that were uploaded."""
+    """Lists the uploaded meshes."""
     return AssetList(items=services.library.entries(category="upload"))

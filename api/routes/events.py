@@ -1,4 +1,4 @@
-"""What happens to a job, as server-sent events."""
+"""The route for a job's events, as server-sent events."""
 
 from collections.abc import AsyncIterator
 from typing import Annotated
@@ -18,7 +18,7 @@ def resume_after(
         int | None, Header(ge=0, description="number of the last event seen; the stream goes on after it")
     ] = None,
 ) -> int:
-    """The number to go on after. 204 where there is nothing left to hear: it tells browsers not to come back."""
+    """The number of the event after which to resume. Answers 204 if no event will follow, so that browsers stop."""
     after = last_event_id or 0
     if job.state.terminal and after >= job.events:
         raise HTTPException(204)
@@ -29,10 +29,11 @@ def resume_after(
 async def stream(
     job: KnownJob, services: ServicesDependency, after: Annotated[int, Depends(resume_after)]
 ) -> AsyncIterator[ServerSentEvent]:
-    """A job's events from the first, or from the one after `Last-Event-ID`, until the job is over.
+    """Streams a job's events from the first, or from the one after `Last-Event-ID`, until the job has ended.
 
-    `state`: {"state", "attempt"}, with "outcome" or "failure" at the end. `progress`: {"phase", "step", "steps",
-    "rows"}, rows being the trace's rows since the event before. A job that was interrupted repeats some of its steps.
+    The data of a `state` event is {"state", "attempt"}, with "outcome" or "failure" at the end. The data of a
+    `progress` event is {"phase", "step", "steps", "rows"}, where rows are those of the trace since the last event. A
+    job that was interrupted repeats some of its steps.
     """
     async for event in events(services.repository, job.id, after):
         yield ServerSentEvent(data=event.data, event=event.kind, id=str(event.number))

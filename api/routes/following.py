@@ -1,4 +1,4 @@
-"""Following a job in the record as it goes on elsewhere."""
+"""Follows a job in the record while a worker runs it."""
 
 import asyncio
 import time
@@ -10,11 +10,11 @@ from services.jobs.models import Event, Job
 from services.jobs.repository import Repository
 
 POLL_SECONDS = 0.2
-"""How often the record is asked for news."""
+"""Time between two reads of the record."""
 
 
 async def until_over(repository: Repository, job_id: str, seconds: float) -> Job | None:
-    """The job with its result as soon as it is over; None if it is not within so many seconds."""
+    """Waits until the job has ended and returns it with its result; returns None if it takes more than `seconds`."""
     deadline = time.monotonic() + seconds
     while True:
         job = await run_in_threadpool(repository.get, job_id)
@@ -26,7 +26,7 @@ async def until_over(repository: Repository, job_id: str, seconds: float) -> Job
 
 
 async def events(repository: Repository, job_id: str, after: int) -> AsyncIterator[Event]:
-    """The job's events with a number above `after`, as they come, until the one that ends it."""
+    """Yields the job's events with a number above `after` as they are recorded, until the job has ended."""
     while True:
         for event in await run_in_threadpool(repository.events, job_id, after):
             yield event

@@ -1,4 +1,4 @@
-"""Whether the service is well."""
+"""Routes for the health of the service."""
 
 from fastapi import APIRouter, Response
 from redis.exceptions import RedisError
@@ -13,13 +13,15 @@ router = APIRouter(tags=["health"])
 
 @router.get("/healthz")
 async def healthz() -> Health:
-    """Whether this process answers; nothing else is asked."""
+    """Answers 200 if this process is alive; checks nothing else."""
     return Health(status="ok")
 
 
-@router.get("/readyz", responses={503: {"model": Readiness, "description": "something is missing"}})
+@router.get(
+    "/readyz", responses={503: {"model": Readiness, "description": "the database, Redis or a worker is missing"}}
+)
 def readyz(services: ServicesDependency, response: Response) -> Readiness:
-    """Whether database and Redis answer and a worker lives; 503 if not, saying what is missing."""
+    """Answers 200 if database and Redis answer and a worker is alive, otherwise 503, and says which are missing."""
     database = redis = True
     workers = 0
     try:

@@ -1,4 +1,4 @@
-"""Jobs: submit, list, look at, cancel."""
+"""Routes that submit, list, read and cancel jobs."""
 
 import re
 from typing import Annotated, Any
@@ -15,20 +15,20 @@ from services.jobs.service import digest
 from services.pipeline.spec import JobSpec
 
 LONGEST_WAIT = 30.0
-"""Cap of `Prefer: wait=N`, in seconds."""
+"""Largest N of `Prefer: wait=N`, in seconds; larger values are reduced to it."""
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
 
 def json_body(request: Request) -> None:
-    """415 unless the body says that it is JSON; a form of another web site cannot say so."""
+    """Answers 415 unless the content type is JSON, which a form of another web site cannot send."""
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if kind != "application/json" and not re.fullmatch(r"application/[\w.-]+\+json", kind):
         raise HTTPException(415, "send the job as application/json")
 
 
 def wait_preferred(prefer: Annotated[str | None, Header()] = None) -> float | None:
-    """Seconds of `Prefer: wait=N` (RFC 7240), capped; None without one. A preference not understood is ignored."""
+    """The seconds of `Prefer: wait=N` (RFC 7240), at most `LONGEST_WAIT`; None if the header has no such preference."""
     found = re.search(r"(?:^|,)\s*wait\s*=\s*\"?(\d{1,9})\"?\s*(?:;[^,]*)?(?:,|$)", prefer or "", re.IGNORECASE)
     return None if found is None else min(float(found[1]), LONGEST_WAIT)
 
@@ -44,10 +44,10 @@ async def submit(
         Header(min_length=1, max_length=255, description="a repeated key gets the first answer again, and no new job"),
     ] = None,
 ) -> Any:
-    """Queue one attack.
+    """Queues one attack.
 
-    Everything that could be wrong with it is checked before the answer: a request that gets 202 is a job. With
-    `Prefer: wait=N` the answer comes when the job is over (200) or after N seconds, at most 30 (202).
+    The request is checked completely before the answer, so a request that is answered by 202 is a job. With
+    `Prefer: wait=N` the answer comes when the job has ended (200) or after N seconds, at most 30 (202).
     """
     key = None if idempotency_key is None else Key(idempotency_key, digest(spec))
     body = None if key is None else await run_in_threadpool(services.repository.first_answer, key)
@@ -75,7 +75,7 @@ def page(
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
     cursor: Annotated[str | None, Query(max_length=200, description="`next` of the page before")] = None,
 ) -> JobPage:
-    """Jobs, newest first."""
+    """Lists jobs, newest first."""
     before = None if cursor is None else read_cursor(cursor)
     jobs = services.repository.page(state, limit + 1, before)
     more = cursor_after(jobs[limit - 1]) if len(jobs) > limit else None
@@ -84,7 +84,7 @@ def page(
 
 @router.get("/{job_id}")
 def get(job_id: str, services: ServicesDependency) -> JobView:
-    """One job, with its result once it succeeded."""
+    """Returns one job, with its result once it succeeded."""
     job = services.repository.get(job_id, with_result=True)
     if job is None:
         raise no_such("job")
@@ -93,9 +93,9 @@ def get(job_id: str, services: ServicesDependency) -> JobView:
 
 @router.post("/{job_id}/cancel", status_code=202)
 def cancel(job: KnownJob, services: ServicesDependency) -> JobView:
-    """Ask a job to stop: a queued one is cancelled at once, a running one stops within a step.
+    """Asks a job to stop: a queued job is cancelled at once, and a running job stops within a step.
 
-    A job that is over stays as it is; asking twice is the same as asking once.
+    A job that has ended stays as it is. A repeated request has no further effect.
     """
     asked = services.repository.request_cancel(job.id)
     if asked is None:

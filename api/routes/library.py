@@ -1,4 +1,4 @@
-"""What a request can name: meshes, environment maps, targets."""
+"""Routes that list the names a request can use: meshes, environment maps, targets."""
 
 from typing import Annotated
 
@@ -28,7 +28,7 @@ def scenes(
     licence: Filter = None,
     search: Filter = None,
 ) -> SceneLibrary:
-    """Meshes that match every filter given, environment maps, and whom to credit for them."""
+    """Lists the meshes that match all given filters, the environment maps, and their credits."""
     meshes = services.library.entries(category=category, creator=creator, licence=licence, search=search)
     environments = services.library.environments()
     credits_ = {entry.credit for entry in [*meshes, *environments] if entry.credit is not None}
@@ -37,5 +37,5 @@ def scenes(
 
 @router.get("/targets")
 def targets() -> TargetList:
-    """The networks that can be attacked."""
+    """Lists the networks that can be attacked."""
     return TargetList(items=available())

@@ -1,4 +1,4 @@
-"""`accuracy`: how exact the renderers and the attacks are, and where they end; the reports of docs/accuracy."""
+"""The commands `accuracy`: they write the reports of docs/accuracy on renderers and attacks."""
 
 from pathlib import Path
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""`assets` and `targets`: what there is to attack."""
+"""The commands `assets` and `targets`: the meshes, environment maps and networks that a request can name."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -71,7 +71,7 @@ def show(mesh: Annotated[str, typer.Argument(help="A name from `assets list`.")]
 @app.command(epilog="Example: [bold]scene-attack assets add teapot.obj[/bold]")
 def add(
     file: Annotated[Path, typer.Argument(help="An obj, ply, stl, glb or off file.")],
-    kind: Annotated[str | None, typer.Option(help="Its format, where the name does not end in it.")] = None,
+    kind: Annotated[str | None, typer.Option(help="The format, if the file's name does not end in it.")] = None,
     url: UrlOption = DEFAULT_URL,
     as_json: JsonOption = False,
 ) -> None:

@@ -1,4 +1,4 @@
-"""`jobs`: looking at the jobs of a service, and stopping them."""
+"""The commands `jobs`: list, show, follow, cancel and download the jobs of a service."""
 
 from pathlib import Path
 from typing import Annotated
@@ -18,9 +18,10 @@ JobId = Annotated[str, typer.Argument(metavar="ID", help="The id that `submit` p
 def list_jobs(
     url: UrlOption = DEFAULT_URL,
     state: Annotated[
-        str | None, typer.Option(help="Only queued, running, cancelling, succeeded, failed or cancelled ones.")
+        str | None,
+        typer.Option(help="List only jobs in this state: queued, running, cancelling, succeeded, failed or cancelled."),
     ] = None,
-    limit: Annotated[int, typer.Option(min=1, max=100, help="At most so many, newest first.")] = 20,
+    limit: Annotated[int, typer.Option(min=1, max=100, help="Largest number of jobs to list.")] = 20,
     as_json: JsonOption = False,
 ) -> None:
     """List jobs, newest first."""
@@ -85,7 +86,7 @@ def watch(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = Fal
 
 @app.command(epilog="Example: [bold]scene-attack jobs cancel 0f3c…[/bold]")
 def cancel(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
-    """Ask a job to stop; a running one does within one step. Harmless if it has ended."""
+    """Ask a job to stop; a running job stops within one step. A job that has ended stays as it is."""
     from client.api_client import ApiClient
     from client.console import out, print_json
 
@@ -103,7 +104,7 @@ def download(
     to: Annotated[Path, typer.Option("--out", help="Directory for the files.")],
     url: UrlOption = DEFAULT_URL,
 ) -> None:
-    """Fetch the files of a finished job; `scene-attack replay` works on the directory."""
+    """Download the files of a finished job. `scene-attack replay` can then check the directory."""
     from client.api_client import ApiClient
     from client.console import out
 

@@ -1,4 +1,4 @@
-"""Options that several commands share."""
+"""Options of several commands."""
 
 from typing import Annotated
 
@@ -8,4 +8,4 @@ DEFAULT_URL = "http://127.0.0.1:8008"
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 SeedOption = Annotated[int | None, typer.Option("--seed", min=0, help="Use this seed instead of the spec's.")]
-UrlOption = Annotated[str, typer.Option("--url", envvar="SCENE_ATTACK_URL", help="Where the service is.")]
+UrlOption = Annotated[str, typer.Option("--url", envvar="SCENE_ATTACK_URL", help="URL of the service.")]

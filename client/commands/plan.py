@@ -1,4 +1,4 @@
-"""`plan`: what a job would do to make its images, before it runs."""
+"""The command `plan`: prints the plan of a job without running it."""
 
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,9 +19,9 @@ def plan(
     spec: Annotated[str, typer.Argument(metavar="SPEC", help="A job as JSON; - reads it from stdin.")],
     as_json: JsonOption = False,
 ) -> None:
-    """Print how a job's images would be made: what is kept, what is left out and why, and the error that costs.
+    """Print how a job's images would be rendered: the parts kept, those left out and why, and the estimated error.
 
-    Nothing is attacked and the network is not asked. The scene is rasterised, and errors of tables are measured on it.
+    The command runs no attack and does not ask the network. It rasterises the scene and measures errors of tables.
     """
     from client import spec_input
     from client.console import print_json, report_extensions

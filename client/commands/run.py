@@ -1,4 +1,4 @@
-"""`run` and `replay`: one job in this process, without a service."""
+"""The commands `run` and `replay`: one job in this process, without a service."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -32,10 +32,10 @@ def run(
     seed: SeedOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Run one job here, without a service, and write its files.
+    """Run one job without a service, and write its files.
 
-    If it is interrupted, the same command goes on where it stopped. The exit code is 0 when the job ran to its end,
-    whether the network was fooled or held.
+    If it is interrupted, the same command resumes it. The exit code is 0 if the job ran to its end, whether the network
+    was fooled or held.
     """
     from client import spec_input
     from client.console import err, print_json, report_extensions, table
@@ -68,12 +68,12 @@ def run(
 
 
 def replay(
-    directory: Annotated[Path, typer.Argument(help="What `run --out` wrote.")],
+    directory: Annotated[Path, typer.Argument(help="The directory that `run --out` wrote.")],
     as_json: JsonOption = False,
 ) -> None:
-    """Render a stored perturbation again and compare label and image with what was stored.
+    """Render a stored perturbation again and compare label and image with the stored ones.
 
-    The exit code is 0 when the label is the stored one and, on the same backend, no pixel differs; else 1.
+    The exit code is 0 if the labels agree and, on the same backend, no pixel differs; otherwise it is 1.
     """
     from client.console import answer_text, err, print_json, table, yes
     from client.console import out as stdout

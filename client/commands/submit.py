@@ -1,4 +1,4 @@
-"""`submit`: a job through the service; and following one."""
+"""The command `submit`, which queues a job at a service, and functions that follow and show a job."""
 
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -27,7 +27,7 @@ def submit(
 ) -> None:
     """Queue a job at a running service.
 
-    With --watch the exit code is 0 when the job succeeded (ran to its end), 1 when it failed or was cancelled.
+    With --watch the exit code is 0 if the job succeeded (ran to its end), and 1 if it failed or was cancelled.
     """
     from client import spec_input
     from client.api_client import ApiClient
@@ -50,7 +50,7 @@ def submit(
 
 
 def follow(client: "ApiClient", job: dict[str, Any]) -> dict[str, Any]:
-    """Shows the job's progress until it has ended; returns it as it then is."""
+    """Shows the job's progress until it has ended; returns the finished job."""
     from client.live import JobLine
     from services.pipeline.names import attack_name, scene_name
 
@@ -63,7 +63,7 @@ def follow(client: "ApiClient", job: dict[str, Any]) -> dict[str, Any]:
 
 
 def show(job: dict[str, Any]) -> None:
-    """Prints a job: its state, and its outcome or why it failed."""
+    """Prints a job: its outcome if it succeeded, otherwise its state and the reason for a failure."""
     from client.console import err, out, state_text, table
     from client.outcomes import COLUMNS, cells
     from services.pipeline.names import attack_name, scene_name

@@ -13,12 +13,12 @@ from services.attacks.goal import ResolvedGoal
 from services.attacks.verifier import Verifier
 from services.rendering.protocol import Parameters
 
-Judged = tuple[Tensor, Tensor]
+ScoredImage = tuple[Tensor, Tensor]
 """An exact image rounded to 8 bits, uint8 [H, W, 3], and the network's scores of it, [K]."""
 
 
 def subsets(
-    verifier: Verifier, goal: ResolvedGoal, perturbation: Parameters, original: Judged, attacked: Judged
+    verifier: Verifier, goal: ResolvedGoal, perturbation: Parameters, original: ScoredImage, attacked: ScoredImage
 ) -> list[Subset]:
     """Renders and classifies all 2^k subsets of k groups; the empty set is first and the full set is last.
 
