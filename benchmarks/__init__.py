@@ -1,1 +1,1 @@
-"""Side-by-side measurements; each writes the result file that the docs quote."""
+"""Side-by-side measurements. Each benchmark writes a result file, from which the pages of docs/ are made."""

@@ -1,8 +1,7 @@
-"""Do the torch renderer's estimates hold while a scene is attacked? Writes results/attack_bounds.json.
+"""Tests whether the torch renderer's estimates hold during attacks. Writes results/attack_bounds.json.
 
-60 random odd scenes and 16 chosen to break the estimates go through a whole attack of 120 steps; every image is
-compared with the exact renderer's. A run that was stopped goes on where it was; its file must be removed when the code
-has changed.
+60 random odd scenes, and 16 chosen to break the estimates, are attacked for 120 steps; every image is compared with the
+exact renderer's. A run that was stopped is resumed by the same command; remove its file if the code has changed.
 """
 
 import argparse
@@ -52,7 +51,7 @@ def main() -> None:
 
 
 def _earlier(path: Path, made_by: dict[str, object]) -> dict[str, AttackErrors]:
-    """The rows of an earlier run of the same command by the same versions; none otherwise."""
+    """The rows of an earlier run of the same command by the same versions, or an empty list if there is none."""
     if not path.exists():
         return {}
     report = json.loads(path.read_text("utf-8"))

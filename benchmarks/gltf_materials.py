@@ -1,10 +1,10 @@
-"""How far are our images of glTF materials from those of stock pyrender?
+"""Compares our images of glTF materials with those of stock pyrender. Writes results/gltf_materials.json, docs/gltf.md.
 
-Each of the ten models of `benchmarks.gltf_models` is drawn by both under one point, one directional and one spot light,
-without ambient light. Stock pyrender reads the file by trimesh, clamps linear light to [0,1], raises it to 1 / 2.2 and
-rounds it to 8 bits; ours is put through the same curve over the same black. Differences are means over the pixels that
-either covers, in 1/255. Where the mean reaches 2, the model is drawn again with what stock pyrender leaves out put
-right (`mended`, see `benchmarks.stock_pyrender`). Writes results/gltf_materials.json and docs/gltf.md.
+Both renderers draw the ten models of `benchmarks.gltf_models` under a point light, a directional light and a spot
+light, without ambient light. Stock pyrender reads the file by trimesh, clamps linear light to [0,1], raises it to
+1 / 2.2 and rounds it to 8 bits; the same curve is applied to our image, over the same black ground. Differences are
+means over the pixels that either image covers, in 1/255. If the mean reaches 2, stock pyrender draws the model again
+with corrections of its known omissions (`mended`, see `benchmarks.stock_pyrender`).
 """
 
 import argparse
@@ -32,7 +32,7 @@ from services.scenes.view import camera_to_world
 
 SIZE = (256, 256)
 LIMIT = 2.0
-"""Mean difference in 1/255 that needs no reason."""
+"""Mean difference, in 1/255, at and above which a reason must be given."""
 PLACE, AXIS = (1.2, 1.6, 1.5), (-1.2, -1.6, -1.5)
 LIGHTS: dict[str, dict[str, Any]] = {
     "point": {"energy": 10.0, "position": PLACE},
@@ -45,7 +45,7 @@ _FIELDS = {"point": "points", "directional": "directional", "spot": "spots"}
 
 @dataclass(frozen=True)
 class View:
-    """A model of MODELS under a light of LIGHTS; `mend`: for stock pyrender, with what it leaves out put right."""
+    """A model of MODELS under a light of LIGHTS; `mend` says whether stock pyrender's omissions are corrected."""
 
     model: str
     light: str
@@ -53,13 +53,13 @@ class View:
 
     @property
     def glb(self) -> bytes:
-        """The file."""
-        # Of a second set of texture coordinates stock pyrender knows nothing: it is baked into the first.
+        """The bytes of the GLB file."""
+        # Stock pyrender ignores a second set of texture coordinates, so the correction bakes it into the first.
         return two_uv_sets(baked=True) if self.mend and self.model == "two UV sets" else MODELS[self.model]()
 
     @property
     def scene(self) -> Scene:
-        """The scene around it, but for the mesh's name."""
+        """The description of the scene around the model, without the mesh's name."""
         lights = {"ambient": 0.0, "points": (), "environment": {"map": "uniform"}}
         return Scene(
             camera=Camera(size=SIZE),
@@ -70,7 +70,7 @@ class View:
 
 
 def main() -> None:
-    """Draws and compares; see --help."""
+    """Renders and compares the models; see --help."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=RESULTS / "gltf_materials.json")
     options = parser.parse_args()
@@ -87,7 +87,7 @@ def main() -> None:
 
 
 def ours(view: View) -> tuple[Image, str]:
-    """Our image through stock pyrender's curve, uint8 [H, W, 3], and the backend."""
+    """Our image with stock pyrender's display curve, uint8 [H, W, 3], and the backend."""
     with tempfile.TemporaryDirectory() as directory:
         library = Library(Path(directory) / "cache", Path(directory) / "data")
         mesh = library.add_mesh(view.glb, "glb").name
@@ -111,7 +111,7 @@ def stock(views: Sequence[View]) -> list[Image]:
 
 
 def difference(one: Image, other: Image) -> dict[str, float]:
-    """Over the pixels that either covers: the mean difference in 1/255, the share beyond 8 of 255, and how many."""
+    """Over pixels that either image covers: the mean difference in 1/255, the share above 8/255, and their number."""
     covered = (one > 0).any(axis=-1) | (other > 0).any(axis=-1)
     apart = np.abs(one.astype(int) - other.astype(int))[covered]
     return {

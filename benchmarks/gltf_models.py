@@ -1,6 +1,6 @@
 """Ten small glTF models, one for each input of a metallic-roughness material, written byte by byte.
 
-Nothing of the project reads or writes them here, so that a mistake in its reader is not made twice.
+This module does not use the project's glTF reader, so that a mistake in the reader is not repeated here.
 """
 
 import json
@@ -27,18 +27,18 @@ class Writer:
         self._body = b""
 
     def add(self, kind: str, entry: dict[str, Any]) -> int:
-        """Append to a top-level array; the entry's number."""
+        """Appends an entry to a top-level array of the JSON and returns its index."""
         self.tree.setdefault(kind, []).append(entry)
         return len(self.tree[kind]) - 1
 
     def data(self, values: bytes) -> int:
-        """A buffer view with these bytes."""
+        """Adds a buffer view with these bytes and returns its index."""
         view = {"buffer": 0, "byteOffset": len(self._body), "byteLength": len(values)}
         self._body += values + b"\0" * (-len(values) % 4)
         return self.add("bufferViews", view)
 
     def accessor(self, values: NDArray[Any]) -> int:
-        """float32 attributes [n, columns], or indices [n]."""
+        """Adds an accessor of float32 attributes [n, columns] or of indices [n], and returns its index."""
         indices = values.ndim == 1
         stored = np.ascontiguousarray(values, np.uint32 if indices else np.float32)
         entry = {
@@ -52,7 +52,7 @@ class Writer:
         return self.add("accessors", entry)
 
     def texture(self, texels: NDArray[np.uint8], **info: Any) -> dict[str, Any]:
-        """A reference to an image uint8 [h, w, 3 or 4], stored as PNG."""
+        """Adds an image, uint8 [h, w, 3 or 4], as PNG, and returns a reference to its texture."""
         stored = BytesIO()
         Image.fromarray(texels).save(stored, "PNG")
         image = self.add("images", {"bufferView": self.data(stored.getvalue()), "mimeType": "image/png"})
@@ -190,7 +190,7 @@ def vertex_coloured() -> bytes:
 
 
 def nested_transforms() -> bytes:
-    """One mesh thrice: moved and stretched, turned within that, and mirrored by a matrix."""
+    """Three nodes with the same mesh: translated and scaled, rotated within the first, and mirrored by a matrix."""
     writer = Writer()
     ball = writer.mesh(
         writer.primitive(sphere(0.5), {"pbrMetallicRoughness": _surface((0.8, 0.5, 0.3), 0.0, 0.5)}),

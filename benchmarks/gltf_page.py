@@ -1,4 +1,4 @@
-"""Writes the table of docs/gltf.md from results/gltf_materials.json. No figure of that page is typed by hand."""
+"""Writes the table of docs/gltf.md from results/gltf_materials.json; no figure of its table is typed by hand."""
 
 import json
 from pathlib import Path
@@ -17,7 +17,7 @@ REASONS = {
     "nested transforms": "Stock pyrender does not turn the winding of a mirrored node over, and shows its inside.",
     "two UV sets": "Stock pyrender looks every texture up at the first set of texture coordinates.",
 }
-"""Why a model's difference may reach the limit."""
+"""The reason for which the difference of a model reaches the limit."""
 REST = """What remains elsewhere: texels at the edges of squares (stock pyrender filters sRGB before it decodes it),
 normals bent beyond the light (it lights them with a cosine of 0.001, we with 0), and the edges of a mask (cut by texels
 here, by faces where stock pyrender is put right). With ambient light the two differ by design: stock pyrender adds
@@ -26,7 +26,7 @@ _HEAD = ("model", "point", "directional", "spot", "with the reason put right", "
 
 
 def page() -> str:
-    """The page: its words as they are, and what follows from the result."""
+    """The page with the part that follows from the result written again."""
     result: dict[str, Any] = json.loads((RESULTS / "gltf_materials.json").read_text("utf-8"))
     lines = [_row(_HEAD), "|:---|---:|---:|---:|---:|:---|"]
     for model in dict.fromkeys(row["model"] for row in result["rows"]):

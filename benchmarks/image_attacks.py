@@ -1,12 +1,12 @@
-"""Our attack on pixels beside Foolbox's and torchattacks', on the same network and images. Writes
+"""Compares our attack on pixels with Foolbox's and torchattacks', on the same network and images. Writes
 results/image_attacks.json.
 
-Time: every attack makes the same number of steps, so small that nothing is fooled and nothing ends early. The others
-take turns, and before and after each of their runs ours makes as many steps: a shared machine is faster one second than
-the next. Per step, shortest of the repeats; and the median of each run over ours around it. Success: the same step and
-bound for all; every adversary is judged as it would be saved, rounded to 8 bits, by the same network; p over those that
-fool it. The peers attack the network as plain torch gives it (contiguous) and in channels_last; ours is the one jobs
-use.
+Time: every attack takes the same number of steps, which are so small that no network is fooled and no attack ends
+early. The other packages take turns, and our attack runs before and after each of their runs, because the speed of a
+shared machine changes from second to second. The result gives the shortest time per step, and the median ratio of each
+run to ours around it. Success: all attacks have the same step size and bound. The same network classifies every
+adversary rounded to 8 bits; p is the mean over the adversaries that fool it. The other packages attack the network as
+plain torch provides it (contiguous) and in channels_last; ours attacks the network that jobs use.
 """
 
 import argparse
@@ -48,7 +48,7 @@ FORMATS = {"contiguous": torch.contiguous_format, "channels_last": torch.channel
 
 @dataclass
 class Images:
-    """Saved images that the network gets right: uint8 [B, H, W, 3] and labels [B]."""
+    """8-bit images that the network classifies correctly, uint8 [B, H, W, 3], and their labels [B]."""
 
     saved: Tensor
     labels: Tensor
@@ -59,7 +59,7 @@ Attacks = Callable[[Images, float, int], Tensor]
 
 
 def ours(momentum: float) -> Attacks:
-    """FGSM on the renderer whose only group is the pixels; a batch in lockstep."""
+    """FGSM on the renderer `image`, whose only group is the pixels; the images of a batch run in lockstep."""
     target = registry.load("efficientnet-lite0")
 
     def attack(subjects: Images, step: float, steps: int) -> Tensor:

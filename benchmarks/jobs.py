@@ -1,11 +1,12 @@
-"""Whole FGSM jobs beside the network's own passes, and the memory they take. Writes results/jobs.json.
+"""Compares whole FGSM jobs with the network's own passes, and measures their memory. Writes results/jobs.json.
 
 A job of 120 steps runs through services.pipeline.execute in a process set up as a worker's. Its learning rate is so
-small that the image does not move: the network holds, and all steps are run. After each step, a forward and backward
-pass of the network alone on an image of 224²: a shared machine is faster one second than the next, and both find the
-processor's caches as the other left them. What the passes took is not the job's time. So for the packed network that
-jobs use, and again for the same in plain torch (channels_last). Ratios and seconds are medians of the repeats. Memory:
-the peak resident set of a fresh process that runs a job of 448².
+small that the image does not change, so the network holds and all steps run. After each step, the network alone makes a
+forward and backward pass on an image of 224², because the speed of a shared machine changes from second to second, and
+so that job and pass find the processor's caches in the same state. The time of these passes is subtracted from the
+job's. This is measured for the packed network that jobs use, and again for the same network in plain torch
+(channels_last). Ratios and seconds are medians of the repeats. Memory is the peak resident set of a fresh process that
+runs a job of 448².
 """
 
 import argparse

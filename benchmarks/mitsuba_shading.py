@@ -1,9 +1,9 @@
-"""Mitsuba 3 shading a sphere under an environment map; prints JSON. benchmarks/shading.py runs it as a process.
+"""Measures Mitsuba 3 shading a sphere under an environment map; prints JSON. benchmarks/shading.py runs it.
 
-As near to our shading problem as its scenes come: an orthographic camera, a sphere of as many pixels, the same
-environment map of 16×32 texels, a rough plastic, direct light only (the integrator prb at depth 2), gradients with
-respect to the map, the material's parameters and the mesh's normals and positions. Errors are of displayed values on
-the object's pixels, against its own image of many samples with other seeds.
+The scene is as similar to our shading problem as Mitsuba allows: an orthographic camera, a sphere with as many pixels,
+the same environment map of 16×32 texels, a rough plastic, direct light only (the integrator prb at depth 2), and
+gradients with respect to the map, the material's parameters and the mesh's normals and positions. Errors are those of
+displayed values on the object's pixels, against Mitsuba's own image of many samples with other seeds.
 """
 
 import argparse
@@ -22,7 +22,7 @@ from benchmarks.peers import reach
 from services.rendering.color import to_display
 
 LLVM = "/usr/lib/x86_64-linux-gnu/libLLVM.so.19.1"
-"""With another version beside it on the machine it may load that one, and abort."""
+"""The LLVM library to load. Without the setting, Mitsuba may load another version on the machine, and abort."""
 WANTED = ("data", "diffuse_reflectance", "alpha", "specular_reflectance", "vertex_normals", "vertex_positions")
 
 

@@ -14,7 +14,7 @@ PAGE = Path(__file__).parents[1] / "docs" / "benchmarks.md"
 
 
 def page() -> str:
-    """The whole page."""
+    """The whole page as Markdown."""
     parts = ["# Benchmarks", INTRODUCTION, *_shading(), *_jobs(), *_image_attacks(), *_zoo(), *_rounded()]
     return "\n\n".join(parts) + "\n"
 

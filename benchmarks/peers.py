@@ -1,4 +1,4 @@
-"""Where the packages that benchmarks compare with are (benchmarks/setup), and the network as those packages take it."""
+"""Imports the packages that benchmarks compare with (benchmarks/setup), and wraps the network for those packages."""
 
 import sys
 from pathlib import Path
@@ -12,7 +12,7 @@ PEERS = Path(__file__).with_name(".peers")
 
 
 def reach() -> None:
-    """Makes the peers importable, behind the project's own packages. Exits with what to do where they are missing."""
+    """Makes these packages importable, after the project's own. Exits with instructions if they are missing."""
     if not PEERS.is_dir():
         raise SystemExit("the packages to compare with are missing; run benchmarks/setup")
     sys.path.append(str(PEERS))

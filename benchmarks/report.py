@@ -1,4 +1,4 @@
-"""What every benchmark does alike: the shortest of several runs, and a result file that says how it came about."""
+"""Functions of all benchmarks: the shortest time of several runs, and a result file with its provenance."""
 
 import json
 import platform
@@ -14,7 +14,7 @@ VERSIONED = ("scene-attack", "torch", "numpy", "pyrender-maintained")
 
 
 def shortest(work: Callable[[], object], repeats: int, warm_up: int = 2) -> float:
-    """Seconds of the shortest of `repeats` runs, after `warm_up` that do not count."""
+    """Seconds of the shortest of `repeats` runs, after `warm_up` runs that are not measured."""
     for _ in range(warm_up):
         work()
     return min(_seconds(work) for _ in range(repeats))
@@ -27,7 +27,7 @@ def _seconds(work: Callable[[], object]) -> float:
 
 
 def command() -> str:
-    """The command line that writes this result again, without where it was written to."""
+    """The command line that reproduces this result, without the path of its file."""
     words = list(sys.argv[1:])
     if "--out" in words:
         del words[words.index("--out") : words.index("--out") + 2]

@@ -1,8 +1,7 @@
-"""Is FGSM as good with the gradient taken at the saved image as at the float image?
+"""Compares FGSM with gradients at the rounded image and at the float image. Writes results/rounded_gradient.json.
 
-The loop puts the image, rounded to 8 bits, to the network for the verdict. Taking the gradient in the same pass, with
-a straight-through derivative of the rounding, saves a pass a step; here the same attacks run with both gradients.
-Writes results/rounded_gradient.json.
+The network classifies the image rounded to 8 bits for the verdict. Taking the gradient in the same pass, with a
+straight-through derivative of the rounding, saves one pass per step. The same attacks run with both gradients.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""Our shading beside plain torch and Mitsuba 3, forward and backward. Writes results/shading.json.
+"""Compares our shading with plain torch and Mitsuba 3, forward and backward. Writes results/shading.json.
 
 One object of about 60,000 pixels at 448² under a map of 512 directions, 3 lobes × RGB. Each line is an image and the
 gradients of a weighted sum of its values. Errors are against plain torch in float64, of displayed values on the
@@ -47,7 +47,7 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Case:
-    """Parameters at which errors are measured, and the right answer."""
+    """Parameters at which errors are measured, with the reference image and gradients."""
 
     name: str
     parameters: Parameters

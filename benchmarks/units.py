@@ -1,4 +1,4 @@
-"""How many pixels do the paper's learning rates truncate, for several units of L and m? Writes results/units.json.
+"""Counts the pixels that the paper's learning rates truncate, for several units of L and m. Writes results/units.json.
 
 The paper (section 4.1.1) reports 6.3, 1.6 and 0 truncated pixels for normals, illumination and material, over at most
 120 steps that end at success. An attack in other units is an attack with the learning rate scaled, so one

@@ -1,12 +1,13 @@
-"""One step of ZOO over the 14 parameters beside the network it asks, and pyrender's frames beside what they are made
-of. Writes results/zoo_step.json.
+"""Compares one step of ZOO over the 14 parameters with the network's pass, and our frames with pyrender's. Writes
+results/zoo_step.json.
 
-For each view, in turn: the network's pass over 28 images, packed as jobs use it and in plain torch (channels_last);
-our step (both sides of 14 differences, drawn and asked, and the move); the step as a loop that draws one whole image
-and asks the network once, 28 times over (as 3DB does); the 28 images alone, shared and one by one; a frame of ours,
-the bare pass over the geometry (one pixel read), and a frame of pyrender's own renderer (8 bits, its own shading). Runs
-with the allocator settings of a job's process. Seconds are the shortest of the rounds, ratios the median of each
-round's: a shared machine is faster one second than the next. Those of the processor are given beside the clock's.
+For each view it measures in turn: the network's pass over 28 images, packed as jobs use it and in plain torch
+(channels_last); our step (both sides of 14 differences rendered and classified, and the move); the same step as a loop
+that renders and classifies 28 images one by one (as 3DB does); the 28 images alone, with shared stages and one by one;
+a frame of ours, the pass over the geometry alone (one pixel read), and a frame of pyrender's own renderer (8 bits, its
+own shading). It runs with the allocator settings of a job's process. Seconds are the shortest of the rounds, and ratios
+are medians over the rounds, because the speed of a shared machine changes from second to second. Times are given by the
+clock and by the processor.
 """
 
 import argparse
@@ -42,11 +43,11 @@ from services.settings import settings
 
 SEED = 0
 LIMIT = 1.5
-"""Of the network's own time, that a step may take."""
+"""Largest ratio of a step's time to the network's own time that the project accepts."""
 
 
 def main() -> None:
-    """Measures and writes; see --help."""
+    """Runs the measurements and writes the result; see --help."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--views", type=int, default=6, help="views to measure (default 6)")
     parser.add_argument("--repeats", type=int, default=8, help="rounds (default 8)")

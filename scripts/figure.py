@@ -1,4 +1,4 @@
-"""An image for the documentation from a real result: original, attacked, perturbation, with the network's answers.
+"""Draws a figure for the documentation from a result: original, attacked, perturbation, with the network's answers.
 
 scene-attack run examples/torch-combined.json --out out/combined
 .venv/bin/python scripts/figure.py out/combined docs/images/combined.png

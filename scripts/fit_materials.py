@@ -1,4 +1,4 @@
-"""Fit the material presets: DSBRDF coefficients that come nearest to analytic reference BRDFs.
+"""Fits the material presets: the DSBRDF coefficients that are nearest to analytic reference BRDFs.
 
     python scripts/fit_materials.py                writes services/rendering/torch_renderer/presets.json
     python scripts/fit_materials.py --help         what can be set
