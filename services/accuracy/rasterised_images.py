@@ -19,8 +19,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from services.rendering.opengl import context
 from services.rendering.image_error import ImageError, image_error
+from services.rendering.opengl import context
 from services.rendering.pyrender_renderer.errors import REACH
 from services.rendering.pyrender_renderer.planner import both_sides
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer

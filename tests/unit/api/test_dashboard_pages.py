@@ -111,7 +111,8 @@ async def test_job_page_tells_the_whole_result(repository: Repository) -> None:
         "Tolerance 1.0e-03; estimated error 4.2e-04, measured 1.5e-04",
         "object 0 lobes 4 9 five are <dark> 2.0e-05",
         "object 0 pixels looked up every image 9,293 lookups 11 times less work 4.0e-04",
-        "off by 2.5e-05 at most in the mean over covered pixels, and by more than 1/255 in 0.3\N{NO-BREAK SPACE}% of them",
+        "off by 2.5e-05 at most in the mean over covered pixels",
+        "and by more than 1/255 in 0.3 % of them",
         "5c" * 32,
         "stopped because it found an adversary that holds when rendered afresh",
     ):
