@@ -74,7 +74,7 @@ def test_list_and_job_page_of_a_finished_job(stack: Stack, page: Page) -> None:
     page.get_by_role("radio", name="seconds").check()
     expect(page.locator(".by-step").first).to_be_hidden()
     expect(page.locator(".by-seconds").first).to_be_visible()
-    subsets = page.get_by_role("table", name="The found perturbation")
+    subsets = page.get_by_role("table", name="The stored perturbation")
     expect(subsets.locator("tbody tr")).to_have_count(2)
     expect(page.get_by_role("heading", name="Provenance")).to_be_visible()
 

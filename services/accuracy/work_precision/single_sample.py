@@ -18,7 +18,7 @@ class Sampled:
         context.current()
         from services.rendering.opengl.mesh_upload import Drawing
 
-        self._drawing = Drawing(scene.meshes, closed=True)
+        self._drawing = Drawing(scene.meshes, watertight=True)
         self._view = CameraMatrices.of(scene.view, scene.projection)
         self._numbers = SceneParameters(scene.description)
         self._size, self._samples = scene.description.camera.size, samples
@@ -44,7 +44,7 @@ class Sampled:
                 outputs=1,
                 blend=True,
                 lights=lit.light_counts,
-                insides="behind",
+                backfaces="behind",
             )
             images.append(torch.from_numpy(image).flip(0))
         return torch.stack(images)

@@ -46,7 +46,7 @@ struct Pass {
     static std::string layout_name() { return "Pass"; }
 
     const float *clip, *world, *normal;  // [pieces, 16], [pieces, 16], [pieces, 9], from the object
-    const int64_t *order, *closed;  // [pieces], as drawn; of each piece's faces the first so many have no inside
+    const int64_t *order, *n_watertight_faces;  // [pieces], as drawn; backfaces of so many first faces are culled
     int64_t part[4];  // rows from the bottom from, to, columns from, to
     int64_t n_images, lights;
     const float *ambients, *points, *colors;  // [images], [images, lights, 4], [images, pieces, 3]

@@ -80,7 +80,7 @@ struct Drawing {
                 const int32_t *t = piece.triangles + 3 * f;
                 Face face{i, {t[0], t[1], t[2]}};
                 const float area = corners[i].area(t);
-                if (area == 0 || (area < 0 && f < pass.closed[i])) continue;
+                if (area == 0 || (area < 0 && f < pass.n_watertight_faces[i])) continue;
                 if (area < 0) std::swap(face.corners[1], face.corners[2]);
                 const auto is_hole = [&](const Fragment &at) {
                     return piece.holes && texel(piece.texture, surface(face), at)[3] < 0.5f;
@@ -182,7 +182,7 @@ STRUCTURE(Frame, Frame,
           FIELD(Frame, width) FIELD(Frame, height) FIELD(Frame, pieces) FIELD(Frame, piece) FIELD(Frame, x)
           FIELD(Frame, y) FIELD(Frame, eye))
 STRUCTURE(Pass, Pass,
-          FIELD(Pass, clip) FIELD(Pass, world) FIELD(Pass, normal) FIELD(Pass, order) FIELD(Pass, closed)
+          FIELD(Pass, clip) FIELD(Pass, world) FIELD(Pass, normal) FIELD(Pass, order) FIELD(Pass, n_watertight_faces)
           FIELD(Pass, part) FIELD(Pass, n_images) FIELD(Pass, lights) FIELD(Pass, ambients) FIELD(Pass, points)
           FIELD(Pass, colors) FIELD(Pass, images) FIELD(Pass, shown))
 FUNCTION(raster_float)

@@ -29,7 +29,7 @@ class CameraMatrices:
         return cls(np.asarray(projection, np.float64) @ np.linalg.inv(camera), camera[:3, 3], -camera[:3, 2])
 
     def matrices(self, poses: Array) -> list[dict[str, NDArray[Any]]]:
-        """What the vertex shader multiplies by, for each object at its pose [objects, 4, 4]. Multiplied in float64, so
+        """The vertex shader's matrices for each object at its pose [objects, 4, 4]. They are multiplied in float64, so
         that a small move survives the rounding to float32.
         """
         return [
@@ -72,7 +72,7 @@ class RenderPass:
 
     @property
     def uniforms(self) -> dict[str, Array]:
-        """As the shader of radiance has the lights."""
+        """The lights as uniforms of `radiance.frag`, by name."""
         named = {"ambients[0]": self.ambients}
         points, directionals, spots = self.points.reshape(-1, 4), self.directionals.reshape(-1, 4), self.spots
         if len(points):
@@ -86,12 +86,12 @@ class RenderPass:
         return named
 
 
-def closed_faces(drawing: "Drawing", view: CameraMatrices, poses: Array) -> list[int]:
-    """How many faces of each piece are of closed surfaces: at poses where the object reaches to the camera, none."""
+def n_watertight_faces(drawing: "Drawing", view: CameraMatrices, poses: Array) -> list[int]:
+    """The number of each piece's faces that belong to watertight surfaces; 0 if the object reaches to the camera."""
     in_front = [
         is_in_front(points, view.clip_from_world @ pose) for points, pose in zip(drawing.points, poses, strict=True)
     ]
-    return [piece.closed if in_front[piece.index] else 0 for piece in drawing.pieces]
+    return [piece.n_watertight_faces if in_front[piece.index] else 0 for piece in drawing.pieces]
 
 
 def ordered(drawing: "Drawing", view: CameraMatrices, poses: Array) -> list[int]:

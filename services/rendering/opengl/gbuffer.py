@@ -1,4 +1,4 @@
-"""What the camera sees, before any light: normals, coverage, base colour, depth and objects per pixel."""
+"""The G-buffer: normals, coverage, base colour, depth and object numbers of each pixel, before any light."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

@@ -19,7 +19,8 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Piece:
-    """One part of one object, ready to draw. Of its faces the first `closed` are of closed surfaces (see `closed`)."""
+    """One part of one object, ready to draw. Of its faces the first `n_watertight_faces` belong to watertight
+    surfaces (see `watertight`)."""
 
     index: int
     part: Part
@@ -28,7 +29,7 @@ class Piece:
     primitive: Any
     texture: LinearTexture | None
     holes: bool
-    closed: int
+    n_watertight_faces: int
     centre: Array
     material: UploadedMaterial | None
 
@@ -57,7 +58,7 @@ class Piece:
 
 @dataclass(frozen=True, eq=False)
 class Upload:
-    """What goes to the context as one: all that pyrender's renderer asks of a mesh."""
+    """A group of primitives that are uploaded together, with the attributes that pyrender's renderer reads."""
 
     primitives: tuple[Any, ...]
 
@@ -65,10 +66,10 @@ class Upload:
 class Drawing:
     """The geometry of a scene's objects as pyrender primitives; uploaded when first drawn, dropped when another is.
 
-    Unless `closed`, no surface is taken for closed: all faces are drawn alike, and the nearest is seen.
+    Unless `watertight`, no surface is taken for watertight: all faces are drawn alike, and the nearest is seen.
     """
 
-    def __init__(self, meshes: Sequence[Mesh], closed: bool = False) -> None:
+    def __init__(self, meshes: Sequence[Mesh], watertight: bool = False) -> None:
         textures: Textures = {}
         uploads: dict[int, list[_UploadedPart]] = {}
         self.pieces: list[Piece] = []
@@ -76,7 +77,7 @@ class Drawing:
         """Per object its corners, homogeneous [4,V], each once."""
         for index, mesh in enumerate(meshes):
             if id(mesh) not in uploads:
-                wound = outsides(mesh) if closed else [(part.faces, 0) for part in mesh.parts]
+                wound = outsides(mesh) if watertight else [(part.faces, 0) for part in mesh.parts]
                 uploads[id(mesh)] = [
                     _upload(part, np.ascontiguousarray(faces, np.int32), count, textures)
                     for part, (faces, count) in zip(mesh.parts, wound, strict=True)
@@ -91,7 +92,7 @@ class Drawing:
                         held.primitive,
                         held.texture,
                         has_holes(part),
-                        held.closed,
+                        held.n_watertight_faces,
                         centre,
                         held.material,
                     )
@@ -107,14 +108,14 @@ class _UploadedPart(NamedTuple):
     triangles: Integers
     primitive: Any
     texture: LinearTexture | None
-    closed: int
+    n_watertight_faces: int
     material: UploadedMaterial | None
 
 
-def _upload(part: Part, faces: Integers, closed: int, textures: Textures) -> _UploadedPart:
+def _upload(part: Part, faces: Integers, n_watertight_faces: int, textures: Textures) -> _UploadedPart:
     if part.metallic_roughness is not None:
         primitive, material = upload_material(part, part.metallic_roughness, faces, textures)
-        return _UploadedPart(faces, primitive, None, closed, material)
+        return _UploadedPart(faces, primitive, None, n_watertight_faces, material)
     texture = None
     if part.texture is not None and part.uv is not None:
         key = id(part.texture), True, LinearTexture.wrap
@@ -127,4 +128,4 @@ def _upload(part: Part, faces: Integers, closed: int, textures: Textures) -> _Up
         indices=faces,
         material=MetallicRoughnessMaterial(baseColorTexture=texture),
     )
-    return _UploadedPart(faces, primitive, texture, closed, None)
+    return _UploadedPart(faces, primitive, texture, n_watertight_faces, None)

@@ -14,7 +14,7 @@ from services.settings import settings
 
 SECONDS = 60.0
 PREFIXES = ("EGL", "__EGL", "__GL", "LIBGL", "MESA", "GALLIUM", "LP_", "LD_", "CUDA_VISIBLE", "DISPLAY", "WAYLAND")
-"""Of the environment variables that drivers look at."""
+"""Prefixes of the environment variables that drivers read."""
 FOLDERS = ("/dev/dri", "/usr/share/glvnd/egl_vendor.d", "/etc/glvnd/egl_vendor.d")
 """Where a driver or a device that comes or goes shows."""
 
@@ -92,7 +92,7 @@ def _path() -> Path:
 
 
 def _surroundings() -> list[object]:
-    """What a driver may look at beside its own files."""
+    """Everything that a driver may read beside its own files: machine, interpreter, variables, folders of devices."""
     machine = os.uname()
     variables = {name: value for name, value in sorted(os.environ.items()) if name.startswith(PREFIXES)}
     folders = [sorted(p.name for p in Path(f).iterdir()) if Path(f).is_dir() else None for f in FOLDERS]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from OpenGL import GL
 from pyrender.renderer import Renderer
 
-from services.rendering.opengl.camera import CameraMatrices, LightCounts, closed_faces, ordered
+from services.rendering.opengl.camera import CameraMatrices, LightCounts, n_watertight_faces, ordered
 from services.rendering.opengl.framebuffer import Framebuffer
 from services.rendering.opengl.material_upload import NO_MATERIAL, UploadedMaterial
 from services.rendering.opengl.mesh_upload import Array, Drawing
@@ -24,9 +24,10 @@ from services.rendering.opengl.program import Program
 from services.rendering.opengl.screen_bounds import Rectangle
 
 Image = NDArray[np.float32]
-Insides = Literal["like outsides", "behind", "left out"]
-"""How the insides of closed surfaces are drawn: like all faces, the nearest is seen; behind everything, where only a
-hole in the outside would show them; or not."""
+Backfaces = Literal["draw", "behind", "cull"]
+"""What is done with the backfaces of watertight surfaces. "draw": they are drawn like all faces, and the nearest is
+seen. "behind": they are drawn behind everything, so that they show only through a hole in the outside. "cull": they are
+not drawn."""
 
 
 class FloatRenderer(Renderer):  # type: ignore[misc]
@@ -98,7 +99,7 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
         blend: bool,
         lights: LightCounts = (0, 0, 0),
         rectangle: Rectangle | None = None,
-        insides: Insides = "like outsides",
+        backfaces: Backfaces = "draw",
     ) -> Image:
         """One pass over the geometry: what the fragment shader writes to each output, 0 where nothing is;
         [outputs, height, width, 4], or a `rectangle` of it. The first row is the bottom one, as OpenGL has it.
@@ -106,7 +107,7 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
         poses [objects, 4, 4] world_from_object; colors [images, objects, 3] linear factors on the base colours;
         `uniforms` of the pass, and `object_uniforms` with one value per object. With `blend` the parts that are not
         opaque come last, the far ones first, over what is behind them (colours times opacity); else all parts are
-        drawn alike. The backs of single-sided glTF materials are never drawn. For `insides` see there; the insides of
+        drawn alike. The backs of single-sided glTF materials are never drawn. For `backfaces` see there; those of
         an object that reaches to the camera are drawn like all.
 
         Raises RuntimeError for an error of OpenGL (out of memory).
@@ -122,7 +123,7 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
         (GL.glEnable if samples > 1 else GL.glDisable)(GL.GL_MULTISAMPLE)
         GL.glFrontFace(GL.GL_CCW)
         GL.glActiveTexture(GL.GL_TEXTURE0)
-        closed = closed_faces(drawing, view, poses) if insides != "like outsides" else [0] * len(drawing.pieces)
+        watertight = n_watertight_faces(drawing, view, poses) if backfaces != "draw" else [0] * len(drawing.pieces)
         of_objects = view.matrices(poses)
         ready: dict[Program, int] = {}
         """The object whose pose each program has; all of those here have the uniforms of the pass."""
@@ -159,14 +160,14 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
             (GL.glEnable if see_through else GL.glDisable)(GL.GL_BLEND)
             GL.glDepthMask(GL.GL_FALSE if see_through else GL.GL_TRUE)
             piece.primitive._bind()
-            _draw_faces(0, closed[number], GL.GL_BACK)
-            if insides == "behind":
+            _draw_faces(0, watertight[number], GL.GL_BACK)
+            if backfaces == "behind":
                 GL.glDepthRange(1.0, 1.0)
                 GL.glDepthFunc(GL.GL_LEQUAL)
-                _draw_faces(0, closed[number], GL.GL_FRONT)
+                _draw_faces(0, watertight[number], GL.GL_FRONT)
                 GL.glDepthRange(0.0, 1.0)
                 GL.glDepthFunc(GL.GL_LESS)
-            _draw_faces(closed[number], piece.faces, GL.GL_BACK if piece.single_sided else None)
+            _draw_faces(watertight[number], piece.faces, GL.GL_BACK if piece.single_sided else None)
         GL.glBindVertexArray(0)
         images = framebuffer.read(outputs, rectangle or (0, size[0], 0, size[1]))
         error = GL.glGetError()

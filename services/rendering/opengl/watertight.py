@@ -22,12 +22,12 @@ def _is_opaque(part: Part) -> bool:
 
 
 def outsides(mesh: Mesh) -> list[tuple[Integers, int]]:
-    """For each part its faces [F,3], those of closed surfaces first, and how many these are.
+    """Returns for each part its faces [F,3], those of watertight surfaces first, and the number of these.
 
-    A surface here is what hangs together by edges, over all parts, where corners at the same place are one. It is
-    closed if every edge has two faces that run along it in opposite directions, and all of them are opaque. Its faces
-    come back counter-clockwise seen from outside. A ray from outside then meets it from the front first: per sample
-    of an image as many of its faces look at the viewer as look away.
+    A surface is a set of faces, of any parts, connected by edges; corners at the same place count as one corner. It is
+    watertight if every edge has two faces that run along it in opposite directions, and all of them are opaque. The
+    faces of watertight surfaces are returned counter-clockwise seen from outside. A ray from outside then meets such a
+    surface from the front first: at each sample as many of its faces look at the viewer as look away.
     """
     if not mesh.triangles:
         return [(part.faces, 0) for part in mesh.parts]
@@ -56,7 +56,7 @@ def outsides(mesh: Mesh) -> list[tuple[Integers, int]]:
 
 
 def _surfaces(faces: NDArray[np.int64], points: int) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """The surface [F] that each face belongs to, and which surfaces [S] are closed."""
+    """The surface [F] that each face belongs to, and which surfaces [S] are watertight."""
     edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
     owner = np.repeat(np.arange(len(faces)), 3)
     key = edges.min(axis=1) * np.int64(points) + edges.max(axis=1)

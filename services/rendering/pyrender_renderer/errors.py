@@ -43,7 +43,7 @@ def measure(renderer: Renderer, ground: Tensor, groups: tuple[str, ...]) -> tupl
 
 
 def estimated(measured: ImageError, covered: int) -> ImageError:
-    """What the error of an image that was not measured is taken to be at most; `covered`: its pixels, at least."""
+    """The estimated largest error of an image that was not measured and covers at least `covered` pixels."""
     flips = FEW / covered
     return ImageError(MARGIN * measured.mean + flips / 4, MARGIN * measured.share + flips)
 

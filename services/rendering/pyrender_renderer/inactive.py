@@ -22,7 +22,7 @@ REACH = 0.1
 
 
 class Linear(Protocol):
-    """What is asked of the renderer: images before exposure, and where things are."""
+    """The part of the renderer that the proofs need: images before exposure, and the objects' places."""
 
     def initial(self) -> dict[str, Tensor]:
         """The scene's own values."""

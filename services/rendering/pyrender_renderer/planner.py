@@ -44,14 +44,16 @@ def compile_plan(
     groups: Sequence[str],
     tolerance: Tolerance,
     extent: Rectangle,
-    closed: bool,
+    watertight: bool,
     rasterised: Rasterised | None,
     most: int,
     idle: Sequence[InactiveCoordinate],
 ) -> Plan:
-    """The plan for attacks on `groups`, with objects within `extent` at the start; `closed`: closed surfaces are
-    without inside; `rasterised`: whether and how well the rasteriser draws, None for "exact"; `most`: images to a pass;
-    `idle`: coordinates that change nothing at the start, moved by REACH.
+    """The plan for attacks on `groups`, with objects within `extent` at the start.
+
+    `watertight`: backfaces of watertight surfaces are not drawn; `rasterised`: whether and how well the rasteriser
+    draws, None for "exact"; `most`: images to a pass; `idle`: coordinates that change nothing at the start, moved by at
+    most REACH.
 
     Errors are the rasteriser's alone: all else that is left out or shared gives an image the very bits it has without.
     """
@@ -59,7 +61,7 @@ def compile_plan(
     top, bottom, left, right = extent
     plain = tolerance == "exact"
     faces = sum(piece.faces for piece in drawing.pieces)
-    sheets = faces - (sum(piece.closed for piece in drawing.pieces) if closed else 0)
+    sheets = faces - (sum(piece.n_watertight_faces for piece in drawing.pieces) if watertight else 0)
     textured = [piece for piece in drawing.pieces if piece.texture is not None]
     start = renderer.initial()
     shown = None if rasterised is None or rasterised.refusal is not None else rasterised.shown
@@ -111,9 +113,9 @@ def compile_plan(
             what="faces with two sides",
             kept=faces if plain else sheets,
             of=faces,
-            why="exact: insides are drawn behind everything"
+            why="exact: backfaces are drawn behind everything"
             if plain
-            else "the others are of closed opaque surfaces, whose inside is behind their outside",
+            else "the others are of watertight opaque surfaces, whose backfaces are behind their front faces",
         ),
         Item(
             what="parts with a look at their texture",

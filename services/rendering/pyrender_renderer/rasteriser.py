@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 
 from services.rendering.kernels import compiled
-from services.rendering.opengl.camera import CameraMatrices, RenderPass, closed_faces, ordered
+from services.rendering.opengl.camera import CameraMatrices, RenderPass, n_watertight_faces, ordered
 
 if TYPE_CHECKING:
     from services.rendering.opengl.mesh_upload import Drawing, Piece
@@ -55,7 +55,7 @@ class _Frame(ctypes.Structure):
 
 class _Pass(ctypes.Structure):
     _fields_ = (
-        *_fields(c_void_p, "clip world normal order closed"),
+        *_fields(c_void_p, "clip world normal order n_watertight_faces"),
         ("part", c_int64 * 4),
         *_fields(c_int64, "n_images lights"),
         *_fields(c_void_p, "ambients points colors images"),
@@ -80,13 +80,14 @@ def draw(
     passes: Sequence[RenderPass],
     size: tuple[int, int],
     samples: Array,
-    closed: bool,
+    watertight: bool,
 ) -> list[tuple[Image, int] | None]:
     """The radiance [images, rows, columns, 4] of each pass's part, the bottom row first, and how many faces are seen.
     None for a pass in which a face reaches to the near plane or far beyond the frame.
 
-    `size` (height, width) of the whole image; samples [4, 2], x and y in a pixel from its lower left corner; `closed`:
-    only the outside of watertight surfaces is drawn. OpenGL must have drawn the drawing before: its mipmaps are used.
+    `size` (height, width) of the whole image; samples [4, 2], x and y in a pixel from its lower left corner;
+    `watertight`: backfaces of watertight surfaces are culled. OpenGL must have drawn the drawing before: its mipmaps
+    are used.
     """
     pieces = [_piece(piece) for piece in drawing.pieces]
     frame = _Frame(
@@ -94,7 +95,7 @@ def draw(
         *((c_float * SAMPLES)(*samples[:, axis]) for axis in (0, 1)),
         (c_float * 3)(*view.eye),
     )
-    made = [_pass(drawing, view, lit, size, closed) for lit in passes]
+    made = [_pass(drawing, view, lit, size, watertight) for lit in passes]
     work = (_Pass * len(made))(*(one for one, *_ in made))
     compiled.call("raster", torch.float32, frame, len(made), work, compiled.threads())
     return [
@@ -117,7 +118,7 @@ def _piece(piece: "Piece") -> tuple[_Piece, list[Any]]:
 
 
 def _pass(
-    drawing: "Drawing", view: CameraMatrices, lit: RenderPass, size: tuple[int, int], closed: bool
+    drawing: "Drawing", view: CameraMatrices, lit: RenderPass, size: tuple[int, int], watertight: bool
 ) -> tuple[_Pass, Image, list[NDArray[Any]]]:
     """A pass for the kernel, the images it draws, and the arrays it points into."""
     top, bottom, left, right = lit.part
@@ -128,7 +129,7 @@ def _pass(
     images = np.empty((count, bottom - top, right - left, 4), np.float32)
     colors = np.stack([piece.part.color[:3] for piece in drawing.pieces]) * lit.colors[:, owners]
     names = ("clip_from_object", "world_from_object", "normal_from_object")
-    outsides = closed_faces(drawing, view, lit.poses) if closed else [0] * len(owners)
+    outsides = n_watertight_faces(drawing, view, lit.poses) if watertight else [0] * len(owners)
     with np.errstate(over="ignore"):  # becomes infinite, and the image is refused for it
         geometry = [np.array([matrices[owner][name] for owner in owners], np.float32) for name in names]
         order = [np.array(of, np.int64) for of in (ordered(drawing, view, lit.poses), outsides)]

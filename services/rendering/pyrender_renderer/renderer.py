@@ -40,11 +40,11 @@ MAX_SAMPLE_BYTES = 2**26
 """Bytes of samples that the images of a pass may take; a single one may take more."""
 
 MAX_BACKFACE_MISMATCH = 0.01
-"""Share of covered pixels that the insides of watertight surfaces may change: at silhouettes depths round to the same.
-A surface that passes through itself shows more, and is not taken for watertight."""
+"""Largest share of covered pixels that the backfaces of watertight surfaces may change. At silhouettes depths of both
+sides round to the same number; a surface that passes through itself changes more and is not taken for watertight."""
 
 ROUNDING = 1e-3
-"""Scene units, and share, that an object must be further out of the frame than it could move, for it to be sure."""
+"""Margin, in scene units and as a share of the move, by which an object must be beyond the frame to be outside."""
 
 
 class PyrenderRenderer(DeclaredRenderer):
@@ -55,8 +55,8 @@ class PyrenderRenderer(DeclaredRenderer):
 
     A Lambertian body under a thin glossy coat, or the metallic-roughness material of a glTF file, lit without shadows
     or bounces: `shaders/radiance.frag` has the formulas. Silhouettes are multisampled; the ground is composited as
-    displayed, by coverage. Of closed surfaces only the outside is seen. Everything is drawn in the process's one OpenGL
-    context, so only the thread that used it first may render.
+    displayed, by coverage. Of watertight surfaces only the outside is seen. Everything is drawn in the process's one
+    OpenGL context, so only the thread that used it first may render.
 
     The images of a batch share what they can (`batching`), and nothing is drawn where no object is, at no cost. Without
     a GPU the rasteriser draws instead of OpenGL if its error, measured when the renderer is made, is within tolerance
@@ -75,7 +75,7 @@ class PyrenderRenderer(DeclaredRenderer):
         description = scene.description
         self.backend = current.backend
         self.size = description.camera.size
-        self.drawing = Drawing(scene.meshes, closed=True)
+        self.drawing = Drawing(scene.meshes, watertight=True)
         """The geometry as OpenGL holds it, for passes of one's own over it."""
         self._view = CameraMatrices.of(scene.view, scene.projection)
         self._ground = torch.tensor(description.ground, dtype=torch.float32)
@@ -86,7 +86,7 @@ class PyrenderRenderer(DeclaredRenderer):
         self._tolerance: Tolerance = "exact"
         self._rasterises = False
         self._sampled: ImageError | None = None
-        self._closed = self._is_watertight_at_start()
+        self._watertight = self._is_watertight_at_start()
         self.plan = self._compile(groups, None)
         self._twin: PyrenderRenderer = self
         if tolerance != "exact":
@@ -106,7 +106,7 @@ class PyrenderRenderer(DeclaredRenderer):
             groups,
             self._tolerance,
             extent=self.extent(self.initial()),
-            closed=self._closed,
+            watertight=self._watertight,
             rasterised=rasterised,
             most=self._most,
             idle=[] if self._plain else self.inactive(self.initial(), {}),
@@ -158,13 +158,13 @@ class PyrenderRenderer(DeclaredRenderer):
         return self._numbers.bounds()
 
     def exact(self) -> "PyrenderRenderer":
-        """The twin that has OpenGL draw every image by itself, whole, with the insides of watertight surfaces."""
+        """The twin that has OpenGL draw every image by itself, whole, with the backfaces of watertight surfaces."""
         return self._twin
 
     @property
-    def closed(self) -> bool:
-        """Whether closed surfaces are taken for closed: only if at the start their insides show nowhere."""
-        return self._closed
+    def watertight(self) -> bool:
+        """Whether backfaces of watertight surfaces are not drawn: only if at the start they show nowhere."""
+        return self._watertight
 
     def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
         """Images float32 [B, H, W, 3] in [0,1]; `parameters` {group: [B, ...]}. An object out of frame leaves ground.
@@ -247,7 +247,7 @@ class PyrenderRenderer(DeclaredRenderer):
         return rectangle(self.drawing.points, list(self._view.clip_from_world @ poses), self.size)
 
     def _lit(self, drawn: SharedPass) -> RenderPass:
-        """What to draw of a pass: the part of the image where objects are, or all of it to be exact."""
+        """The render pass of a shared pass: of the part of the image where objects are, or of all of it to be exact."""
         poses = self._numbers.poses(drawn.translation, drawn.rotation)
         part = (0, self.size[0], 0, self.size[1]) if self._plain else self._extent(poses)
         return self._numbers.lit(drawn.illuminations, drawn.colors, poses, part)
@@ -261,10 +261,10 @@ class PyrenderRenderer(DeclaredRenderer):
 
     def _by_rasteriser(self, passes: Sequence[RenderPass]) -> list[tuple[NDArray[np.float32], int] | None]:
         positions = context.current().renderer.sample_positions
-        return rasteriser.draw(self.drawing, self._view, passes, self.size, positions, self._closed)
+        return rasteriser.draw(self.drawing, self._view, passes, self.size, positions, self._watertight)
 
     def _by_opengl(self, lit: RenderPass) -> NDArray[np.float32]:
-        """As `_frames`, of one pass."""
+        """The radiance of one pass as `_frames` has it, drawn by OpenGL."""
         images: NDArray[np.float32] = context.current().renderer.draw(
             self.drawing,
             "radiance.frag",
@@ -279,7 +279,7 @@ class PyrenderRenderer(DeclaredRenderer):
             blend=True,
             lights=lit.light_counts,
             rectangle=lit.part,
-            insides="like outsides" if not self._closed else "behind" if self._plain else "left out",
+            backfaces="draw" if not self._watertight else "behind" if self._plain else "cull",
         )
         return images
 
@@ -289,11 +289,11 @@ class PyrenderRenderer(DeclaredRenderer):
         return self._lit(start)
 
     def _is_watertight_at_start(self) -> bool:
-        """Whether watertight surfaces may be drawn without their insides: there are some, and these do not show."""
-        self._closed = False
-        if not any(piece.closed for piece in self.drawing.pieces):
+        """Whether there are watertight surfaces, and their backfaces show nowhere in the scene's own image."""
+        self._watertight = False
+        if not any(piece.n_watertight_faces for piece in self.drawing.pieces):
             return False
         start = replace(self._at_start(), part=(0, self.size[0], 0, self.size[1]))
-        natural, self._closed = self._by_opengl(start), True
+        natural, self._watertight = self._by_opengl(start), True
         changed = np.abs(EXPOSURE * (self._by_opengl(start) - natural)).max(axis=-1) > 1 / 255
         return bool(changed.sum() <= MAX_BACKFACE_MISMATCH * (natural[..., 3] > 0).sum())

@@ -99,7 +99,7 @@ def test_a_forked_process_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_uniform_that_does_not_exist_is_an_error() -> None:
     program = context.current().renderer.program(
-        "radiance.frag", textured=False, holes=False, images=1, lights=(1, 0, 0)
+        "radiance.frag", textured=False, holes=False, n_images=1, lights=(1, 0, 0)
     )
     with pytest.raises(KeyError, match=r"radiance\.frag has no uniform 'ambiant'"):
         program.set("ambiant", 0.5)

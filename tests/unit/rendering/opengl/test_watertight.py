@@ -87,7 +87,7 @@ def test_culling_backfaces_changes_no_bit(surface: Mesh, monkeypatch: pytest.Mon
     """The exact twin draws them behind everything, so that they show wherever the outside has a hole."""
     monkeypatch.setattr(context.Context, "software", False)  # OpenGL draws, not the rasteriser
     renderer = PyrenderRenderer(placed(scene((64, 80), azimuth=0.4, elevation=0.3), surface))
-    assert renderer.closed
+    assert renderer.watertight
     batch = turned(renderer, 6)
     assert torch.equal(renderer.radiance(batch), renderer.exact().radiance(batch))
 
@@ -98,8 +98,8 @@ def test_front_faces_cover_what_both_sides_cover(monkeypatch: pytest.MonkeyPatch
     renderer = PyrenderRenderer(placed(scene((96, 96), azimuth=0.4, elevation=0.3), surface))
     monkeypatch.setattr(pyrender_renderer, "MAX_BACKFACE_MISMATCH", -1.0)  # no surface is taken for watertight
     two_sided = PyrenderRenderer(placed(scene((96, 96), azimuth=0.4, elevation=0.3), surface))
-    assert renderer.closed
-    assert not two_sided.closed
+    assert renderer.watertight
+    assert not two_sided.watertight
     batch = turned(renderer, 4)
     one, other = renderer.radiance(batch), two_sided.radiance(batch)
     assert torch.equal(one[..., 3], other[..., 3])
@@ -117,7 +117,7 @@ def test_a_surface_that_intersects_itself_is_drawn_from_both_sides() -> None:
     bow = _bow_tie()
     crossed = PyrenderRenderer(placed(scene((48, 48), azimuth=0.6, elevation=0.2), bow))
     assert n_watertight_faces(bow) > 0
-    assert not crossed.closed
+    assert not crossed.watertight
 
 
 def _bow_tie() -> Mesh:

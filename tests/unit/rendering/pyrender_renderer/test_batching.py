@@ -129,6 +129,9 @@ def test_gradients_of_zoo_are_differences_of_exact_images(coordinates: int) -> N
     weights = torch.randn(2, 40 * 64 * 3, generator=random) / 50
 
     class Linear:
+        name = "linear"
+        labels = ("one", "other")
+
         def logits(self, images: torch.Tensor, question: str | None = None) -> torch.Tensor:
             return images.flatten(1).float() @ weights.T
 

@@ -22,7 +22,7 @@ def shifted(of: Part, x: float) -> Part:
 
 
 def subject(tolerance: float = 1.0) -> PyrenderRenderer:
-    """A ball, which is closed, a sheet seen from behind, a textured cube; one light of two is dark."""
+    """A ball, which is watertight, a sheet seen from behind, a textured cube; one light of two is dark."""
     ball = sphere(0.2, 24)
     ball = shifted(part(np.round(ball.vertices, 6), ball.faces, ball.normals), -0.6)
     sheet = quad(0.2)
@@ -55,9 +55,9 @@ def fewer_pixels(renderer: PyrenderRenderer, patch: pytest.MonkeyPatch) -> None:
 
 
 def fewer_faces(renderer: PyrenderRenderer, patch: pytest.MonkeyPatch) -> None:  # noqa: ARG001
-    """The sheet taken for closed, so that its back is not drawn."""
+    """The sheet taken for watertight, so that its back is not drawn."""
     pieces, at = renderer.drawing.pieces, of_object(renderer, 1)
-    pieces[at] = replace(pieces[at], closed=pieces[at].faces)
+    pieces[at] = replace(pieces[at], n_watertight_faces=pieces[at].faces)
 
 
 def fewer_textures(renderer: PyrenderRenderer, patch: pytest.MonkeyPatch) -> None:  # noqa: ARG001
