@@ -7,9 +7,10 @@ share of SHARE t: at the default of 1e-3 a quarter of a step, and one pixel in a
 """
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import torch
-from torch import Tensor
+if TYPE_CHECKING:  # the API reads results without torch
+    from torch import Tensor
 
 STEP = 1 / 255
 """Errors of a displayed value that are not more than this are not counted in the share."""
@@ -33,10 +34,10 @@ class ImageError:
         return self if other is None else ImageError(max(self.mean, other.mean), max(self.share, other.share))
 
 
-def image_error(image: Tensor, exact: Tensor, ground: Tensor) -> tuple[ImageError, int]:
+def image_error(image: "Tensor", exact: "Tensor", ground: "Tensor") -> tuple[ImageError, int]:
     """The error of a displayed image [H, W, 3] against the exact one, and the number of pixels that are covered: those
     of the exact image that differ from the `ground` [3], at least 1."""
     off = (image - exact).abs()
     covered = max(1, int((exact != ground).any(dim=-1).sum()))
-    mean = float(off.mean(dim=-1, dtype=torch.float64).sum()) / covered
+    mean = float(off.double().mean(dim=-1).sum()) / covered
     return ImageError(mean, int((off.amax(dim=-1) > STEP).sum()) / covered), covered
