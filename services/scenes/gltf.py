@@ -6,13 +6,14 @@ specification, 3.5 to 3.9.
 """
 
 from collections.abc import Iterator
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
 from services.scenes.gltf_file import GltfFile, numbers
 from services.scenes.gltf_materials import Material, read_material
-from services.scenes.mesh import Doubles, Longs, MetallicRoughness, Part, fitted
+from services.scenes.mesh import Doubles, Longs, MaterialSettings, MetallicRoughness, Part, fitted
 from services.scenes.surfaces import MAX_COORDINATE, Textures
 from services.scenes.tangents import derive_tangents
 
@@ -222,7 +223,7 @@ def _part(primitive: _Primitive, material: Material) -> Part:
     if "COLOR_0" in attributes:
         colors[:, : attributes["COLOR_0"].shape[1]] = np.clip(attributes["COLOR_0"], 0, 1)
     uv_sets = [_upwards(attributes.get(f"TEXCOORD_{k}", np.zeros((count, 2)))).astype(np.float32) for k in (0, 1)]
-    fields = {name: value for name, value in vars(material).items() if name != "color"}
+    settings = {field.name: getattr(material, field.name) for field in fields(MaterialSettings)}
     return Part(
         vertices=primitive.vertices.astype(np.float32),
         normals=normals.astype(np.float32),
@@ -231,7 +232,7 @@ def _part(primitive: _Primitive, material: Material) -> Part:
         color=material.color,
         texture=None,
         metallic_roughness=MetallicRoughness(
-            **fields,
+            **settings,
             tangents=tangents.astype(np.float32),
             second_uv=uv_sets[1],
             vertex_colors=colors.astype(np.float32),

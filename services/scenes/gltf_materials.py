@@ -1,6 +1,5 @@
 """Reads and validates the metallic-roughness materials of a glTF file (Khronos, glTF 2.0 specification, 3.9)."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from math import inf
 from typing import Any
@@ -8,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from services.scenes.gltf_file import GltfFile, number, numbers
-from services.scenes.mesh import AlphaMode, Floats, MapName, TextureMap
+from services.scenes.mesh import AlphaMode, Floats, MapName, MaterialSettings, TextureMap
 from services.scenes.surfaces import Textures
 
 _WRAPS = (10497, 33071, 33648)
@@ -16,19 +15,10 @@ _MODES: tuple[AlphaMode, ...] = ("OPAQUE", "MASK", "BLEND")
 
 
 @dataclass(frozen=True, eq=False)
-class Material:
-    """A material of a glTF file, with glTF's defaults. Its fields are those of `MetallicRoughness`, and `color`."""
+class Material(MaterialSettings):
+    """A material of a glTF file, with glTF's defaults. color: float32 [4], the base colour factor, linear RGBA."""
 
     color: Floats
-    metallic: float
-    roughness: float
-    emissive: tuple[float, float, float]
-    alpha_mode: AlphaMode
-    alpha_cutoff: float
-    double_sided: bool
-    normal_scale: float
-    occlusion_strength: float
-    maps: Mapping[MapName, TextureMap]
 
 
 def read_material(file: GltfFile, index: Any, textures: Textures) -> Material:

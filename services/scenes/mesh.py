@@ -38,13 +38,11 @@ class TextureMap:
 
 
 @dataclass(frozen=True, eq=False)
-class MetallicRoughness:
-    """A glTF 2.0 metallic-roughness material, and the vertex attributes that only such a material uses.
+class MaterialSettings:
+    """The settings of a glTF 2.0 metallic-roughness material, but for its base colour factor.
 
     metallic, roughness, alpha_cutoff, occlusion_strength: in [0,1]. normal_scale: factor on x and y of the normal map.
-    emissive: linear RGB radiance. tangents: float32 [V,4], unit, with the sign of the bitangent cross(n, t); zeros
-    without a normal map. second_uv: float32 [V,2], v upwards. vertex_colors: float32 [V,4], linear RGBA. Single-sided
-    triangles are culled where their winding faces away from the viewer.
+    emissive: linear RGB radiance. Single-sided triangles are culled where their winding faces away from the viewer.
     """
 
     metallic: float
@@ -56,6 +54,16 @@ class MetallicRoughness:
     normal_scale: float
     occlusion_strength: float
     maps: Mapping[MapName, TextureMap]
+
+
+@dataclass(frozen=True, eq=False)
+class MetallicRoughness(MaterialSettings):
+    """A glTF 2.0 metallic-roughness material, and the vertex attributes that only such a material uses.
+
+    tangents: float32 [V,4], unit, with the sign of the bitangent cross(n, t); zeros without a normal map. second_uv:
+    float32 [V,2], v upwards. vertex_colors: float32 [V,4], linear RGBA.
+    """
+
     tangents: Floats
     second_uv: Floats
     vertex_colors: Floats
