@@ -8,7 +8,7 @@ They run on the CPU only: tensors on another device are computed by torch.
 import ctypes
 import subprocess
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 
 import structlog
@@ -16,19 +16,10 @@ import torch
 from torch import Tensor
 
 from services.errors import JobFailure
-from services.rendering.kernels import build, layouts
-from services.rendering.kernels.structures import STRUCTURES
+from services.rendering.kernels import arguments, build, layouts
 from services.settings import settings
 
 NAMES = {torch.float32: "float", torch.float64: "double"}
-POINTEES = {
-    torch.float32: "float32*",
-    torch.float64: "float64*",
-    torch.int32: "int32*",
-    torch.int64: "int64*",
-    torch.uint8: "uint8*",
-    torch.bool: "uint8*",
-}
 
 
 @dataclass(frozen=True)
@@ -38,13 +29,6 @@ class Library:
     functions: Mapping[str, Callable[..., None]]
     exports: layouts.Exports
     identity: str
-    checked: set[tuple[str, type]] = field(default_factory=set)
-
-    def agree(self, structure: type[ctypes.Structure], name: str) -> None:
-        """Compares a Python structure with the library's. Raises LayoutError, naming the field, if they differ."""
-        if (name, structure) not in self.checked:
-            layouts.check(structure, name, self.exports)
-            self.checked.add((name, structure))
 
 
 @lru_cache(maxsize=1)
@@ -70,7 +54,7 @@ def library() -> Library | None:
 
 
 def _described(loaded: ctypes.CDLL, identity: str) -> Library:
-    """Sets the functions' argument types from the library's own table, and compares the structures of STRUCTURES."""
+    """Sets the functions' argument types from the library's own table."""
     table = loaded.layout_table
     table.argtypes, table.restype = [], ctypes.c_char_p
     exports = layouts.parse(table().decode())
@@ -78,10 +62,7 @@ def _described(loaded: ctypes.CDLL, identity: str) -> Library:
     for name, words in exports.functions.items():
         functions[name] = loaded[name]
         functions[name].argtypes, functions[name].restype = layouts.argument_types(words), None
-    described = Library(functions, exports, identity)
-    for name, structure in STRUCTURES.items():
-        described.agree(structure, name)
-    return described
+    return Library(functions, exports, identity)
 
 
 def runs(values: Tensor) -> bool:
@@ -95,39 +76,35 @@ def backend() -> str:
     return "torch" if loaded is None else f"native {loaded.identity}"
 
 
-def call(name: str, dtype: torch.dtype, *arguments: object) -> None:
+def structure(name: str, **values: object) -> ctypes.Structure:
+    """Makes the structure `name` of the library from values given by name, as `call` takes them; it holds what it
+    points to. Raises TypeError, naming the field, for one that is missing, unknown or of another type.
+    """
+    return arguments.structure(_loaded().exports, name, **values)
+
+
+def call(name: str, dtype: torch.dtype, *values: object) -> None:
     """Calls the function `name` of the library for float32 or float64. The last argument of most is `threads()`.
 
-    Tensors are passed as pointers; they must be contiguous, on the CPU, and of the dtype that the function takes.
-    Structures and arrays of them are passed as pointers after their layout has been compared. None is a null pointer.
+    Tensors and arrays are passed as pointers; they must be contiguous, on the CPU, and of the dtype that the function
+    takes. Structures and sequences of them are passed as pointers, too. None is a null pointer.
 
-    Raises TypeError for a wrong number or type of arguments, LayoutError for a structure that differs.
+    Raises TypeError for a wrong number or type of arguments.
     """
-    loaded = library()
-    assert loaded is not None
+    loaded = _loaded()
     full = f"{name}_{NAMES[dtype]}"
     words = loaded.exports.functions[full]
-    if len(words) != len(arguments):
-        raise TypeError(f"{full} takes {len(words)} arguments, not {len(arguments)}")
-    loaded.functions[full](
-        *(_plain(loaded, argument, word, full) for argument, word in zip(arguments, words, strict=True))
-    )
+    if len(words) != len(values):
+        raise TypeError(f"{full} takes {len(words)} arguments, not {len(values)}")
+    held: list[object] = []
+    given = zip(values, words, strict=True)
+    loaded.functions[full](*(arguments.argument(loaded.exports, value, word, full, held) for value, word in given))
 
 
-def _plain(loaded: Library, argument: object, word: str, name: str) -> object:
-    """Converts an argument for ctypes, given the name `word` of its C++ type."""
-    if isinstance(argument, Tensor):
-        if POINTEES.get(argument.dtype) != word or not argument.is_contiguous() or argument.device.type != "cpu":
-            raise TypeError(
-                f"{name} takes a contiguous {word} on the CPU, not a tensor of {argument.dtype}, "
-                f"strides {argument.stride()}, on {argument.device}"
-            )
-        return argument.data_ptr()
-    if isinstance(argument, ctypes.Structure | ctypes.Array):
-        kind = type(argument) if isinstance(argument, ctypes.Structure) else argument._type_
-        loaded.agree(kind, word.removesuffix("*"))
-        return ctypes.addressof(argument)  # the caller's frame keeps it alive during the call
-    return argument
+def _loaded() -> Library:
+    loaded = library()
+    assert loaded is not None
+    return loaded
 
 
 def threads() -> int:

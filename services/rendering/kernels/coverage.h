@@ -23,8 +23,6 @@ constexpr int MAX_EXTENT = 4096;  // pixels between corners at most, so that edg
 constexpr int32_t NONE = -1;
 
 struct Piece {
-    static std::string layout_name() { return "Piece"; }
-
     int64_t corners, faces;
     const float *positions, *normals, *uv;  // [corners, 3], [corners, 3], [corners, 2]
     const int32_t *triangles;  // [faces, 3]
@@ -34,8 +32,6 @@ struct Piece {
 };
 
 struct Frame {
-    static std::string layout_name() { return "Frame"; }
-
     int64_t width, height, pieces;
     const Piece *piece;
     float x[SAMPLES], y[SAMPLES];  // where in a pixel its samples are, from the lower left
@@ -43,15 +39,12 @@ struct Frame {
 };
 
 struct Pass {
-    static std::string layout_name() { return "Pass"; }
-
     const float *clip, *world, *normal;  // [pieces, 16], [pieces, 16], [pieces, 9], from the object
     const int64_t *order, *n_watertight_faces;  // [pieces], as drawn; backfaces of so many first faces are culled
     int64_t part[4];  // rows from the bottom from, to, columns from, to
     int64_t n_images, lights;
-    const float *ambients, *points, *colors;  // [images], [images, lights, 4], [images, pieces, 3]
-    float *images;  // [images, rows, columns, 4]
-    int64_t shown;  // faces; -1: one reaches to the near plane or far beyond the frame, and nothing was drawn
+    const float *ambients, *points, *colors;  // [images], [images, lights, 4]: intensity, place; [images, pieces, 3]
+    float *images;  // [images, rows, columns, 4], added to
 };
 
 // The corners of a piece: in pixels, on the grid, depth from 0 to 1, and 1 / w.
@@ -106,16 +99,10 @@ inline uint32_t bits_of(Ints mask) {
     return bits;
 }
 
-// A face in a pixel.
+// A face in a block.
 struct Fragment {
-    int32_t face, block, left, bottom;  // of the block: its lower left pixel
-    int32_t pixel;  // in the block
-    uint32_t nearest;  // a bit for each of the block's samples at which the face is nearest when it is drawn
-    float weight;  // share of the pixel's light
-
-    int32_t x() const { return left + pixel % SIDE; }
-    int32_t y() const { return bottom + pixel / SIDE; }
-    uint32_t samples() const { return nearest & 15u << SAMPLES * pixel; }
+    int32_t face, block;
+    uint32_t nearest, solid;  // bits of the block's samples at which the face is nearest when drawn; and is no hole
 };
 
 // The side of an edge of a face: a function of the place, positive inside, exact in integers.
@@ -156,43 +143,49 @@ struct Visibility {
         }
     }
 
-    bool in_part(const Fragment &f) const {
-        return f.y() >= part[0] && f.y() < part[1] && f.x() >= part[2] && f.x() < part[3];
+    // A pixel of a block: its column and row.
+    std::pair<int32_t, int32_t> pixel(int32_t block, int number) const {
+        const int64_t wide = columns[1] - columns[0];
+        return {SIDE * (columns[0] + block % wide) + number % SIDE, SIDE * (rows[0] + block / wide) + number / SIDE};
     }
 
     // Where a face's normal and texture are looked up in a pixel of a fragment's block.
-    std::pair<float, float> place(const Fragment &f, int pixel) const {
-        const uint32_t samples = f.nearest >> SAMPLES * pixel & 15;
-        if (samples == 0 || samples == 15) return {f.left + pixel % SIDE + 0.5f, f.bottom + pixel / SIDE + 0.5f};
-        const int first = SAMPLES * pixel + __builtin_ctz(samples);
-        return {f.left + x[first], f.bottom + y[first]};
+    std::pair<float, float> place(const Fragment &f, int number) const {
+        const auto [left, bottom] = pixel(f.block, number);
+        const uint32_t samples = f.nearest >> SAMPLES * number & 15;
+        if (samples == 0 || samples == 15) return {left + 0.5f, bottom + 0.5f};
+        return {left + x[__builtin_ctz(samples)], bottom + y[__builtin_ctz(samples)]};
     }
 
-    // Draws a face of corners `t`, which are in counter-clockwise order. `is_hole` is asked of its fragments.
-    template <class Hole> void draw(const Corners &of, const int32_t *t, int32_t face, bool blended, Hole is_hole) {
-        const int32_t gx[3] = {of.grid_x[t[0]], of.grid_x[t[1]], of.grid_x[t[2]]};
-        const int32_t gy[3] = {of.grid_y[t[0]], of.grid_y[t[1]], of.grid_y[t[2]]};
-        const int64_t left = std::max<int64_t>(std::min({gx[0], gx[1], gx[2]}) / BLOCK, columns[0]);
-        const int64_t right = std::min<int64_t>(std::max({gx[0], gx[1], gx[2]}) / BLOCK + 1, columns[1]);
-        const int64_t bottom = std::max<int64_t>(std::min({gy[0], gy[1], gy[2]}) / BLOCK, rows[0]);
-        const int64_t top = std::min<int64_t>(std::max({gy[0], gy[1], gy[2]}) / BLOCK + 1, rows[1]);
-        if (left >= right || bottom >= top) return;
-        const auto edge = [&](int i, int j) { return Edge(gx[i], gy[i], gx[j], gy[j], grid_x, grid_y); };
-        const Edge edges[3] = {edge(0, 1), edge(1, 2), edge(2, 0)};
+    // The blocks from and to which a face reaches, by the grid's coordinate of its corners, within the part's.
+    static std::pair<int64_t, int64_t> blocks(const std::vector<int32_t> &grid, const int32_t *t, const int64_t *part) {
+        const auto [low, high] = std::minmax({grid[t[0]], grid[t[1]], grid[t[2]]});
+        return {std::max<int64_t>(low / BLOCK, part[0]), std::min<int64_t>(high / BLOCK + 1, part[1])};
+    }
+
+    // Draws a face of corners `t`, which are counter-clockwise. `solid`: the samples of a fragment that are in no hole.
+    template <class Solid> void draw(const Corners &of, const int32_t *t, int32_t face, bool blended, Solid solid) {
+        const auto [left, right] = blocks(of.grid_x, t, columns);
+        const auto [bottom, above] = blocks(of.grid_y, t, rows);
+        const auto edge = [&](int32_t a, int32_t b) {
+            return Edge(of.grid_x[a], of.grid_y[a], of.grid_x[b], of.grid_y[b], grid_x, grid_y);
+        };
+        const Edge edges[3] = {edge(t[0], t[1]), edge(t[1], t[2]), edge(t[2], t[0])};
         const Linear<float> plane(of, t, of.z[t[0]], of.z[t[1]], of.z[t[2]]);
-        for (int64_t row = bottom; row < top; ++row)
+        for (int64_t row = bottom; row < above; ++row)
             for (int64_t column = left; column < right; ++column) {
-                const int64_t block = (row - rows[0]) * (columns[1] - columns[0]) + column - columns[0];
-                if (edges[0].misses(row, column) | edges[1].misses(row, column) | edges[2].misses(row, column)) continue;
+                if (std::any_of(edges, edges + 3, [&](const Edge &edge) { return edge.misses(row, column); })) continue;
+                const int32_t block = (row - rows[0]) * (columns[1] - columns[0]) + column - columns[0];
                 const Floats z = plane.at(x + float(SIDE * column), y + float(SIDE * row));
-                const uint32_t samples = bits_of(edges[0].inside(row, column) & edges[1].inside(row, column) &
-                                                 edges[2].inside(row, column) & (z < depth[block]));
-                for (int p = 0; p < PIXELS && samples; ++p) {
-                    const Fragment f{face, int32_t(block), int32_t(SIDE * column), int32_t(SIDE * row), p, samples, 0};
-                    if (!f.samples() || !in_part(f) || is_hole(f)) continue;
-                    for (int i = SAMPLES * p; i < SAMPLES * (p + 1) && !blended; ++i)
-                        if (samples >> i & 1) depth[block][i] = z[i], this->top[block][i] = fragments.size();
-                    fragments.push_back(f);
+                Ints nearest = z < depth[block];
+                for (const Edge &edge : edges) nearest &= edge.inside(row, column);
+                if (const uint32_t samples = bits_of(nearest)) {
+                    nearest &= solid(Fragment{face, block, samples, samples});
+                    if (!blended) {
+                        depth[block] = choose(nearest, z, depth[block]);
+                        top[block] = (nearest & int32_t(fragments.size())) | (~nearest & top[block]);
+                    }
+                    fragments.push_back({face, block, samples, bits_of(nearest)});
                 }
             }
     }

@@ -44,6 +44,11 @@ template <class T> inline V<T> choose(I<T> mask, V<T> yes, V<T> no) {
 }
 template <class T> inline V<T> least(V<T> a, V<T> b) { return choose<T>(a < b, a, b); }
 template <class T> inline V<T> most(V<T> a, V<T> b) { return choose<T>(a > b, a, b); }
+template <class T> inline V<T> root(V<T> x) {
+    V<T> r;
+    for (int i = 0; i < Lanes<T>::count; ++i) r[i] = std::sqrt(x[i]);
+    return r;
+}
 template <class T> inline T sum(V<T> v) {
     T total = 0;
     for (int i = 0; i < Lanes<T>::count; ++i) total += v[i];

@@ -3,4 +3,9 @@
 #include "lanes.h"
 #include "layout.h"
 
-EXPORT const char *layout_table() { return LayoutTable::lines().c_str(); }
+std::string &layout_lines() {
+    static std::string text;
+    return text;
+}
+
+EXPORT const char *layout_table() { return layout_lines().c_str(); }

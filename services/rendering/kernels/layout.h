@@ -1,7 +1,7 @@
 // Exports the layout of each structure that callers pass and the signature of each function, as the compiler sees them
 // (services/rendering/kernels/layouts.py).
 //
-// STRUCTURE(S, NAME, FIELD(S, a) FIELD(S, b)) and FUNCTION(f) add lines to a text table that all sources share.
+// STRUCTURE(S, ID, NAME, FIELD(S, a) FIELD(S, b)) and FUNCTION(f) add lines to a text table that all sources share.
 
 #pragma once
 
@@ -9,20 +9,13 @@
 #include <cstdint>
 #include <string>
 
-// The text table, a single instance in the library.
-struct LayoutTable {
-    static std::string &lines() {
-        static std::string text;
-        return text;
-    }
-};
+// The text table, a single instance in the library, and none of another library's.
+__attribute__((visibility("hidden"))) std::string &layout_lines();
 
 namespace {
 
-// The table's name of a type. A structure's name is its layout_name().
-template <class T> struct Word {
-    static std::string of() { return T::layout_name(); }
-};
+// The table's name of a type; STRUCTURE gives a structure its own.
+template <class T> struct Word;
 template <> struct Word<void> { static std::string of() { return "void"; } };
 template <> struct Word<float> { static std::string of() { return "float32"; } };
 template <> struct Word<double> { static std::string of() { return "float64"; } };
@@ -36,15 +29,15 @@ template <class T, size_t n> struct Word<T[n]> {
 };
 
 inline void field_line(const std::string &name, size_t offset, size_t size, const std::string &word) {
-    LayoutTable::lines() += "field " + name + " " + std::to_string(offset) + " " + std::to_string(size) + " " + word + "\n";
+    layout_lines() += "field " + name + " " + std::to_string(offset) + " " + std::to_string(size) + " " + word + "\n";
 }
 
 template <class... A> struct SignatureLine {
     SignatureLine(const char *name, void (*)(A...)) {
-        LayoutTable::lines() += std::string("function ") + name;
+        layout_lines() += std::string("function ") + name;
         const std::string words[] = {Word<A>::of()...};
-        for (const std::string &word : words) LayoutTable::lines() += " " + word;
-        LayoutTable::lines() += "\n";
+        for (const std::string &word : words) layout_lines() += " " + word;
+        layout_lines() += "\n";
     }
 };
 
@@ -53,10 +46,11 @@ template <class... A> struct SignatureLine {
 #define FIELD(S, NAME) field_line(#NAME, offsetof(S, NAME), sizeof(S::NAME), Word<decltype(S::NAME)>::of());
 
 // Parentheses around a type keep its commas together.
-#define STRUCTURE(S, ID, FIELDS)                                                                                       \
+#define STRUCTURE(S, ID, NAME, FIELDS)                                                                                 \
     namespace {                                                                                                        \
+    template <> struct Word<S> { static std::string of() { return NAME; } };                                           \
     const bool layout_of_##ID = [] {                                                                                   \
-        LayoutTable::lines() += "structure " + Word<S>::of() + " " + std::to_string(sizeof(S)) + "\n";                 \
+        layout_lines() += "structure " + Word<S>::of() + " " + std::to_string(sizeof(S)) + "\n";                 \
         FIELDS return true;                                                                                            \
     }();                                                                                                               \
     }

@@ -1,11 +1,12 @@
-"""Compares Python's ctypes structures with the layouts that the compiled library exports.
+"""Reads the table that the compiled library exports of itself, and makes ctypes structures from it.
 
 The C++ sources export a text table (`layout.h`): the argument types of every function, and the size of every structure
-with the name, offset, size and type of each field. Python's `ctypes.Structure` classes are written by hand and are
-compared with the table before they are passed, so that a misplaced field is an error instead of garbage.
+with the name, offset, size and type of each field. Nothing here repeats a layout, so that a field that is moved in the
+sources moves here too. Values are given by name (`arguments.py`).
 """
 
 import ctypes
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,100 +21,79 @@ SCALARS: dict[str, Any] = {
 
 
 class LayoutError(TypeError):
-    """A structure or a function differs between Python and the compiled library."""
+    """The library's description of itself cannot be read, or contradicts this platform's ctypes."""
 
 
 @dataclass(frozen=True)
-class Field:
-    """A field of a structure as the compiler laid it out: offset and size in bytes, and the name of its type."""
+class Structure:
+    """A structure as the compiler laid it out: its ctypes class, and the type name of each field, in order."""
 
-    offset: int
-    size: int
-    word: str
-
-
-@dataclass(frozen=True)
-class StructureLayout:
-    """A structure as the compiler laid it out: its size in bytes, and its fields by name, in order."""
-
-    size: int
-    fields: dict[str, Field]
+    kind: type[ctypes.Structure]
+    words: Mapping[str, str]
 
 
 @dataclass(frozen=True)
 class Exports:
-    """The parsed table: the argument type names of each function and the layout of each structure, by name."""
+    """The parsed table: the argument type names of each function, and the structures, by name."""
 
-    functions: dict[str, tuple[str, ...]]
-    structures: dict[str, StructureLayout]
+    functions: Mapping[str, tuple[str, ...]]
+    structures: Mapping[str, Structure]
 
 
 def parse(table: str) -> Exports:
-    """Parses the table that the library exports. Raises LayoutError for a malformed line."""
+    """Parses the table that the library exports. Raises LayoutError for a malformed line, an unknown type, or a layout
+    that ctypes does not reproduce.
+    """
     functions: dict[str, tuple[str, ...]] = {}
-    structures: dict[str, StructureLayout] = {}
-    fields: dict[str, Field] = {}
+    structures: dict[str, Structure] = {}
+    # The size of each structure; the offset, size and type name of its fields.
+    layouts: dict[str, tuple[int, dict[str, tuple[int, int, str]]]] = {}
     for line in table.splitlines():
         match line.split():
-            case ["structure", name, size]:
-                fields = {}
-                structures[name] = StructureLayout(int(size), fields)
-            case ["field", name, offset, size, word]:
-                fields[name] = Field(int(offset), int(size), word)
+            case ["structure", name, size] if name not in layouts:
+                layouts[name] = int(size), {}
+            case ["field", name, offset, size, word] if layouts:
+                layouts[list(layouts)[-1]][1][name] = int(offset), int(size), word
             case ["function", name, *words]:
                 functions[name] = tuple(words)
             case _:
                 raise LayoutError(f"the compiled library describes itself by a line that cannot be read: {line!r}")
+    for name, (extent, fields) in layouts.items():
+        structures[name] = _structure(name, extent, dict(sorted(fields.items(), key=lambda item: item[1])), structures)
     return Exports(functions, structures)
 
 
 def argument_types(words: tuple[str, ...]) -> list[Any]:
     """Returns the ctypes classes of a function's arguments; every pointer is a `c_void_p`."""
-    return [ctypes.c_void_p if word.endswith("*") else SCALARS[word] for word in words]
+    return [_kind(word, {}) for word in words]
 
 
-def check(structure: type[ctypes.Structure], name: str, exports: Exports) -> None:
-    """Compares a Python structure, and the structures it contains or points to, with the library's of that name.
-
-    Raises LayoutError, naming the structure and the field.
-    """
-    layout = exports.structures.get(name)
-    if layout is None:
-        raise LayoutError(f"the compiled library exports no layout of the structure {name}")
-    ours = {field[0]: field[1] for field in structure._fields_}
-    if list(ours) != list(layout.fields):
-        different = [pair for pair in zip(ours, layout.fields, strict=False) if pair[0] != pair[1]]
-        first = different[0] if different else (f"{len(ours)} fields", f"{len(layout.fields)} fields")
-        raise LayoutError(f"structure {name}: Python has {first[0]} where the compiled library has {first[1]}")
-    for field, there in layout.fields.items():
-        here = getattr(structure, field)
-        if (here.offset, here.size) != (there.offset, there.size):
+def _structure(
+    name: str, size: int, fields: dict[str, tuple[int, int, str]], others: Mapping[str, Structure]
+) -> Structure:
+    """Makes the structure of `size` bytes from its fields in order: their offset, size and type name."""
+    words = {field: word for field, (_, _, word) in fields.items()}
+    made = [(field, _kind(word, others)) for field, word in words.items()]
+    kind: type[ctypes.Structure] = type(name, (ctypes.Structure,), {"_fields_": made})
+    for field, (offset, width, _) in fields.items():
+        here = getattr(kind, field)
+        if (here.offset, here.size) != (offset, width):
             raise LayoutError(
-                f"structure {name}, field {field}: Python has {here.size} bytes at offset {here.offset}, "
-                f"the compiled library {there.size} at {there.offset}"
+                f"structure {name}, field {field}: ctypes has {here.size} bytes at offset {here.offset}, "
+                f"the compiled library {width} at {offset}"
             )
-        _check_type(ours[field], there.word, f"structure {name}, field {field}", exports)
-    if ctypes.sizeof(structure) != layout.size:
-        raise LayoutError(
-            f"structure {name}: Python has {ctypes.sizeof(structure)} bytes, the compiled library {layout.size}"
-        )
+    if ctypes.sizeof(kind) != size:
+        raise LayoutError(f"structure {name}: ctypes has {ctypes.sizeof(kind)} bytes, the compiled library {size}")
+    return Structure(kind, words)
 
 
-def _check_type(kind: Any, word: str, where: str, exports: Exports) -> None:
-    """Raises LayoutError if a field's ctypes class does not match the library's type name `word`."""
-    inner = getattr(kind, "_type_", None)
-    if word.removesuffix("*") in exports.structures:
-        structure = inner if word.endswith("*") else kind
-        if not (isinstance(structure, type) and issubclass(structure, ctypes.Structure)):
-            raise LayoutError(f"{where}: Python has {kind.__name__}, the compiled library {word}")
-        check(structure, word.removesuffix("*"), exports)
-        return
+def _kind(word: str, structures: Mapping[str, Structure]) -> Any:
+    """Returns the ctypes class of a type name."""
     if word.endswith("*"):
-        fits = kind is ctypes.c_void_p
-    elif word.endswith("]"):
-        element, count = word[:-1].split("[")
-        fits = inner is SCALARS[element] and getattr(kind, "_length_", None) == int(count)
-    else:
-        fits = kind is SCALARS[word]
-    if not fits:
-        raise LayoutError(f"{where}: Python has {kind.__name__}, the compiled library {word}")
+        return ctypes.c_void_p
+    element, bracket, count = word.removesuffix("]").partition("[")
+    if element in structures:
+        return structures[element].kind
+    if element not in SCALARS:
+        raise LayoutError(f"the compiled library names a type that is not known: {word}")
+    return SCALARS[element] * int(count) if bracket else SCALARS[element]

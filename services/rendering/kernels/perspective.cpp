@@ -9,8 +9,6 @@ namespace {
 constexpr int TERMS = 6;  // number of Bernstein coefficients of a curve
 
 template <class T> struct Scene {
-    static std::string layout_name() { return "perspective.Scene." + Word<T>::of(); }
-
     int64_t count, directions;
     int channels, lobes;        // channels: 1 where all three have the same lobes
     const T *normals, *viewers; // [count, 3], unit
@@ -19,12 +17,6 @@ template <class T> struct Scene {
     const T *material;          // [channels, lobes, 2, TERMS]: log kappa and log gamma
     T cosine_floor, lowest, highest, max_log_kappa, max_log_gamma;  // bounds of n.h, of a lobe's log exponent, of curves
 };
-
-template <class T> inline V<T> root(V<T> x) {
-    V<T> r;
-    for (int i = 0; i < Lanes<T>::count; ++i) r[i] = std::sqrt(x[i]);
-    return r;
-}
 
 // The angle of the vector (x, y) from the x axis; x, y >= 0 and not both 0. It is halved twice, then atan's series runs.
 template <class T> inline V<T> angle(V<T> x, V<T> y) {
@@ -174,7 +166,7 @@ void backward(const Scene<T> &s, const T *d_out, T *d_light, T *d_material, T *d
     }
 
 #define DESCRIBE(T)                                                                                                    \
-    STRUCTURE(Scene<T>, T,                                                                                             \
+    STRUCTURE(Scene<T>, T, "perspective.Scene." #T,                                                                    \
               FIELD(Scene<T>, count) FIELD(Scene<T>, directions) FIELD(Scene<T>, channels) FIELD(Scene<T>, lobes)      \
               FIELD(Scene<T>, normals) FIELD(Scene<T>, viewers) FIELD(Scene<T>, towards) FIELD(Scene<T>, light)        \
               FIELD(Scene<T>, material) FIELD(Scene<T>, cosine_floor) FIELD(Scene<T>, lowest)                          \

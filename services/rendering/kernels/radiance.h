@@ -2,21 +2,13 @@
 
 #pragma once
 
-#include "texture.h"
+#include "coverage.h"
 
 namespace {
 
 inline Floats at_least(Floats a, float b) { return most<float>(a, Floats{} + b); }
-inline Floats root(Floats a) {
-    Floats r;
-    for (int i = 0; i < WIDTH; ++i) r[i] = std::sqrt(a[i]);
-    return r;
-}
 
-struct Vector {
-    Floats x, y, z;
-};
-
+struct Vector { Floats x, y, z; };
 inline Vector vector(const Floats *of) { return {of[0], of[1], of[2]}; }
 inline Vector operator+(Vector a, Vector b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
 inline Vector operator-(Vector a, Vector b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
@@ -25,7 +17,7 @@ inline Vector choose(Ints mask, Vector a, Vector b) {
     return {choose(mask, a.x, b.x), choose(mask, a.y, b.y), choose(mask, a.z, b.z)};
 }
 inline Floats dot(Vector a, Vector b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
-inline Vector unit(Vector a) { return a * (1.0f / root(dot(a, a))); }
+inline Vector unit(Vector a) { return a * (1.0f / root<float>(dot(a, a))); }
 inline Vector all(const float *v) { return {Floats{} + v[0], Floats{} + v[1], Floats{} + v[2]}; }
 
 constexpr float PI = 3.14159265358979f, ROUGHNESS = 0.45f, NORMAL_REFLECTANCE = 0.04f;
@@ -48,22 +40,21 @@ inline Floats coat(Vector n, Vector v, Vector l) {
     const Vector h = unit(l + v);
     const Floats nh = at_least(dot(n, h), 0.0f), nl = at_least(dot(n, l), 0.0f), nv = at_least(dot(n, v), 1e-4f);
     const Floats q = nh * nh * (A2 - 1.0f) + 1.0f;
-    const Floats visibility = 0.5f / (nl * root(nv * nv * (1.0f - A2) + A2) + nv * root(nl * nl * (1.0f - A2) + A2));
+    const auto smith = [](Floats cosine) { return root<float>(cosine * cosine * (1.0f - A2) + A2); };
+    const Floats visibility = 0.5f / (nl * smith(nv) + nv * smith(nl));
     return A2 / (PI * q * q) * visibility * fresnel(1.0f, dot(v, h));
 }
 
-// What the body reflects of each base colour, and what the coat adds to it.
-struct BrdfTerms {
-    Floats body, coat;
-};
+struct BrdfTerms { Floats body, coat; };  // what the body reflects of each base colour, and what the coat adds to it
 
-// `points` [lights, 4]: intensity, position.
-inline BrdfTerms radiance(float ambient, const float *points, int64_t lights, Vector position, Vector v, Vector n) {
+// In the light of an image of a pass.
+inline BrdfTerms radiance(const Pass &pass, int64_t image, Vector position, Vector v, Vector n) {
+    const float ambient = pass.ambients[image], *points = pass.points + 4 * pass.lights * image;
     BrdfTerms sum{ambient * (1.0f + n.y / 3.0f), ambient * fresnel(1.0f - ROUGHNESS, dot(n, v))};
-    for (const float *point = points; point < points + 4 * lights; point += 4) {
+    for (const float *point = points; point < points + 4 * pass.lights; point += 4) {
         const Vector to_light = all(point + 1) - position;
         const Floats distance2 = at_least(dot(to_light, to_light), 1e-6f);
-        const Vector l = to_light * (1.0f / root(distance2));
+        const Vector l = to_light * (1.0f / root<float>(distance2));
         const Floats irradiance = point[0] * at_least(dot(n, l), 0.0f) / distance2;
         sum.body += irradiance / PI;
         sum.coat += irradiance * coat(n, v, l);

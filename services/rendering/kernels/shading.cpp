@@ -6,8 +6,6 @@
 namespace {
 
 template <class T> struct Scene {
-    static std::string layout_name() { return "shading.Scene." + Word<T>::of(); }
-
     int64_t count, directions;
     int channels, lobes;         // channels: 1 where all three have the same lobes
     const T *normals;            // [count, 3]
@@ -193,7 +191,7 @@ template <class T, int C> void transport(const Scene<T> &s, T *out, int threads)
     }
 
 #define DESCRIBE(T)                                                                                                    \
-    STRUCTURE(Scene<T>, T,                                                                                             \
+    STRUCTURE(Scene<T>, T, "shading.Scene." #T,                                                                        \
               FIELD(Scene<T>, count) FIELD(Scene<T>, directions) FIELD(Scene<T>, channels) FIELD(Scene<T>, lobes)      \
               FIELD(Scene<T>, normals) FIELD(Scene<T>, towards) FIELD(Scene<T>, half) FIELD(Scene<T>, light)           \
               FIELD(Scene<T>, base) FIELD(Scene<T>, tilt) FIELD(Scene<T>, log_kappa) FIELD(Scene<T>, gamma)            \

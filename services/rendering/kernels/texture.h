@@ -14,8 +14,6 @@ typedef I<float> Ints;
 inline Floats choose(Ints mask, Floats yes, Floats no) { return choose<float>(mask, yes, no); }
 
 struct Texture {
-    static std::string layout_name() { return "Texture"; }
-
     int64_t levels;  // 0: there is none
     const float *const *texels;  // [levels], each [height, width, 4]: linear red, green, blue; alpha
     const int64_t *sizes;  // [levels, 2], height and width

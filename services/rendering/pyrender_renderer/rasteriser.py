@@ -8,8 +8,7 @@ is measured when a plan is made (errors.py). The image that is judged is OpenGL'
 
 import ctypes
 from collections.abc import Sequence
-from ctypes import POINTER, c_double, c_float, c_int64, c_void_p
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -21,46 +20,10 @@ from services.rendering.opengl.camera import CameraMatrices, RenderPass, n_water
 if TYPE_CHECKING:
     from services.rendering.opengl.mesh_upload import Drawing, Piece
 
-Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 
 SAMPLES = 4
 """MSAA samples per pixel. Fixed at compile time in the kernel."""
-
-
-def _fields(kind: Any, names: str) -> list[tuple[str, Any]]:
-    return [(name, kind) for name in names.split()]
-
-
-class _Texture(ctypes.Structure):
-    _fields_ = (*_fields(c_int64, "levels"), *_fields(c_void_p, "texels sizes"))
-
-
-class _Piece(ctypes.Structure):
-    _fields_ = (
-        *_fields(c_int64, "corners faces"),
-        *_fields(c_void_p, "positions normals uv triangles"),
-        *(("holes", c_int64), ("opacity", c_double), ("texture", _Texture)),
-    )
-
-
-class _Frame(ctypes.Structure):
-    _fields_ = (
-        *_fields(c_int64, "width height pieces"),
-        ("piece", POINTER(_Piece)),
-        *_fields(c_float * SAMPLES, "x y"),
-        ("eye", c_float * 3),
-    )
-
-
-class _Pass(ctypes.Structure):
-    _fields_ = (
-        *_fields(c_void_p, "clip world normal order n_watertight_faces"),
-        ("part", c_int64 * 4),
-        *_fields(c_int64, "n_images lights"),
-        *_fields(c_void_p, "ambients points colors images"),
-        ("shown", c_int64),
-    )
 
 
 def refusal(drawing: "Drawing", lit: RenderPass) -> str | None:
@@ -79,7 +42,7 @@ def draw(
     view: CameraMatrices,
     passes: Sequence[RenderPass],
     size: tuple[int, int],
-    samples: Array,
+    samples: NDArray[np.float64],
     watertight: bool,
 ) -> list[tuple[Image, int] | None]:
     """The radiance [images, rows, columns, 4] of each pass's part, the bottom row first, and how many faces are seen.
@@ -90,56 +53,52 @@ def draw(
     are used.
     """
     pieces = [_piece(piece) for piece in drawing.pieces]
-    frame = _Frame(
-        *(size[1], size[0], len(pieces), (_Piece * len(pieces))(*(piece for piece, _ in pieces))),
-        *((c_float * SAMPLES)(*samples[:, axis]) for axis in (0, 1)),
-        (c_float * 3)(*view.eye),
-    )
-    made = [_pass(drawing, view, lit, size, watertight) for lit in passes]
-    work = (_Pass * len(made))(*(one for one, *_ in made))
-    compiled.call("raster", torch.float32, frame, len(made), work, compiled.threads())
-    return [
-        (image, int(done.shown)) if done.shown >= 0 else None for done, (_, image, _) in zip(work, made, strict=True)
-    ]
+    sizes = {"height": size[0], "width": size[1], "pieces": len(pieces)}
+    frame = compiled.structure("Frame", piece=pieces, x=samples[:, 0], y=samples[:, 1], eye=view.eye, **sizes)
+    made = [_pass(drawing, view, lit, size[0], watertight) for lit in passes]
+    n_seen = np.empty(len(made), np.int64)
+    compiled.call("raster", torch.float32, frame, len(made), [one for one, _ in made], n_seen, compiled.threads())
+    return [(images, int(faces)) if faces >= 0 else None for (_, images), faces in zip(made, n_seen, strict=True)]
 
 
-def _piece(piece: "Piece") -> tuple[_Piece, list[Any]]:
-    """A piece for the kernel, and the arrays it points into."""
+def _piece(piece: "Piece") -> ctypes.Structure:
     part, levels = piece.part, [] if piece.texture is None else piece.texture.levels()
-    points, normals = (np.ascontiguousarray(array, np.float32) for array in (part.vertices, part.normals))
-    uv = None if piece.texture is None else np.ascontiguousarray(part.uv, np.float32)
-    texels = (c_void_p * len(levels))(*(level.ctypes.data for level in levels))
     sizes = np.array([level.shape[:2] for level in levels], np.int64)
-    return _Piece(
-        *(len(points), len(piece.triangles), points.ctypes.data, normals.ctypes.data),
-        *(None if uv is None else uv.ctypes.data, piece.triangles.ctypes.data, piece.holes, float(part.color[3])),
-        _Texture(len(levels), ctypes.addressof(texels), sizes.ctypes.data),
-    ), [points, normals, uv, texels, sizes, levels]
+    return compiled.structure(
+        "Piece",
+        corners=len(part.vertices),
+        faces=len(piece.triangles),
+        positions=np.ascontiguousarray(part.vertices, np.float32),
+        normals=np.ascontiguousarray(part.normals, np.float32),
+        uv=None if piece.texture is None else np.ascontiguousarray(part.uv, np.float32),
+        triangles=piece.triangles,
+        holes=piece.holes,
+        opacity=float(part.color[3]),
+        texture=compiled.structure("Texture", levels=len(levels), texels=levels, sizes=sizes),
+    )
 
 
 def _pass(
-    drawing: "Drawing", view: CameraMatrices, lit: RenderPass, size: tuple[int, int], watertight: bool
-) -> tuple[_Pass, Image, list[NDArray[Any]]]:
-    """A pass for the kernel, the images it draws, and the arrays it points into."""
+    drawing: "Drawing", view: CameraMatrices, lit: RenderPass, height: int, watertight: bool
+) -> tuple[ctypes.Structure, Image]:
+    """A pass for the kernel, and the images it draws."""
     top, bottom, left, right = lit.part
-    count, lights = lit.points.shape[:2]
+    images = np.zeros((len(lit.points), bottom - top, right - left, 4), np.float32)
     owners = [piece.index for piece in drawing.pieces]
     matrices = view.matrices(lit.poses)
-    geometry: list[NDArray[Any]]
-    images = np.empty((count, bottom - top, right - left, 4), np.float32)
-    colors = np.stack([piece.part.color[:3] for piece in drawing.pieces]) * lit.colors[:, owners]
-    names = ("clip_from_object", "world_from_object", "normal_from_object")
     outsides = n_watertight_faces(drawing, view, lit.poses) if watertight else [0] * len(owners)
+    floats = {"ambients": lit.ambients, "points": lit.points}
+    floats["colors"] = np.stack([piece.part.color[:3] for piece in drawing.pieces]) * lit.colors[:, owners]
+    for name in ("clip", "world", "normal"):
+        floats[name] = np.array([matrices[owner][f"{name}_from_object"] for owner in owners])
     with np.errstate(over="ignore"):  # becomes infinite, and the image is refused for it
-        geometry = [np.array([matrices[owner][name] for owner in owners], np.float32) for name in names]
-        order = [np.array(of, np.int64) for of in (ordered(drawing, view, lit.poses), outsides)]
-        light = [np.ascontiguousarray(of, np.float32) for of in (lit.ambients, lit.points, colors)]
-    return (
-        _Pass(
-            *(array.ctypes.data for array in (*geometry, *order)),
-            (c_int64 * 4)(size[0] - bottom, size[0] - top, left, right),
-            *(count, lights, *(array.ctypes.data for array in (*light, images)), -1),
-        ),
-        images,
-        [*geometry, *order, *light],
-    )
+        return compiled.structure(
+            "Pass",
+            part=(height - bottom, height - top, left, right),
+            order=np.array(ordered(drawing, view, lit.poses), np.int64),
+            n_watertight_faces=np.array(outsides, np.int64),
+            n_images=len(lit.points),
+            lights=lit.points.shape[1],
+            images=images,
+            **{name: np.ascontiguousarray(array, np.float32) for name, array in floats.items()},
+        ), images

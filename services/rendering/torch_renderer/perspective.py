@@ -4,6 +4,7 @@ Radiance is then no function of the normal alone and cannot be tabulated, so it 
 compiled kernels, else in torch by chunks whose graph is rebuilt in the backward pass.
 """
 
+import ctypes
 from typing import Any
 
 import torch
@@ -12,7 +13,6 @@ from torch.autograd.function import once_differentiable
 from torch.nn.functional import normalize
 
 from services.rendering.kernels import compiled
-from services.rendering.kernels.structures import PerspectiveDouble, PerspectiveFloat
 from services.rendering.torch_renderer import dsbrdf
 
 CHUNK = 2**16
@@ -39,7 +39,7 @@ class _Radiance(torch.autograd.Function):
         normals, viewers, light, material, towards = held
         if compiled.runs(normals):
             result = torch.empty_like(normals)
-            compiled.call("shade_perspective", normals.dtype, _pack(*held), result, compiled.threads())
+            compiled.call("shade_perspective", normals.dtype, _packed(*held), result, compiled.threads())
             return result
         step = max(16, CHUNK // max(1, towards.shape[1]))
         parts = zip(torch.split(normals, step), torch.split(viewers, step), strict=True)
@@ -52,7 +52,7 @@ class _Radiance(torch.autograd.Function):
         gradients = [torch.zeros_like(value) for value in (light, material, normals)]
         gradient = gradient.contiguous()
         if compiled.runs(normals):
-            packed = _pack(normals, viewers, light, material, towards)
+            packed = _packed(normals, viewers, light, material, towards)
             compiled.call("shade_perspective_backward", normals.dtype, packed, gradient, *gradients, compiled.threads())
         else:
             step = max(16, CHUNK // max(1, towards.shape[1]))
@@ -94,11 +94,23 @@ def _chunk(normals: Tensor, viewers: Tensor, light: Tensor, material: Tensor, to
     return torch.einsum("cpd,cd->pc", rho.expand(3, -1, -1), light)
 
 
-def _pack(
-    normals: Tensor, viewers: Tensor, light: Tensor, material: Tensor, towards: Tensor
-) -> PerspectiveFloat | PerspectiveDouble:
-    kind = PerspectiveDouble if normals.dtype == torch.float64 else PerspectiveFloat
-    sizes = (len(normals), towards.shape[1], *material.shape[:2])
-    pointers = (value.data_ptr() for value in (normals, viewers, towards, light, material))
-    upper_bounds = (dsbrdf.LOG_KAPPA_RANGE[1], dsbrdf.LOG_GAMMA_RANGE[1])
-    return kind(*sizes, *pointers, dsbrdf.COSINE_FLOOR, *dsbrdf.LOG_EXPONENT_RANGE, *upper_bounds)
+def _packed(normals: Tensor, viewers: Tensor, light: Tensor, material: Tensor, towards: Tensor) -> ctypes.Structure:
+    lowest, highest = dsbrdf.LOG_EXPONENT_RANGE
+    channels, lobes = material.shape[:2]
+    return compiled.structure(
+        f"perspective.Scene.{compiled.NAMES[normals.dtype]}",
+        count=len(normals),
+        directions=towards.shape[1],
+        channels=channels,
+        lobes=lobes,
+        normals=normals,
+        viewers=viewers,
+        towards=towards,
+        light=light,
+        material=material,
+        cosine_floor=dsbrdf.COSINE_FLOOR,
+        lowest=lowest,
+        highest=highest,
+        max_log_kappa=dsbrdf.LOG_KAPPA_RANGE[1],
+        max_log_gamma=dsbrdf.LOG_GAMMA_RANGE[1],
+    )

@@ -6,6 +6,7 @@ directions keeps dozens of tensors of 120 MB; recomputed chunk by chunk they sti
 torch, which computes the same sum on any device.
 """
 
+import ctypes
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +16,6 @@ from torch.autograd.function import once_differentiable
 from torch.nn.functional import normalize
 
 from services.rendering.kernels import compiled
-from services.rendering.kernels.structures import SceneDouble, SceneFloat
 from services.rendering.torch_renderer.dsbrdf import COSINE_FLOOR, LOG_EXPONENT_RANGE
 
 CHUNK = 2**18
@@ -80,7 +80,7 @@ def transport(normals: Tensor, lobes: Lobes, directions: Directions) -> Tensor:
     """Returns ρ(θ_h, θ_d) · max(0, n·ω) of every direction and normal, [C, D, N]: radiance per unit of light."""
     out = normals.new_empty(len(lobes.base), directions.towards.shape[1], len(normals))
     if compiled.runs(normals):
-        packed = _pack(
+        packed = _packed(
             normals,
             None,
             lobes.log_kappa,
@@ -90,7 +90,7 @@ def transport(normals: Tensor, lobes: Lobes, directions: Directions) -> Tensor:
             directions.towards,
             directions.half,
         )
-        compiled.call("transport", normals.dtype, packed.scene, out, compiled.threads())
+        compiled.call("transport", normals.dtype, packed, out, compiled.threads())
         return out
     step = _at_once(out.shape[1])
     for start in range(0, len(normals), step):
@@ -111,8 +111,8 @@ class _Radiance(torch.autograd.Function):
         normals, light, log_kappa, gamma, base, tilt, towards, half = inputs
         result = torch.empty_like(normals)
         if compiled.runs(normals):
-            packed = _pack(*inputs)
-            compiled.call("shade", normals.dtype, packed.scene, result, compiled.threads())
+            packed = _packed(*inputs)
+            compiled.call("shade", normals.dtype, packed, result, compiled.threads())
             return result
         step = _at_once(light.shape[1])
         buffers = normals.new_empty(3, min(step, len(normals)), light.shape[1])
@@ -140,11 +140,9 @@ class _Radiance(torch.autograd.Function):
         d_normals, d_light = torch.zeros_like(normals), torch.zeros_like(light)
         d_kappa, d_gamma = torch.zeros_like(log_kappa), torch.zeros_like(gamma)
         if compiled.runs(normals):
-            packed = _pack(*inputs)
+            packed = _packed(*inputs)
             rows = (d_light, d_kappa, d_gamma, d_normals if of_normals else None)
-            compiled.call(
-                "shade_backward", normals.dtype, packed.scene, gradient.contiguous(), *rows, compiled.threads()
-            )
+            compiled.call("shade_backward", normals.dtype, packed, gradient.contiguous(), *rows, compiled.threads())
         else:
             _gradients(inputs, gradient, of_normals, of_kappa or of_gamma, (d_normals, d_light, d_kappa, d_gamma))
         return (
@@ -216,14 +214,7 @@ def _log_half(normals: Tensor, half: Tensor) -> Tensor:
     return wide.clamp_(COSINE_FLOOR, 1.0).log_().to(normals.dtype)
 
 
-@dataclass(frozen=True)
-class _Packed:
-    scene: SceneFloat | SceneDouble
-    tensors: tuple[Tensor | None, ...]
-    """The tensors that `scene` points to; held here so that they outlive the pointers."""
-
-
-def _pack(
+def _packed(
     normals: Tensor,
     light: Tensor | None,
     log_kappa: Tensor,
@@ -232,12 +223,21 @@ def _pack(
     tilt: Tensor,
     towards: Tensor,
     half: Tensor,
-) -> _Packed:
-    held = [t if t is None else t.contiguous() for t in (normals, towards, half, light, base, tilt, log_kappa, gamma)]
-    kind = SceneDouble if normals.dtype == torch.float64 else SceneFloat
-    pointers = (None if t is None else t.data_ptr() for t in held)
-    sizes = (len(normals), towards.shape[1], len(base), log_kappa.shape[1])
-    return _Packed(kind(*sizes, *pointers, COSINE_FLOOR, *LOG_EXPONENT_RANGE), tuple(held))
+) -> ctypes.Structure:
+    given = {"normals": normals, "towards": towards, "half": half, "light": light, "base": base, "tilt": tilt}
+    given |= {"log_kappa": log_kappa, "gamma": gamma}
+    lowest, highest = LOG_EXPONENT_RANGE
+    return compiled.structure(
+        f"shading.Scene.{compiled.NAMES[normals.dtype]}",
+        count=len(normals),
+        directions=towards.shape[1],
+        channels=len(base),
+        lobes=log_kappa.shape[1],
+        cosine_floor=COSINE_FLOOR,
+        lowest=lowest,
+        highest=highest,
+        **{name: value if value is None else value.contiguous() for name, value in given.items()},
+    )
 
 
 def _at_once(directions: int) -> int:
