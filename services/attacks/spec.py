@@ -135,7 +135,7 @@ class AttackSettings(Model):
 
 def _one_of(names: list[str], value: str) -> str:
     if value not in names:
-        raise ValueError(f"there is no {value!r}{did_you_mean(value, names)}; there are {', '.join(names)}")
+        raise ValueError(f"there is no {value!r}; there are {', '.join(names)}{did_you_mean(value, names)}")
     return value
 
 

@@ -4,6 +4,7 @@ The union of attacks in a request consists of all registered attacks, the operat
 """
 
 from collections.abc import Iterable, Mapping
+from functools import cache
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
 from pydantic import Field, ValidationError, model_validator
@@ -11,6 +12,7 @@ from pydantic import Field, ValidationError, model_validator
 from services.attacks.spec import AttackSettings, Goal, Seed
 from services.errors import InvalidRequest
 from services.pipeline.extensions import ATTACKS, RENDERERS
+from services.pipeline.field_errors import invalid_fields
 from services.rendering.plan import DEFAULT_TOLERANCE
 from services.scenes.description import Model, Scene
 
@@ -70,37 +72,14 @@ def parse(data: object) -> JobSpec:
 
 def problems(error: ValidationError) -> list[InvalidRequest]:
     """One InvalidRequest for each bad field, with its path in the request, without pydantic's tags of unions."""
-    return named(error.errors(include_url=False, include_input=False))
+    return named(error.errors(include_url=False))
 
 
 def named(items: Iterable[Mapping[str, Any]]) -> list[InvalidRequest]:
     """As `problems`, for the items of a pydantic error, which the web framework passes on without the error itself."""
-    found = []
-    for item in items:
-        path = _written(item["loc"])
-        detail = item["msg"].removeprefix("Value error, ")
-        if item["type"] == "value_error" and ": " in detail:  # a check over several fields names its own
-            name, detail = detail.split(": ", 1)
-            path.append(name)
-        found.append(InvalidRequest(".".join(path) or "body", detail))
-    return found
+    return invalid_fields(items, _schema())
 
 
-def _written(place: Iterable[int | str]) -> list[str]:
-    """The path as a client writes it: pydantic adds the method after "attack", and the type after a union's field."""
-    path: list[str] = []
-    tagged = False
-    for part in place:
-        if part == "body" or _is_type(part) or (tagged and part in ATTACKS):
-            tagged = False
-            continue
-        tagged = part == "attack" and not path
-        path.append(str(part))
-    return path
-
-
-def _is_type(part: int | str) -> bool:
-    return isinstance(part, str) and (part in _UNION_TAGS or "[" in part)
-
-
-_UNION_TAGS = {"str", "int", "float", "constrained-str", "constrained-int", "constrained-float"}
+@cache
+def _schema() -> dict[str, Any]:
+    return JobSpec.model_json_schema()

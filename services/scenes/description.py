@@ -138,7 +138,7 @@ class SpotLight(Model):
 
 def _direction(value: tuple[float, float, float]) -> tuple[float, float, float]:
     if max(map(abs, value)) < MIN_LENGTH:
-        raise ValueError(f"a direction has a coordinate of at least {MIN_LENGTH:g}")
+        raise ValueError(f"is too short for a direction; one of its coordinates must be {MIN_LENGTH:g} or more in size")
     return value
 
 

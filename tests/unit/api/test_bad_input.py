@@ -58,7 +58,7 @@ BAD = {
     "unknown preset": ({"scene__objects__0__material": "velvet"}, "scene.objects.0.material"),
     "unknown settings preset": ({"attack__preset": "fastest"}, "attack.preset"),
     "unknown renderer": ({"attack__renderer": "mitsuba"}, "attack.renderer"),
-    "unknown method": ({"attack__method": "pgd"}, "attack"),
+    "unknown method": ({"attack__method": "pgd"}, "attack.method"),
     "unknown field": ({"scene__fog": 1}, "scene.fog"),
     "image too large": ({"scene__camera__size": [32, 4096]}, "scene.camera.size.1"),
     "image empty": ({"scene__camera__size": [0, 32]}, "scene.camera.size.0"),

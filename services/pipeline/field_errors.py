@@ -1,0 +1,186 @@
+"""Names the invalid fields of a request, and says of each what was given and what would be valid.
+
+The valid values and their meaning are read from the request's JSON schema, so that a new field needs no words here.
+"""
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from math import pi
+from typing import Any
+
+from services.errors import InvalidRequest
+from services.suggestions import did_you_mean
+
+Schema = Mapping[str, Any]
+
+MAX_SHOWN = 60
+"""Characters of a given value that a message shows."""
+_ANGLES = {pi / 2: "π/2", -pi / 2: "-π/2", 2 * pi: "2π", -2 * pi: "-2π"}
+_OWN_WORDS = ("value_error", "assertion_error")
+"""Types of errors whose message was written for the request's models."""
+
+
+@dataclass(frozen=True)
+class _Place:
+    """A field of the request: its path as a client writes it, and its schema."""
+
+    path: tuple[str, ...]
+    schema: Schema | None
+    """None for a field that does not exist."""
+    parent: Schema
+    description: str | None
+
+
+def invalid_fields(items: Iterable[Mapping[str, Any]], schema: Schema) -> list[InvalidRequest]:
+    """Returns one InvalidRequest for each invalid field, in the order of `items`.
+
+    `items` are the dictionaries of `pydantic.ValidationError.errors()`, with `loc` relative to the model of `schema`.
+    A field with alternatives is reported once, with all of them; where an alternative has fields of its own that are
+    invalid, those are reported instead.
+    """
+    found: dict[tuple[str, ...], str] = {}
+    for item in items:
+        path, detail = _error(item, schema)
+        found.setdefault(path, detail)
+    # an error of an enclosing field follows from the errors within it, or is of an alternative that was not meant
+    inner = [path for path in found if not any(other[: len(path)] == path != other for other in found)]
+    return [InvalidRequest(".".join(path) or "body", found[path]) for path in inner]
+
+
+def _error(item: Mapping[str, Any], schema: Schema) -> tuple[tuple[str, ...], str]:
+    loc, kind = tuple(item["loc"]), item["type"]
+    if kind == "missing" and loc and isinstance(loc[-1], int):
+        loc, kind = loc[:-1], "too_short"  # a list lacks this element
+    place = _place(loc, schema)
+    if kind in _OWN_WORDS:
+        detail = str(item["msg"]).removeprefix("Value error, ")
+        name, colon, rest = detail.partition(": ")  # a check over several fields names its own
+        return ((*place.path, name), rest) if colon else (place.path, detail)
+    if kind == "union_tag_invalid":
+        field, tags = str(item["ctx"]["discriminator"]).strip("'"), _tags(place)
+        tag = str(item["ctx"]["tag"])
+        return (*place.path, field), f"there is no {tag!r}; there are {', '.join(tags)}{did_you_mean(tag, tags)}"
+    if kind == "extra_forbidden":
+        fields = list(place.parent.get("properties", ()))
+        hint = did_you_mean(place.path[-1], fields)
+        return place.path, f"there is no such field; there are {', '.join(fields)}{hint}"
+    if place.schema is None:
+        return place.path, "is required" if kind == "missing" else str(item["msg"])
+    meaning = "" if place.description is None else f": {place.description.partition('; ')[0]}"
+    given = "but is missing" if kind == "missing" else f"not {_given(item.get('input'))}"
+    return place.path, f"must be {expected(place.schema, schema)}, {given}{meaning}"
+
+
+def _place(loc: Sequence[int | str], schema: Schema) -> _Place:
+    """The field at a pydantic location, in which a part after a field with alternatives names the alternative."""
+    at: Schema | None = schema
+    parent, tagged = schema, False
+    path: tuple[str, ...] = ()
+    description: str | None = None
+    for part in loc:
+        if at is not None:
+            whole = _resolved(at, schema)
+            chosen = whole.get("discriminator", {}).get("mapping", {}).get(part)
+            if chosen is not None:
+                at = {"$ref": chosen}
+                continue
+            options = _options(whole, schema)
+            if len(options) > 1 and not tagged:
+                tagged = True
+                continue
+            parent = next((option for option in options if _child(option, part) is not None), options[0])
+            at = _child(parent, part)
+        tagged = False
+        path = (*path, str(part))
+        inherited = description if isinstance(part, int) else None
+        description = inherited if at is None else at.get("description", inherited)
+    return _Place(path, None if at is None else _resolved(at, schema), parent, description)
+
+
+def _child(schema: Schema, part: int | str) -> Schema | None:
+    if isinstance(part, int):
+        fixed: Sequence[Schema] = schema.get("prefixItems", ())
+        return fixed[part] if part < len(fixed) else schema.get("items")
+    others = schema.get("additionalProperties")
+    found: Schema | None = schema.get("properties", {}).get(part, others if isinstance(others, dict) else None)
+    return found
+
+
+def _resolved(schema: Schema, root: Schema) -> Schema:
+    while "$ref" in schema:
+        schema = root["$defs"][schema["$ref"].rpartition("/")[2]]
+    return schema
+
+
+def _options(schema: Schema, root: Schema) -> list[Schema]:
+    """The alternatives of a field other than null; the field itself if it has only one."""
+    options = [_resolved(one, root) for one in schema.get("anyOf", (schema,))]
+    return [one for one in options if one.get("type") != "null"]
+
+
+def _tags(place: _Place) -> list[str]:
+    return list((place.schema or {}).get("discriminator", {}).get("mapping", {}))
+
+
+def expected(schema: Schema, root: Schema) -> str:
+    """The values that are valid for a schema, in words. `root` has the definitions that it refers to."""
+    schema = _resolved(schema, root)
+    if "anyOf" in schema:
+        *most, last = (expected(one, root) for one in schema["anyOf"])
+        return f"{', '.join(most)} or {last}"
+    if "discriminator" in schema:
+        chosen = schema["discriminator"]
+        return f'an object, in which "{chosen["propertyName"]}" is one of {", ".join(chosen["mapping"])}'
+    if "const" in schema:
+        return json.dumps(schema["const"])
+    if "enum" in schema:
+        return f"one of {', '.join(map(json.dumps, schema['enum']))}"
+    kind = schema.get("type")
+    if kind == "null":
+        return "null"
+    if kind in ("integer", "number"):
+        return ("an integer" if kind == "integer" else "a number") + _range(schema)
+    if kind == "string":
+        low, high = schema.get("minLength"), schema.get("maxLength")
+        return "a text" if high is None else f"a text of {low or 0} to {high} characters"
+    if kind == "array":
+        return _list(schema, root)
+    if "properties" in schema:
+        return f"an object with the fields {', '.join(schema['properties'])}"
+    if isinstance(schema.get("additionalProperties"), dict):
+        return f"an object in which each value is {expected(schema['additionalProperties'], root)}"
+    return "an object"
+
+
+def _list(schema: Schema, root: Schema) -> str:
+    fixed = [expected(one, root) for one in schema.get("prefixItems", ())]
+    if fixed and len(set(fixed)) == 1:
+        return f"a list of {len(fixed)}, each {fixed[0]}"
+    if fixed:
+        return f"a list of {len(fixed)} ({', '.join(fixed)})"
+    low, high = schema.get("minItems", 0), schema.get("maxItems")
+    count = "" if high is None else f" of at most {high}" if not low else f" of {low} to {high}"
+    return f"a list{count}, each {expected(schema.get('items', {}), root)}"
+
+
+def _range(schema: Schema) -> str:
+    low, high = schema.get("minimum"), schema.get("maximum")
+    above, below = schema.get("exclusiveMinimum"), schema.get("exclusiveMaximum")
+    if low is not None and high is not None:
+        return f" from {_number(low)} to {_number(high)}"
+    limits = {"at least": low, "above": above, "at most": high, "below": below}
+    words = " and ".join(f"{word} {_number(limit)}" for word, limit in limits.items() if limit is not None)
+    return f" of {words}" if words.startswith("at") else f" {words}" if words else ""
+
+
+def _number(value: float) -> str:
+    return _ANGLES.get(value, str(value) if isinstance(value, int) else f"{value:g}")
+
+
+def _given(value: Any) -> str:
+    """The given value as JSON, shortened; an object is not shown."""
+    if isinstance(value, Mapping):
+        return "an object"
+    text = json.dumps(value, ensure_ascii=False, default=str)
+    return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}…"
