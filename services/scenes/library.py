@@ -143,7 +143,7 @@ class Library:
             return load_model(models[rest], self._furniture, self._processed)
         if kind == "furniture" and not models:
             raise InvalidRequest("mesh", f"there is no furniture in {self._furniture}; {SETUP}")
-        raise InvalidRequest("mesh", _unknown("mesh", name, [entry.name for entry in self._all()]))
+        raise InvalidRequest("mesh", _unknown_mesh(name, [entry.name for entry in self._all()]))
 
     def _catalogue(self) -> dict[str, Model]:
         with self._lock:
@@ -214,3 +214,15 @@ def _environment(name: str) -> Entry:
 
 def _unknown(what: str, name: str, known: Iterable[str]) -> str:
     return f"there is no {what} {name!r}{did_you_mean(name, known)}"
+
+
+def _unknown_mesh(name: str, known: list[str]) -> str:
+    """As `_unknown`; names the mesh if only its folder was left out, and says how meshes are named if none is close."""
+    same = [one for one in known if one.rpartition("/")[2] == name.lower()]
+    said = f"there is no mesh {name!r}; did you mean {same[0]!r}?" if same else _unknown("mesh", name, known)
+    if said.endswith("?"):
+        return said
+    return (
+        f"{said}; a mesh is furniture/<slug>, primitive/<name>, or the sha256:<64 hex digits> that the upload of a "
+        "file answered; GET /v1/scenes and `scene-attack assets list` list all of them"
+    )

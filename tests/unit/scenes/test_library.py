@@ -86,6 +86,17 @@ def test_the_sky_is_up(library):
     assert small[0].mean() > 1.5 * small[1].mean()
 
 
+def test_a_mesh_without_its_folder_is_suggested(library):
+    with pytest.raises(InvalidRequest, match=r"there is no mesh 'Cube'; did you mean 'primitive/cube'\?$"):
+        library.mesh("Cube")
+
+
+@pytest.mark.parametrize("name", ["torus.obj", "sha256:1234", "sha256:" + "0" * 64])
+def test_a_name_that_is_close_to_none_is_answered_by_how_meshes_are_named(library, name):
+    with pytest.raises(InvalidRequest, match="a mesh is furniture/<slug>, primitive/<name>, or the sha256:"):
+        library.mesh(name)
+
+
 def test_an_unknown_map_gets_close_matches(library):
     with pytest.raises(InvalidRequest) as error:
         library.environment("studo")
