@@ -3,9 +3,8 @@
 import re
 import struct
 from collections.abc import Callable
-from typing import Any
 
-from services.scenes.gltf_file import GltfFile
+from services.scenes.gltf_file import GltfFile, elements, size
 
 _SIZES = {
     **dict.fromkeys(("char", "uchar", "int8", "uint8"), 1),
@@ -109,23 +108,30 @@ def _glb(data: bytes, max_faces: int) -> None:
     if len(data) < 20 or data[:4] != b"glTF":
         raise ValueError("it does not begin with glTF")
     version, length, chunk, kind = struct.unpack_from("<IIII", data, 4)
-    if version != 2 or length != len(data) or kind != 0x4E4F534A or 20 + chunk > len(data):
-        raise ValueError("its lengths do not add up, or it is not glTF 2")
-    tree = GltfFile(data).tree
-    accessors: list[dict[str, Any]] = tree.get("accessors", [])
-    if any("bufferView" not in accessor for accessor in accessors):
+    if version != 2:
+        raise ValueError(f"it is a file of glTF {version}; files of glTF 2 are read")
+    if length != len(data):
+        raise ValueError(f"its header says that it has {length:,} bytes, but it has {len(data):,}; is it complete?")
+    if kind != 0x4E4F534A or 20 + chunk > len(data):
+        raise ValueError("it does not begin with a whole chunk of JSON")
+    file = GltfFile(data)
+    if any("bufferView" not in accessor for accessor in file.items("accessors")):
         raise ValueError("it has accessors without data (compressed geometry is not read)")
-    if sum(int(view["byteLength"]) for view in tree.get("bufferViews", [])) > 4 * len(data):
+    views = enumerate(file.items("bufferViews"))
+    if sum(size(view.get("byteLength"), f"bufferViews[{k}].byteLength") for k, view in views) > 4 * len(data):
         raise ValueError("its buffer views declare more than the file holds")
-    nodes = tree.get("nodes", [])
-    children = [child for node in nodes for child in node.get("children", [])]
+    nodes = file.items("nodes")
+    children = [
+        size(c, f"nodes[{k}].children") for k, n in enumerate(nodes) for c in elements(n, "children", f"nodes[{k}]")
+    ]
     if len(nodes) > _MAX_NODES or len(set(children)) != len(children):
         raise ValueError(f"its nodes are not a tree of at most {_MAX_NODES:,}")
     corners, vertices = 0, 0
-    for primitive in (p for mesh in tree.get("meshes", []) for p in mesh.get("primitives", [])):
-        position = int(accessors[primitive["attributes"]["POSITION"]]["count"])
-        corners += int(accessors[primitive["indices"]]["count"]) if "indices" in primitive else position
-        vertices += position
+    for mesh in range(len(file.array("meshes"))):
+        for _, primitive, attributes in file.primitives(mesh):
+            position = file.count(attributes["POSITION"])
+            corners += file.count(primitive["indices"]) if "indices" in primitive else position
+            vertices += position
     # Every primitive is counted as a triangle list; a strip of the same length has more, which the reader counts.
     _check_triangle_count(corners // 3, max_faces)
     # Primitives may share an accessor of vertices, but the parser copies it for each.

@@ -11,13 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from services.scenes.gltf_file import GltfFile, numbers
+from services.scenes.gltf_file import STRIP, TRIANGLES, GltfFile, elements, numbers
 from services.scenes.gltf_materials import Material, read_material
 from services.scenes.mesh import Doubles, Longs, MaterialSettings, MetallicRoughness, Part, fitted
 from services.scenes.surfaces import MAX_COORDINATE, Textures
 from services.scenes.tangents import derive_tangents
 
-_TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _MIN_HEIGHT = 1e-6
 """Ratio of a triangle's height to its longest edge below which a normal from float32 coordinates is noise."""
 
@@ -36,8 +35,7 @@ def read_gltf(data: bytes, max_faces: int) -> tuple[Part, ...]:
     count = 0
     for index, _ in placed:
         if index not in primitives:
-            entries = file.item("meshes", index).get("primitives", [])
-            read = (_primitive(file, p, f"meshes[{index}].primitives[{k}]") for k, p in enumerate(entries))
+            read = (_primitive(file, *found) for found in file.primitives(index))
             primitives[index] = [primitive for primitive in read if primitive is not None]
         count += sum(len(primitive.faces) for primitive in primitives[index])
     if count > max_faces:
@@ -85,22 +83,24 @@ class _Primitive:
 
 def _instances(file: GltfFile) -> Iterator[tuple[int, Doubles]]:
     """Yields the index and the transform [4,4] of each mesh in the scene, in depth-first order of its nodes."""
-    scenes = file.list("scenes")
+    scenes = file.array("scenes")
     if scenes:
-        roots = file.item("scenes", file.tree.get("scene", 0)).get("nodes", [])
+        chosen = file.tree.get("scene", 0)
+        roots = elements(file.item("scenes", chosen), "nodes", f"scenes[{chosen}]")
     else:
-        children = {child for node in file.list("nodes") for child in node.get("children", [])}
-        roots = [index for index in range(len(file.list("nodes"))) if index not in children]
+        children = {child for node in file.array("nodes") for child in node.get("children", [])}
+        roots = [index for index in range(len(file.array("nodes"))) if index not in children]
     waiting = [(index, np.eye(4)) for index in reversed(roots)]
     seen: set[int] = set()
     while waiting:
         index, parent = waiting.pop()
+        node = file.item("nodes", index)
         if index in seen:
             raise ValueError("its nodes are not a tree")
         seen.add(index)
-        node = file.item("nodes", index)
         transform = parent @ _transform(node, f"nodes[{index}]")
         if "mesh" in node:
+            file.item("meshes", node["mesh"])
             yield node["mesh"], transform
         waiting += [(child, transform) for child in reversed(node.get("children", []))]
 
@@ -128,13 +128,9 @@ def _transform(node: dict[str, Any], where: str) -> Doubles:
     return matrix
 
 
-def _primitive(file: GltfFile, entry: Any, where: str) -> _Primitive | None:
-    """Reads a primitive, with only the vertices that its triangles use; returns None for points and lines."""
-    mode = entry.get("mode", _TRIANGLES)
-    if mode not in (_TRIANGLES, _STRIP, _FAN):
-        return None
-    accessors = entry["attributes"]
-    vertices = file.values(accessors.get("POSITION"), (3,))
+def _primitive(file: GltfFile, where: str, entry: dict[str, Any], accessors: dict[str, Any]) -> _Primitive | None:
+    """Reads a primitive, with only the vertices that its triangles use; returns None if it has no triangles."""
+    vertices = file.values(accessors["POSITION"], (3,))
     columns = {"NORMAL": (3,), "TANGENT": (4,), "TEXCOORD_0": (2,), "TEXCOORD_1": (2,), "COLOR_0": (3, 4)}
     attributes = {name: file.values(accessors[name], width) for name, width in columns.items() if name in accessors}
     for name, values in attributes.items():
@@ -145,11 +141,12 @@ def _primitive(file: GltfFile, entry: Any, where: str) -> _Primitive | None:
     corners = file.indices(entry["indices"]) if "indices" in entry else np.arange(len(vertices))
     if len(corners) and corners.max() >= len(vertices):
         raise ValueError(f"{where}: a face names a vertex that is not there")
-    if mode == _TRIANGLES:
+    mode = entry.get("mode", TRIANGLES)
+    if mode == TRIANGLES:
         if len(corners) % 3:
             raise ValueError(f"{where} has {len(corners):,} corners, which are no whole number of triangles")
         faces = corners.reshape(-1, 3)
-    elif mode == _STRIP:
+    elif mode == STRIP:
         faces = (
             np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1) if len(corners) > 2 else np.zeros((0, 3), int)
         )
@@ -163,6 +160,8 @@ def _primitive(file: GltfFile, entry: Any, where: str) -> _Primitive | None:
         raise ValueError(f"{where} has vertices that are not finite numbers")
     if np.abs(vertices[used]).max() > MAX_COORDINATE:
         raise ValueError(f"{where} has coordinates beyond {MAX_COORDINATE:g}")
+    if "material" in entry:
+        file.item("materials", entry["material"])
     whole = _Primitive(vertices, faces, attributes, entry.get("material"))
     return whole.taken(used, local.reshape(-1, 3))
 

@@ -18,6 +18,9 @@ from services.scenes.mesh import Doubles, Longs
 READ_EXTENSIONS = ("KHR_mesh_quantization",)
 """glTF extensions that are supported and that a file may therefore require."""
 
+TRIANGLES, STRIP, FAN = 4, 5, 6
+"""Modes of primitives that have triangles. 0 to 3 are points and lines."""
+
 _TYPES = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
 _COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942
@@ -45,13 +48,13 @@ class GltfFile:
         if not isinstance(tree, dict):
             raise ValueError("its JSON is not an object")
         self.tree: dict[str, Any] = tree
-        unread = [name for name in self.list("extensionsRequired") if name not in READ_EXTENSIONS]
+        unread = [name for name in self.array("extensionsRequired") if name not in READ_EXTENSIONS]
         if unread:
             names = ", ".join(str(name) for name in unread)
             raise ValueError(f"it requires the extension {names} (extensionsRequired), which is not read")
         self._images: dict[int, Image.Image] = {}
 
-    def list(self, name: str) -> list[Any]:
+    def array(self, name: str) -> list[Any]:
         """Returns a top-level array of the JSON; empty if the JSON does not have it."""
         found = self.tree.get(name, [])
         if not isinstance(found, list):
@@ -60,13 +63,42 @@ class GltfFile:
 
     def item(self, name: str, index: Any) -> dict[str, Any]:
         """Returns an element of a top-level array."""
-        entries = self.list(name)
+        entries = self.array(name)
         if not isinstance(index, int) or isinstance(index, bool) or not 0 <= index < len(entries):
             raise ValueError(f"it refers to {name}[{index!r}], which is not there")
         if not isinstance(entries[index], dict):
             raise ValueError(f"{name}[{index}] is not an object")
         found: dict[str, Any] = entries[index]
         return found
+
+    def items(self, name: str) -> list[dict[str, Any]]:
+        """Returns a top-level array of objects; empty if the JSON does not have it."""
+        return [self.item(name, index) for index in range(len(self.array(name)))]
+
+    def primitives(self, mesh: Any) -> list[tuple[str, dict[str, Any], dict[str, Any]]]:
+        """Returns the primitives of a mesh that have triangles: where each is, the primitive, and its attributes.
+
+        The attributes have POSITION. Points and lines are left out.
+        """
+        found = []
+        for k, entry in enumerate(elements(self.item("meshes", mesh), "primitives", f"meshes[{mesh}]")):
+            where = f"meshes[{mesh}].primitives[{k}]"
+            if not isinstance(entry, dict):
+                raise ValueError(f"{where} is not an object")
+            mode = entry.get("mode", TRIANGLES)
+            if mode not in range(7):
+                raise ValueError(f"{where}.mode is {mode!r}; glTF has 0 to 6")
+            if mode not in (TRIANGLES, STRIP, FAN):
+                continue
+            attributes = entry.get("attributes")
+            if not isinstance(attributes, dict) or "POSITION" not in attributes:
+                raise ValueError(f"{where} has no attributes.POSITION, the accessor of its vertices")
+            found.append((where, entry, attributes))
+        return found
+
+    def count(self, index: Any) -> int:
+        """Returns the number of elements that an accessor declares."""
+        return size(self.item("accessors", index).get("count"), f"accessors[{index}].count")
 
     def values(self, index: Any, columns: tuple[int, ...]) -> Doubles:
         """Returns an accessor's values, float64 [count, columns]; normalized integers are mapped to [0,1] or [-1,1]."""
@@ -100,8 +132,8 @@ class GltfFile:
     def _array(self, index: Any, columns: tuple[int, ...]) -> NDArray[Any]:
         accessor = self.item("accessors", index)
         where = f"accessors[{index}]"
-        kind, width, count = accessor.get("componentType"), _COLUMNS.get(accessor.get("type", "")), accessor["count"]
-        if kind not in _TYPES or width not in columns:
+        kind, width, count = accessor.get("componentType"), _width(accessor), self.count(index)
+        if not isinstance(kind, int) or kind not in _TYPES or width is None or width not in columns:
             names = " or ".join(name for name, width in _COLUMNS.items() if width in columns)
             raise ValueError(f"{where} has the type {accessor.get('type')!r} of {kind!r} where {names} is due")
         if "sparse" in accessor:
@@ -109,10 +141,10 @@ class GltfFile:
         dtype = np.dtype(_TYPES[kind])
         view = self.item("bufferViews", accessor.get("bufferView"))
         data = self._view(view, accessor["bufferView"])
-        offset = _size(accessor.get("byteOffset", 0), where)
+        offset = size(accessor.get("byteOffset", 0), f"{where}.byteOffset")
         packed = dtype.itemsize * width
-        stride = _size(view.get("byteStride", packed), where)
-        if stride < packed or _size(count, where) < 1 or offset + (count - 1) * stride + packed > len(data):
+        stride = size(view.get("byteStride", packed), f"bufferViews[{accessor['bufferView']}].byteStride")
+        if stride < packed or count < 1 or offset + (count - 1) * stride + packed > len(data):
             raise ValueError(f"{where} has {count!r} elements, which its buffer view does not hold")
         rows = np.ndarray((count, packed), np.uint8, data, offset, (stride, 1))
         return np.ascontiguousarray(rows).view(dtype.newbyteorder("<")).reshape(count, width).astype(dtype)
@@ -120,14 +152,15 @@ class GltfFile:
     def _view(self, view: dict[str, Any], index: int) -> bytes:
         where = f"bufferViews[{index}]"
         buffer = self._buffer(view.get("buffer"))
-        start, length = _size(view.get("byteOffset", 0), where), _size(view.get("byteLength"), where)
+        start = size(view.get("byteOffset", 0), f"{where}.byteOffset")
+        length = size(view.get("byteLength"), f"{where}.byteLength")
         if start + length > len(buffer):
             raise ValueError(f"{where} reaches beyond its buffer")
         return buffer[start : start + length]
 
     def _buffer(self, index: Any) -> bytes:
+        entry = self.item("buffers", index)
         if index not in self._buffers:
-            entry = self.item("buffers", index)
             chunk = index == 0 and "uri" not in entry
             self._buffers[index] = self._binary if chunk else _embedded(entry.get("uri"), f"buffers[{index}]")
         return self._buffers[index]
@@ -147,10 +180,24 @@ def _embedded(uri: Any, where: str) -> bytes:
         raise ValueError(f"{where} is not base64") from error
 
 
-def _size(value: Any, where: str) -> int:
+def _width(accessor: dict[str, Any]) -> int | None:
+    kind = accessor.get("type")
+    return _COLUMNS.get(kind) if isinstance(kind, str) else None
+
+
+def size(value: Any, where: str) -> int:
+    """Returns a size, a count or an offset. Raises ValueError, which names it, for other than integers from 0."""
     if not isinstance(value, int) or isinstance(value, bool) or value < 0:
-        raise ValueError(f"{where} has {value!r} where a size or an offset is due")
+        raise ValueError(f"{where} is {value!r}, which is not an integer of at least 0")
     return value
+
+
+def elements(entry: dict[str, Any], name: str, where: str) -> list[Any]:
+    """Returns a property that is a list; empty if it is left out. Raises ValueError, which names it, for others."""
+    found = entry.get(name, [])
+    if not isinstance(found, list):
+        raise ValueError(f"{where}.{name} is not a list")
+    return found
 
 
 def numbers(

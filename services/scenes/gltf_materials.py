@@ -81,8 +81,8 @@ def _map(file: GltfFile, info: Any, textures: Textures, where: str) -> TextureMa
         raise ValueError(f"{where} has no image in PNG or JPEG")
     sampler = file.item("samplers", texture["sampler"]) if "sampler" in texture else {}
     wrap = sampler.get("wrapS", _WRAPS[0]), sampler.get("wrapT", _WRAPS[0])
-    if not set(wrap) <= set(_WRAPS):
-        raise ValueError(f"{where} wraps as {wrap!r}, which glTF has not")
+    if not all(mode in _WRAPS for mode in wrap):
+        raise ValueError(f"{where} wraps as {wrap!r}; glTF has {', '.join(map(str, _WRAPS))}")
     try:
         texels = textures.read(file.image(texture["source"]))
     except (OSError, SyntaxError) as error:  # its header is intact, its data is not
