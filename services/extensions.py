@@ -131,8 +131,13 @@ def _error_line(error: BaseException, path: Path) -> str:
     """Returns the error as a single line, with the line number of the file that raised it."""
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
     where = f"line {lines[-1]}: " if lines else ""
+    return f"{where}{in_words(error)}"
+
+
+def in_words(error: BaseException) -> str:
+    """Returns the type and the message of any error as a single line."""
     try:
         message = " ".join(str(error).split())
-    except Exception:  # the file's own class of error, and its own mistake
+    except Exception:  # an extension's own class of error, and its own mistake
         message = "its message cannot be read"
-    return f"{where}{type(error).__name__}: {message}"
+    return f"{type(error).__name__}: {message}"

@@ -137,7 +137,7 @@ def classify(error: BaseException) -> JobFailure:
         return error
     if isinstance(error, InvalidRequest):
         # Preflight accepted the request, so something that it names has been removed since.
-        return JobFailure("asset-missing", str(error))
+        return JobFailure("asset-missing", f"the request was valid when it was accepted, but is not any more: {error}")
     if isinstance(error, MemoryError | torch.OutOfMemoryError) or "can't allocate memory" in str(error):
         return JobFailure("out-of-memory", "the job needed more memory than a job process may have")
     return JobFailure("internal", f"{type(error).__name__}: {error}")

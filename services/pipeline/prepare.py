@@ -7,6 +7,7 @@ from torch import Tensor
 from services.attacks.goal import ResolvedGoal
 from services.attacks.verifier import Verifier
 from services.errors import InvalidRequest
+from services.pipeline.extensions import ATTACKS
 from services.pipeline.spec import JobSpec
 from services.rendering.factory import build
 from services.rendering.plan import Plan, Tolerance
@@ -81,6 +82,13 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
     target = registry.load(spec.target.name)
     if spec.target.question is not None and not target.takes_question:
         raise InvalidRequest("target.question", f"{target.name} answers no questions; leave it out")
+    if ATTACKS[spec.attack.method].needs_gradient and not registry.has_gradient(target.name):
+        others = ", ".join(name for name, one in ATTACKS.items() if not one.needs_gradient)
+        raise InvalidRequest(
+            "attack.method",
+            f"{spec.attack.method} needs gradients, and the scores of {target.name} have none with respect to the "
+            f"image (they are constant, detached or computed without torch); methods without gradients are {others}",
+        )
     renderer = _renderer(spec, scene, tolerance)
     verifier = Verifier(renderer, target, spec.target.question)
     original = verifier.image({})

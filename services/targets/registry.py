@@ -4,11 +4,13 @@ from functools import lru_cache
 
 import torch
 
-from services.errors import InvalidRequest, JobFailure
+from services.errors import InvalidRequest
+from services.suggestions import did_you_mean
+from services.targets import probe
 from services.targets.info import TARGETS, RegisteredTarget, TargetInfo, available
 from services.targets.protocol import Target
 
-__all__ = ["TargetInfo", "available", "labels", "load"]
+__all__ = ["TargetInfo", "available", "has_gradient", "labels", "load"]
 
 
 def labels(name: str) -> tuple[str, ...]:
@@ -20,18 +22,19 @@ def labels(name: str) -> tuple[str, ...]:
 def load(name: str, dtype: torch.dtype = torch.float32) -> Target:
     """The target, with its weights.
 
-    Raises InvalidRequest("target.name") for an unknown one, JobFailure("internal") for one whose labels are not those
-    it is registered with, or not unique.
+    Raises InvalidRequest("target.name") for an unknown one, and for one that breaks its protocol (`probe.load`).
     """
-    known = _known(name)
-    target, labels = known.load(dtype), known.labels()
-    found = tuple(getattr(target, "labels", ()))
-    if found != labels or len(set(labels)) != len(labels):
-        raise JobFailure("internal", f"the labels of target {name!r} are not unique, or others once it is loaded")
-    return target
+    return probe.load(name, _known(name), dtype)
+
+
+@lru_cache(maxsize=64)
+def has_gradient(name: str) -> bool:
+    """Whether the target's scores have a gradient with respect to the images. Raises as `load` does."""
+    return probe.has_gradient(load(name))
 
 
 def _known(name: str) -> RegisteredTarget:
     if name not in TARGETS:
-        raise InvalidRequest("target.name", f"there is no target {name!r}; there is: {', '.join(TARGETS)}")
+        names = f"there are {', '.join(TARGETS)}{did_you_mean(name, TARGETS)}"
+        raise InvalidRequest("target.name", f"there is no target {name!r}; {names}")
     return TARGETS[name]

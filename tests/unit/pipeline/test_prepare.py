@@ -87,6 +87,14 @@ def test_a_network_with_one_label_is_refused_beforehand(monkeypatch: pytest.Monk
     assert refused.value.field == "target.name"
 
 
+def test_a_method_with_gradients_is_refused_for_a_network_without(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.pipeline.prepare.registry.has_gradient", lambda _: False)
+    with pytest.raises(InvalidRequest, match="methods without gradients are zoo") as refused:
+        preflight(spec(attack={"renderer": "image", "method": "fgsm"}), LIBRARY)
+    assert refused.value.field == "attack.method"
+    assert preflight(spec(attack={"renderer": "image", "method": "zoo"}), LIBRARY)
+
+
 # The environment map's size
 
 

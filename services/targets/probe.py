@@ -1,0 +1,112 @@
+"""Tries a target once after it is loaded, so that one that breaks its protocol is refused before a job is queued."""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from services.errors import InvalidRequest
+from services.extensions import in_words
+from services.finite import finite
+from services.targets.info import RegisteredTarget
+from services.targets.protocol import Target
+
+_QUESTION = "What is this?"
+_REPEATED = 0.01
+"""Largest difference between two scores of one image, relative to the largest score. Another batch changes the last
+bits of a sum; dropout, or batch normalisation over the batch, changes far more."""
+_SHOWN = 400
+"""Characters of a target's own error that a message shows; torch lists every weight that is missing."""
+_SUM = 1e-4
+"""Largest difference between 1 and the sum of float32 probabilities."""
+
+
+@torch.no_grad()
+def load(name: str, known: RegisteredTarget, dtype: torch.dtype) -> Target:
+    """Loads a target and tries it.
+
+    Raises InvalidRequest("target.name"), which says what is wrong, if it cannot be loaded, differs from its card or its
+    labels, or fails on two images of random pixels: if it raises an error, or returns other than one finite score for
+    each label, probabilities, or other scores when an image is given again alone.
+    """
+    try:
+        target, labels = known.load(dtype), known.labels()
+    except Exception as error:
+        raise _refused(name, f"cannot be loaded: {_words(error)}") from error
+    _check_labels(name, known, tuple(getattr(target, "labels", ())), labels)
+    height, width = known.info.input_size
+    if tuple(target.input_size) != (height, width):
+        found = "×".join(map(str, target.input_size))
+        raise _refused(name, f"has input_size {found}, but its card says {height}×{width}")
+    images = _images(target).to(dtype)
+    scores = _scores(name, target, images)
+    _check_scores(name, scores, labels)
+    alone = _scores(name, target, images[:1])
+    difference, largest = float((alone - scores[:1]).abs().max()), float(scores.abs().max())
+    if difference > _REPEATED * largest:
+        raise _refused(
+            name,
+            f"gives an image other scores when it is alone in its batch, by {difference:.2g}: scores may depend on "
+            "nothing else (is dropout or batch normalisation in training mode?)",
+        )
+    return target
+
+
+def has_gradient(target: Target) -> bool:
+    """Whether the target's scores have a gradient with respect to the images: it says so, and torch agrees."""
+    if not target.differentiable:
+        return False
+    images = _images(target)[:1].requires_grad_()
+    return target.logits(images, _QUESTION if target.takes_question else None).requires_grad
+
+
+def _images(target: Target) -> Tensor:
+    """Two images of random pixels in the size of the target's input, float32 [2, H, W, 3]."""
+    return torch.rand((2, *target.input_size, 3), generator=torch.Generator().manual_seed(0))
+
+
+def _check_labels(name: str, known: RegisteredTarget, found: Sequence[str], labels: Sequence[str]) -> None:
+    if tuple(found) != tuple(labels):
+        raise _refused(name, f"has {len(found)} labels once it is loaded; they are not the {len(labels)} of its card")
+    if len(set(labels)) != len(labels):
+        twice = next(label for label in labels if labels.count(label) > 1)
+        raise _refused(name, f"has the label {twice!r} more than once; labels are unique")
+    if known.info.classes != len(labels):
+        raise _refused(name, f"has {len(labels)} labels, but its card says {known.info.classes} classes")
+
+
+def _scores(name: str, target: Target, images: Tensor) -> Tensor:
+    try:
+        return target.logits(images, _QUESTION if target.takes_question else None)
+    except Exception as error:
+        size = "×".join(map(str, target.input_size))
+        raise _refused(name, f"fails on {len(images)} RGB images of its input_size {size}: {_words(error)}") from error
+
+
+def _check_scores(name: str, scores: Tensor, labels: Sequence[str]) -> None:
+    shape = (2, len(labels))
+    if not isinstance(scores, Tensor) or scores.shape != shape or not scores.is_floating_point():
+        found = f"{scores.dtype} {list(scores.shape)}" if isinstance(scores, Tensor) else type(scores).__name__
+        raise _refused(
+            name, f"returns {found} for 2 images; floating-point {list(shape)} is due, one score for each label"
+        )
+    if not finite(scores):
+        raise _refused(name, "returns scores that are not finite")
+    if bool((scores >= 0).all()) and bool(((scores.sum(dim=1) - 1).abs() < _SUM).all()):
+        raise _refused(
+            name,
+            "returns probabilities, which sum to 1; return the scores before the softmax, or the logarithms of the "
+            "probabilities",
+        )
+
+
+def _words(error: Exception) -> str:
+    """The error in words. Raises it again if memory has run out, for which the target is not to blame."""
+    words = in_words(error)
+    if isinstance(error, MemoryError | torch.OutOfMemoryError | InvalidRequest) or "can't allocate memory" in words:
+        raise error
+    return words if len(words) <= _SHOWN else f"{words[:_SHOWN]}…"
+
+
+def _refused(name: str, why: str) -> InvalidRequest:
+    return InvalidRequest("target.name", f"target {name!r} {why}")
