@@ -43,10 +43,12 @@ def chart(
     high: float | None = None,
     threshold: float | None = None,
     note: str = "",
+    whole: bool = False,
 ) -> Chart:
     """Lays out a curve through `points` (x, y), of which at least one must be finite.
 
-    The y axis includes the values `low`, `high` and `threshold`; a line is drawn at `threshold`.
+    The y axis includes the values `low`, `high` and `threshold`; a line is drawn at `threshold`. The ticks of the x
+    axis are whole numbers if `whole` is true.
     """
     points = [point for point in points if isfinite(point[0]) and isfinite(point[1])]
     shown = [y for _, y in points] + [value for value in (low, high, threshold) if value is not None]
@@ -60,7 +62,7 @@ def chart(
         summary=f"{title}: {first:.3g} at {first_x:.3g}, {last:.3g} at {last_x:.3g} ({x_label})",
         path="M" + " L".join(f"{x:.1f} {y:.1f}" for x, y in drawn),
         last=drawn[-1],
-        x_ticks=x_axis.ticks(6),
+        x_ticks=x_axis.ticks(6, least=1.0 if whole else 0.0),
         y_ticks=y_axis.ticks(5),
         threshold=None if threshold is None else y_axis.at(threshold),
         note=note,
@@ -80,9 +82,9 @@ class _Axis:
         part = (value - self._low) / (self._high - self._low)
         return self._start + part * (self._end - self._start)
 
-    def ticks(self, most: int) -> list[Tick]:
-        """At most `most` ticks, at multiples of 1, 2 or 5 times a power of ten."""
-        step = _nice((self._high - self._low) / (most - 1))
+    def ticks(self, most: int, least: float = 0.0) -> list[Tick]:
+        """At most `most` ticks, at multiples of 1, 2 or 5 times a power of ten of at least `least`."""
+        step = _nice(max(least, (self._high - self._low) / (most - 1)))
         first = -floor(-self._low / step + 1e-9)
         values = [(first + i) * step for i in range(most + 1) if (first + i) * step <= self._high + step * 1e-9]
         return [Tick(round(self.at(value), 1), f"{value:.6g}") for value in values]

@@ -10,6 +10,8 @@ from services.jobs.models import Artifact, Event, Job, State
 from services.pipeline.names import attack_name, scene_name
 
 IMAGES = ("original.png", "attacked.png", "perturbation.png")
+LEAST = 0.01
+"""Least height of the axes of p (thousandths) and distance, so that rounding of an unchanged image is not magnified."""
 
 
 @dataclass(frozen=True)
@@ -108,9 +110,12 @@ def charts(trace: Sequence[dict[str, Any]], spec: dict[str, Any], against: str) 
     def curve(key: str, scale: float = 1.0) -> list[tuple[float, float]]:
         return [(row[against], row[key] * scale) for row in trace]
 
+    whole = against == "step"
     return [
-        chart(loss, against, curve("loss"), low=0, high=1),
-        chart("Log-probability advantage", against, curve("advantage"), threshold=0, note=other),
-        chart("Perceptibility p, in thousandths", against, curve("perceptibility", 1000), low=0),
-        chart("Distance ‖ΔY‖₂", against, curve("distance"), low=0),
+        chart(loss, against, curve("loss"), low=0, high=1, whole=whole),
+        chart("Log-probability advantage", against, curve("advantage"), threshold=0, note=other, whole=whole),
+        chart(
+            "Perceptibility p, in thousandths", against, curve("perceptibility", 1000), low=0, high=LEAST, whole=whole
+        ),
+        chart("Distance ‖ΔY‖₂", against, curve("distance"), low=0, high=LEAST, whole=whole),
     ]

@@ -12,6 +12,9 @@ FAILURES = {
     "internal": "Something in the program itself went wrong.",
 }
 
+HAPPENED = {"running": "started", "cancelling": "asked to stop"}
+"""The words for the time at which a job came into a state, where they are not the state's name."""
+
 STOPPED = {
     "verified": "it found an adversary that holds when rendered afresh",
     "steps": "its steps were used up",
@@ -52,11 +55,25 @@ def percent(value: float) -> str:
 def seconds(value: float) -> str:
     """A duration given in seconds, e.g. "4.2 s", "3 min 20 s" or "2 h 5 min"."""
     if value < 60:
-        return f"{value:.1f} s"
+        return f"{value:.1f}\N{NO-BREAK SPACE}s"
     whole = round(value)
     if whole < 3600:
-        return f"{whole // 60} min {whole % 60} s"
-    return f"{whole // 3600} h {whole % 3600 // 60} min"
+        return f"{whole // 60}\N{NO-BREAK SPACE}min {whole % 60}\N{NO-BREAK SPACE}s"
+    return f"{whole // 3600}\N{NO-BREAK SPACE}h {whole % 3600 // 60}\N{NO-BREAK SPACE}min"
+
+
+def count(number: int, thing: str, things: str | None = None) -> str:
+    """A number of things, e.g. "1 step", "2,000 steps"; `things` is the plural if it is not `thing` with an s."""
+    return f"{number:,}\N{NO-BREAK SPACE}{thing if number == 1 else things or thing + 's'}"
+
+
+def setting(value: object) -> str:
+    """A setting that was measured when the attack started, e.g. "color 0.0003, rotation 0.01", "1.5e-05" or "none"."""
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {setting(one)}" for name, one in value.items()) or "none"
+    if isinstance(value, list | tuple):
+        return ", ".join(map(setting, value)) or "none"
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 def ago(then: datetime, now: datetime) -> str:

@@ -128,7 +128,7 @@ class PyrenderRenderer(DeclaredRenderer):
         self._sampled = None
         if not ImageError(MARGIN * error.mean, MARGIN * error.share).within(tolerance):
             self._rasterises = False
-            return Rasterised(error, covered, refusal="its error is beyond the tolerance")
+            return Rasterised(error, covered, refusal="twice its error is beyond the tolerance")
         return Rasterised(error, covered, shown=0 if drawn is None else drawn[1])
 
     @property

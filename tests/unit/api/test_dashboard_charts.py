@@ -1,7 +1,7 @@
 import pytest
 
 from api.dashboard.charts import BOTTOM, HEIGHT, LEFT, RIGHT, TOP, WIDTH, chart
-from api.dashboard.views import trace_of_events
+from api.dashboard.views import charts, trace_of_events
 from services.jobs.models import Event
 from tests.unit.api.dashboard_records import row
 
@@ -27,6 +27,20 @@ def test_ticks_are_round_and_lie_where_the_curve_has_their_values() -> None:
     assert [tick.text for tick in made.x_ticks] == ["0", "50", "100"]
     share = (made.x_ticks[1].at - LEFT) / (WIDTH - RIGHT - LEFT)
     assert share == pytest.approx(50 / 120, abs=0.001)
+
+
+@pytest.mark.parametrize(("last", "texts"), [(1, ["0", "1"]), (2, ["0", "1", "2"]), (12, ["0", "5", "10"])])
+def test_a_step_is_a_whole_number(last: int, texts: list[str]) -> None:
+    made = chart("t", "step", [(step, 0.5) for step in range(last + 1)], whole=True)
+    assert [tick.text for tick in made.x_ticks] == texts
+
+
+def test_the_rounding_of_an_unchanged_image_looks_like_nothing() -> None:
+    """In its first row a trace has the distance that rounding leaves, 1e-6, and would fill the chart with it."""
+    curves = charts([row(0, distance=1e-6, perceptibility=1e-11)], {"goal": {}}, "step")
+    assert [tick.text for tick in curves[3].y_ticks] == ["0", "0.005", "0.01"]
+    assert curves[3].last[1] == pytest.approx(HEIGHT - BOTTOM, abs=0.1)
+    assert [tick.text for tick in curves[0].x_ticks] == ["0", "1"]
 
 
 @pytest.mark.parametrize("value", [0.0, 0.7, -3e-9, 1e12])

@@ -77,6 +77,7 @@ async def test_list_shows_state_and_outcome_newest_first(repository: Repository)
     assert "12.30" in tags.text
     assert "1,234" in tags.text
     assert "timeout" in tags.text
+    assert tags.text.count("torch combined fgsm against efficientnet-lite0") == 3
 
 
 async def test_list_is_paged_and_filtered(repository: Repository) -> None:
@@ -114,6 +115,11 @@ async def test_job_page_tells_the_whole_result(repository: Repository) -> None:
         "off by 2.5e-05 at most in the mean over covered pixels",
         "and by more than 1/255 in 0.3 % of them",
         "5c" * 32,
+        f"Mesh furniture/grand-piano {'9a' * 32}",
+        f"Extension mine.py {'1f' * 32}",
+        "delta, measured at the start normals 0.001",
+        "after 5 steps, 1,234 queries, 1.2 s",
+        "queued just now , started just now , succeeded just now",
         "stopped because it found an adversary that holds when rendered afresh",
     ):
         assert words in tags.text

@@ -26,7 +26,27 @@ def test_percent_never_rounds_something_to_nothing(value: float, said: str) -> N
     ("value", "said"), [(4.24, "4.2 s"), (59.96, "60.0 s"), (200.4, "3 min 20 s"), (7500, "2 h 5 min")]
 )
 def test_seconds(value: float, said: str) -> None:
-    assert words.seconds(value) == said
+    assert words.seconds(value).replace("\N{NO-BREAK SPACE}", " ") == said
+
+
+@pytest.mark.parametrize(("number", "said"), [(0, "0 queries"), (1, "1 query"), (1450, "1,450 queries")])
+def test_one_thing_is_no_plural(number: int, said: str) -> None:
+    assert words.count(number, "query", "queries").replace("\N{NO-BREAK SPACE}", " ") == said
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        ({"color": 0.0003, "rotation": 0.01}, "color 0.0003, rotation 0.01"),
+        (1.5258789279881668e-05, "1.53e-05"),
+        ([], "none"),
+        (["point 0 x", "point 0 y"], "point 0 x, point 0 y"),
+        ({"color": []}, "color none"),
+        (12, "12"),
+    ],
+)
+def test_a_measured_setting_is_said_in_words(value: object, said: str) -> None:
+    assert words.setting(value) == said
 
 
 @pytest.mark.parametrize(
