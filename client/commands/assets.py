@@ -77,7 +77,7 @@ def add(
 ) -> None:
     """Upload a mesh to a running service; prints the name to use in a scene."""
     from client.api_client import ApiClient
-    from client.console import out, print_json
+    from client.console import err, out, print_json
     from services.errors import InvalidRequest
 
     form = (kind or file.suffix.removeprefix(".")).lower()
@@ -93,6 +93,8 @@ def add(
         print_json(entry)
     else:
         out().print(entry["name"], markup=False, highlight=False)
+        for note in entry.get("notes", ()):
+            err().print(note, markup=False, highlight=False)
 
 
 @app.command(epilog="Example: [bold]scene-attack assets environments[/bold]")

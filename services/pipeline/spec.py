@@ -63,11 +63,12 @@ def _method_for(attack: Mapping[str, Any]) -> str:
 
 
 def parse(data: object) -> JobSpec:
-    """Parses JSON data into a spec. Raises InvalidRequest for the first bad field; `problems` returns all of them."""
+    """Parses JSON data into a spec. Raises InvalidRequest for the first bad field, whose detail ends in the others."""
     try:
         return JobSpec.model_validate(data)
     except ValidationError as error:
-        raise problems(error)[0] from error
+        first, *others = problems(error)
+        raise InvalidRequest(first.field, "; ".join([first.detail, *map(str, others)])) from error
 
 
 def problems(error: ValidationError) -> list[InvalidRequest]:

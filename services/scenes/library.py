@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from services.errors import InvalidRequest
 from services.scenes.catalogue import Model, read_catalogue
@@ -37,6 +37,7 @@ class Entry(BaseModel):
     credit: str | None
     size: tuple[float, float, float] | None = None
     triangles: int | None = None
+    notes: tuple[str, ...] = Field((), description="what an uploaded file refers to and the mesh therefore lacks")
 
 
 class Library:
@@ -197,6 +198,7 @@ def _uploaded(record: Upload) -> Entry:
         licence="unknown",
         credit=None,
         triangles=record.triangles,
+        notes=record.notes,
     )
 
 

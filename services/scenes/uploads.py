@@ -1,6 +1,7 @@
 """Stores meshes that users upload: validated once, named by the SHA-256 of their bytes, never by a user's file name."""
 
 import hashlib
+import re
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -21,6 +22,8 @@ class Upload(BaseModel):
     kind: str
     size: int
     triangles: int
+    notes: tuple[str, ...] = ()
+    """What the file refers to and the mesh therefore lacks, in sentences."""
 
 
 class Uploads:
@@ -44,7 +47,13 @@ class Uploads:
         if known is not None and known.kind == kind:
             return known
         parts = _parts(data, kind)
-        record = Upload(sha256=sha256, kind=kind, size=len(data), triangles=sum(len(part.faces) for part in parts))
+        record = Upload(
+            sha256=sha256,
+            kind=kind,
+            size=len(data),
+            triangles=sum(len(part.faces) for part in parts),
+            notes=_lacking(data, kind),
+        )
         save_parts(mesh_path(self._processed, f"{sha256}-{kind}"), parts)
         # The metadata is written last, so that every listed upload is complete.
         atomic_write.write(self._directory / sha256, data)
@@ -83,3 +92,17 @@ def _parts(data: bytes, kind: str) -> tuple[Part, ...]:
     from services.scenes.reading import read_mesh  # imports trimesh, which a cached mesh does not need
 
     return read_mesh(data, kind, settings().max_faces)
+
+
+def _lacking(data: bytes, kind: str) -> tuple[str, ...]:
+    """What other files hold that an obj or a ply file names; only the uploaded bytes are read."""
+    names = {"obj": rb"^[ \t]*mtllib[ \t]+([^\r\n]+)", "ply": rb"^comment TextureFile[ \t]+([^\r\n]+)"}.get(kind)
+    if names is None:
+        return ()
+    found = dict.fromkeys(
+        name.strip()[:200].decode("utf-8", "replace") for name in re.findall(names, data, re.MULTILINE)
+    )
+    return tuple(
+        f"Its materials and textures are in {name}, which is not read: it is shown without. A glb holds its own."
+        for name in list(found)[:5]
+    )

@@ -8,7 +8,7 @@ import pytest
 from pydantic import ValidationError
 
 from services.errors import InvalidRequest
-from services.pipeline.spec import JobSpec, problems
+from services.pipeline.spec import JobSpec, parse, problems
 
 OBJECT = {"mesh": "primitive/sphere"}
 
@@ -108,3 +108,11 @@ def test_something_that_is_no_object_is_the_bodys_mistake() -> None:
     (error,) = errors([])
     assert error.field == "body"
     assert error.detail.startswith("must be an object with the fields scene, target, goal, attack")
+
+
+def test_a_parsed_file_is_told_all_its_mistakes() -> None:
+    with pytest.raises(
+        InvalidRequest, match=r"must be an integer from 0 .*; colour: there is no such field"
+    ) as refused:
+        parse({"scene": {"objects": [OBJECT]}, "seed": -1, "colour": "blue"})
+    assert refused.value.field == "seed"

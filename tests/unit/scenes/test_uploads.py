@@ -9,7 +9,7 @@ from services.errors import InvalidRequest, JobFailure
 from services.scenes import uploads
 from services.scenes.library import Library
 from services.settings import Settings
-from tests.unit.scenes.mesh_files import BOXES
+from tests.unit.scenes.mesh_files import ASCII_PLY, BOXES
 
 
 def test_the_limits_of_uploads_are_those_of_the_settings(tmp_path, monkeypatch):
@@ -36,8 +36,35 @@ def test_an_upload_is_stored_once_under_its_content_hash(tmp_path):
         "kind": "stl",
         "size": len(BOXES["stl"]),
         "triangles": 12,
+        "notes": [],
     }
     assert library.mesh(first.name).sha256 == digest
+
+
+@pytest.mark.parametrize(
+    ("data", "kind", "named"),
+    [
+        (b"# by hand\nmtllib my torus.mtl \r\n" + BOXES["obj"], "obj", ["my torus.mtl"]),
+        (BOXES["obj"], "obj", []),
+        (ASCII_PLY.replace(b"element vertex", b"comment TextureFile wood.png\nelement vertex", 1), "ply", ["wood.png"]),
+        (BOXES["glb"], "glb", []),
+    ],
+)
+def test_a_file_that_names_others_is_taken_and_said_to_lack_them(tmp_path, data, kind, named):
+    library = Library(tmp_path / "cache", tmp_path / "data")
+    entry = library.add_mesh(data, kind)
+    assert [note.split(",")[0] for note in entry.notes] == [f"Its materials and textures are in {one}" for one in named]
+    assert library.entries(category="upload") == [entry]
+
+
+def test_an_upload_stored_before_there_were_notes_is_read(tmp_path):
+    library = Library(tmp_path / "cache", tmp_path / "data")
+    entry = library.add_mesh(BOXES["stl"], "stl")
+    path = tmp_path / "data" / "assets" / f"{entry.name.removeprefix('sha256:')}.json"
+    stored = json.loads(path.read_bytes())
+    del stored["notes"]
+    path.write_text(json.dumps(stored))
+    assert library.entries(category="upload") == [entry]
 
 
 def test_a_deleted_processed_mesh_is_made_again(tmp_path):
