@@ -11,7 +11,7 @@ import numpy as np
 from services import atomic_write
 from services.scenes.mesh import MetallicRoughness, Part, TextureMap
 
-FORMAT = 2
+FORMAT = 3
 """Version of the cache, part of every file's name. Increase it with any change to the processing of meshes."""
 VERTEX_ATTRIBUTES = ("tangents", "second_uv", "vertex_colors")
 """Names of the array fields of a `MetallicRoughness`."""

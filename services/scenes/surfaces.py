@@ -109,11 +109,15 @@ def _surface(
     material = getattr(visual, "material", None)
     if material is None:
         return _coloured(vertices, faces, visual)
-    image = material.image
+    # Where the file of a material or texture is missing, trimesh puts a grey image of its own. One from a file has a
+    # format.
+    image: Image.Image | None = getattr(material, "image", None)
+    if image is not None and image.format is None:
+        image = None
     uv = getattr(visual, "uv", None)
     textured = uv is not None and image is not None and len(uv) == len(vertices)
     color = _diffuse(material, textured, opacity)
-    if not textured:
+    if image is None or not textured:
         return Surface(vertices, faces, None, color.astype(np.float32), None)
     uv = np.nan_to_num(np.asarray(uv, np.float32), nan=0.0, posinf=0.0, neginf=0.0)
     return Surface(vertices, faces, uv, color.astype(np.float32), textures.read(image))

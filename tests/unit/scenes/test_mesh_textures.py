@@ -12,6 +12,10 @@ from services.scenes.reading import read_mesh
 from tests.unit.scenes.mesh_files import ASCII_PLY, MAX_FACES, RIGHT_TRIANGLE, assert_refused, glb, split_glb, triangle
 
 
+def encoded(data):
+    return data.encode() if isinstance(data, str) else data
+
+
 def textured(width, height, alpha_mode=None):
     """A box with a texture of one colour as a glTF file."""
     out = BytesIO()
@@ -48,6 +52,20 @@ def test_face_and_vertex_colours_are_kept():
     seen = part.texture[np.rint(row).astype(int), np.rint(column).astype(int)][part.faces]
     assert (seen == seen[:, :1]).all()
     assert sorted(seen[:, 0, 0]) == sorted(colors[:, 0])
+
+
+@pytest.mark.parametrize("kind", ["obj", "ply"])
+def test_without_its_texture_a_mesh_has_the_colour_of_one_that_states_none(kind):
+    """The loader stands a darker grey in for the missing texture: 100 of 255 where a mesh without one has 204."""
+    mesh = trimesh.creation.box()
+    (plain,) = read_mesh(encoded(mesh.export(file_type=kind)), kind, MAX_FACES)
+    image = Image.new("RGB", (4, 4), (250, 0, 0))
+    mesh.visual = trimesh.visual.TextureVisuals(uv=mesh.vertices[:, :2] + 0.5, image=image)
+    data = encoded(mesh.export(file_type=kind))
+    (part,) = read_mesh(data, kind, MAX_FACES)
+    assert part.texture is None
+    assert (part.color == plain.color).all()
+    assert part.color[0] == pytest.approx(((204 / 255 + 0.055) / 1.055) ** 2.4)
 
 
 def test_a_texture_of_too_many_pixels_is_refused(monkeypatch):
