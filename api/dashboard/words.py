@@ -15,6 +15,12 @@ FAILURES = {
 HAPPENED = {"running": "started", "cancelling": "asked to stop"}
 """The words for the time at which a job came into a state, where they are not the state's name."""
 
+PHASES = {
+    "loading": "Preparing the scene, its plan and the attack",
+    "attacking": "Attacking",
+    "analysing": "Measuring the result",
+}
+
 STOPPED = {
     "verified": "it found an adversary that holds when rendered afresh",
     "steps": "its steps were used up",

@@ -44,12 +44,13 @@ def list_jobs(
                 state_text(job["state"]),
                 scene_name(job["spec"]),
                 attack_name(job["spec"]),
+                job["spec"]["target"]["name"],
                 "" if done is None else f"{answer_cell(done, 'before')} → {answer_cell(done, 'after')}",
                 "" if done is None else verdict(done["fooled"]),
                 yes(None if done is None else done["verified"]),
             ]
         )
-    out().print(table(("id", "state", "scene", "attack", "before → after", "network", "verified"), rows))
+    out().print(table(("id", "state", "scene", "attack", "target", "before → after", "network", "verified"), rows))
 
 
 @app.command(epilog="Example: [bold]scene-attack jobs show 0f3c… --json[/bold]")

@@ -29,6 +29,7 @@ def test_submit_watch_download_and_replay(stack: Stack, tmp_path: Path) -> None:
     assert "attacking" in done.stderr
     listed = json.loads(cli(stack, "jobs", "list", "--state", "succeeded", "--json").stdout)
     assert job["id"] in [item["id"] for item in listed["items"]]
+    assert "efficientnet-lite0" in cli(stack, "jobs", "list").stdout
     shown = cli(stack, "jobs", "show", job["id"])
     assert "sphere" in shown.stdout
     assert "image fgsm" in shown.stdout

@@ -142,11 +142,20 @@ async def test_running_job_shows_the_trace_so_far_and_listens(repository: Reposi
     attempt = start(repository, job)
     repository.progress(attempt, "attacking", 2, 120, [row(0), row(1), row(2)])
     tags = Tags((await get(repository, f"/jobs/{job.id}")).text)
-    assert "step 2 of at most 120" in tags.text
+    assert "Attacking, step 2 of at most 120." in tags.text
     assert "after 6 queries" in tags.text
     assert len(tags.all("svg")) == 8
     assert any(a.get("data-events") == f"/v1/jobs/{job.id}/events" for a in tags.all("div"))
     assert any(a.get("action") == f"/jobs/{job.id}/cancel" for a in tags.all("form"))
+
+
+async def test_a_job_that_is_being_prepared_names_no_step(repository: Repository) -> None:
+    """Measuring the noise before ZOO's first step takes seconds, in which "step 0" looked like a job that hangs."""
+    job = add(repository)
+    repository.progress(start(repository, job), "loading", 0, 120, [])
+    text = Tags((await get(repository, f"/jobs/{job.id}")).text).text
+    assert "Preparing the scene, its plan and the attack." in text
+    assert "step 0" not in text
 
 
 async def test_failed_job_says_why_in_plain_words(repository: Repository) -> None:
