@@ -19,7 +19,7 @@ from services.attacks.state import AttackState
 from services.attacks.trace import TraceRow
 from services.errors import Cancelled
 from services.pipeline.extensions import ATTACKS, EXTENSIONS
-from services.pipeline.prepare import Prepared, prepare
+from services.pipeline.prepare import Prepared, lit_by_map, prepare
 from services.pipeline.result import Provenance, Result
 from services.pipeline.spec import JobSpec
 from services.rendering.color import to_bytes
@@ -162,7 +162,7 @@ def _provenance(prepared: Prepared) -> Provenance:
             thing.mesh: mesh.sha256
             for thing, mesh in zip(prepared.spec.scene.objects, prepared.scene.meshes, strict=True)
         },
-        credits=prepared.scene.credits,
+        credits=prepared.scene.credits(lit_by_map(prepared.spec)),
         extensions=_extensions(prepared.spec),
     )
 

@@ -113,11 +113,15 @@ def _scene(spec: JobSpec, library: Library) -> ResolvedScene:
 
 def _with_chosen_map(spec: JobSpec, scene: ResolvedScene, library: Library) -> ResolvedScene:
     """The scene with the smallest map that the job's tolerance allows, or the default size if no renderer uses one."""
-    lit_by_map = TORCH.name in (spec.attack.renderer, spec.attack.base_renderer)
-    size = smallest_map(scene, spec.tolerance) if lit_by_map else Environment().size
+    size = smallest_map(scene, spec.tolerance) if lit_by_map(spec) else Environment().size
     lights = spec.scene.lights
     chosen = lights.model_copy(update={"environment": lights.environment.model_copy(update={"size": size})})
     return resolve(spec.scene.model_copy(update={"lights": chosen}), library)
+
+
+def lit_by_map(spec: JobSpec) -> bool:
+    """Whether the environment map lights the job's images: the torch renderer draws them or those they are made of."""
+    return TORCH.name in (spec.attack.renderer, spec.attack.base_renderer)
 
 
 def _renderer(spec: JobSpec, scene: ResolvedScene, tolerance: Tolerance) -> Renderer:

@@ -12,7 +12,7 @@ from pydantic import BaseModel
 
 from services.errors import InvalidRequest
 from services.scenes.description import MAP_SIZES, Scene
-from services.scenes.environment import EnvironmentMap, average
+from services.scenes.environment import average
 from services.scenes.library import Library
 from services.scenes.mesh import FIT_RADIUS, Doubles, Floats, Mesh
 from services.scenes.view import camera_to_world, model_matrix, projection, visible_area
@@ -28,8 +28,8 @@ class ResolvedScene:
     meshes, models: one per object; models are float64 [4,4], mesh to world. view: float64 [4,4], camera to world.
     projection: float64 [4,4], OpenGL. environment: float32 [rows, cols, 3], linear radiance in the directions of
     services.scenes.environment, rotated and averaged down. source_map: the map at full resolution, float32 [h, w, 3],
-    or None if `environment` did not come from a library. credits: attribution lines to show with every image of the
-    scene. sha256: the hex digest of the canonical description and the contents of every mesh and map in it.
+    or None if `environment` did not come from a library. map_credit: the map's attribution line, if it has one.
+    sha256: the hex digest of the canonical description and the contents of every mesh and map in it.
     """
 
     description: Scene
@@ -38,7 +38,7 @@ class ResolvedScene:
     view: Doubles
     projection: Doubles
     environment: Floats
-    credits: list[str]
+    map_credit: str | None
     sha256: str
     source_map: Floats | None = None
 
@@ -51,6 +51,11 @@ class ResolvedScene:
         if self.source_map is None or self.environment.shape[:2] == MAP_SIZES[-1]:
             return None
         return average(self.source_map, *MAP_SIZES[-1], self.description.lights.environment.rotation)
+
+    def credits(self, lit_by_map: bool) -> list[str]:
+        """Attribution lines to show with every image of the scene; the map's only if the map lights the scene."""
+        lines = [*(mesh.credit for mesh in self.meshes), self.map_credit if lit_by_map else None]
+        return list(dict.fromkeys(line for line in lines if line))
 
     @cached_property
     def eye(self) -> Doubles:
@@ -83,7 +88,7 @@ def resolve(scene: Scene, library: Library) -> ResolvedScene:
         view=view,
         projection=lens,
         environment=average(source.radiance, *light.texels, light.rotation),
-        credits=_credits(meshes, source),
+        map_credit=source.credit,
         sha256=fingerprint(scene, [*(mesh.sha256 for mesh in meshes), source.sha256]),
         source_map=source.radiance,
     )
@@ -133,8 +138,3 @@ def _in_view(scene: Scene, index: int, mesh: Mesh, to_clip: Doubles) -> None:
         f"out of view: {why}; the camera looks at the origin from a distance of {scene.camera.distance:g}, and the "
         f"object of scale {placed.scale:g} is at ({', '.join(f'{x:g}' for x in placed.translation)})",
     )
-
-
-def _credits(meshes: tuple[Mesh, ...], light: EnvironmentMap) -> list[str]:
-    lines = [*(mesh.credit for mesh in meshes), light.credit]
-    return list(dict.fromkeys(line for line in lines if line))

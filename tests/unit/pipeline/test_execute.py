@@ -90,6 +90,13 @@ def test_the_error_of_images_that_opengl_drew_too_is_in_the_result(
     assert again.sampled_error == result.sampled_error
 
 
+@pytest.mark.parametrize(("drawn_by", "credited"), [("pyrender", False), ("torch", True)])
+def test_a_map_is_credited_where_it_is_shown(drawn_by: str, credited: bool, tmp_path: Path) -> None:
+    attack = {"renderer": "image", "base_renderer": drawn_by, "steps": 1}
+    shown = execute(spec(attack=attack), tmp_path, LIBRARY).provenance.credits
+    assert any("studio" in credit for credit in shown) == credited
+
+
 def test_progress_tells_every_step_in_order(tmp_path: Path) -> None:
     seen: list[Progress] = []
     result = execute(spec({"renderer": "image"}), tmp_path, LIBRARY, progress=seen.append)

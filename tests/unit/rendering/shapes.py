@@ -101,7 +101,7 @@ def placed(description: Scene, *meshes: Mesh) -> ResolvedScene:
         view=view,
         projection=projection,
         environment=np.ones((16, 32, 3), np.float32),
-        credits=[],
+        map_credit=None,
         sha256="0" * 64,
     )
 

@@ -32,9 +32,10 @@ def test_resolves_objects_camera_and_light(library):
     assert np.allclose(found.eye, [0, 0, 3])
     assert found.environment.shape == (5, 7, 3)
     assert np.array_equal(found.environment, average(library.environment("city").radiance, 5, 7, 0.4))
-    assert len(found.credits) == 2
-    assert "Dante" in found.credits[0]
-    assert "city" in found.credits[1]
+    mesh, light = found.credits(lit_by_map=True)
+    assert "Dante" in mesh
+    assert "city" in light
+    assert found.credits(lit_by_map=False) == [mesh], "pyrender shows nothing of the map"
 
 
 def test_everything_fits_between_the_planes(library):
