@@ -1,5 +1,7 @@
 """Against the architecture's own published implementation, which shares no code with ours."""
 
+import subprocess
+import sys
 import warnings
 
 import pytest
@@ -88,3 +90,15 @@ def test_labels_are_the_thousand(target: Classifier) -> None:
 def test_it_takes_no_question(target: Classifier, images: torch.Tensor) -> None:
     with pytest.raises(ValueError, match="no question"):
         target.logits(images, "what is this?")
+
+
+def test_loading_and_a_gradient_import_no_symbolic_algebra() -> None:
+    """torch imports sympy for the gradient of anything but a scalar: 30 MiB and half a second of every job."""
+    code = (
+        "import sys, torch; from services.targets import registry\n"
+        "image = torch.zeros(1, 224, 224, 3, requires_grad=True)\n"
+        "torch.autograd.grad(registry.load('efficientnet-lite0').logits(image).sum(), image)\n"
+        "sys.exit('sympy' if 'sympy' in sys.modules else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
