@@ -56,5 +56,5 @@ def _white_surfaces(intensity: Tensor, chroma: Tensor) -> Tensor:
     """Returns the radiance [surfaces, 3] of white Lambertian surfaces whose normals are the probe directions."""
     rows, cols = intensity.shape
     power = (chroma * intensity[..., None]).reshape(-1, 3) * solid_angles(rows, cols)[:, None].to(chroma.device)
-    cosines = (directions(*PROBES) @ directions(rows, cols).T).clamp_min(0.0).to(power.device)
+    cosines = (directions(*PROBES) @ directions(rows, cols).T).clamp_min_(0.0).to(power.device)
     return cosines @ power / pi
