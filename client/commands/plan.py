@@ -24,19 +24,21 @@ def plan(
     The command runs no attack and does not ask the network. It rasterises the scene and measures errors of tables.
     """
     from client import spec_input
-    from client.console import print_json, report_extensions
+    from client.console import err, print_json, report_extensions
     from services.device import check_device
     from services.pipeline.spec import parse
 
     check_device()
     report_extensions()
     job = parse(spec_input.read(spec))
-    from client.commands.run import library
+    with err().status("loading") as line:
+        from client.commands.run import library
 
-    assets = library()
-    from services.pipeline.prepare import plan as compile_plan
+        assets = library()
+        from services.pipeline.prepare import plan as compile_plan
 
-    found = compile_plan(job, assets)
+        line.update("planning")
+        found = compile_plan(job, assets)
     if as_json:
         print_json(found.model_dump(mode="json"))
     else:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import pty
 import subprocess
 import sys
 from pathlib import Path
@@ -48,12 +49,33 @@ def test_every_command_has_help_with_an_example(command: list[str]) -> None:
     assert ("Example" in done.stdout) == (command not in ([], ["jobs"], ["assets"], ["accuracy"]))
 
 
-def test_help_loads_nothing_heavy() -> None:
-    """What makes --help slow is importing the renderers and the networks; it must not."""
+NETWORKS_AND_RENDERERS = {"torch", "scipy", "trimesh", "OpenGL", "pyrender"}
+NOBODY = "--url http://127.0.0.1:1"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "heavy"),
+    [
+        ("--help", NETWORKS_AND_RENDERERS | {"numpy", "sqlalchemy", "fastapi", "httpx"}),
+        ("targets", NETWORKS_AND_RENDERERS),
+        ("assets list --category primitive", NETWORKS_AND_RENDERERS),
+        ("assets environments", NETWORKS_AND_RENDERERS),
+        ("assets show primitive/no-such-mesh", NETWORKS_AND_RENDERERS),
+        (f"jobs list {NOBODY}", NETWORKS_AND_RENDERERS),
+        (f"jobs show some-job {NOBODY}", NETWORKS_AND_RENDERERS),
+        (f"submit {{spec}} {NOBODY}", NETWORKS_AND_RENDERERS),
+        ("plan no-such-file", NETWORKS_AND_RENDERERS),
+        ("plan {spec}", {"sympy", "sqlalchemy", "fastapi", "httpx"}),
+    ],
+)
+def test_a_command_imports_nothing_heavy_that_it_does_not_need(arguments: str, heavy: set[str], tmp_path: Path) -> None:
+    """The start of a command takes a second for torch, half of one for pyrender, half of one for sympy."""
+    spec = tmp_path / "spec.json"
+    spec.write_text(PLANNED % "1e-3")
     code = (
-        "import sys; sys.argv = ['scene-attack', '--help']\n"
+        f"import sys; sys.argv = ['scene-attack', *{arguments.format(spec=spec).split()!r}]\n"
         "try:\n    from client.cli import main; main()\nexcept SystemExit: pass\n"
-        "heavy = {'torch', 'numpy', 'pyrender', 'sqlalchemy', 'fastapi', 'httpx'} & set(sys.modules)\n"
+        f"heavy = {heavy!r} & set(sys.modules)\n"
         "sys.exit(repr(heavy) if heavy else 0)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
@@ -93,6 +115,28 @@ def test_a_plan_is_printed_and_is_json_for_machines() -> None:
     assert 0 < plan.error <= plan.tolerance == 1e-3
     exact = Plan.model_validate_json(cli("plan", "-", "--json", stdin=PLANNED % '"exact"').stdout)
     assert exact.error == 0
+
+
+def test_a_plan_shows_its_progress_on_a_terminal_and_not_in_its_output(tmp_path: Path) -> None:
+    spec = tmp_path / "spec.json"
+    spec.write_text(PLANNED % "1e-3")
+    ours, terminal = pty.openpty()
+    command = [sys.executable, "-m", "client", "plan", str(spec), "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=terminal, env=os.environ | {"TERM": "xterm"}) as plan:
+        os.close(terminal)
+        shown = b"".join(iter(lambda: _read(ours), b""))
+        assert plan.stdout is not None
+        Plan.model_validate_json(plan.stdout.read())
+    os.close(ours)
+    assert plan.returncode == 0
+    assert shown.index(b"loading") < shown.index(b"planning")
+
+
+def _read(terminal: int) -> bytes:
+    try:
+        return os.read(terminal, 4096)
+    except OSError:  # the other end is closed
+        return b""
 
 
 @pytest.mark.parametrize("tolerance", ["0", "0.5", '"none"', "NaN"])
