@@ -53,7 +53,8 @@ class Classifier:
         width = images.shape[2]
         # Normalised row by row: broadcasting over the three channels takes six times as long.
         mean, scale = self._mean.repeat(width), self._scale.repeat(width)
-        x = ((images.to(self._device, self.dtype).flatten(2) - mean) / scale).reshape(images.shape).permute(0, 3, 1, 2)
+        x = (images.to(self._device, self.dtype).flatten(2) - mean).div_(scale)
+        x = x.reshape(images.shape).permute(0, 3, 1, 2)
         if tuple(x.shape[-2:]) != self.input_size:
             x = F.interpolate(x, self.input_size, mode="bilinear", antialias=True)
         scores: Tensor = self.network(x.contiguous(memory_format=torch.channels_last))
