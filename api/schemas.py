@@ -146,7 +146,7 @@ class ExtensionView(BaseModel):
     def of(cls, extension: Extension) -> Self:
         """The view of a loaded file."""
         adds = sorted(f"{kind} {name}" for kind, name in extension.adds)
-        return cls(file=extension.path.name, sha256=extension.sha256, adds=adds, error=extension.error)
+        return cls(file=extension.name, sha256=extension.sha256, adds=adds, error=extension.error)
 
 
 class Readiness(BaseModel):

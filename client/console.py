@@ -22,11 +22,13 @@ def err() -> Console:
 
 def report_extensions() -> None:
     """Prints on stderr the extensions that were left out, with the reasons."""
+    from services.extensions import printable
     from services.pipeline.extensions import EXTENSIONS
 
     for extension in EXTENSIONS:
         if extension.error is not None:
-            err().print(f"extension left out: {extension.path}: {extension.error}", markup=False, highlight=False)
+            file = printable(str(extension.path))
+            err().print(f"extension left out: {file}: {extension.error}", markup=False, highlight=False)
 
 
 def print_json(data: Any) -> None:

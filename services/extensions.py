@@ -5,10 +5,12 @@ registers nothing, and its error is reported.
 """
 
 import re
+import signal
 import sys
+import threading
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import redirect_stdout
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
 from hashlib import sha256
 from importlib import import_module
@@ -23,6 +25,10 @@ Entry = TypeVar("Entry")
 NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
 _NUMBERS = count()
 _REGISTERS = re.compile(r"^@?register\(", re.MULTILINE)
+LOAD_SECONDS = 60.0
+"""Longest time for running an extension file. Importing torch, the slowest thing that one should do, takes about 2."""
+ERROR_LENGTH = 500
+"""Characters of an error that are kept: it is logged by every process, and shown at each call of `/readyz`."""
 
 
 class Registry(Mapping[str, Entry], Generic[Entry]):
@@ -90,31 +96,65 @@ class Extension:
     error: str | None = None
     """The error because of which it was not loaded; None if it was loaded."""
 
+    @property
+    def name(self) -> str:
+        """The file's name, without the folder, in characters that can be printed."""
+        return printable(self.path.name)
+
+
+def printable(text: str) -> str:
+    """Returns the text with control characters and bytes that are no UTF-8 escaped: JSON and terminals refuse them."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
 
 def load(paths: Sequence[Path], registries: Sequence[Registry[Any]]) -> tuple[Extension, ...]:
     """Runs each file, and each .py file of each folder but those whose name begins with "_", in alphabetical order.
 
-    If a file fails, its registrations are undone, so that it is loaded completely or not at all.
+    If a file fails, its registrations are undone, so that it is loaded completely or not at all. In the main thread, a
+    file that takes longer than `LOAD_SECONDS` fails.
     """
-    return tuple(_load(file, registries) for path in paths for file in _files(path))
+    found: list[Extension] = []
+    for path in paths:
+        try:
+            files = _files(path)
+        except (OSError, RuntimeError) as error:  # the latter for the home of a user who does not exist
+            found.append(Extension(path, None, error=f"it cannot be read: {_reason(error)}"))
+        else:
+            found += [_load(file, registries) for file in files]
+    return tuple(found)
 
 
 def _files(path: Path) -> list[Path]:
-    return sorted(file for file in path.glob("*.py") if not file.name.startswith("_")) if path.is_dir() else [path]
+    path = path.expanduser()
+    if not path.is_dir():
+        return [path]
+    return sorted(file for file in path.iterdir() if file.suffix == ".py" and not file.name.startswith("_"))
+
+
+def _read(path: Path) -> bytes:
+    """Returns the bytes of a regular file; reading a pipe or a device would never end."""
+    if path.exists() and not path.is_file():
+        raise OSError(None, "it is no regular file")
+    return path.read_bytes()
+
+
+def _reason(error: OSError | RuntimeError) -> str:
+    return (error.strerror if isinstance(error, OSError) else None) or str(error)
 
 
 def _load(path: Path, registries: Sequence[Registry[Any]]) -> Extension:
     before = [registry.snapshot() for registry in registries]
     try:
-        data = path.read_bytes()
+        data = _read(path)
     except OSError as error:
-        return Extension(path, None, error=f"it cannot be read: {error.strerror}")
+        return Extension(path, None, error=f"it cannot be read: {_reason(error)}")
     digest = sha256(data).hexdigest()
     module = ModuleType(f"scene_attack_extension_{next(_NUMBERS)}_{path.stem}")
     module.__file__ = str(path)
     sys.modules[module.__name__] = module  # pydantic and dataclasses look up the module of a class
     try:
-        with redirect_stdout(sys.stderr):  # stdout is the command's: with --json it is read by a program
+        # stdout is the command's: with --json it is read by a program
+        with redirect_stdout(sys.stderr), _time_limit(LOAD_SECONDS), _no_thread_left():
             exec(compile(data, str(path), "exec", dont_inherit=True), module.__dict__)
     except KeyboardInterrupt:
         raise
@@ -127,17 +167,46 @@ def _load(path: Path, registries: Sequence[Registry[Any]]) -> Extension:
     return Extension(path, digest, frozenset(adds))
 
 
+@contextmanager
+def _time_limit(seconds: float) -> Iterator[None]:
+    """Raises TimeoutError after `seconds` in the block. Only the main thread can be interrupted."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def late(_number: int, _frame: object) -> None:
+        raise TimeoutError(f"it was still running after {seconds:g} s")
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.setitimer(signal.ITIMER_REAL, seconds, 1.0)  # again each second, for a file that catches the first
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+@contextmanager
+def _no_thread_left() -> Iterator[None]:
+    """Raises RuntimeError if the block leaves a thread running for which Python would wait when the process ends."""
+    before = set(threading.enumerate())
+    yield
+    left = [one.name for one in set(threading.enumerate()) - before if not one.daemon]
+    if left:
+        raise RuntimeError(f"it leaves {left[0]} running, which keeps processes from ending; make it a daemon thread")
+
+
 def _error_line(error: BaseException, path: Path) -> str:
     """Returns the error as a single line, with the line number of the file that raised it."""
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
-    where = f"line {lines[-1]}: " if lines else ""
-    return f"{where}{in_words(error)}"
+    return (f"line {lines[-1]}: " if lines else "") + summary(error)
 
 
-def in_words(error: BaseException) -> str:
-    """Returns the type and the message of any error as a single line."""
+def summary(error: BaseException) -> str:
+    """Returns type and message of any code's error as a line that can be printed, of at most `ERROR_LENGTH`."""
     try:
         message = " ".join(str(error).split())
     except Exception:  # an extension's own class of error, and its own mistake
         message = "its message cannot be read"
-    return f"{type(error).__name__}: {message}"
+    line = printable(f"{type(error).__name__}: {message}"[:ERROR_LENGTH])
+    return line if len(line) < ERROR_LENGTH else f"{line[: ERROR_LENGTH - 1]}…"

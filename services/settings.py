@@ -70,8 +70,8 @@ class Settings(BaseSettings):
 
     @property
     def extension_paths(self) -> list[Path]:
-        """The files and folders listed in `extensions`."""
-        return [Path(part).expanduser() for part in (self.extensions or "").split(os.pathsep) if part]
+        """The files and folders listed in `extensions`, as they were written."""
+        return [Path(part) for part in (self.extensions or "").split(os.pathsep) if part]
 
     def environ(self) -> dict[str, str]:
         """Returns the environment variables that give a child process these settings."""

@@ -14,6 +14,7 @@ from typing import Any
 import torch
 
 from services.errors import Cancelled, InvalidRequest, JobFailure
+from services.extensions import summary
 from services.jobs.artifacts import ArtifactStore, media_type
 from services.jobs.attempts import Attempt, Standing
 from services.jobs.child import connect, reply, requests
@@ -140,7 +141,7 @@ def classify(error: BaseException) -> JobFailure:
         return JobFailure("asset-missing", f"the request was valid when it was accepted, but is not any more: {error}")
     if isinstance(error, MemoryError | torch.OutOfMemoryError) or "can't allocate memory" in str(error):
         return JobFailure("out-of-memory", "the job needed more memory than a job process may have")
-    return JobFailure("internal", f"{type(error).__name__}: {error}")
+    return JobFailure("internal", summary(error))
 
 
 def main() -> None:

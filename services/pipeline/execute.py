@@ -175,4 +175,4 @@ def _extensions(spec: JobSpec) -> dict[str, str]:
         ("renderer", spec.attack.base_renderer),
         ("target", spec.target.name),
     }
-    return {file.path.name: file.sha256 for file in EXTENSIONS if file.sha256 is not None and file.adds & used}
+    return {file.name: file.sha256 for file in EXTENSIONS if file.sha256 is not None and file.adds & used}

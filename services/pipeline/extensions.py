@@ -4,7 +4,7 @@ Modules that need the registries with the extensions in them import the registri
 """
 
 from services.attacks.spec import ATTACKS
-from services.extensions import load
+from services.extensions import load, printable
 from services.logs import logger
 from services.rendering.declaration import RENDERERS
 from services.settings import settings
@@ -23,6 +23,6 @@ def log_extensions() -> None:
     for extension in EXTENSIONS:
         if extension.error is None:
             adds = sorted(f"{kind} {name}" for kind, name in extension.adds)
-            log.info("extension loaded", file=str(extension.path), sha256=extension.sha256, adds=adds)
+            log.info("extension loaded", file=printable(str(extension.path)), sha256=extension.sha256, adds=adds)
         else:
-            log.warning("extension left out", file=str(extension.path), error=extension.error)
+            log.warning("extension left out", file=printable(str(extension.path)), error=extension.error)

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from services.errors import InvalidRequest
-from services.extensions import in_words
+from services.extensions import summary
 from services.finite import finite
 from services.targets.info import RegisteredTarget
 from services.targets.protocol import Target
@@ -102,7 +102,7 @@ def _check_scores(name: str, scores: Tensor, labels: Sequence[str]) -> None:
 
 def _words(error: Exception) -> str:
     """The error in words. Raises it again if memory has run out, for which the target is not to blame."""
-    words = in_words(error)
+    words = summary(error)
     if isinstance(error, MemoryError | torch.OutOfMemoryError | InvalidRequest) or "can't allocate memory" in words:
         raise error
     return words if len(words) <= _SHOWN else f"{words[:_SHOWN]}…"

@@ -50,6 +50,7 @@ TAKEN = FILES["random_search.py"].replace("from __future__ import annotations", 
 BROKEN = {
     "fails.py": ("raise ImportError('no module named brdf')", "line 1: ImportError: no module named brdf"),
     "is_no_python.py": ("def (:", "SyntaxError"),
+    "is_no_text.py": (r"raise ValueError('\udc80' + 'x' * 999_999)", r"line 1: ValueError: \udc80xxx"),
     "shapeless.py": (SHAPELESS, "group 'fog' declares no shape"),
     "twice.py": (LATE + TAKEN, "there is a method 'fgsm' already"),
 }

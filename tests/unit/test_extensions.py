@@ -1,7 +1,9 @@
 """Registries and files that add to them, with a registry of the test's own."""
 
 import hashlib
+import os
 import sys
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -54,6 +56,8 @@ def test_a_file_registers_by_running(shapes: Registry[int], tmp_path: Path) -> N
         ),
         ("SHAPES.add('square', 4)\ndef f(): f()\nf()\n", "RecursionError"),
         ("SHAPES.add('square', 4)\n\0\n", "null bytes"),
+        ("raise ValueError('odd \\udc80 \\x1b[31m')\n", r"odd \udc80 \x1b[31m"),
+        ("raise ValueError('x' * 3_000_000)\n", "x" * 400),
     ],
 )
 def test_a_file_that_fails_leaves_nothing_but_its_error(
@@ -83,6 +87,63 @@ def test_a_file_that_is_not_utf_8_is_left_out_and_a_link_is_followed(tmp_path: P
     assert "'utf-8' codec" in (found["latin"].error or "")
     assert found["link"].adds == {("shape", "square")}
     assert "No such file" in (found["dangling"].error or "")
+
+
+@pytest.mark.usefixtures("shapes")
+def test_an_error_and_a_name_can_be_printed_and_put_into_json(tmp_path: Path) -> None:
+    """A message of any length and bytes: `/readyz` answered 500 for these, so that the service was never ready."""
+    code = b"raise ValueError('\\udc80' * 9_999_999)\n"
+    Path(os.fsdecode(os.fsencode(tmp_path) + b"/\xff.py")).write_bytes(code)
+    [found] = load([tmp_path], [SHAPES])
+    assert found.name == r"\udcff.py"
+    assert "\\udc80" in (found.error or "")
+    assert len(found.error or "") <= extensions.ERROR_LENGTH + len("line 1: ")
+    f"{found.name}{found.error}".encode()
+
+
+@pytest.mark.usefixtures("shapes")
+@pytest.mark.parametrize(
+    ("path", "why"),
+    [
+        ("~nobody-of-this-name/x", "home directory"),
+        ("a" * 5000, "File name too long"),
+        ("pipe.py", "no regular file"),
+        ("folder/", "no regular file"),
+    ],
+)
+def test_a_path_that_cannot_be_read_is_left_out(path: str, why: str, tmp_path: Path) -> None:
+    """Reading a pipe never ends, and the other errors ended the process."""
+    os.mkfifo(tmp_path / "pipe.py")
+    (tmp_path / "folder" / "inner.py").mkdir(parents=True)
+    [found] = load([Path(path) if path.startswith("~") else tmp_path / path], [SHAPES])
+    assert why in (found.error or "")
+    assert found.sha256 is None
+
+
+def test_a_file_that_does_not_end_is_left_out(
+    shapes: Registry[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(extensions, "LOAD_SECONDS", 0.2)
+    found = loaded(tmp_path, endless=REGISTER + "SHAPES.add('square', 4)\nwhile True: pass\n", good="x = 1\n")
+    assert "line 3: TimeoutError: it was still running after 0.2 s" in (found["endless"].error or "")
+    assert found["good"].error is None
+    assert set(shapes) == {"triangle"}
+
+
+def test_a_file_that_leaves_a_thread_running_is_left_out(shapes: Registry[int], tmp_path: Path) -> None:
+    """Every command of the command line would wait for the thread when it ends."""
+    start = REGISTER + "import threading\nstop = threading.Event()\nSHAPES.add('{0}', 4)\n"
+    start += (
+        "thread = threading.Thread(target=stop.wait, name='poller', daemon={1})\nthread.stop = stop\nthread.start()\n"
+    )
+    running = set(threading.enumerate())
+    found = loaded(tmp_path, stays=start.format("square", False), ends=start.format("cube", True))
+    assert "leaves poller running" in (found["stays"].error or "")
+    assert found["ends"].error is None
+    assert set(shapes) == {"cube", "triangle"}
+    for thread in set(threading.enumerate()) - running:
+        vars(thread)["stop"].set()
+        thread.join()
 
 
 @pytest.mark.usefixtures("shapes")
