@@ -7,16 +7,17 @@ errors, openapi.yaml and the tables in docs/scene.md follow from the registry. T
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import isfinite
 from typing import Annotated, Any, Literal, Self, TypeVar, get_args, get_origin
 
 from pydantic import Field, field_validator, model_validator
 
 from services.extensions import Registry
-from services.rendering.declaration import RENDERERS
+from services.rendering.declaration import MAX_STEP, RENDERERS
 from services.scenes.description import Model
 from services.suggestions import did_you_mean
 
-Rate = Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)]
+Rate = Annotated[float, Field(ge=0, le=MAX_STEP, allow_inf_nan=False)]
 Label = Annotated[str, Field(min_length=1, max_length=200)] | Annotated[int, Field(ge=0)]
 
 LARGEST_SEED = 2**63 - 1
@@ -181,20 +182,30 @@ MethodClass = TypeVar("MethodClass", bound=type[Any])
 def register(settings: type[AttackSettings]) -> Callable[[MethodClass], MethodClass]:
     """Returns a class decorator that registers a method under the name in the field `method` of its settings.
 
-    Raises ValueError if that field is not a `Literal` of one name, if the name is taken, or if the class lacks a part
-    of the protocol. Raises pydantic's errors if the settings have no JSON schema.
+    Raises ValueError if the settings do not derive from `AttackSettings`, if that field is not a `Literal` of one name,
+    if the name is taken, if a default is not finite, or if the class lacks a part of the protocol. Raises pydantic's
+    errors if the settings have no JSON schema.
     """
+    if not issubclass(settings, AttackSettings):
+        raise ValueError(f"{settings.__name__} does not derive from AttackSettings")
     settings.model_json_schema()
     annotation = settings.model_fields["method"].annotation
     if get_origin(annotation) is not Literal or len(get_args(annotation)) != 1:
         raise ValueError(f'{settings.__name__} needs a field method: Literal["its-name"] = "its-name"')
     (name,) = get_args(annotation)
+    for field, about in settings.model_fields.items():
+        if isinstance(about.default, float) and not isfinite(about.default):
+            raise ValueError(f"the default of {field} is {about.default}, which no request can state")
 
     def decorate(method: MethodClass) -> MethodClass:
         parts = ("needs_gradient", "start", "advance", "state", "load")
         missing = [part for part in parts if not hasattr(method, part)]
         if missing:
             raise ValueError(f"{method.__name__} has no {' and no '.join(missing)}")
+        if not isinstance(method.needs_gradient, bool):
+            raise ValueError(
+                f"{method.__name__}.needs_gradient is a {type(method.needs_gradient).__name__}, not a bool"
+            )
         ATTACKS.add(name, Attack(settings, method, method.needs_gradient))
         return method
 

@@ -4,6 +4,7 @@ These declarations are used to validate requests, to word pages and to measure p
 neither torch nor OpenGL: a declaration names its class as "module:class", which is imported for the first image.
 """
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -18,6 +19,10 @@ if TYPE_CHECKING:
     from services.rendering.plan import Tolerance
     from services.rendering.protocol import InactiveCoordinate, Parameters, Renderer
     from services.scenes.resolve import ResolvedScene
+
+MAX_STEP = 1000
+"""Largest suggested step; requests accept no larger learning rate."""
+LOCATION = re.compile(r"[\w.]+:\w+")
 
 Labels = Callable[[tuple[int, ...]], list[str]]
 """A function from the shape of a group's values to a label for each coordinate, in flat order."""
@@ -41,7 +46,11 @@ def labelled(*axes: str | tuple[str, ...]) -> Labels:
 
 @dataclass(frozen=True, kw_only=True)
 class Group:
-    """One parameter group of a renderer. Raises ValueError if it declares no shape, or more vector axes than axes."""
+    """One parameter group of a renderer.
+
+    Raises ValueError if it declares no shape, an axis of no length, more vector axes than axes, or a suggested step
+    that requests would refuse.
+    """
 
     name: str
     shape: tuple[str, ...] = ()
@@ -55,18 +64,31 @@ class Group:
     """Number of trailing axes that form a vector. Perceptibility p is the root of the mean, over the other axes, of the
     vectors' squared norms (paper, section 3.3)."""
     suggested_step: float | None = None
-    """Learning rate of a method that steps by the sign of the gradient, in the group's unit (paper, section 4.1)."""
+    """Learning rate of a method that steps by the sign of the gradient, in the group's unit (paper, section 4.1); above
+    0, at most 1000."""
 
     def __post_init__(self) -> None:
         if not self.shape:
             raise ValueError(f"group {self.name!r} declares no shape: name its axes, as in ('H', 'W', '3')")
+        if not isinstance(self.shape, tuple) or not all(isinstance(axis, str) and axis for axis in self.shape):
+            raise ValueError(f"group {self.name!r} needs a tuple of a word for each axis, not {self.shape!r}")
+        if any(axis.isdecimal() and int(axis) == 0 for axis in self.shape):
+            raise ValueError(f"group {self.name!r} has an axis of length 0: it has no value to attack")
         if not 0 <= self.vector_axes <= len(self.shape):
             raise ValueError(f"group {self.name!r} has {len(self.shape)} axes, not vectors of {self.vector_axes}")
+        step = self.suggested_step
+        if step is not None and not (isinstance(step, int | float) and 0 < step <= MAX_STEP):
+            raise ValueError(
+                f"group {self.name!r} suggests the step {step!r}, not a number above 0 and up to {MAX_STEP}"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Declaration:
-    """Metadata of a renderer. Raises ValueError if there is no group or a group's name is repeated."""
+    """Metadata of a renderer.
+
+    Raises ValueError if there is no group, a group's name is repeated, or the location is not "module:class".
+    """
 
     name: str
     groups: tuple[Group, ...]
@@ -84,6 +106,8 @@ class Declaration:
             raise ValueError(f"renderer {self.name!r} declares no parameter group")
         if len(set(self.group_names)) != len(self.groups):
             raise ValueError(f"renderer {self.name!r} declares a group twice")
+        if isinstance(self.renderer, str) and not LOCATION.fullmatch(self.renderer):
+            raise ValueError(f"renderer {self.name!r} is at {self.renderer!r}, which is not module:class")
 
     @property
     def group_names(self) -> tuple[str, ...]:
@@ -181,7 +205,10 @@ def register(declaration: Declaration) -> Callable[[Class], Class]:
         RENDERERS.add(declaration.name, declaration)
 
     def decorate(renderer: Class) -> Class:
-        missing = [name for name in ("build", "initial", "bounds", "render", "exact") if not hasattr(renderer, name)]
+        parts = ("build", "initial", "bounds", "render", "exact")
+        missing = [
+            name for name in parts if getattr(renderer, name, None) in (None, getattr(DeclaredRenderer, name, None))
+        ]
         if missing:
             raise ValueError(f"{renderer.__name__} has no {' and no '.join(missing)}")
         declared = replace(declaration, renderer=renderer)

@@ -47,8 +47,12 @@ TARGETS: Registry[RegisteredTarget] = Registry("target", "services.targets")
 def register(info: TargetInfo, labels: Callable[[], tuple[str, ...]]) -> Callable[[Loader], Loader]:
     """Returns a decorator of the function that loads a target, given its dtype. `labels` returns a label per score.
 
-    Raises ValueError for a name that is taken.
+    Raises ValueError for a name that is taken, and for labels that are no function.
     """
+    if not callable(labels):
+        raise ValueError(
+            f"the labels of target {info.name!r} are a {type(labels).__name__}, not a function without arguments"
+        )
 
     def decorate(load: Loader) -> Loader:
         TARGETS.add(info.name, RegisteredTarget(info, labels, load))

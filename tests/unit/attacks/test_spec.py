@@ -1,9 +1,10 @@
 """Settings that all attacks share, and how attacks are registered."""
 
+from math import nan
 from typing import Literal
 
 import pytest
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from services.attacks.fgsm import Fgsm
 from services.attacks.spec import ATTACKS, AttackSettings, register
@@ -65,3 +66,37 @@ def test_settings_without_a_name_and_classes_without_a_method_are_refused() -> N
     with pytest.raises(ValueError, match="NoMethod has no start and no advance and no state and no load"):
         register(Named)(NoMethod)
     assert "named" not in ATTACKS
+
+
+class Method:
+    needs_gradient = False
+
+    def start(self) -> None: ...
+    def advance(self) -> None: ...
+    def state(self) -> None: ...
+    def load(self) -> None: ...
+
+
+def test_settings_that_requests_could_not_use_are_refused() -> None:
+    class Plain(BaseModel):
+        method: Literal["plain"] = "plain"
+
+    class Odd(AttackSettings):
+        method: Literal["odd"] = "odd"
+        spread: float = nan
+
+    class Late(AttackSettings):
+        method: Literal["late"] = "late"
+
+    class Property(Method):
+        @property
+        def needs_gradient(self) -> bool:  # type: ignore[override]
+            return False
+
+    with pytest.raises(ValueError, match="Plain does not derive from AttackSettings"):
+        register(Plain)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="the default of spread is nan"):
+        register(Odd)(Method)
+    with pytest.raises(ValueError, match=r"Property.needs_gradient is a property, not a bool"):
+        register(Late)(Property)
+    assert not {"plain", "odd", "late"} & set(ATTACKS)

@@ -1,5 +1,7 @@
 """Declarations: what they say of the built-in renderers, and what cannot be declared."""
 
+from math import inf, nan
+
 import pytest
 
 from services.rendering.declaration import RENDERERS, Declaration, DeclaredRenderer, Group, labelled, register
@@ -35,7 +37,15 @@ def test_labels_of_the_built_in_groups() -> None:
 
 @pytest.mark.parametrize(
     ("changes", "why"),
-    [({"shape": ()}, "declares no shape"), ({"vector_axes": 3}, "has 2 axes, not vectors of 3")],
+    [
+        ({"shape": ()}, "declares no shape"),
+        ({"shape": ("H", "0")}, "axis of length 0"),
+        ({"shape": ("H", "")}, "a tuple of a word for each axis"),
+        ({"shape": ("H", 3)}, "a tuple of a word for each axis"),
+        ({"shape": "HW"}, "a tuple of a word for each axis"),
+        ({"vector_axes": 3}, "has 2 axes, not vectors of 3"),
+        *(({"suggested_step": step}, "suggests the step") for step in (nan, inf, -1.0, 0.0, 1001.0, "0.1")),
+    ],
 )
 def test_a_group_that_cannot_be(changes: dict[str, object], why: str) -> None:
     with pytest.raises(ValueError, match=why):
@@ -48,11 +58,17 @@ def test_a_renderer_that_cannot_be(groups: tuple[Group, ...], why: str) -> None:
         Declaration(name="foggy", groups=groups, differentiable=True, method="fgsm")
 
 
+def test_a_location_that_is_none_is_refused() -> None:
+    for location in ("module", "module:", "a module:Class"):
+        with pytest.raises(ValueError, match="which is not module:class"):
+            Declaration(name="foggy", groups=(FOG,), differentiable=True, method="fgsm", renderer=location)
+
+
 def test_a_class_without_its_methods_is_refused() -> None:
     class Foggy(DeclaredRenderer):
         def render(self) -> None: ...
 
     declaration = Declaration(name="foggy", groups=(FOG,), differentiable=True, method="fgsm")
-    with pytest.raises(ValueError, match="Foggy has no build and no bounds and no exact"):
+    with pytest.raises(ValueError, match="Foggy has no build and no initial and no bounds and no exact"):
         register(declaration)(Foggy)
     assert "foggy" not in RENDERERS
