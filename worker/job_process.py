@@ -11,8 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import torch
-
+from services.attacks.contract import out_of_memory
 from services.errors import Cancelled, InvalidRequest, JobFailure
 from services.extensions import summary
 from services.jobs.artifacts import ArtifactStore, media_type
@@ -139,7 +138,7 @@ def classify(error: BaseException) -> JobFailure:
     if isinstance(error, InvalidRequest):
         # Preflight accepted the request, so something that it names has been removed since.
         return JobFailure("asset-missing", f"the request was valid when it was accepted, but is not any more: {error}")
-    if isinstance(error, MemoryError | torch.OutOfMemoryError) or "can't allocate memory" in str(error):
+    if out_of_memory(error):
         return JobFailure("out-of-memory", "the job needed more memory than a job process may have")
     return JobFailure("internal", summary(error))
 

@@ -4,6 +4,7 @@ import json
 from dataclasses import fields
 from pathlib import Path
 
+import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
@@ -28,7 +29,12 @@ def save(path: Path, run: AttackState, problem: AttackProblem, method: Method, v
     words["trace"] = [row.model_dump() for row in run.trace]
     words["counts"] = [problem.queries, problem.renders, verifier.queries, verifier.renders]
     with atomic_write.replacing(path) as part:
-        save_file({name: value.contiguous() for name, value in tensors.items()}, part, {"run": json.dumps(words)})
+        # safetensors saves no two tensors that share memory, as a method's may
+        save_file(
+            {name: value.detach().clone(memory_format=torch.contiguous_format) for name, value in tensors.items()},
+            part,
+            {"run": json.dumps(words)},
+        )
 
 
 def load(path: Path | None, problem: AttackProblem, method: Method, verifier: Verifier) -> AttackState | None:

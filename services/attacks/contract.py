@@ -4,18 +4,41 @@ An extension that breaks its protocol must end its job with a reason. Unchecked,
 values beyond [0,1] are clipped when the image is saved, and scores that are no numbers have a largest one too.
 """
 
-from collections.abc import Mapping
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 
 import torch
 from torch import Tensor
 
-from services.errors import JobFailure
+from services.errors import Cancelled, InvalidRequest, JobFailure
+from services.extensions import summary
 from services.finite import finite
 from services.rendering.protocol import Renderer
 from services.targets.protocol import Target
 
 SLACK = 1e-4
 """How far rounding may take a displayed value out of [0,1]; a fortieth of a step of an 8-bit image."""
+BOUND_SLACK = 1e-5
+"""How far rounding may take a perturbed parameter out of its bounds, relative to 1 + its unperturbed value."""
+
+
+@contextmanager
+def named(kind: str, name: str) -> Iterator[None]:
+    """Turns any error of the block into a JobFailure that says whose it is, but for those that have a kind already."""
+    try:
+        yield
+    except (JobFailure, InvalidRequest, Cancelled):
+        raise
+    except (Exception, SystemExit) as error:
+        if out_of_memory(error):
+            raise
+        raise JobFailure("internal", f"{kind} {name!r} raised {summary(error)}") from error
+
+
+def out_of_memory(error: BaseException) -> bool:
+    """Returns whether an error means that memory was refused; torch has no class of its own for it on a CPU."""
+    return isinstance(error, MemoryError | torch.OutOfMemoryError) or "can't allocate memory" in summary(error)
 
 
 def check_images(renderer: Renderer, images: Tensor, count: int) -> None:
@@ -40,15 +63,67 @@ def check_scores(target: Target, scores: Tensor, count: int) -> None:
         raise JobFailure("non-finite", "the network returned scores that are not finite")
 
 
-def check_perturbation(given: Mapping[str, Tensor], initial: Mapping[str, Tensor]) -> None:
-    """Raises JobFailure unless a method's perturbation has the attacked groups in their shapes, and finite values."""
+def check_graph(renderer: Renderer, target: Target, images: Tensor, scores: Tensor) -> None:
+    """Raises JobFailure unless the scores of `images` can be differentiated, where a gradient is needed."""
+    if not scores.requires_grad:
+        whose = (
+            f"target {target.name!r} returned scores"
+            if images.requires_grad
+            else f"renderer {renderer.name!r} returned images"
+        )
+        raise JobFailure(
+            "internal", f"{whose} without a graph; a gradient is needed, and it is said to be differentiable"
+        )
+
+
+def check_perturbation(
+    given: Mapping[str, Tensor], initial: Mapping[str, Tensor], bounds: Mapping[str, tuple[Tensor, Tensor]]
+) -> None:
+    """Raises JobFailure unless a method's perturbation has the attacked groups in their shapes, and values that are
+    finite and within `bounds`, the smallest and largest perturbation of each group that has any.
+    """
+    if not isinstance(given, Mapping) or not all(isinstance(value, Tensor) for value in given.values()):
+        raise JobFailure("internal", "the method's perturbation is no tensor for each group")
     shapes = {group: tuple(value.shape) for group, value in given.items()}
     expected = {group: tuple(value.shape) for group, value in initial.items()}
     if shapes != expected:
         raise JobFailure("internal", f"the method's perturbation has the groups {shapes}; attacked are {expected}")
     for group, value in given.items():
+        if not value.is_floating_point():
+            raise JobFailure("internal", f"the perturbation of group {group!r} is of {value.dtype}, not floating-point")
         if not finite(value):
             raise JobFailure("non-finite", f"the perturbation of group {group!r} has values that are not finite")
+        low, high = bounds.get(group, (value, value))
+        beyond = torch.maximum(low - value, value - high).detach()
+        if bool((beyond > BOUND_SLACK * (1 + initial[group].abs())).any()):
+            raise JobFailure(
+                "internal",
+                f"the method left the bounds of group {group!r} by up to {float(beyond.max()):g}; "
+                "AttackProblem.clamp keeps a perturbation within them",
+            )
+
+
+def check_settings(found: object) -> None:
+    """Raises JobFailure unless `Method.start` returned a dict that can be stored as JSON."""
+    try:
+        if isinstance(found, dict):
+            json.dumps(found, allow_nan=False)
+            return
+    except (TypeError, ValueError) as error:
+        raise JobFailure("internal", f"the settings that the method measured are not JSON: {summary(error)}") from error
+    raise JobFailure("internal", f"the method's start returned a {type(found).__name__}; a dict of settings is due")
+
+
+def check_state(state: object) -> None:
+    """Raises JobFailure unless `Method.state` returned tensors by name, which a checkpoint can save."""
+    if not isinstance(state, dict) or not all(isinstance(value, Tensor) for value in state.values()):
+        raise JobFailure("internal", "the method's state is no dict of tensors; a checkpoint could not save it")
+
+
+def check_count(count: object) -> None:
+    """Raises JobFailure unless `Method.advance` returned a count."""
+    if not isinstance(count, int) or count < 0:
+        raise JobFailure("internal", f"the method's advance returned {count!r:.80}; a count from 0 is due")
 
 
 def _internal(kind: str, name: str, what: str, shape: tuple[int, ...], given: object) -> JobFailure:

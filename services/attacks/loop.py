@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from services.attacks import checkpoint
+from services.attacks.contract import check_count, check_settings, check_state, named
 from services.attacks.method import Method
 from services.attacks.problem import AttackProblem, Evaluation, ask, distances, gradients, quantize
 from services.attacks.state import AttackState
@@ -62,7 +63,8 @@ def run(
     At every step the network classifies the image rounded to 8 bits. If the goal is met, the verifier renders the
     perturbation by the exact path and asks the network again. The loop ends if that image meets the goal too, and goes
     on otherwise (truncation makes image and parameters disagree). Raises JobFailure("non-finite") if an image, a score
-    or a gradient is not finite, and what `problem.interrupt` raises.
+    or a gradient is not finite, JobFailure("internal") if renderer, target or method break their protocol (`contract`),
+    and what `problem.interrupt` raises.
     """
     [found] = run_together([AttackRun(problem, method, verifier, budget, checkpoint_path, on_row)])
     return found
@@ -91,11 +93,16 @@ class _Running:
 
     def __init__(self, attack: AttackRun) -> None:
         self.attack = attack
-        found = checkpoint.load(attack.checkpoint_path, attack.problem, attack.method, attack.verifier)
+        self.name = type(attack.method).__name__
+        with named("method", self.name):
+            found = checkpoint.load(attack.checkpoint_path, attack.problem, attack.method, attack.verifier)
         self.run = found or AttackState(ever=torch.zeros(attack.problem.renderer.size, dtype=torch.bool))
         self.began, self.last_saved = monotonic() - self.run.seconds, monotonic()
         if not self.run.settings and not self.run.trace:
-            self.run.settings = attack.method.start(attack.problem)
+            with named("method", self.name):
+                self.run.settings = attack.method.start(attack.problem)
+                check_state(attack.method.state())
+            check_settings(self.run.settings)
 
     @property
     def seconds(self) -> float:
@@ -103,7 +110,9 @@ class _Running:
 
     def view(self) -> Evaluation:
         method = self.attack.method
-        return self.attack.problem.view(method.perturbation, gradient=method.needs_gradient)
+        with named("method", self.name):
+            perturbation = method.perturbation
+        return self.attack.problem.view(perturbation, gradient=method.needs_gradient)
 
     def record(self, view: Evaluation, image: Tensor, logits: Tensor) -> None:
         """Records an evaluation, its image as saved (uint8 [H, W, 3]) and the scores [K]; verifies; may stop."""
@@ -124,7 +133,9 @@ class _Running:
         state.stopped = _stop(problem, verifier, state, attack.budget, self.seconds)
 
     def advance(self, view: Evaluation) -> None:
-        self.run.below_noise = self.attack.method.advance(self.attack.problem, view, self.run.step)
+        with named("method", self.name):
+            self.run.below_noise = self.attack.method.advance(self.attack.problem, view, self.run.step)
+        check_count(self.run.below_noise)
         self.run.step += 1
 
     def save(self) -> None:

@@ -22,11 +22,15 @@ class Method(Protocol):
 
     @property
     def perturbation(self) -> Parameters:
-        """The current perturbation, by group."""
+        """The current perturbation, by group: floating-point, finite, and within the renderer's bounds, which
+        `AttackProblem.clamp` sees to. The loop ends the job otherwise: beyond the bounds an image means nothing.
+        """
         ...
 
     def start(self, problem: AttackProblem) -> dict[str, object]:
-        """The loop calls this once before the first step, not on resuming. Returns the settings found by measuring."""
+        """The loop calls this once before the first step, not on resuming. Returns the settings found by measuring,
+        as JSON; {} if there are none.
+        """
         ...
 
     def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from services.attacks.contract import check_images, check_perturbation, check_scores
+from services.attacks.contract import check_graph, check_images, check_perturbation, check_scores, named
 from services.attacks.goal import ResolvedGoal
 from services.attacks.layout import Layout
 from services.errors import JobFailure
@@ -87,7 +87,8 @@ class AttackProblem:
         """Images [B, H, W, 3] of groups with B values each. Raises JobFailure for what is no image (`contract`)."""
         self.interrupt()
         count = len(next(iter(parameters.values())))
-        images = self.renderer.render(parameters)
+        with named("renderer", self.renderer.name):
+            images = self.renderer.render(parameters)
         self.renders += count
         check_images(self.renderer, images, count)
         return images
@@ -95,9 +96,10 @@ class AttackProblem:
     def view(self, perturbation: Mapping[str, Tensor], gradient: bool = False) -> Evaluation:
         """The image of one perturbation, truncated to U around the original; with a graph if `gradient`.
 
-        Raises JobFailure for a perturbation of other groups or shapes, or with values that are not finite.
+        Raises JobFailure for a perturbation of other groups or shapes, or with values that are not finite or beyond the
+        renderer's bounds.
         """
-        check_perturbation(perturbation, self.initial)
+        check_perturbation(perturbation, self.initial, self.bounds)
         leaves = {g: value.detach().requires_grad_(gradient) for g, value in perturbation.items()}
         with torch.set_grad_enabled(gradient):
             images = self.render({g: (self.initial[g] + value)[None] for g, value in leaves.items()})
@@ -114,8 +116,10 @@ def ask(problems: Sequence[AttackProblem], images: Tensor) -> Tensor:
     """
     for problem in problems:
         problem.queries += 1
-    logits = problems[0].target.logits(images, problems[0].question)
-    check_scores(problems[0].target, logits, len(images))
+    target = problems[0].target
+    with named("target", target.name):
+        logits = target.logits(images, problems[0].question)
+    check_scores(target, logits, len(images))
     return logits
 
 
@@ -146,8 +150,9 @@ def gradients(problems: Sequence[AttackProblem], views: Sequence[Evaluation], lo
     """∂objective/∂perturbation of each problem at its view, by group, in one backward pass.
 
     `logits` [B, K] has one row for each problem, and a graph that leads to the views. Raises JobFailure("non-finite")
-    naming the group.
+    naming the group, and JobFailure("internal") if there is no graph.
     """
+    check_graph(problems[0].renderer, problems[0].target, views[0].images, logits)
     objective = torch.stack([p.goal.objective(of) for p, of in zip(problems, logits, strict=True)]).sum()
     leaves = [view.perturbation[group] for p, view in zip(problems, views, strict=True) for group in p.groups]
     # zeros where every pixel is truncated, or does not depend on the parameter

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from services.attacks.contract import check_images, check_scores
+from services.attacks.contract import check_images, check_scores, named
 from services.attacks.goal import ResolvedGoal
 from services.rendering.color import from_bytes, to_bytes
 from services.rendering.protocol import Renderer
@@ -34,7 +34,8 @@ class Verifier:
         changed = {g: (start[g] + perturbation[g].to(start[g].dtype))[None] for g in perturbation}
         self.renders += 1
         # always the whole parameter set: the same computation, bit for bit, for every subset of the groups
-        images = exact.render({g: changed.get(g, start[g][None]) for g in exact.groups})
+        with named("renderer", exact.name):
+            images = exact.render({g: changed.get(g, start[g][None]) for g in exact.groups})
         check_images(exact, images, 1)
         return images[0]
 
@@ -46,7 +47,8 @@ class Verifier:
     def logits(self, image: Tensor) -> Tensor:
         """Scores [K] of an image, uint8 [H, W, 3]. The batch is always of one image, so that no other changes bits."""
         self.queries += 1
-        logits = self.target.logits(from_bytes(image)[None], self.question)
+        with named("target", self.target.name):
+            logits = self.target.logits(from_bytes(image)[None], self.question)
         check_scores(self.target, logits, 1)
         return logits[0]
 
