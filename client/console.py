@@ -22,7 +22,7 @@ def err() -> Console:
 
 def report_extensions() -> None:
     """Prints on stderr the extensions that were left out, with the reasons."""
-    from services.extensions import printable
+    from services.errors import printable
     from services.pipeline.extensions import EXTENSIONS
 
     for extension in EXTENSIONS:

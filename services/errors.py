@@ -1,4 +1,10 @@
-"""Defines the errors of requests and jobs: an invalid request, a failed job, a cancelled job."""
+"""Defines the errors of requests and jobs, and how errors of other code, such as an extension's, become one of them."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+ERROR_LENGTH = 500
+"""Characters of an error that are kept: it is logged by every process, and shown at each call of `/readyz`."""
 
 
 class InvalidRequest(ValueError):
@@ -35,3 +41,40 @@ class JobFailure(RuntimeError):
 
 class Cancelled(Exception):
     """The job was asked to stop."""
+
+
+@contextmanager
+def named(whose: str) -> Iterator[None]:
+    """Turns any error of the block into JobFailure("internal"), which says `whose` it is: "target 'resnet'".
+
+    An error that has a meaning for jobs already passes, and so does one of memory.
+    """
+    try:
+        yield
+    except (JobFailure, InvalidRequest, Cancelled):
+        raise
+    except (Exception, SystemExit) as error:
+        if out_of_memory(error):
+            raise
+        raise JobFailure("internal", f"{whose} raised {summary(error)}") from error
+
+
+def out_of_memory(error: BaseException) -> bool:
+    """Returns whether an error means that memory was refused. torch has a class for it on CUDA, and none on a CPU."""
+    refused = isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError"
+    return refused or "can't allocate memory" in summary(error)
+
+
+def summary(error: BaseException) -> str:
+    """Returns type and message of any code's error as a line that can be printed, of at most `ERROR_LENGTH`."""
+    try:
+        message = " ".join(str(error).split())
+    except Exception:  # the file's own class of error, and its own mistake
+        message = "its message cannot be read"
+    line = printable(f"{type(error).__name__}: {message}"[:ERROR_LENGTH])
+    return line if len(line) < ERROR_LENGTH else f"{line[: ERROR_LENGTH - 1]}…"
+
+
+def printable(text: str) -> str:
+    """Returns the text with control characters and bytes that are no UTF-8 escaped: JSON and terminals refuse them."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

@@ -20,6 +20,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Generic, TypeVar
 
+from services.errors import printable, summary
+
 Entry = TypeVar("Entry")
 
 NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
@@ -27,8 +29,6 @@ _NUMBERS = count()
 _REGISTERS = re.compile(r"^@?register\(", re.MULTILINE)
 LOAD_SECONDS = 60.0
 """Longest time for running an extension file. Importing torch, the slowest thing that one should do, takes about 2."""
-ERROR_LENGTH = 500
-"""Characters of an error that are kept: it is logged by every process, and shown at each call of `/readyz`."""
 
 
 class Registry(Mapping[str, Entry], Generic[Entry]):
@@ -100,11 +100,6 @@ class Extension:
     def name(self) -> str:
         """The file's name, without the folder, in characters that can be printed."""
         return printable(self.path.name)
-
-
-def printable(text: str) -> str:
-    """Returns the text with control characters and bytes that are no UTF-8 escaped: JSON and terminals refuse them."""
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def load(paths: Sequence[Path], registries: Sequence[Registry[Any]]) -> tuple[Extension, ...]:
@@ -200,13 +195,3 @@ def _error_line(error: BaseException, path: Path) -> str:
     """Returns the error as a single line, with the line number of the file that raised it."""
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
     return (f"line {lines[-1]}: " if lines else "") + summary(error)
-
-
-def summary(error: BaseException) -> str:
-    """Returns type and message of any code's error as a line that can be printed, of at most `ERROR_LENGTH`."""
-    try:
-        message = " ".join(str(error).split())
-    except Exception:  # an extension's own class of error, and its own mistake
-        message = "its message cannot be read"
-    line = printable(f"{type(error).__name__}: {message}"[:ERROR_LENGTH])
-    return line if len(line) < ERROR_LENGTH else f"{line[: ERROR_LENGTH - 1]}…"

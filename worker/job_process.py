@@ -11,9 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from services.attacks.contract import out_of_memory
-from services.errors import Cancelled, InvalidRequest, JobFailure
-from services.extensions import summary
+from services.errors import Cancelled, InvalidRequest, JobFailure, out_of_memory, summary
 from services.jobs.artifacts import ArtifactStore, media_type
 from services.jobs.attempts import Attempt, Standing
 from services.jobs.child import connect, reply, requests

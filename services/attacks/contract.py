@@ -5,40 +5,18 @@ values beyond [0,1] are clipped when the image is saved, and scores that are no 
 """
 
 import json
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 
 import torch
 from torch import Tensor
 
-from services.errors import Cancelled, InvalidRequest, JobFailure
-from services.extensions import summary
+from services.errors import JobFailure, summary
 from services.finite import finite
-from services.rendering.protocol import Renderer
+from services.rendering.protocol import BOUND_SLACK, Renderer
 from services.targets.protocol import Target
 
 SLACK = 1e-4
 """How far rounding may take a displayed value out of [0,1]; a fortieth of a step of an 8-bit image."""
-BOUND_SLACK = 1e-5
-"""How far rounding may take a perturbed parameter out of its bounds, relative to 1 + its unperturbed value."""
-
-
-@contextmanager
-def named(kind: str, name: str) -> Iterator[None]:
-    """Turns any error of the block into a JobFailure that says whose it is, but for those that have a kind already."""
-    try:
-        yield
-    except (JobFailure, InvalidRequest, Cancelled):
-        raise
-    except (Exception, SystemExit) as error:
-        if out_of_memory(error):
-            raise
-        raise JobFailure("internal", f"{kind} {name!r} raised {summary(error)}") from error
-
-
-def out_of_memory(error: BaseException) -> bool:
-    """Returns whether an error means that memory was refused; torch has no class of its own for it on a CPU."""
-    return isinstance(error, MemoryError | torch.OutOfMemoryError) or "can't allocate memory" in summary(error)
 
 
 def check_images(renderer: Renderer, images: Tensor, count: int) -> None:

@@ -10,12 +10,13 @@ import torch
 from torch import Tensor
 
 from services.attacks import checkpoint
-from services.attacks.contract import check_count, check_settings, check_state, named
+from services.attacks.contract import check_count, check_settings, check_state
 from services.attacks.method import Method
 from services.attacks.problem import AttackProblem, Evaluation, ask, distances, gradients, quantize
 from services.attacks.state import AttackState
 from services.attacks.trace import TraceRow
 from services.attacks.verifier import Verifier
+from services.errors import named
 from services.rendering.protocol import Parameters
 from services.targets.scores import probability
 
@@ -93,13 +94,13 @@ class _Running:
 
     def __init__(self, attack: AttackRun) -> None:
         self.attack = attack
-        self.name = type(attack.method).__name__
-        with named("method", self.name):
+        self.name = f"method {type(attack.method).__name__!r}"
+        with named(self.name):
             found = checkpoint.load(attack.checkpoint_path, attack.problem, attack.method, attack.verifier)
         self.run = found or AttackState(ever=torch.zeros(attack.problem.renderer.size, dtype=torch.bool))
         self.began, self.last_saved = monotonic() - self.run.seconds, monotonic()
         if not self.run.settings and not self.run.trace:
-            with named("method", self.name):
+            with named(self.name):
                 self.run.settings = attack.method.start(attack.problem)
                 check_state(attack.method.state())
             check_settings(self.run.settings)
@@ -110,7 +111,7 @@ class _Running:
 
     def view(self) -> Evaluation:
         method = self.attack.method
-        with named("method", self.name):
+        with named(self.name):
             perturbation = method.perturbation
         return self.attack.problem.view(perturbation, gradient=method.needs_gradient)
 
@@ -133,7 +134,7 @@ class _Running:
         state.stopped = _stop(problem, verifier, state, attack.budget, self.seconds)
 
     def advance(self, view: Evaluation) -> None:
-        with named("method", self.name):
+        with named(self.name):
             self.run.below_noise = self.attack.method.advance(self.attack.problem, view, self.run.step)
         check_count(self.run.below_noise)
         self.run.step += 1

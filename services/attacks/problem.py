@@ -7,10 +7,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from services.attacks.contract import check_graph, check_images, check_perturbation, check_scores, named
+from services.attacks.contract import check_graph, check_images, check_perturbation, check_scores
 from services.attacks.goal import ResolvedGoal
 from services.attacks.layout import Layout
-from services.errors import JobFailure
+from services.errors import JobFailure, named
 from services.finite import finite
 from services.rendering import color
 from services.rendering.protocol import Parameters, Renderer
@@ -87,7 +87,7 @@ class AttackProblem:
         """Images [B, H, W, 3] of groups with B values each. Raises JobFailure for what is no image (`contract`)."""
         self.interrupt()
         count = len(next(iter(parameters.values())))
-        with named("renderer", self.renderer.name):
+        with named(f"renderer {self.renderer.name!r}"):
             images = self.renderer.render(parameters)
         self.renders += count
         check_images(self.renderer, images, count)
@@ -117,7 +117,7 @@ def ask(problems: Sequence[AttackProblem], images: Tensor) -> Tensor:
     for problem in problems:
         problem.queries += 1
     target = problems[0].target
-    with named("target", target.name):
+    with named(f"target {target.name!r}"):
         logits = target.logits(images, problems[0].question)
     check_scores(target, logits, len(images))
     return logits

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from services.attacks.contract import check_images, check_scores, named
+from services.attacks.contract import check_images, check_scores
 from services.attacks.goal import ResolvedGoal
+from services.errors import named
 from services.rendering.color import from_bytes, to_bytes
 from services.rendering.protocol import Renderer
 from services.targets.protocol import Target
@@ -34,7 +35,7 @@ class Verifier:
         changed = {g: (start[g] + perturbation[g].to(start[g].dtype))[None] for g in perturbation}
         self.renders += 1
         # always the whole parameter set: the same computation, bit for bit, for every subset of the groups
-        with named("renderer", exact.name):
+        with named(f"renderer {exact.name!r}"):
             images = exact.render({g: changed.get(g, start[g][None]) for g in exact.groups})
         check_images(exact, images, 1)
         return images[0]
@@ -47,7 +48,7 @@ class Verifier:
     def logits(self, image: Tensor) -> Tensor:
         """Scores [K] of an image, uint8 [H, W, 3]. The batch is always of one image, so that no other changes bits."""
         self.queries += 1
-        with named("target", self.target.name):
+        with named(f"target {self.target.name!r}"):
             logits = self.target.logits(from_bytes(image)[None], self.question)
         check_scores(self.target, logits, 1)
         return logits[0]

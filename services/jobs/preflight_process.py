@@ -39,6 +39,7 @@ def answer(message: dict[str, Any], data: bytes, library: Library) -> dict[str, 
     except MemoryError:
         return {"field": "file", "detail": "it needs more memory than reading a mesh may take"}
     except JobFailure as error:
+        log.warning("preflight failed", kind=error.kind, exc_info=error)
         return {"trouble": f"{error.kind}: {error.detail}"}
     except (Exception, SystemExit) as error:  # an extension's code may end the process it is run in
         log.error("preflight failed", exc_info=error)

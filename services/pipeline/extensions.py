@@ -4,7 +4,8 @@ Modules that need the registries with the extensions in them import the registri
 """
 
 from services.attacks.spec import ATTACKS
-from services.extensions import load, printable
+from services.errors import printable
+from services.extensions import load
 from services.logs import logger
 from services.rendering.declaration import RENDERERS
 from services.settings import settings

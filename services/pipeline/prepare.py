@@ -62,8 +62,10 @@ def plan(spec: JobSpec, library: Library) -> Plan:
 def prepare(spec: JobSpec, library: Library) -> Prepared:
     """Looks up meshes, map, materials, target and labels, renders the scene exactly and asks the network.
 
-    Raises InvalidRequest naming the field, for: unknown names, a label out of range, an object out of view, an image
-    that the network gets wrong (goal.leave), or one that it already answers with the label to reach (goal.reach).
+    Raises InvalidRequest naming the field, for: unknown names, a label out of range, an object out of view, a method
+    that needs gradients of a network that has none, an image that the network gets wrong (goal.leave), or one that it
+    already answers with the label to reach (goal.reach). Raises JobFailure for a target or renderer that breaks its
+    protocol.
     """
     return _prepare(spec, library, spec.tolerance)
 

@@ -4,10 +4,11 @@ from collections.abc import Sequence
 from pkgutil import resolve_name
 from typing import Any
 
-from services.errors import InvalidRequest, JobFailure
+from services.errors import InvalidRequest, JobFailure, named
+from services.finite import finite
 from services.rendering.declaration import RENDERERS, BuildRequest, Declaration
 from services.rendering.plan import DEFAULT_TOLERANCE, Tolerance
-from services.rendering.protocol import Renderer
+from services.rendering.protocol import BOUND_SLACK, Renderer
 from services.scenes.resolve import ResolvedScene
 
 
@@ -23,8 +24,8 @@ def build(
     `base_renderer` names the renderer that makes the image to be attacked, for a renderer that declares a base renderer
     (None: the declared name).
 
-    Raises InvalidRequest("attack.renderer") for an unknown name, JobFailure("internal") for a renderer whose
-    groups are not those it declares.
+    Raises InvalidRequest("attack.renderer") for an unknown name, JobFailure("internal") for a renderer that cannot be
+    built, or whose groups are not those it declares.
     """
     declaration = RENDERERS.get(renderer)
     if declaration is None:
@@ -32,14 +33,36 @@ def build(
     base = None
     if declaration.base_renderer is not None:
         base = build(scene, base_renderer or declaration.base_renderer, tolerance="exact")
-    made: Renderer = _class(declaration).build(
-        BuildRequest(scene, tuple(groups or declaration.group_names), tolerance, base)
-    )
-    shapes = {group: value.dim() for group, value in made.initial().items()}
+    with named(f"renderer {renderer!r}"):
+        made: Renderer = _class(declaration).build(
+            BuildRequest(scene, tuple(groups or declaration.group_names), tolerance, base)
+        )
+        if broken := _broken(declaration, made):
+            raise JobFailure("internal", f"renderer {renderer!r} {broken}")
+    return made
+
+
+def _broken(declaration: Declaration, made: Renderer) -> str | None:
+    """What a renderer owes an attack and does not have, as the rest of a sentence; None if it has everything."""
+    if missing := [name for name in ("size", "plan", "backend") if not hasattr(made, name)]:
+        return f"has no {' and no '.join(missing)}"
+    initial, bounds = made.initial(), made.bounds()
+    shapes = {group: value.dim() for group, value in initial.items()}
     declared = {group.name: len(group.shape) for group in declaration.groups}
     if shapes != declared:
-        raise JobFailure("internal", f"renderer {renderer!r} declares groups of {declared} axes and has {shapes}")
-    return made
+        return f"declares groups of {declared} axes and has {shapes}"
+    for group, value in initial.items():
+        if not value.is_floating_point() or value.numel() == 0 or not finite(value):
+            return f"starts with values of group {group!r} that are no finite floating-point numbers, or with none"
+        if group not in bounds:
+            return f"gives no bounds of group {group!r}"
+        low, high = (bound.expand_as(value) for bound in bounds[group])
+        if not bool((low <= high).all()):
+            return f"has bounds of group {group!r} that are not a lower and an upper one"
+        slack = BOUND_SLACK * (1 + value.abs())
+        if not bool(((value >= low - slack) & (value <= high + slack)).all()):
+            return f"starts with values of group {group!r} that are outside its bounds"
+    return None
 
 
 def _class(declaration: Declaration) -> Any:

@@ -13,6 +13,9 @@ Parameters = dict[str, Tensor]
 """Values by group name, on the CPU whatever the renderer's device. Scene values and perturbations have no batch
 dimension; values to render have a leading batch dimension ([B, …])."""
 
+BOUND_SLACK = 1e-5
+"""How far rounding may take a parameter out of its bounds, relative to 1 + its initial value."""
+
 
 @dataclass(frozen=True)
 class InactiveCoordinate:
@@ -67,7 +70,10 @@ class Renderer(Protocol):
         ...
 
     def bounds(self) -> Mapping[str, tuple[Tensor, Tensor]]:
-        """Returns the lowest and highest physically meaningful value of each group, broadcastable to it, or ±inf."""
+        """Returns the lowest and highest physically meaningful value of each group, broadcastable to it, or ±inf.
+
+        Initial values are within them, and so must perturbed ones be: the loop refuses a method that leaves them.
+        """
         ...
 
     def names(self, group: str) -> list[str] | None:

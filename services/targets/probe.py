@@ -5,8 +5,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from services.errors import InvalidRequest
-from services.extensions import summary
+from services.errors import InvalidRequest, out_of_memory, printable, summary
 from services.finite import finite
 from services.targets.info import RegisteredTarget
 from services.targets.protocol import Target
@@ -21,6 +20,24 @@ _SUM = 1e-4
 """Largest difference between 1 and the sum of float32 probabilities."""
 
 
+def labels(name: str, known: RegisteredTarget) -> tuple[str, ...]:
+    """Returns the labels of a target without loading it.
+
+    Raises InvalidRequest("target.name") if they cannot be listed, are no text that can be printed, or are not unique.
+    """
+    try:
+        found = tuple(known.labels())
+    except (Exception, SystemExit) as error:
+        raise _refused(name, f"cannot list its labels: {_words(error)}") from error
+    for label in found:
+        if not isinstance(label, str) or not label or printable(label) != label:
+            raise _refused(name, f"has the label {label!r:.80}, which is no text to be shown")
+    if len(set(found)) != len(found):
+        twice = next(label for label in found if found.count(label) > 1)
+        raise _refused(name, f"has the label {twice!r} more than once; labels are unique")
+    return found
+
+
 @torch.no_grad()
 def load(name: str, known: RegisteredTarget, dtype: torch.dtype) -> Target:
     """Loads a target and tries it.
@@ -29,18 +46,20 @@ def load(name: str, known: RegisteredTarget, dtype: torch.dtype) -> Target:
     labels, or fails on two images of random pixels: if it raises an error, or returns other than one finite score for
     each label, probabilities, or other scores when an image is given again alone.
     """
+    listed = labels(name, known)
     try:
-        target, labels = known.load(dtype), known.labels()
-    except Exception as error:
+        target = known.load(dtype)
+        found = tuple(getattr(target, "labels", ()))
+    except (Exception, SystemExit) as error:
         raise _refused(name, f"cannot be loaded: {_words(error)}") from error
-    _check_labels(name, known, tuple(getattr(target, "labels", ())), labels)
+    _check_labels(name, known, found, listed)
     height, width = known.info.input_size
     if tuple(target.input_size) != (height, width):
-        found = "×".join(map(str, target.input_size))
-        raise _refused(name, f"has input_size {found}, but its card says {height}×{width}")
+        size = "×".join(map(str, target.input_size))
+        raise _refused(name, f"has input_size {size}, but its card says {height}×{width}")
     images = _images(target).to(dtype)
     scores = _scores(name, target, images)
-    _check_scores(name, scores, labels)
+    _check_scores(name, scores, listed)
     alone = _scores(name, target, images[:1])
     difference, largest = float((alone - scores[:1]).abs().max()), float(scores.abs().max())
     if difference > _REPEATED * largest:
@@ -65,20 +84,17 @@ def _images(target: Target) -> Tensor:
     return torch.rand((2, *target.input_size, 3), generator=torch.Generator().manual_seed(0))
 
 
-def _check_labels(name: str, known: RegisteredTarget, found: Sequence[str], labels: Sequence[str]) -> None:
-    if tuple(found) != tuple(labels):
-        raise _refused(name, f"has {len(found)} labels once it is loaded; they are not the {len(labels)} of its card")
-    if len(set(labels)) != len(labels):
-        twice = next(label for label in labels if labels.count(label) > 1)
-        raise _refused(name, f"has the label {twice!r} more than once; labels are unique")
-    if known.info.classes != len(labels):
-        raise _refused(name, f"has {len(labels)} labels, but its card says {known.info.classes} classes")
+def _check_labels(name: str, known: RegisteredTarget, found: Sequence[str], listed: Sequence[str]) -> None:
+    if tuple(found) != tuple(listed):
+        raise _refused(name, f"has {len(found)} labels once it is loaded; they are not the {len(listed)} of its card")
+    if known.info.classes != len(listed):
+        raise _refused(name, f"has {len(listed)} labels, but its card says {known.info.classes} classes")
 
 
 def _scores(name: str, target: Target, images: Tensor) -> Tensor:
     try:
         return target.logits(images, _QUESTION if target.takes_question else None)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         size = "×".join(map(str, target.input_size))
         raise _refused(name, f"fails on {len(images)} RGB images of its input_size {size}: {_words(error)}") from error
 
@@ -100,11 +116,11 @@ def _check_scores(name: str, scores: Tensor, labels: Sequence[str]) -> None:
         )
 
 
-def _words(error: Exception) -> str:
+def _words(error: BaseException) -> str:
     """The error in words. Raises it again if memory has run out, for which the target is not to blame."""
-    words = summary(error)
-    if isinstance(error, MemoryError | torch.OutOfMemoryError | InvalidRequest) or "can't allocate memory" in words:
+    if isinstance(error, InvalidRequest) or out_of_memory(error):
         raise error
+    words = summary(error)
     return words if len(words) <= _SHOWN else f"{words[:_SHOWN]}…"
 
 

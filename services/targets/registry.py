@@ -14,8 +14,11 @@ __all__ = ["TargetInfo", "available", "has_gradient", "labels", "load"]
 
 
 def labels(name: str) -> tuple[str, ...]:
-    """Returns the labels of a target, without loading it. Raises InvalidRequest("target.name") for an unknown name."""
-    return _known(name).labels()
+    """Returns the labels of a target, without loading it.
+
+    Raises InvalidRequest("target.name") for an unknown name, and for labels that cannot be listed or are not unique.
+    """
+    return probe.labels(name, _known(name))
 
 
 @lru_cache(maxsize=4)

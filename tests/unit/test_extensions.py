@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from services import extensions
+from services.errors import ERROR_LENGTH
 from services.extensions import Extension, Registry, load
 
 SHAPES: Registry[int] = Registry("shape", "services.targets")
@@ -97,7 +98,7 @@ def test_an_error_and_a_name_can_be_printed_and_put_into_json(tmp_path: Path) ->
     [found] = load([tmp_path], [SHAPES])
     assert found.name == r"\udcff.py"
     assert "\\udc80" in (found.error or "")
-    assert len(found.error or "") <= extensions.ERROR_LENGTH + len("line 1: ")
+    assert len(found.error or "") <= ERROR_LENGTH + len("line 1: ")
     f"{found.name}{found.error}".encode()
 
 

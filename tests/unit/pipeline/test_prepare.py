@@ -7,6 +7,7 @@ import pytest
 from services.errors import InvalidRequest
 from services.pipeline.prepare import plan, preflight, prepare
 from services.pipeline.spec import parse
+from services.targets import registry
 from tests.unit.jobs.small import LIBRARY, SPHERE, spec
 
 SOMEWHERE_ELSE = {"mesh": "primitive/sphere", "translation": [50, 0, 0]}
@@ -117,3 +118,14 @@ def test_the_smallest_map_within_the_tolerance_is_chosen_and_said() -> None:
 def test_where_no_map_lights_the_scene_its_size_is_the_default() -> None:
     spec = preflight(parse(auto(1e-3, renderer="pyrender")), LIBRARY)
     assert spec.scene.lights.environment.size == (16, 32)
+
+
+def test_a_method_that_needs_gradients_of_a_network_without_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It was queued, and failed in the job."""
+    target = registry.load("efficientnet-lite0")
+    monkeypatch.setattr(target, "differentiable", False)
+    with pytest.raises(InvalidRequest, match="gives none; use a method without, as zoo") as refused:
+        preflight(spec({"renderer": "image", "base_renderer": "pyrender"}), LIBRARY)
+    assert refused.value.field == "attack.method"
+    zoo = {"renderer": "image", "base_renderer": "pyrender", "method": "zoo"}
+    assert preflight(spec(zoo), LIBRARY).attack.method == "zoo"
