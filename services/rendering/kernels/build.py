@@ -17,6 +17,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from services.errors import InvalidRequest
 from services.rendering.kernels import processor
 from services.settings import settings
 
@@ -31,7 +32,7 @@ PORTABLE = {"x86_64": "x86-64-v3", "aarch64": "armv8-a"}
 
 
 class KernelsMissingError(OSError):
-    """No compiled library suits this process, and there is no compiler; the message gives the reason."""
+    """No compiled library suits this process, and none can be compiled; the message gives the reason."""
 
 
 class Manifest(BaseModel):
@@ -76,8 +77,8 @@ class Manifest(BaseModel):
 def library_path() -> tuple[Path, Manifest]:
     """Returns the library to load and its manifest; compiles it (about 10 s) if no suitable library exists.
 
-    Raises KernelsMissingError if there is no compiler, CalledProcessError if the compiler fails, OSError if the folder
-    cannot be written.
+    Raises KernelsMissingError if there is no compiler or the folder cannot be written, CalledProcessError if the
+    compiler fails.
     """
     wanted = _wanted()
     found = _manifest(wanted.with_suffix(".json"))
@@ -85,7 +86,25 @@ def library_path() -> tuple[Path, Manifest]:
         return wanted, found
     if _compiler() is None:
         raise KernelsMissingError(f"{_why_none()}; install g++ and run scripts/setup, or set SCENE_ATTACK_KERNEL=torch")
-    return wanted, _compile(wanted)
+    try:
+        return wanted, _compile(wanted)
+    except OSError as error:
+        folder = f"{wanted.parent} (SCENE_ATTACK_KERNEL_DIR)"
+        raise KernelsMissingError(f"they cannot be written to {folder}: {error.strerror or error}") from error
+
+
+def check_kernels() -> None:
+    """Finds or compiles the kernels where SCENE_ATTACK_KERNEL=native asks for them.
+
+    Raises InvalidRequest, naming the setting, if there are none: a service would accept jobs and fail each of them.
+    """
+    if settings().kernel != "native":
+        return
+    try:
+        library_path()
+    except (OSError, subprocess.CalledProcessError) as error:
+        reason = error.stderr if isinstance(error, subprocess.CalledProcessError) else error
+        raise InvalidRequest("SCENE_ATTACK_KERNEL=native", f"there are no kernels: {reason}") from error
 
 
 def sources_sha256() -> str:
@@ -134,9 +153,9 @@ def _why_none() -> str:
     folder = settings().kernel_folder
     newest = max(folder.glob("*.json"), key=lambda path: path.stat().st_mtime, default=None)
     manifest = None if newest is None else _manifest(newest)
-    reason = None if manifest is None else manifest.refusal()
-    if reason is None:
+    if manifest is None:
         return f"there are no compiled kernels in {folder}, and no C++ compiler"
+    reason = manifest.refusal() or "they are damaged: the library is not the one that was compiled"
     return f"the compiled kernels in {folder} cannot be used ({reason}), and there is no C++ compiler"
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from services.errors import JobFailure
+from services.errors import InvalidRequest, JobFailure
 from services.rendering.kernels import build, compiled, processor
 from services.rendering.torch_renderer import normals
 from services.settings import settings
@@ -105,7 +105,7 @@ def test_a_library_cut_short_is_not_loaded(
     cut.write_bytes(cut.read_bytes()[:left])
     monkeypatch.setenv("SCENE_ATTACK_KERNEL_DIR", str(tmp_path / "copy"))
     settings.cache_clear()
-    with pytest.raises(JobFailure, match="there are no compiled kernels"):
+    with pytest.raises(JobFailure, match="damaged: the library is not the one that was compiled"):
         compiled.library()
 
 
@@ -118,6 +118,38 @@ def test_a_manifest_that_is_damaged_is_none(tmp_path: Path, monkeypatch: pytest.
     settings.cache_clear()
     with pytest.raises(build.KernelsMissingError, match="no compiled kernels"):
         build.library_path()
+
+
+@pytest.mark.parametrize("place", ["a file", "a file/below", "/proc/nothing"])
+def test_a_folder_that_cannot_be_written_is_named(place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The message was "[Errno 17] File exists", and a service started with it."""
+    (tmp_path / "a file").write_text("")
+    monkeypatch.setenv("SCENE_ATTACK_KERNEL_DIR", str(tmp_path / place))
+    monkeypatch.setenv("SCENE_ATTACK_KERNEL", "native")
+    settings.cache_clear()
+    words = rf"{tmp_path / place} \(SCENE_ATTACK_KERNEL_DIR\): [A-Z]"
+    with pytest.raises(build.KernelsMissingError, match=words):
+        build.library_path()
+    with pytest.raises(InvalidRequest, match=f"SCENE_ATTACK_KERNEL=native: .*{words}"):
+        build.check_kernels()
+    monkeypatch.setenv("SCENE_ATTACK_KERNEL", "auto")
+    settings.cache_clear()
+    build.check_kernels()
+    monkeypatch.undo()
+    settings.cache_clear()
+
+
+def test_native_kernels_and_an_empty_path(prebuilt: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A compiler is needed only where there are no kernels yet."""
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CXX")
+    build.check_kernels()
+    assert compiled.library() is not None
+    assert build.library_path()[0].parent == prebuilt
+    monkeypatch.setenv("SCENE_ATTACK_KERNEL_DIR", str(tmp_path))
+    settings.cache_clear()
+    with pytest.raises(InvalidRequest, match=r"SCENE_ATTACK_KERNEL=native: .* no C\+\+ compiler; install g\+\+"):
+        build.check_kernels()
 
 
 def test_what_compiled_code_needs_is_read_off_the_compilers_macros() -> None:
