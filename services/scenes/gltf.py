@@ -138,6 +138,8 @@ def _primitive(file: GltfFile, where: str, entry: dict[str, Any], accessors: dic
             raise ValueError(f"{where} has {len(values):,} of {name} for {len(vertices):,} vertices")
         if not np.isfinite(values).all():
             raise ValueError(f"{where}.attributes.{name} has values that are not finite numbers")
+        if np.abs(values).max(initial=0) > MAX_COORDINATE:
+            raise ValueError(f"{where}.attributes.{name} has values beyond {MAX_COORDINATE:g}")
     corners = file.indices(entry["indices"]) if "indices" in entry else np.arange(len(vertices))
     if len(corners) and corners.max() >= len(vertices):
         raise ValueError(f"{where}: a face names a vertex that is not there")

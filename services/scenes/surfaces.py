@@ -120,6 +120,8 @@ def _surface(
     if image is None or not textured:
         return Surface(vertices, faces, None, color.astype(np.float32), None)
     uv = np.nan_to_num(np.asarray(uv, np.float32), nan=0.0, posinf=0.0, neginf=0.0)
+    if np.abs(uv).max(initial=0) > MAX_COORDINATE:
+        raise ValueError(f"it has texture coordinates beyond {MAX_COORDINATE:g}")
     return Surface(vertices, faces, uv, color.astype(np.float32), textures.read(image))
 
 
@@ -152,10 +154,18 @@ class Textures:
             self._pixels += image.width * image.height
             if self._pixels > MAX_TEXTURE_SOURCE:
                 raise ValueError(f"its textures have more than {MAX_TEXTURE_SOURCE:,} pixels")
-            small = image.convert("RGBA")
+            small = _eight_bits(image).convert("RGBA")
             small.thumbnail((MAX_TEXTURE, MAX_TEXTURE), Image.Resampling.BOX)
             self._done[id(image)] = image, np.array(small, dtype=np.uint8)
         return self._done[id(image)][1]
+
+
+def _eight_bits(image: Image.Image) -> Image.Image:
+    """Returns a grey image of 16 bits with 8. Pillow's own conversion clips it, which makes nearly all of it white; it
+    reads colour images of 16 bits with 8."""
+    if not image.mode.startswith("I"):
+        return image
+    return Image.fromarray((np.asarray(image).astype(np.float64) / 65535 * 255).round().clip(0, 255).astype(np.uint8))
 
 
 def _diffuse(material: Any, textured: bool, opacity: Mapping[str, float]) -> Doubles:

@@ -243,6 +243,7 @@ BAD: dict[str, tuple[Writer, str]] = {
     "no such texture": (one({"normalTexture": {"index": 4}}), "textures[4]"),
     "unequal attributes": (one(NORMAL=np.ones((2, 3))), "2 of NORMAL for 3 vertices"),
     "colours not finite": (one(COLOR_0=np.full((3, 3), np.nan)), "COLOR_0 has values that are not finite"),
+    "texture coordinates far out": (one(TEXCOORD_0=np.full((3, 2), -3e38)), "TEXCOORD_0 has values beyond 1e+30"),
     "no such vertex": (one(indices=[0, 1, 9]), "names a vertex that is not there"),
     "sparse": (one(edit=lambda w: w.tree["accessors"][0].update(sparse={"count": 1})), "accessors[0] is sparse"),
     "quaternion": (one(edit=lambda w: w.tree["nodes"][0].update(rotation=[0, 0, 0, 0])), "nodes[0].rotation"),
