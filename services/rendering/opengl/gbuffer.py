@@ -13,6 +13,7 @@ from services.rendering.kernels import compiled
 from services.rendering.opengl import context
 from services.rendering.opengl.camera import CameraMatrices
 from services.rendering.opengl.screen_bounds import Rectangle, rectangle
+from services.rendering.opengl.watertight import has_holes
 from services.scenes.resolve import ResolvedScene
 
 FACTOR = 4
@@ -101,6 +102,17 @@ def rasterise(scene: ResolvedScene) -> GBuffer:
     if not images["coverage"].any():
         raise InvalidRequest("scene.objects", "out of view: no object covers any part of the image")
     return GBuffer(**images, backend=f"{current.backend}; {FACTOR}x{FACTOR} samples per pixel")
+
+
+def check_in_view(scene: ResolvedScene) -> None:
+    """Raises InvalidRequest("scene.objects"), as `rasterise` does, when no surface covers any part of the image.
+
+    The scene's triangles are in the frame already. What need not show all the same is drawn to find out: glTF surfaces,
+    which may be seen from one side only or through a mask, and surfaces with holes or of an opacity below 1.
+    """
+    parts = [part for mesh in scene.meshes for part in mesh.parts]
+    if all(part.metallic_roughness is not None or part.color[3] < 1 or has_holes(part) for part in parts):
+        rasterise(scene)
 
 
 def _tiles(covered: Rectangle) -> Iterator[tuple[slice, slice]]:

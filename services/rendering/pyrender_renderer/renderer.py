@@ -15,7 +15,7 @@ from services.finite import finite
 from services.rendering.compositing import over_ground
 from services.rendering.declaration import BuildRequest, DeclaredRenderer
 from services.rendering.image_error import ImageError, image_error
-from services.rendering.opengl import context
+from services.rendering.opengl import context, gbuffer
 from services.rendering.opengl.camera import CameraMatrices, RenderPass
 from services.rendering.opengl.screen_bounds import Rectangle, beyond, rectangle
 from services.rendering.plan import DEFAULT_TOLERANCE, Plan, Tolerance
@@ -96,7 +96,8 @@ class PyrenderRenderer(DeclaredRenderer):
 
     @classmethod
     def build(cls, request: BuildRequest) -> "PyrenderRenderer":
-        """The renderer of a scene."""
+        """The renderer of a scene. Raises InvalidRequest("scene.objects") if nothing of it can be seen."""
+        gbuffer.check_in_view(request.scene)
         return cls(request.scene, request.groups, request.tolerance)
 
     def _compile(self, groups: tuple[str, ...], rasterised: Rasterised | None) -> Plan:
