@@ -26,9 +26,7 @@ def check_images(renderer: Renderer, images: Tensor, count: int) -> None:
         raise _internal("renderer", renderer.name, "images", shape, images)
     low, high = (float(value) for value in torch.aminmax(images.detach()))
     if not torch.tensor([low, high]).isfinite().all():
-        raise JobFailure(
-            "non-finite", "the renderer returned an image with values that are not finite"
-        )
+        raise JobFailure("non-finite", "the renderer returned an image with values that are not finite")
     if low < -SLACK or high > 1 + SLACK:
         found = f"an image with values from {low:g} to {high:g}, not in [0,1]"
         raise JobFailure("internal", f"renderer {renderer.name!r} returned {found}")

@@ -17,7 +17,7 @@ from services.attacks.loop import Budget, run
 from services.attacks.problem import AttackProblem
 from services.attacks.state import AttackState
 from services.attacks.trace import TraceRow
-from services.errors import Cancelled
+from services.errors import Cancelled, named
 from services.pipeline.extensions import ATTACKS, EXTENSIONS
 from services.pipeline.prepare import Prepared, lit_by_map, prepare
 from services.pipeline.result import Provenance, Result
@@ -68,7 +68,8 @@ def execute(
     interrupt()
     prepared = prepare(spec, library)
     problem = _problem(prepared, interrupt)
-    method = ATTACKS[spec.attack.method].method(spec.attack, problem)
+    with named(f"method {spec.attack.method!r}"):
+        method = ATTACKS[spec.attack.method].method(spec.attack, problem)
     budget = Budget(steps, spec.attack.queries, spec.attack.seconds)
     found = run(
         problem,

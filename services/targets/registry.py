@@ -32,8 +32,10 @@ def load(name: str, dtype: torch.dtype = torch.float32) -> Target:
 
 @lru_cache(maxsize=64)
 def has_gradient(name: str) -> bool:
-    """Whether the target's scores have a gradient with respect to the images. Raises as `load` does."""
-    return probe.has_gradient(load(name))
+    """Whether the target's scores have a gradient with respect to the images: its card, it and torch say so. Raises as
+    `load` does.
+    """
+    return _known(name).info.differentiable and probe.has_gradient(load(name))
 
 
 def _known(name: str) -> RegisteredTarget:

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from services.errors import InvalidRequest, JobFailure
+from services.errors import InvalidRequest
 from services.targets import registry
 from services.targets.info import TARGETS, TargetInfo, register
 
@@ -42,15 +42,15 @@ def has(*labels: object) -> Callable[..., Any]:
 
 
 BROKEN: dict[str, tuple[Labels, Callable[..., Any], str]] = {
-    "its loader raises": (lambda: LABELS, gone, "loader of target 'rg' raised OSError: weights.bin is not there"),
-    "its loader ends the process": (lambda: LABELS, ends, "loader of target 'rg' raised SystemExit: no weights"),
-    "its loader returns nothing": (lambda: LABELS, lambda _: None, "target 'rg' is registered with other labels"),
-    "it has other labels": (lambda: LABELS, has("red"), "target 'rg' is registered with other labels"),
-    "its labels raise": (gone, has(*LABELS), "the labels of target 'rg' raised OSError"),
-    "its labels are nothing": (lambda: None, has(*LABELS), "the labels of target 'rg' raised TypeError"),
+    "its loader raises": (lambda: LABELS, gone, "target 'rg' cannot be loaded: OSError: weights.bin is not there"),
+    "its loader ends the process": (lambda: LABELS, ends, "target 'rg' cannot be loaded: SystemExit: no weights"),
+    "its loader returns nothing": (lambda: LABELS, lambda _: None, "target 'rg' has 0 labels once it is loaded"),
+    "it has other labels": (lambda: LABELS, has("red"), "target 'rg' has 1 labels once it is loaded"),
+    "its labels raise": (gone, has(*LABELS), "target 'rg' cannot list its labels: OSError"),
+    "its labels are nothing": (lambda: None, has(*LABELS), "target 'rg' cannot list its labels: TypeError"),
     "its labels are numbers": (lambda: (1, 2), has(1, 2), "'rg' has the label 1, which is no text"),
     "its labels cannot be shown": (lambda: ("a", "\udc80"), has("a", "\udc80"), r"'rg' has the label '\udc80'"),
-    "its labels are the same": (lambda: ("a", "a"), has("a", "a"), "target 'rg' has the same label twice"),
+    "its labels are the same": (lambda: ("a", "a"), has("a", "a"), "target 'rg' has the label 'a' more than once"),
 }
 
 
@@ -58,14 +58,15 @@ BROKEN: dict[str, tuple[Labels, Callable[..., Any], str]] = {
 def test_a_target_that_cannot_be_used_says_so(name: str, target: Callable[..., None]) -> None:
     labels, load, words = BROKEN[name]
     target(labels, load)
-    with pytest.raises(JobFailure) as failed:
+    with pytest.raises(InvalidRequest) as failed:
         registry.load("rg")
+    assert failed.value.field == "target.name"
     assert words in str(failed.value)
 
 
 def test_labels_may_be_a_list(target: Callable[..., None]) -> None:
     target(lambda: list(LABELS), has(*LABELS))
-    assert registry.labels("rg") == LABELS == registry.load("rg").labels
+    assert registry.labels("rg") == LABELS
 
 
 def test_an_unknown_target_is_the_requests_mistake() -> None:
