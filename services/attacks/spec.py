@@ -183,8 +183,8 @@ def register(settings: type[AttackSettings]) -> Callable[[MethodClass], MethodCl
     """Returns a class decorator that registers a method under the name in the field `method` of its settings.
 
     Raises ValueError if the settings do not derive from `AttackSettings`, if that field is not a `Literal` of one name,
-    if the name is taken, if a default is not finite, or if the class lacks a part of the protocol. Raises pydantic's
-    errors if the settings have no JSON schema.
+    if that name or the settings' class name is taken, if a default is not finite, or if the class lacks a part of the
+    protocol. Raises pydantic's errors if the settings have no JSON schema.
     """
     if not issubclass(settings, AttackSettings):
         raise ValueError(f"{settings.__name__} does not derive from AttackSettings")
@@ -206,6 +206,8 @@ def register(settings: type[AttackSettings]) -> Callable[[MethodClass], MethodCl
             raise ValueError(
                 f"{method.__name__}.needs_gradient is a {type(method.needs_gradient).__name__}, not a bool"
             )
+        if name not in ATTACKS and any(one.settings.__name__ == settings.__name__ for one in ATTACKS.values()):
+            raise ValueError(f"there are settings {settings.__name__} already; openapi.yaml calls them by their class")
         ATTACKS.add(name, Attack(settings, method, method.needs_gradient))
         return method
 

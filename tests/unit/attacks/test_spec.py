@@ -100,3 +100,11 @@ def test_settings_that_requests_could_not_use_are_refused() -> None:
     with pytest.raises(ValueError, match=r"Property.needs_gradient is a property, not a bool"):
         register(Late)(Property)
     assert not {"plain", "odd", "late"} & set(ATTACKS)
+
+
+def test_settings_of_the_same_class_name_are_refused() -> None:
+    """The component Fgsm of the OpenAPI document got the name of its module, which clients do not know."""
+    other = type("Fgsm", (AttackSettings,), {"__annotations__": {"method": Literal["other"]}, "method": "other"})
+    with pytest.raises(ValueError, match="there are settings Fgsm already"):
+        register(other)(Method)
+    assert "other" not in ATTACKS
