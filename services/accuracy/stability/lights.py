@@ -9,7 +9,7 @@ from torch import Tensor
 
 from services.accuracy.placing import placed
 from services.accuracy.stability.case import Case, Measured, need
-from services.accuracy.stability.point_lights import Lamps, expected
+from services.accuracy.stability.lamps import Lamps, expected
 from services.accuracy.stability.shapes import ball
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.scenes.mesh import FIT_RADIUS, Part
@@ -74,15 +74,22 @@ def _against_formula(
 
     `spread`: by how much the relative rounding of what is measured exceeds that of a few float32 products.
     """
-    lights = {"points": [{"energy": 30.0}] * len(lamps.points)}
+    lights = {
+        "points": [{}] * len(lamps.points),
+        "directional": [{}] * len(lamps.suns),
+        "spots": [{"inner_angle": inner, "outer_angle": outer} for inner, outer in lamps.spots[:, 7:]],
+    }
     scene = placed(mesh, size=(33, 33), camera={"azimuth": 0.4, "elevation": 0.3}, thing=thing, lights=lights)
     wanted = expected(scene, lamps)
     need(len(wanted.pixels) > 100, f"only {len(wanted.pixels)} pixels are flat")
     brightest = float(wanted.radiance.max())
     need(brightest > 0, "the light does nothing by its formula")
     renderer = PyrenderRenderer(scene)
-    points = lamps.points * (1 / 30, 1, 1, 1)  # the group's unit of energy
-    light = torch.tensor([[lamps.ambient, *points.ravel()]], dtype=torch.float64)
+    coordinates = [kind.copy() for kind in (lamps.points, lamps.suns, lamps.spots[:, :7])]
+    for kind, unit in zip(coordinates, (30, 3, 30), strict=True):  # the group's units of energy
+        kind[:, 0] /= unit
+    values = [lamps.ambient, *(value for kind in coordinates for value in kind.ravel())]
+    light = torch.tensor([values], dtype=torch.float64)
     worst = 0.0
     for one in (renderer, renderer.exact()):
         radiance = one.radiance({"illumination": light})[0].reshape(-1, 4)[wanted.pixels, :3].double().numpy()
@@ -169,6 +176,10 @@ def cases() -> list[Case]:
     """The cases of this family."""
     family, dark, formula = "lights", "as without the light", "radiance and image by the formula"
     four = [[30.0, 1.2, 2.0, 1.5], [8.0, -1.0, 0.2, 0.9], [90.0, 0.3, -2.5, 3.0], [2.0, 0.1, 1.0, 0.6]]
+    suns = np.array([[2.0, -0.3, -1.0, -0.6], [1.0, 0.5, -0.2, -0.8]])
+    spots = np.array(
+        [[25.0, -1.0, 0.4, 1.5, 1.1, -0.3, -1.4, 0.1, 0.35], [40.0, 0.3, 1.6, 0.9, -0.5, -3.0, -1.5, 0.0, 0.5]]
+    )
     glossy = {"color": (0.8, 0.35, 0.05), "rotation": (0.5, -0.3, 0.2)}
     refused = "the job ends, and says that its numbers are not finite"
     return [
@@ -178,6 +189,13 @@ def cases() -> list[Case]:
             "body, coat, sky and fall-off together",
             formula,
             lambda: _against_formula("primitive/cube", Lamps(0.25, np.array(four)), glossy),
+        ),
+        Case(
+            "suns and spots on a coloured cube",
+            family,
+            "directions of any length; a cone's edge",
+            formula,
+            lambda: _against_formula("primitive/cube", Lamps(0.25, np.array(four[:1]), suns, spots), glossy, 3.0),
         ),
         Case(
             "smooth normals on large faces",

@@ -5,8 +5,8 @@ import torch
 
 from services.accuracy.placing import placed, sky
 from services.accuracy.stability.case import Case, Measured, need
+from services.accuracy.stability.lamps import expected
 from services.accuracy.stability.linear import linear_network
-from services.accuracy.stability.point_lights import expected
 from services.accuracy.stability.shading import Shading
 from services.accuracy.stability.views import SHOWN
 from services.attacks.fgsm import Fgsm, FgsmMethod

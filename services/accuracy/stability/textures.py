@@ -1,17 +1,14 @@
 """Textures on a square: every texel's place and linear colour is known."""
 
-import json
-import struct
-from io import BytesIO
 from math import tan
 
 import numpy as np
-from PIL import Image
 
 from services.accuracy.placing import placed
 from services.accuracy.stability.case import Case, Measured, need
 from services.accuracy.stability.definition import displayed
-from services.accuracy.stability.point_lights import EXPOSURE, Lamps, radiance
+from services.accuracy.stability.glb import file_of, square_arrays
+from services.accuracy.stability.lamps import EXPOSURE, Lamps, radiance
 from services.accuracy.stability.shapes import square
 from services.accuracy.stability.views import drawn_by
 from services.rendering.opengl.gbuffer import rasterise
@@ -115,48 +112,10 @@ def _holes() -> Measured:
     return Measured(off, 0.01, "error of a quarter's share of the square's area, closed form")
 
 
-def as_glb(texture: Bytes) -> bytes:
-    """A glTF file of a square with a texture, written by the specification: v = 0 is the image's top row."""
-    png = BytesIO()
-    Image.fromarray(texture).save(png, "PNG")
-    positions = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], "<f4").tobytes()
-    uv = np.array([(0, 1), (1, 1), (1, 0), (0, 0)], "<f4").tobytes()
-    faces = np.array([0, 1, 2, 0, 2, 3], "<u2").tobytes()
-    chunks = [positions, uv, faces, png.getvalue()]
-    starts = np.cumsum([0, *(len(chunk) + -len(chunk) % 4 for chunk in chunks)]).tolist()
-    material = {"baseColorTexture": {"index": 0}, "metallicFactor": 0.0, "roughnessFactor": 0.45}
-    accessors = [
-        {"componentType": 5126, "count": 4, "type": "VEC3", "min": [-1, -1, 0], "max": [1, 1, 0]},
-        {"componentType": 5126, "count": 4, "type": "VEC2"},
-        {"componentType": 5123, "count": 6, "type": "SCALAR"},
-    ]
-    primitive = {"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, "indices": 2, "material": 0}
-    content = {
-        "asset": {"version": "2.0"},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [primitive]}],
-        "materials": [{"pbrMetallicRoughness": material}],
-        "textures": [{"source": 0}],
-        "images": [{"bufferView": 3, "mimeType": "image/png"}],
-        "accessors": [{"bufferView": k} | accessor for k, accessor in enumerate(accessors)],
-        "bufferViews": [
-            {"buffer": 0, "byteOffset": start, "byteLength": len(chunk)}
-            for start, chunk in zip(starts, chunks, strict=False)
-        ],
-        "buffers": [{"byteLength": starts[-1]}],
-    }
-    text = json.dumps(content).encode()
-    text += b" " * (-len(text) % 4)
-    body = b"".join(chunk + b"\0" * (-len(chunk) % 4) for chunk in chunks)
-    parts = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(body), 0x004E4942) + body
-    return struct.pack("<III", 0x46546C67, 2, 12 + len(parts)) + parts
-
-
 def _file() -> Measured:
     """The same square from a file, fitted to the frame: half its diagonal is FIT_RADIUS."""
-    parts = read_mesh(as_glb(quartered()), "glb", 10)
+    surface = {"baseColorTexture": quartered(), "metallicFactor": 0.0, "roughnessFactor": 0.45}
+    parts = read_mesh(file_of(square_arrays(), {"pbrMetallicRoughness": surface}), "glb", 10)
     points = [(x, y) for y in (0.25, 0.75) for x in (0.25, 0.75)]
     return _seen(parts, FIT_RADIUS * 2**0.5, points, decoded(CORNERS.reshape(-1, 3)), plain=False)
 

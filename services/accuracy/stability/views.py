@@ -8,7 +8,7 @@ import torch
 
 from services.accuracy.placing import placed
 from services.accuracy.stability.case import Case, Measured, need
-from services.accuracy.stability.point_lights import expected
+from services.accuracy.stability.lamps import expected
 from services.accuracy.stability.rays import cast
 from services.rendering.factory import build
 from services.rendering.opengl.gbuffer import FACTOR, GBuffer, rasterise

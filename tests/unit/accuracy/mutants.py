@@ -1,5 +1,6 @@
 """The sabotage table of the formulas: what is wrong in the product, and in each family the cases that notice it."""
 
+from tests.unit.accuracy import damaged_materials as materials
 from tests.unit.accuracy import damaged_scenes as scenes
 from tests.unit.accuracy import damaged_shaders as shaders
 from tests.unit.accuracy import damaged_steps as steps
@@ -7,6 +8,15 @@ from tests.unit.accuracy import damaged_steps as steps
 DIFFERENCES = ["difference, λ 3, δ 0.05", "difference, λ 0.3, δ 0.01", "difference, λ 10, δ 0.1"]
 FILES = ["pixel 15 of row 2 lit", "pixel 2 of row 5 lit", "pixel 31 of row 8 lit", "pixel 30 of row 12 lit"]
 QUARTERS = ["four quarters", "repeated three times", "four quarters from a file"]
+FACTORS = ["metal, roughness 0.3", "dielectric, roughness 0.8", "half metal, emissive"]
+NORMAL_MAPS = [
+    "normal map",
+    "normal map, mirrored texture",
+    "normal map, mirrored node",
+    "normal map, on the back",
+    "normal map, stated tangent",
+]
+SUNS = "suns and spots on a coloured cube"
 
 MUTANTS = [
     # pyrender's light
@@ -31,6 +41,37 @@ MUTANTS = [
     (shaders.other_texture_curve, {"textures": ["four quarters"]}),
     (shaders.holes_everywhere, {"textures": ["a quarter cut out"]}),
     (scenes.files_upside_down, {"textures": ["four quarters from a file"]}),
+    # suns, spot lights and the materials of glTF files
+    (materials.straight_cone, {"lights": [SUNS], "materials": FACTORS}),
+    (materials.spots_without_distance, {"lights": [SUNS], "materials": FACTORS}),
+    (materials.suns_from_behind, {"lights": [SUNS], "materials": FACTORS}),
+    (materials.no_inner_angle, {"lights": [SUNS], "materials": FACTORS}),
+    (materials.rough_alpha, {"materials": FACTORS}),
+    (materials.other_shadowing, {"materials": FACTORS}),
+    (materials.metal_with_a_body, {"materials": ["metal, roughness 0.3", "half metal, emissive", "no factors"]}),
+    (materials.white_metal, {"materials": ["metal, roughness 0.3", "half metal, emissive", "no factors"]}),
+    (materials.sky_not_mirrored, {"materials": FACTORS}),
+    (materials.colored_emission, {"materials": ["half metal, emissive", "every map"]}),
+    (materials.hidden_emission, {"materials": ["every map"]}),
+    (materials.no_emission, {"materials": ["half metal, emissive", "every map", "blended"]}),
+    (materials.occluded_lights, {"materials": ["every map"]}),
+    (materials.rougher, {"materials": ["metal, roughness 0.3"]}),
+    (materials.emission_through, {"materials": ["blended"]}),
+    (materials.opaque_blends, {"materials": ["blended"]}),
+    (materials.channels_exchanged, {"materials": ["every map"]}),
+    (materials.full_occlusion, {"materials": ["every map"]}),
+    (materials.decoded_twice, {"materials": ["every map", "second texture coordinates"]}),
+    (materials.emission_as_it_is, {"materials": ["every map"]}),
+    (materials.no_vertex_colors, {"materials": ["every map", "no factors"]}),
+    (materials.first_coordinates, {"materials": ["second texture coordinates"]}),
+    (materials.cut_at_cutoff, {"materials": ["alpha at the cutoff"]}),
+    (materials.fixed_cutoff, {"materials": ["alpha at the cutoff"]}),
+    (materials.green_flipped, {"materials": NORMAL_MAPS}),
+    (materials.full_bend, {"materials": NORMAL_MAPS}),
+    (materials.right_handed, {"materials": ["normal map, stated tangent", "normal map, mirrored texture"]}),
+    (materials.backs_bent_forwards, {"materials": ["normal map, on the back"]}),
+    (materials.unseen_mirrors, {"materials": ["backs and mirrors", "normal map, mirrored node"]}),
+    (materials.all_double_sided, {"materials": ["backs and mirrors"]}),
     # the torch renderer's light
     (scenes.half_white, {"environments": ["constant map", *FILES], "plans": ["tolerance exact"]}),
     (scenes.no_inverse_pi, {"environments": ["constant map", *FILES], "plans": ["tolerance exact"]}),

@@ -22,6 +22,7 @@ uniform sampler2D emissive_map;            // sRGB
 
 #define UV(set) ((set) == 2 ? texture_uvs.zw : texture_uvs.xy)
 
+const float ROUNDING = 1e-6;  // interpolation takes an alpha that is the same at all vertices this far below it, or less
 const float MIN_ROUGHNESS = 0.04;  // as pyrender: the highlight of a smoother surface would fall between the pixels
 
 struct Material {
@@ -53,7 +54,7 @@ Material surface_material() {
     m.emission *= texture(emissive_map, UV(EMISSIVE_MAP)).rgb;
 #endif
 #if ALPHA_MODE == 1
-    if (base.a < alpha_cutoff) discard;
+    if (base.a < alpha_cutoff - ROUNDING) discard;
 #elif ALPHA_MODE == 2
     m.alpha = base.a;
 #endif

@@ -5,8 +5,9 @@ equation 33), Smith's height-correlated shadowing from its Λ (Heitz 2014, equat
 shares no code and no constant with services.rendering, and meets the surface by rays.
 """
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from math import pi
+from math import cos, pi
 
 import numpy as np
 
@@ -20,10 +21,36 @@ ROUGHNESS, NORMAL_REFLECTANCE, EXPOSURE = 0.45, 0.04, 0.5
 
 @dataclass(frozen=True)
 class Lamps:
-    """Light: ambient radiance, and point lights [L, 4], each its radiant intensity and its position."""
+    """Light: ambient radiance; point lights [L, 4], each its radiant intensity and its position; suns [S, 4], each its
+    irradiance and the direction in which its light travels; spots [K, 9], each its radiant intensity, its position, the
+    direction of its axis, and the angles from the axis where its light begins to fall off and where it ends."""
 
     ambient: float
     points: Doubles = field(default_factory=lambda: np.zeros((0, 4)))
+    suns: Doubles = field(default_factory=lambda: np.zeros((0, 4)))
+    spots: Doubles = field(default_factory=lambda: np.zeros((0, 9)))
+
+    def arriving(self, positions: Doubles) -> Iterator[tuple[Doubles, Doubles]]:
+        """Each light's irradiance [P, 1] of surfaces that face it, and the unit vectors [P, 3] to it, at points [P, 3].
+
+        Within its outer angle a spot light falls off as KHR_lights_punctual says: with the square of a straight line in
+        the cosine.
+        """
+        for intensity, *place in self.points:
+            distance, to_light = _way(positions, place)
+            yield intensity / distance**2, to_light
+        for irradiance, *travel in self.suns:
+            to_light = -np.array(travel) / np.linalg.norm(travel)
+            yield np.full((len(positions), 1), irradiance), np.broadcast_to(to_light, positions.shape)
+        for intensity, x, y, z, *axis, inner, outer in self.spots:
+            distance, to_light = _way(positions, [x, y, z])
+            cosine = -to_light @ (np.array(axis) / np.linalg.norm(axis))
+            cone = np.clip((cosine - cos(outer)) / (cos(inner) - cos(outer)), 0.0, 1.0) ** 2
+            yield intensity * cone[:, None] / distance**2, to_light
+
+
+Shading = Callable[[Doubles, Doubles, Doubles, Doubles, Lamps], Doubles]
+"""A function as `radiance`."""
 
 
 @dataclass(frozen=True)
@@ -38,13 +65,16 @@ class Expected:
     shown: Doubles
 
 
-def expected(scene: ResolvedScene, lamps: Lamps | None = None, pixels: Longs | None = None) -> Expected:
-    """The image by its definition, of `pixels` (None: all). `lamps`: None for the scene's own."""
+def expected(
+    scene: ResolvedScene, lamps: Lamps | None = None, pixels: Longs | None = None, shading: Shading | None = None
+) -> Expected:
+    """The image by its definition, of `pixels` (None: all). `lamps`: None for the scene's own; `shading`: of the
+    surface, None for the coated body."""
     height, width = scene.description.camera.size
     pixels = np.arange(height * width) if pixels is None else pixels
     pixels = pixels[cast(scene, 4, pixels).coplanar]
     middle = cast(scene, 1, pixels)
-    values = radiance(
+    values = (shading or radiance)(
         middle.positions[:, 0],
         middle.normals[:, 0],
         middle.colors[:, 0],
@@ -57,8 +87,14 @@ def expected(scene: ResolvedScene, lamps: Lamps | None = None, pixels: Longs | N
 def lamps_of(scene: ResolvedScene) -> Lamps:
     """The scene's own light."""
     lights = scene.description.lights
-    points = np.array([[point.energy, *point.position] for point in lights.points]).reshape(-1, 4)
-    return Lamps(lights.ambient, points)
+    points = [[light.energy, *light.position] for light in lights.points]
+    suns = [[light.energy, *light.direction] for light in lights.directional]
+    spots = [
+        [light.energy, *light.position, *light.direction, light.inner_angle, light.outer_angle]
+        for light in lights.spots
+    ]
+    arrays = (np.array(rows).reshape(-1, width) for rows, width in ((points, 4), (suns, 4), (spots, 9)))
+    return Lamps(lights.ambient, *arrays)
 
 
 def radiance(positions: Doubles, normals: Doubles, colors: Doubles, eye: Doubles, lamps: Lamps) -> Doubles:
@@ -71,11 +107,8 @@ def radiance(positions: Doubles, normals: Doubles, colors: Doubles, eye: Doubles
     facing = _dot(normals, to_eye)
     gloss = lamps.ambient * _schlick(1 - ROUGHNESS, facing)
     total = lamps.ambient * (1 + normals[:, 1:2] / 3) * colors + gloss
-    for intensity, *place in lamps.points:
-        way = np.array(place) - positions
-        distance = np.linalg.norm(way, axis=1, keepdims=True)
-        to_light = way / distance
-        irradiance = intensity / distance**2 * np.maximum(_dot(normals, to_light), 0.0)
+    for facing_it, to_light in lamps.arriving(positions):
+        irradiance = facing_it * np.maximum(_dot(normals, to_light), 0.0)
         total = total + irradiance * (colors / pi + _coat(normals, to_eye, to_light))
     return np.asarray(total)
 
@@ -98,6 +131,13 @@ def _lambda(cosine: Doubles, alpha: float) -> Doubles:
 
 def _schlick(grazing: float, cosine: Doubles) -> Doubles:
     return NORMAL_REFLECTANCE + (grazing - NORMAL_REFLECTANCE) * (1 - np.clip(cosine, 0, 1)) ** 5
+
+
+def _way(positions: Doubles, place: list[float]) -> tuple[Doubles, Doubles]:
+    """Distances [P, 1] and unit vectors [P, 3] from points to a place."""
+    way = np.array(place) - positions
+    distance = np.linalg.norm(way, axis=1, keepdims=True)
+    return distance, way / distance
 
 
 def _dot(one: Doubles, other: Doubles) -> Doubles:
