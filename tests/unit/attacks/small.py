@@ -58,6 +58,14 @@ class LinearRenderer:
         return self
 
 
+class FreeRenderer(LinearRenderer):
+    """The same without bounds, so that every coordinate can move either way."""
+
+    def bounds(self) -> dict[str, tuple[Tensor, Tensor]]:
+        free = torch.tensor(torch.inf)
+        return {"a": (-free, free), "b": (-free, free)}
+
+
 @dataclass
 class LinearTarget:
     """logits = scale·W·pixels."""

@@ -4,7 +4,7 @@ import torch
 
 from services.attacks.differences import CANDIDATES, estimate, measure_half_steps, measure_noise
 from services.attacks.problem import AttackProblem
-from tests.unit.attacks.small import LinearRenderer, LinearTarget, problem
+from tests.unit.attacks.small import FreeRenderer, LinearRenderer, LinearTarget, problem
 
 ALL = torch.arange(9)
 
@@ -97,3 +97,22 @@ def test_the_layout_is_its_own_inverse() -> None:
     assert parts["a"].shape == (4, 2, 3)
     torch.testing.assert_close(torch.cat([parts["a"].flatten(1), parts["b"]], 1), vectors)
     assert [where.group_of(k) for k in (0, 5, 6, 8)] == ["a", "a", "b", "b"]
+
+
+def test_the_objective_is_that_of_the_truncated_image() -> None:
+    """As the loop shows it to the network: differences of values that U holds back are zero."""
+    limit, weight = 0.01, 0.3
+    case = problem(FreeRenderer(), truncation=limit, weight=weight)
+    at, deltas = 0.05 * torch.ones(9).double(), torch.full((9,), 2e-2).double()
+    found = estimate(case, at, ALL, deltas, noise=0.0).gradients
+
+    def value(flat: torch.Tensor) -> float:
+        start = case.layout.flatten(case.initial)
+        images = case.renderer.render(case.layout.unflatten((start + flat)[None]))
+        change = (images - case.original).clamp(-limit, limit)
+        advantage = case.goal.advantage(case.target.logits(case.original + change))
+        return float(advantage + weight * change.square().sum())
+
+    sides = torch.eye(9).double() * deltas
+    wanted = [(value(at + side) - value(at - side)) / 0.04 for side in sides]
+    torch.testing.assert_close(found, torch.tensor(wanted, dtype=torch.float64), rtol=1e-6, atol=1e-9)

@@ -5,7 +5,7 @@ import torch
 
 from services.attacks.fgsm import Fgsm, FgsmMethod
 from services.errors import JobFailure
-from tests.unit.attacks.small import LinearRenderer, LinearTarget, guided, problem
+from tests.unit.attacks.small import FreeRenderer, LinearRenderer, LinearTarget, guided, problem
 
 SETTINGS = Fgsm.model_construct(learning_rate={"a": 0.01, "b": 0.02}, momentum=0.9, weight_decay=0.1)
 
@@ -31,12 +31,17 @@ def test_steps_match_torch_sgd_on_the_signed_gradient() -> None:
 
 
 def test_groups_step_at_their_own_rate_and_stay_in_bounds() -> None:
-    case = problem()
+    case = problem(FreeRenderer())
+    view = guided(case, case.nothing())
     method = FgsmMethod(SETTINGS, case)
-    method.advance(case, guided(case, method.perturbation), 0)
-    assert set(method.perturbation["a"].abs().flatten().tolist()) == {0.01}
-    # group b may not go below 0: a downward step is held there
-    assert set(method.perturbation["b"].tolist()) <= {0.0, 0.02}
+    method.advance(case, view, 0)
+    assert method.perturbation["a"].tolist() == (-0.01 * view.gradients["a"].sign()).tolist()
+    assert method.perturbation["b"].tolist() == (-0.02 * view.gradients["b"].sign()).tolist()
+    bounded = problem()  # group b may not go below 0: a downward step is held there
+    held = FgsmMethod(SETTINGS, bounded)
+    held.advance(bounded, guided(bounded, bounded.nothing()), 0)
+    assert held.perturbation["b"].tolist() == method.perturbation["b"].clamp_min(0).tolist()
+    assert not torch.equal(held.perturbation["b"], method.perturbation["b"])
 
 
 def test_a_gradient_that_is_not_a_number_ends_the_job() -> None:

@@ -1,7 +1,11 @@
+from collections.abc import Mapping
+
+import pytest
 import torch
+from torch import Tensor
 
 from services.attacks.zoo import Zoo, ZooMethod
-from tests.unit.attacks.small import LinearRenderer, problem
+from tests.unit.attacks.small import FreeRenderer, LinearRenderer, problem
 
 
 def settings(**changes: object) -> Zoo:
@@ -82,3 +86,37 @@ def test_its_state_continues_where_it_was() -> None:
     for step in range(3, 6):
         rest.advance(case, case.view(rest.perturbation), step)
     assert torch.equal(whole.delta, rest.delta)
+
+
+def test_every_step_draws_coordinates_of_its_own() -> None:
+    case = problem()
+    method = ZooMethod(settings(coordinates=3), case)
+    method.start(case)
+    for step in range(20):
+        before = method.moves.clone()
+        method.advance(case, case.view(method.perturbation), step)
+        assert int((method.moves - before).sum()) <= 3
+    assert (method.moves > 0).all()  # of 9 coordinates; one that is drawn with 1/3 is missed 20 times with 3e-4
+    assert len(method.moves.unique()) > 1
+
+
+def test_each_group_has_its_own_half_step_and_rate() -> None:
+    """Adam's first step is the rate times the gradient's sign, whatever its length."""
+    rates, deltas = {"a": 0.01, "b": 0.03}, {"a": 2e-3, "b": 5e-4}
+    case = problem(FreeRenderer(), weight=0.3)
+    method = ZooMethod(settings(learning_rate=rates, delta=deltas), case)
+    method.start(case)
+    leaves = {group: value[None].clone().requires_grad_() for group, value in case.initial.items()}
+    case.goal.advantage(case.target.logits(case.renderer.render(leaves))).sum().backward()
+    seen, true = [], case.renderer.render
+
+    def render(parameters: Mapping[str, Tensor]) -> Tensor:
+        seen.append({group: value.abs().max() for group, value in parameters.items()})
+        return true(parameters)
+
+    case.renderer.render = render  # type: ignore[method-assign]
+    method.advance(case, case.view(method.perturbation), 0)
+    for group, delta in deltas.items():
+        assert float(max(one[group] for one in seen)) == pytest.approx(delta, rel=1e-4)
+        wanted = -rates[group] * leaves[group].grad[0].sign()  # type: ignore[index]
+        torch.testing.assert_close(method.perturbation[group].double(), wanted, rtol=1e-4, atol=1e-7)
