@@ -93,3 +93,6 @@ def test_images_that_go_wrong_during_an_attack_are_found_and_replaced(monkeypatc
     assert renderer.sampled_error.mean > 5e-3
     alone = {"rotation": turns[right[0]][None]}
     assert torch.equal(renderer.render(alone)[0], exact[right[0]])
+    monkeypatch.setattr(rasteriser, "draw", true)
+    renderer.render(alone)
+    assert renderer.sampled_error.mean > 5e-3  # the worst that was seen, not the last
