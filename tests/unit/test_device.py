@@ -1,6 +1,7 @@
 """The device of the setting: networks and the torch renderer compute there, attacks remember on the CPU."""
 
 from collections.abc import Iterator
+from math import isfinite
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from services.errors import InvalidRequest
 from services.pipeline.execute import execute
 from services.pipeline.spec import parse
 from services.rendering.factory import build
+from services.rendering.kernels import compiled
 from services.scenes.library import Library
 from services.scenes.resolve import resolve
 from services.settings import settings
@@ -111,6 +113,27 @@ def test_a_job_runs_on_every_device(chosen: str, method: dict[str, object], rend
     )
     assert result.provenance.backend.count(f" {chosen}") == 2  # the renderer's and the network's
     assert len(result.trace) > 0
+
+
+@pytest.mark.parametrize("method", ["fgsm", "zoo"])
+@pytest.mark.parametrize("renderer", ["torch", "image"])
+def test_a_job_without_kernels_reads_no_memory_that_was_never_written(
+    method: str, renderer: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """As on CUDA: there are no kernels, and with deterministic algorithms torch fills new memory with NaN."""
+    scene = SCENE | {"camera": {"size": [64, 64]}, "lights": {"environment": {"size": [8, 16]}}}
+    attack = {"renderer": renderer, "method": method, "steps": 1} | ({"coordinates": 4} if method == "zoo" else {})
+    monkeypatch.setattr(compiled, "library", lambda: None)
+    torch.use_deterministic_algorithms(True, warn_only=True)
+    try:
+        assert bool(torch.empty(3).isnan().all())
+        spec = parse({"scene": scene, "attack": attack, "tolerance": 2e-2})  # at which a table is looked up
+        result = execute(spec, tmp_path / "out", Library(settings().cache_dir, tmp_path))
+    finally:
+        torch.use_deterministic_algorithms(False)
+    assert all(isfinite(row.advantage) and isfinite(row.distance) for row in result.trace)
+    assert isfinite(result.image_error)
+    assert result.trace[-1].distance > 0
 
 
 def test_random_numbers_come_from_the_cpu() -> None:
