@@ -59,3 +59,11 @@ def test_a_network_with_one_label_cannot_be_brought_to_another(ask) -> None:
     with pytest.raises(InvalidRequest, match="one label only") as refused:
         ask(ResolvedGoal(0, None), torch.tensor([[3.0]]))
     assert refused.value.field == "target.name"
+
+
+def test_to_minimise_the_objective_is_to_reach_the_label_or_to_leave_it() -> None:
+    """Closed form: the log-odds of two labels are the difference of their scores."""
+    scores = torch.tensor([[0.3, 2.0], [1.5, -0.4]], dtype=torch.float64)
+    torch.testing.assert_close(LEAVE.objective(scores), torch.tensor([-1.7, 1.9], dtype=torch.float64))
+    torch.testing.assert_close(REACH.objective(scores), torch.tensor([-1.7, 1.9], dtype=torch.float64))
+    torch.testing.assert_close(ResolvedGoal(1, 0).objective(scores), torch.tensor([1.7, -1.9], dtype=torch.float64))
