@@ -14,7 +14,9 @@ from services.pipeline.execute import Progress, execute
 from services.pipeline.prepare import prepare
 from services.pipeline.result import Result
 from services.pipeline.spec import parse
+from services.rendering.factory import build
 from services.rendering.pyrender_renderer import errors
+from services.scenes.resolve import resolve
 from tests.unit.jobs.small import LIBRARY, spec
 
 ATTACKS: list[dict[str, Any]] = [
@@ -154,3 +156,15 @@ def test_a_targeted_goal_is_followed(tmp_path: Path) -> None:
 
 def test_a_spec_written_in_another_order_is_the_same_request() -> None:
     assert spec({"groups": ["material", "normals"]}) == spec({"groups": ["normals", "material"]})
+
+
+def test_the_image_error_is_that_of_the_attack_s_image_of_the_stored_perturbation(tmp_path: Path) -> None:
+    """Rendered again from the files, by a new renderer of the job's tolerance and by its exact twin."""
+    asked = spec({"renderer": "torch", "groups": ["normals"]}, tolerance=2e-2)
+    result = execute(asked, tmp_path, LIBRARY)
+    renderer = build(resolve(asked.scene, LIBRARY), "torch", groups=("normals",), tolerance=2e-2)
+    moved = renderer.initial()["normals"] + load_file(tmp_path / "perturbation.safetensors")["normals"]
+    image, exact = (one.render({"normals": moved[None].double()}).double() for one in (renderer, renderer.exact()))
+    wanted = float((image - exact).abs().max())
+    assert 1e-5 < wanted < 2e-2
+    assert result.image_error == pytest.approx(wanted, rel=1e-3)
