@@ -72,9 +72,10 @@ struct Corners {
         drawable = !beyond;
     }
 
-    // Twice the area of a face, positive where its corners are counter-clockwise.
-    float area(const int32_t *t) const {
-        return (x[t[1]] - x[t[0]]) * (y[t[2]] - y[t[0]]) - (x[t[2]] - x[t[0]]) * (y[t[1]] - y[t[0]]);
+    // Twice the area of a face on the grid, positive where its corners are counter-clockwise.
+    int64_t area(const int32_t *t) const {
+        const int64_t x0 = grid_x[t[0]], y0 = grid_y[t[0]];
+        return (grid_x[t[1]] - x0) * (grid_y[t[2]] - y0) - (grid_x[t[2]] - x0) * (grid_y[t[1]] - y0);
     }
 };
 

@@ -5,12 +5,10 @@
 
 namespace {
 
-// Where the attributes of a face lie in a vector: position, normal, texture coordinates, 1.
-enum { POSITION = 0, NORMAL = 3, UV = 6, INVERSE_W = 8 };
+enum { POSITION = 0, NORMAL = 3, UV = 6, INVERSE_W = 8 };  // where a vector holds the attributes of a face
+constexpr int FEW = 4;  // pixels that may see a face from its edge, so that it lies elsewhere at their centre
 
-struct Face {
-    int32_t piece, corners[3];
-};
+struct Face { int32_t piece, corners[3]; };
 
 // A fragment's pixel that is seen: its number in the block, column, row, and share of the pixel's light.
 struct Pixel : Fragment {
@@ -78,7 +76,7 @@ struct Drawing {
             for (int64_t f = 0; f < piece.faces; ++f) {
                 const int32_t *t = piece.triangles + 3 * f;
                 Face face{i, {t[0], t[1], t[2]}};
-                const float area = corners[i].area(t);
+                const int64_t area = corners[i].area(t);
                 if (area == 0 || (area < 0 && f < pass.n_watertight_faces[i])) continue;
                 if (area < 0) std::swap(face.corners[1], face.corners[2]);
                 const auto solid = [&](const Fragment &at) {
@@ -117,11 +115,11 @@ struct Drawing {
         return pixels;
     }
 
-    // How many faces are seen.
+    // How many faces are seen; -1 if more than FEW pixels see a face from its edge.
     int64_t shade() {
         const std::vector<Pixel> pixels = weighed();
         const int64_t high = pass.part[1] - pass.part[0], wide = pass.part[3] - pass.part[2];
-        int64_t faces_seen = 0;
+        int64_t faces_seen = 0, on_edge = 0;
         Surface surface;  // of the last fragment's face
         for (size_t first = 0; first < pixels.size(); first += WIDTH) {
             const Pixel *group = pixels.data() + first;
@@ -135,6 +133,7 @@ struct Drawing {
                 }
                 const Floats centre = surface.at({f.x + 0.5f, f.y + 0.5f}), place = surface.at(seen.place(f, f.number));
                 const Texel texel = this->texel(piece(f).texture, surface, f, f.number);
+                on_edge += !(std::abs(place[INVERSE_W] - 1) < 0.25f);  // nearer or farther by a quarter
                 for (int k = 0; k < 3; ++k) {
                     position[k][i] = centre[POSITION + k], normal[k][i] = place[NORMAL + k];
                     flat[k][i] = surface.flat[k], texels[k][i] = texel[k];
@@ -155,13 +154,13 @@ struct Drawing {
                 }
             }
         }
-        return faces_seen;
+        return on_edge > FEW ? -1 : faces_seen;
     }
 };
 
 }  // namespace
 
-// `n_seen` [passes]: the faces seen; -1: one reaches to the near plane or far beyond the frame, and nothing was drawn.
+// `n_seen` [passes]: the faces seen; -1: images that are not to be used (Drawing::cover, Drawing::shade).
 EXPORT void raster_float(const Frame *frame, int64_t passes, const Pass *pass, int64_t *n_seen, int threads) {
 #pragma omp parallel for schedule(dynamic) num_threads(threads)
     for (int64_t p = 0; p < passes; ++p) {

@@ -2,6 +2,7 @@
 
 import zlib
 from collections.abc import Mapping
+from math import sqrt
 
 import torch
 from torch import Tensor
@@ -17,6 +18,9 @@ MARGIN = 2.0
 """By how much the largest error found is multiplied, to estimate that of any other image."""
 FEW = 4
 """Pixels of which a sample may flip in an image though none did in those that were measured."""
+LINE = 0.5
+"""Pixels that may be off because a face has come to be seen from its edge, where two ways to interpolate differ most:
+a line of this length, in sides of a square of as many pixels as are covered. Few of them are off by much."""
 EVERY = 128
 """One image in so many of an attack is drawn by OpenGL too."""
 
@@ -44,8 +48,8 @@ def measure(renderer: Renderer, ground: Tensor, groups: tuple[str, ...]) -> tupl
 
 def estimated(measured: ImageError, covered: int) -> ImageError:
     """The estimated largest error of an image that was not measured and covers at least `covered` pixels."""
-    flips = FEW / covered
-    return ImageError(MARGIN * measured.mean + flips / 4, MARGIN * measured.share + flips)
+    flips, line = FEW / covered, LINE / sqrt(covered)
+    return ImageError(MARGIN * measured.mean + flips / 4, MARGIN * measured.share + max(flips, line))
 
 
 def is_sampled(parameters: Mapping[str, Tensor], row: int) -> bool:

@@ -46,7 +46,7 @@ def draw(
     watertight: bool,
 ) -> list[tuple[Image, int] | None]:
     """The radiance [images, rows, columns, 4] of each pass's part, the bottom row first, and how many faces are seen.
-    None for a pass in which a face reaches to the near plane or far beyond the frame.
+    None for a pass in which a face reaches to the near plane or far beyond the frame, or is seen from its edge.
 
     `size` (height, width) of the whole image; samples [4, 2], x and y in a pixel from its lower left corner;
     `watertight`: backfaces of watertight surfaces are culled. OpenGL must have drawn the drawing before: its mipmaps

@@ -38,7 +38,9 @@ def test_the_worse_of_two_errors_has_the_larger_of_each_number() -> None:
     assert ImageError(1e-3, 0.2).or_worse(None) == ImageError(1e-3, 0.2)
 
 
-def test_the_estimate_is_twice_what_was_measured_and_four_pixels() -> None:
-    """Of 1,000 pixels; at a silhouette one of four samples changes a pixel by a quarter at most."""
-    found = estimated(ImageError(1e-4, 2e-3), 1000)
-    assert (found.mean, found.share) == pytest.approx((2e-4 + 4 / 1000 / 4, 4e-3 + 4 / 1000))
+def test_the_estimate_is_twice_what_was_measured_four_pixels_and_a_line() -> None:
+    """Of 100 and of 1,600 pixels. At a silhouette one of four samples changes a pixel by a quarter at most. A face seen
+    from its edge is a line, half as long as the side of a square of as many pixels."""
+    for covered, line in ((100, 5), (1600, 20), (36, 4)):
+        found = estimated(ImageError(1e-4, 2e-3), covered)
+        assert (found.mean, found.share) == pytest.approx((2e-4 + 4 / covered / 4, 4e-3 + line / covered))
