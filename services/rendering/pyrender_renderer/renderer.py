@@ -69,14 +69,12 @@ class PyrenderRenderer(DeclaredRenderer):
         self, scene: ResolvedScene, groups: Sequence[str] | None = None, tolerance: Tolerance = DEFAULT_TOLERANCE
     ) -> None:
         """For attacks on `groups` (None: all). For the meaning of a tolerance see `errors`."""
-        current = context.current()
+        self.backend = context.current().backend
         from services.rendering.opengl.mesh_upload import Drawing  # imports OpenGL, so after the context
 
         description = scene.description
-        self.backend = current.backend
         self.size = description.camera.size
-        self.drawing = Drawing(scene.meshes, watertight=True)
-        """The geometry as OpenGL holds it, for passes of one's own over it."""
+        self.drawing = Drawing(scene.meshes, watertight=True)  # public, for passes of one's own over it
         self._view = CameraMatrices.of(scene.view, scene.projection)
         self._ground = torch.tensor(description.ground, dtype=torch.float32)
         self._numbers = SceneParameters(description)
@@ -124,13 +122,15 @@ class PyrenderRenderer(DeclaredRenderer):
             return Rasterised(refusal=why)
         self._twin.render({})  # uploads the textures, whose mipmaps the rasteriser takes
         [drawn] = self._by_rasteriser([start])
+        if drawn is None:
+            return Rasterised(refusal="a face reaches to the camera or far beyond the frame, or is seen from its edge")
         self._rasterises = True
         error, covered = measure(self, self._ground, groups)
         self._sampled = None
         if not ImageError(MARGIN * error.mean, MARGIN * error.share).within(tolerance):
             self._rasterises = False
             return Rasterised(error, covered, refusal="twice its error is beyond the tolerance")
-        return Rasterised(error, covered, shown=0 if drawn is None else drawn[1])
+        return Rasterised(error, covered, shown=drawn[1])
 
     @property
     def _plain(self) -> bool:
