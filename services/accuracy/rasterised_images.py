@@ -5,11 +5,13 @@
 Scenes are chosen at random: one to five objects of furniture and primitives, with colours below 1, under one to three
 point lights. At several random perturbations within an attack's reach, both sides of the difference of every coordinate
 are rendered in one batch, as ZOO does. Each image is compared with the exact renderer's, and gradients of a random
-linear objective with those of the exact images.
+linear objective with those of the exact images: the largest error of a coordinate in a group, relative to the group's
+largest gradient.
 """
 
 import argparse
 import json
+import platform
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,6 +21,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from services.accuracy.provenance import PACKAGES
 from services.rendering.image_error import ImageError, image_error
 from services.rendering.opengl import context
 from services.rendering.pyrender_renderer.errors import REACH
@@ -28,6 +31,7 @@ from services.scenes.description import Scene
 from services.scenes.library import Library
 from services.scenes.resolve import resolve
 from services.settings import settings
+from services.versions import versions
 
 MESHES = (
     *("primitive/sphere", "primitive/cube", "primitive/torus", "primitive/cylinder"),
@@ -115,21 +119,47 @@ def beyond(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [row for row in rows if row["mean"] > row["plan_mean"] or row["share"] > row["plan_share"]]
 
 
+def report(rows: list[dict[str, Any]], given: argparse.Namespace) -> dict[str, Any]:
+    """The report of these scenes as JSON: how it was made, its figures in short, and the rows."""
+    drawn = [row for row in rows if row["rasterised"]]
+    middle, largest = np.quantile([row["gradients"] for row in drawn], (0.5, 1.0))
+    return {
+        "command": f"python -m services.accuracy.rasterised_images --scenes {given.scenes} --images {given.images}",
+        "seed": SEED,
+        "machine": platform.platform(),
+        "versions": versions(*PACKAGES),
+        "backend": context.gl_backend(),
+        "summary": {
+            "scenes": len(rows),
+            "scenes_rasterised": len(drawn),
+            "scenes_of_three_objects_or_more": sum(len(row["meshes"]) >= 3 for row in rows),
+            "images": sum(row["images"] for row in rows),
+            "images_rasterised": sum(row["images"] for row in drawn),
+            "scenes_beyond_estimate": len(beyond(rows)),
+            "largest_mean_of_estimate": max(row["mean"] / row["plan_mean"] for row in drawn),
+            "largest_share_of_estimate": max(row["share"] / row["plan_share"] for row in drawn),
+            "median_gradient_error": float(middle),
+            "largest_gradient_error": float(largest),
+        },
+        "rows": rows,
+    }
+
+
 def main() -> None:
     """Runs the comparison, prints and writes the rows, and exits with status 1 if an error exceeded an estimate."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scenes", type=int, default=60)
     parser.add_argument("--images", type=int, default=5000, help="least number of images, over all scenes")
-    parser.add_argument("--out", type=Path, default=Path("docs/results/rasterised_images.json"))
+    parser.add_argument("--out", type=Path, default=Path("docs/accuracy/rasterised_images.json"))
     options = parser.parse_args()
     library = Library(settings().cache_dir, settings().data_dir)
     rows = []
     for scene in scenes(options.scenes):
         rows.append(row := compare(scene, library, -(-options.images // options.scenes)))
         print(json.dumps(row), flush=True)
-    found = {"backend": context.gl_backend(), "images": sum(row["images"] for row in rows), "scenes": rows}
+    found = report(rows, options)
     options.out.write_text(json.dumps(found, indent=1) + "\n", "utf-8")
-    print(f"{found['images']} images; beyond the plan: {len(beyond(rows))} scenes")
+    print(json.dumps(found["summary"], indent=1))
     sys.exit(bool(beyond(rows)))
 
 
