@@ -99,7 +99,7 @@ def compile_plan(
             else _why_opengl(rasterised)
             if shown is None
             else "the rasteriser draws, with passes side by side; OpenGL draws what reaches to the near plane or far "
-            "beyond the frame",
+            "beyond the frame, or is seen from its edge",
         ),
         Item(
             what="faces shaded",
