@@ -1,8 +1,13 @@
 """The comparison of 5,000 images in short: one scene of one or two objects, and one of three or more."""
 
+import json
+from pathlib import Path
+
 from services.accuracy.rasterised_images import beyond, compare, scenes
 from services.scenes.library import Library
 from services.settings import settings
+
+PAGES = Path(__file__).parents[3] / "docs" / "accuracy"
 
 
 def test_no_image_is_off_by_more_than_its_plan_says() -> None:
@@ -13,3 +18,14 @@ def test_no_image_is_off_by_more_than_its_plan_says() -> None:
     assert beyond(rows) == []
     assert beyond([rows[0] | {"mean": 2 * rows[0]["plan_mean"]}]) != []
     assert max(row["gradients"] for row in rows) < 0.1
+
+
+def test_the_committed_report_says_what_the_page_says() -> None:
+    report = json.loads((PAGES / "rasterised_images.json").read_text("utf-8"))
+    found = report["summary"]
+    assert found["scenes"] == len(report["rows"]) == 60
+    assert found["scenes_beyond_estimate"] == len(beyond(report["rows"])) == 0
+    images = sum(row["images"] for row in report["rows"])
+    assert images == found["images"] >= 5000
+    assert f"{images:,} images over 60 random scenes" in (PAGES / "README.md").read_text("utf-8")
+    assert f"[comparison of {images:,} images]" in (PAGES.parent / "plans.md").read_text("utf-8")
