@@ -19,7 +19,7 @@ from services.rendering.torch_renderer.gradient_error import gradient_errors
 from services.rendering.torch_renderer.lookup_table import tiles, touched
 from services.rendering.torch_renderer.normals import to_vectors
 from services.rendering.torch_renderer.plan_stages import HEADROOM, radiance_stage, table_stages
-from services.rendering.torch_renderer.shader import Method, Recipe, Sky, Surface, checked_pixels
+from services.rendering.torch_renderer.shader import Method, Recipe, Shader, Sky, Surface, checked_pixels
 
 TABLE_ROWS = (24, 32, 48, 64, 96, 128, 192, 256)
 """Numbers of rows of the tables that are tried."""
@@ -173,8 +173,8 @@ def _cheapest(
             why = "highlights are narrower than the mesh of any table that costs less"
             continue
         off = measured.error(recipe, limit)
-        if off <= limit:
-            guarded = replace(recipe, guard=min(limit, max(GUARD_FACTOR * off, MIN_GUARD_SHARE * limit)))
+        guarded = replace(recipe, guard=min(limit, max(GUARD_FACTOR * off, MIN_GUARD_SHARE * limit)))
+        if off <= limit and _passes_its_check(guarded, surface, sky, illumination):
             return guarded, table_stages(
                 surface,
                 guarded,
@@ -183,9 +183,18 @@ def _cheapest(
                 measured=off,
                 error=HEADROOM * (guarded.guard or 0.0) + rounding,
             )
+        off = max(off, limit)  # at least, if its check fails: every image would be summed after all
         failed.append((rows, sharp, off))
         why = f"a table of {rows} rows and {sharp} directions beside it may be off by {HEADROOM * off:.1e} or more"
     return direct, [radiance_stage(surface, direct, pixels, why, rounding)]
+
+
+@torch.no_grad()
+def _passes_its_check(recipe: Recipe, surface: Surface, sky: Sky, illumination: Tensor) -> bool:
+    """Returns whether the sampled check of a table holds in the scene's own image."""
+    shader = Shader(recipe, sky, surface, illumination)
+    shader(surface.angles, illumination, surface.material)
+    return shader.summed_after_all == 0
 
 
 def _tables(
