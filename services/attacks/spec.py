@@ -15,7 +15,7 @@ from pydantic import Field, field_validator, model_validator
 from services.extensions import Registry
 from services.rendering.declaration import MAX_STEP, RENDERERS
 from services.scenes.description import Model
-from services.suggestions import did_you_mean
+from services.suggestions import there_are
 
 Rate = Annotated[float, Field(ge=0, le=MAX_STEP, allow_inf_nan=False)]
 Label = Annotated[str, Field(min_length=1, max_length=200)] | Annotated[int, Field(ge=0)]
@@ -136,7 +136,7 @@ class AttackSettings(Model):
 
 def _one_of(names: list[str], value: str) -> str:
     if value not in names:
-        raise ValueError(f"there is no {value!r}; there are {', '.join(names)}{did_you_mean(value, names)}")
+        raise ValueError(f"there is no {value!r}; {there_are(value, names)}")
     return value
 
 

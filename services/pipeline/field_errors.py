@@ -10,7 +10,7 @@ from math import pi
 from typing import Any
 
 from services.errors import InvalidRequest
-from services.suggestions import did_you_mean
+from services.suggestions import there_are
 
 Schema = Mapping[str, Any]
 
@@ -60,11 +60,10 @@ def _error(item: Mapping[str, Any], schema: Schema) -> tuple[tuple[str, ...], st
     if kind == "union_tag_invalid":
         field, tags = str(item["ctx"]["discriminator"]).strip("'"), _tags(place)
         tag = str(item["ctx"]["tag"])
-        return (*place.path, field), f"there is no {tag!r}; there are {', '.join(tags)}{did_you_mean(tag, tags)}"
+        return (*place.path, field), f"there is no {tag!r}; {there_are(tag, tags)}"
     if kind == "extra_forbidden":
         fields = list(place.parent.get("properties", ()))
-        hint = did_you_mean(place.path[-1], fields)
-        return place.path, f"there is no such field; there are {', '.join(fields)}{hint}"
+        return place.path, f"there is no such field; {there_are(place.path[-1], fields)}"
     if place.schema is None:
         return place.path, "is required" if kind == "missing" else str(item["msg"])
     meaning = "" if place.description is None else f": {place.description.partition('; ')[0]}"

@@ -5,7 +5,7 @@ from functools import lru_cache
 import torch
 
 from services.errors import InvalidRequest
-from services.suggestions import did_you_mean
+from services.suggestions import there_are
 from services.targets import probe
 from services.targets.info import TARGETS, RegisteredTarget, TargetInfo, available
 from services.targets.protocol import Target
@@ -40,6 +40,5 @@ def has_gradient(name: str) -> bool:
 
 def _known(name: str) -> RegisteredTarget:
     if name not in TARGETS:
-        names = f"there are {', '.join(TARGETS)}{did_you_mean(name, TARGETS)}"
-        raise InvalidRequest("target.name", f"there is no target {name!r}; {names}")
+        raise InvalidRequest("target.name", f"there is no target {name!r}; {there_are(name, TARGETS)}")
     return TARGETS[name]
