@@ -8,6 +8,7 @@ from services.errors import InvalidRequest
 from services.jobs.child import Child, ChildDied
 from services.logs import logger
 from services.pipeline.spec import JobSpec
+from services.pipeline.warning import JobWarning
 from services.scenes.library import Entry
 from services.settings import Settings
 
@@ -47,13 +48,13 @@ class Preflight:
             self._child.kill()
             self._child = None
 
-    async def check(self, spec: JobSpec) -> JobSpec:
-        """Returns the spec as it would run. Raises InvalidRequest if it cannot run, and Unavailable."""
+    async def check(self, spec: JobSpec) -> tuple[JobSpec, list[JobWarning]]:
+        """Returns the spec as it would run, and warnings. Raises InvalidRequest if it cannot run, and Unavailable."""
         try:
             answer = await self._ask({"check": spec.model_dump(mode="json")}, None, CHECK_SECONDS)
         except ChildDied as error:
             raise Unavailable("the check of this request was cut short; try again") from error
-        return JobSpec.model_validate(answer["spec"])
+        return JobSpec.model_validate(answer["spec"]), [JobWarning.model_validate(one) for one in answer["warnings"]]
 
     async def add_mesh(self, file: BinaryIO, kind: str) -> Entry:
         """Checks and stores an uploaded mesh of format `kind`. Raises InvalidRequest("file"), and Unavailable."""

@@ -13,6 +13,7 @@ from services.jobs.models import Artifact, Job, State
 from services.pipeline.outcome import Outcome
 from services.pipeline.result import Result
 from services.pipeline.spec import JobSpec
+from services.pipeline.warning import JobWarning
 from services.scenes.library import Entry
 
 
@@ -46,6 +47,9 @@ class JobSummary(BaseModel):
     spec: Annotated[JobSpec | dict[str, Any], Field(union_mode="left_to_right")] = Field(
         description="the request with the values of all fields filled in; as it was stored, if its attack or renderer "
         "is not installed any more"
+    )
+    warnings: list[JobWarning] = Field(
+        default_factory=list, description="what the request was warned of when it was accepted"
     )
     outcome: Outcome | None = Field(description="the part of the result that lists show, once the job succeeded")
     failure: FailureView | None
@@ -82,6 +86,7 @@ def _fields(job: Job) -> dict:  # type: ignore[type-arg]
         "seed": job.seed,
         "progress": progress,
         "spec": job.spec,
+        "warnings": job.warnings or [],
         "outcome": job.outcome,
         "failure": failure,
     }

@@ -6,6 +6,7 @@ from datetime import datetime
 from typing import Any
 
 from api.dashboard.charts import Chart, chart
+from services.attacks.verdict import with_outcome
 from services.jobs.models import Artifact, Event, Job, State
 from services.pipeline.names import attack_name, scene_name
 
@@ -40,6 +41,7 @@ class Page:
     times: dict[str, datetime]
     attempt: int
     failure_detail: str | None
+    warnings: list[Any]
     result: dict[str, Any] | None
     last: dict[str, Any] | None
     by_step: list[Chart]
@@ -60,7 +62,7 @@ def line(job: Job) -> Line:
         phase=job.phase,
         step=job.step,
         steps=job.steps,
-        outcome=job.outcome,
+        outcome=with_outcome(job.outcome),
         failure_kind=job.failure_kind,
     )
 
@@ -74,7 +76,8 @@ def page(job: Job, events: Iterable[Event], artifacts: Sequence[Artifact]) -> Pa
         times=job.times,
         attempt=job.attempt,
         failure_detail=job.failure_detail,
-        result=job.result,
+        warnings=job.warnings or [],
+        result=with_outcome(job.result),
         last=trace[-1] if trace else None,
         by_step=charts(trace, job.spec, "step"),
         by_seconds=charts(trace, job.spec, "seconds"),
@@ -104,8 +107,7 @@ def charts(trace: Sequence[dict[str, Any]], spec: dict[str, Any], against: str) 
     if goal.get("reach") is not None:
         loss, other = f"1 − probability of “{goal['reach']}”", "below 0: the network says the wanted label"
     else:
-        said = "the label to leave" if goal.get("leave") is None else f"“{goal['leave']}”"
-        loss, other = f"Probability of {said}", "below 0: fooled"
+        loss, other = f"Probability of {_labels(goal.get('leave'))}", "below 0: another answer"
 
     def curve(key: str, scale: float = 1.0) -> list[tuple[float, float]]:
         return [(row[against], row[key] * scale) for row in trace]
@@ -119,3 +121,10 @@ def charts(trace: Sequence[dict[str, Any]], spec: dict[str, Any], against: str) 
         ),
         chart("Distance ‖ΔY‖₂", against, curve("distance"), low=0, high=LEAST, whole=whole),
     ]
+
+
+def _labels(leave: str | int | list[str | int] | None) -> str:
+    """The labels to leave, in words; the request of a job that has not begun may not name them."""
+    if leave is None:
+        return "the label to leave"
+    return " or ".join(f"“{label}”" for label in (leave if isinstance(leave, list) else [leave]))

@@ -21,6 +21,14 @@ PHASES = {
     "analysing": "Measuring the result",
 }
 
+OUTCOMES = {
+    "fooled": "The network was fooled",
+    "changed": "The network's answer changed, and nobody has said which answer is right",
+    "became-right": "The network was wrong before the attack and became right",
+    "still-wrong": "The network was wrong before the attack and still is, which is no success",
+    "held": "The network held",
+}
+
 STOPPED = {
     "verified": "it found an adversary that holds when rendered afresh",
     "steps": "its steps were used up",

@@ -140,6 +140,7 @@ def library() -> "Library":
 
 def _execute(spec: "JobSpec", out: Path, line: "JobLine") -> "Result":
     """Runs the job; a checkpoint in `out` is resumed from if it is of this very job, and removed at the end."""
+    from client.outcomes import warn
     from services.errors import InvalidRequest
     from services.pipeline.execute import execute
 
@@ -153,7 +154,14 @@ def _execute(spec: "JobSpec", out: Path, line: "JobLine") -> "Result":
         checkpoint.unlink(missing_ok=True)
         begun.write_text(words, "utf-8")
     try:
-        result = execute(spec, out, library(), progress=report, checkpoint=checkpoint)
+        result = execute(
+            spec,
+            out,
+            library(),
+            progress=report,
+            checkpoint=checkpoint,
+            warn=lambda found: warn(one.model_dump() for one in found),
+        )
     except InvalidRequest:
         begun.unlink()
         raise

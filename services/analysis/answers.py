@@ -15,6 +15,6 @@ def answer(logits: Tensor, labels: tuple[str, ...], goal: ResolvedGoal) -> Answe
         label=labels[index],
         index=index,
         confidence=float(probability(logits, index)),
-        goal_probability=float(probability(logits, goal.label)),
+        goal_probability=float(goal.probability(logits)),
         top=[(labels[i], float(probability(logits, i))) for i in order],
     )

@@ -11,7 +11,9 @@ class Answer(BaseModel):
     label: str
     index: int
     confidence: float = Field(description="probability of `label`")
-    goal_probability: float = Field(description="probability of the goal's label (the one to leave, or to reach)")
+    goal_probability: float = Field(
+        description="probability of the goal's labels together (those to leave, or the one to reach)"
+    )
     top: list[tuple[str, float]] = Field(description="the five most probable labels")
 
 

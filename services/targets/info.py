@@ -15,7 +15,11 @@ if TYPE_CHECKING:
 
 
 class TargetInfo(BaseModel):
-    """A target's model card: its name, task, input size, source and licence. `input_size` is height and width."""
+    """A target's model card: its name, task, input size, source and licence. `input_size` is height and width.
+
+    `vocabulary` says what its labels are, from which the truth of a scene follows (services.targets.truth): those of
+    ImageNet-1k, the kinds of the library's furniture, or something else.
+    """
 
     name: str
     title: str
@@ -26,6 +30,7 @@ class TargetInfo(BaseModel):
     takes_question: bool
     source: str
     licence: str
+    vocabulary: Literal["imagenet", "furniture-14", "custom"] = "custom"
 
 
 Load = Callable[["torch.dtype"], "Target"]

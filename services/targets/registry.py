@@ -10,7 +10,7 @@ from services.targets import probe
 from services.targets.info import TARGETS, RegisteredTarget, TargetInfo, available
 from services.targets.protocol import Target
 
-__all__ = ["TargetInfo", "available", "has_gradient", "labels", "load"]
+__all__ = ["TargetInfo", "available", "card", "has_gradient", "labels", "load"]
 
 
 def labels(name: str) -> tuple[str, ...]:
@@ -19,6 +19,11 @@ def labels(name: str) -> tuple[str, ...]:
     Raises InvalidRequest("target.name") for an unknown name, and for labels that cannot be listed or are not unique.
     """
     return probe.labels(name, _known(name))
+
+
+def card(name: str) -> TargetInfo:
+    """Returns a target's model card. Raises InvalidRequest("target.name") for an unknown name."""
+    return _known(name).info
 
 
 @lru_cache(maxsize=4)

@@ -1,6 +1,6 @@
 """A record with jobs in every state, and the dashboard on it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, cast
@@ -16,6 +16,7 @@ from services.jobs.repository import Repository
 from services.pipeline.outcome import outcome
 from services.pipeline.result import Result
 from services.pipeline.spec import JobSpec, parse
+from services.pipeline.warning import JobWarning
 from services.rendering.plan import Item, Plan, Stage
 from services.settings import Settings
 
@@ -73,10 +74,14 @@ def result(spec: JobSpec = SPEC, **changed: Any) -> dict[str, Any]:
 
     values = {
         "spec": spec.model_dump(mode="json"),
+        "outcome": "fooled",
+        "truth": ["grand piano"],
+        "right_before": True,
         "fooled": True,
         "verified": True,
         "stopped": "verified",
         "leave": "grand piano",
+        "labels_to_leave": ["grand piano"],
         "reach": None,
         "original": answer("grand piano", 0.77),
         "attacked": answer("upright", 0.55),
@@ -133,9 +138,9 @@ def result(spec: JobSpec = SPEC, **changed: Any) -> dict[str, Any]:
     return Result.model_validate(values).model_dump(mode="json")
 
 
-def add(repository: Repository, spec: JobSpec = SPEC) -> Job:
+def add(repository: Repository, spec: JobSpec = SPEC, warnings: Sequence[JobWarning] = ()) -> Job:
     """A queued job."""
-    job, _ = repository.create(spec, 1000, None, lambda _: {})
+    job, _ = repository.create(spec, 1000, None, lambda _: {}, warnings)
     assert job is not None
     return job
 

@@ -97,7 +97,7 @@ def problem(
     renderer, target = renderer or LinearRenderer(), target or LinearTarget()
     start = {g: v[None] for g, v in renderer.initial().items()}
     first = int(target.logits(renderer.render(start)).argmax())
-    return AttackProblem(renderer, target, ResolvedGoal(first, None), renderer.groups, **settings)  # type: ignore[arg-type]
+    return AttackProblem(renderer, target, ResolvedGoal((first,), None), renderer.groups, **settings)  # type: ignore[arg-type]
 
 
 def guided(case: AttackProblem, perturbation: Parameters) -> Evaluation:

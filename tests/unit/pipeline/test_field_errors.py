@@ -44,7 +44,11 @@ MISTAKES: dict[str, tuple[Any, str]] = {
     "scene.objects.0.translation": ([0, 0], "must be a list of 3, each a number from -100 to 100, not [0, 0]: posit"),
     "scene.lights.points": ({"energy": 3}, "must be a list of at most 4, each an object with the fields energy, posi"),
     "scene.ground": ("grey", 'must be a list of 3, each a number from 0 to 1, not "grey": displayed colour'),
-    "goal.leave": ([1], "must be a text of 1 to 200 characters, an integer of at least 0 or null, not [1]: the true"),
+    "goal.leave": (
+        1.5,
+        "must be a text of 1 to 200 characters, an integer of at least 0, a list of at most 1000, each a text of 1 to "
+        "200 characters or an integer of at least 0 or null, not 1.5: the label, or all labels",
+    ),
     "attack": ("fgsm", 'must be an object, in which "method" is one of fgsm, zoo, not "fgsm"'),
     "attack.method": ("FGSM", "there is no 'FGSM'; there are fgsm, zoo"),
     "attack.renderer": ("Torch", "there is no 'Torch'; there are image, pyrender, torch; did you mean 'torch'?"),
