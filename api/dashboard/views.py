@@ -6,7 +6,7 @@ from datetime import datetime
 from typing import Any
 
 from api.dashboard.charts import Chart, chart
-from services.attacks.verdict import with_outcome
+from services.attacks.verdict import judge, with_outcome
 from services.jobs.models import Artifact, Event, Job, State
 from services.pipeline.names import attack_name, scene_name
 
@@ -43,6 +43,7 @@ class Page:
     failure_detail: str | None
     warnings: list[Any]
     result: dict[str, Any] | None
+    subsets: list[dict[str, Any]]
     last: dict[str, Any] | None
     by_step: list[Chart]
     by_seconds: list[Chart]
@@ -78,12 +79,21 @@ def page(job: Job, events: Iterable[Event], artifacts: Sequence[Artifact]) -> Pa
         failure_detail=job.failure_detail,
         warnings=job.warnings or [],
         result=with_outcome(job.result),
+        subsets=subsets(job.result),
         last=trace[-1] if trace else None,
         by_step=charts(trace, job.spec, "step"),
         by_seconds=charts(trace, job.spec, "seconds"),
         artifacts=list(artifacts),
         cancellable=not job.state.terminal and job.state != State.CANCELLING,
     )
+
+
+def subsets(result: dict[str, Any] | None) -> list[dict[str, Any]]:
+    """The table of subsets, each with its outcome as if its groups were all of the perturbation."""
+    if result is None:
+        return []
+    truth, first = result.get("truth", ()), result["original"]["label"]
+    return [one | {"outcome": judge(truth, first, one["label"], one["fooled"])} for one in result["subsets"]]
 
 
 def trace_of_events(events: Iterable[Event]) -> list[dict[str, Any]]:

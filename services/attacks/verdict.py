@@ -3,15 +3,16 @@ can read it.
 """
 
 from collections.abc import Collection
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 Verdict = Literal["fooled", "changed", "became-right", "still-wrong", "held"]
 
+Label = TypeVar("Label", int, str)
 SUCCESS: Verdict = "fooled"
 """The only outcome that counts as a success of an attack."""
 
 
-def judge(truth: Collection[int], first: int, attacked: int, met: bool) -> Verdict:
+def judge(truth: Collection[Label], first: Label, attacked: Label, met: bool) -> Verdict:
     """Returns the outcome, given the true labels (empty: nobody knows them), the answers to the original image and to
     the exact image of the stored perturbation, and whether the latter meets the goal.
 
