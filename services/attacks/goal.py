@@ -46,9 +46,9 @@ class ResolvedGoal:
         With a least confidence and no `reach` it is minus the log-odds of the most probable other label: to leave
         alone may spread the probability over many labels and give none of them the confidence.
         """
-        self._other_answer(logits)
+        _several(logits, self.labels)
         if self.reach is not None:
-            return -log_odds(logits, self.reach)
+            return -log_odds(logits, self.labels)
         if self.least_confidence:
             return -log_odds_of_best_other(logits, self.leave)
         return log_odds(logits, self.leave)
@@ -58,13 +58,13 @@ class ResolvedGoal:
 
         With a least confidence c it is the larger of that and log(c / (1 − c)) − the new answer's log-odds.
         """
-        self._other_answer(logits)
+        _several(logits, self.labels)
         value = advantage(logits, self.labels)
         if self.reach is not None:
             value = -value
         if not self.least_confidence:
             return value
-        odds = log_odds_of_best_other(logits, self.leave) if self.reach is None else log_odds(logits, self.reach)
+        odds = log_odds_of_best_other(logits, self.leave) if self.reach is None else log_odds(logits, self.labels)
         return torch.maximum(value, log(self.least_confidence / (1 - self.least_confidence)) - odds)
 
     def loss(self, logits: Tensor) -> Tensor:
@@ -82,6 +82,7 @@ class ResolvedGoal:
         confidence = torch.softmax(logits.double(), dim=-1).gather(-1, answer).squeeze(-1)
         return met & (confidence >= self.least_confidence)
 
-    def _other_answer(self, logits: Tensor) -> None:
-        if logits.shape[-1] <= len(self.labels):
-            raise InvalidRequest("target.name", "it has no label but those to leave; there is no other answer")
+
+def _several(logits: Tensor, labels: tuple[int, ...]) -> None:
+    if logits.shape[-1] <= len(labels):
+        raise InvalidRequest("target.name", "it has no label but those to leave or to reach; there is no other answer")
