@@ -100,6 +100,9 @@ class Declaration:
     """Default base renderer, for a renderer that attacks another renderer's image."""
     renderer: "str | type[Any] | None" = None
     """The class, or its location "module:class"."""
+    changes: str | None = None
+    """The location "module:function" of a function (scene, exact renderer, perturbation) that returns the perturbation
+    as a list of `PhysicalChange`: in degrees, centimetres and percent. None: the groups' units are all there is."""
 
     def __post_init__(self) -> None:
         if not self.groups:

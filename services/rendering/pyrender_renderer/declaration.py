@@ -42,6 +42,7 @@ PYRENDER = Declaration(
     differentiable=False,
     method="zoo",
     renderer="services.rendering.pyrender_renderer.renderer:PyrenderRenderer",
+    changes="services.rendering.pyrender_renderer.physical:changes",
 )
 
 register(PYRENDER)

@@ -33,6 +33,7 @@ TORCH = Declaration(
     differentiable=True,
     method="fgsm",
     renderer="services.rendering.torch_renderer.renderer:TorchRenderer",
+    changes="services.rendering.torch_renderer.physical:changes",
 )
 
 register(TORCH)
