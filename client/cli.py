@@ -5,7 +5,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from client.commands import accuracy, assets, demo, jobs, plan, run, serve, submit
+from client.commands import accuracy, analyse, assets, demo, jobs, plan, run, serve, submit
 from services.errors import InvalidRequest, JobFailure
 
 app = typer.Typer(
@@ -37,6 +37,7 @@ def _root(
 
 
 run.register(app)
+analyse.register(app)
 plan.register(app)
 submit.register(app)
 app.add_typer(jobs.app, name="jobs")

@@ -10,7 +10,7 @@ from services.attacks.verdict import SUCCESS, with_outcome
 
 STYLES = {"fooled": "bold magenta", "held": "bold blue"}
 """The colours of outcomes; the others are yellow, since they are neither a success nor a failure."""
-COLUMNS = ("scene", "attack", "before", "after", "network", "verified", "p ×1e-3>", "queries>", "seconds>")
+COLUMNS = ("scene", "attack", "before", "after", "network", "verified", "p ×1e-3>", "p saved>", "queries>", "seconds>")
 
 
 def cells(scene: str, attack: str, outcome: Mapping[str, Any]) -> list[str | Text]:
@@ -22,10 +22,16 @@ def cells(scene: str, attack: str, outcome: Mapping[str, Any]) -> list[str | Tex
         answer_cell(outcome, "after"),
         verdict(outcome),
         yes(outcome["verified"]),
-        f"{outcome['perceptibility'] * 1000:.2f}",
+        thousandths(outcome.get("float_perceptibility")),
+        thousandths(outcome["perceptibility"]),
         f"{outcome['queries']:,}",
         f"{outcome['seconds']:.1f}",
     ]
+
+
+def thousandths(p: float | None) -> str:
+    """A perceptibility in thousandths; a dash where it was not measured, as in results of version 0.1."""
+    return "–" if p is None else f"{p * 1000:.2f}"
 
 
 def answer_cell(outcome: Mapping[str, Any], when: str) -> str:

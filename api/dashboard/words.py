@@ -1,7 +1,9 @@
 """Formats numbers, times and reasons for the pages."""
 
 import json
+from collections.abc import Mapping
 from datetime import datetime
+from typing import Any
 
 FAILURES = {
     "non-finite": "An image, loss or gradient was not a number, so the attack could not go on.",
@@ -50,6 +52,15 @@ def failure(kind: str | None) -> str:
 def milli(value: float) -> str:
     """A perceptibility in thousandths, as in the paper's tables, e.g. "5.70"."""
     return f"{value * 1000:.2f}"
+
+
+def both_p(record: Mapping[str, Any]) -> str:
+    """The two p of a result, an outcome or a subset in thousandths, the paper's first: "3.46 (6.80 as saved)".
+
+    Results of version 0.1 have that of the saved image only.
+    """
+    paper, saved = record.get("float_perceptibility"), milli(record["perceptibility"])
+    return f"{saved} as saved" if paper is None else f"{milli(paper)} ({saved} as saved)"
 
 
 def small(value: float | str) -> str:

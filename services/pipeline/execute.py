@@ -11,14 +11,16 @@ from torch import Tensor
 
 from services.analysis import images
 from services.analysis.answers import answer
-from services.analysis.perceptibility import beyond, of_groups, of_images
-from services.analysis.subsets import subsets
+from services.analysis.attribution import of_subsets
+from services.analysis.perceptibility import beyond, of_float_images, of_groups, of_images
+from services.analysis.subsets import ScoredImage, subsets
 from services.attacks.loop import Budget, run
 from services.attacks.problem import AttackProblem
 from services.attacks.state import AttackState
 from services.attacks.trace import TraceRow
 from services.attacks.verdict import judge
 from services.errors import Cancelled, named
+from services.pipeline.analyse import Report, Subject, analyse
 from services.pipeline.extensions import ATTACKS, EXTENSIONS
 from services.pipeline.prepare import Prepared, lit_by_map, prepare
 from services.pipeline.result import Provenance, Result
@@ -35,13 +37,15 @@ _VERSIONED = ("scene-attack", "torch", "numpy", "pyrender-maintained", "PyOpenGL
 class Progress(BaseModel):
     """The progress of a running job: its phase, the steps taken, and the largest number of steps.
 
-    `row` is the newest row of the trace in the phase "attacking", otherwise None.
+    `row` is the newest row of the trace in the phase "attacking", otherwise None. `analysis` is the name of the
+    analysis in progress, whose images are then counted instead of steps.
     """
 
     phase: Literal["loading", "attacking", "analysing"]
     step: int = 0
     steps: int
     row: TraceRow | None = None
+    analysis: str | None = None
 
 
 def execute(
@@ -86,7 +90,12 @@ def execute(
     )
     progress(Progress(phase="analysing", step=found.step, steps=steps))
     interrupt()
-    return _write(prepared, problem, found, out)
+
+    def report(name: str, done: int, of: int) -> None:
+        interrupt()
+        progress(Progress(phase="analysing", step=done, steps=of, analysis=name))
+
+    return _write(prepared, problem, found, out, library, report)
 
 
 def _problem(prepared: Prepared, interrupt: Callable[[], None]) -> AttackProblem:
@@ -104,7 +113,9 @@ def _problem(prepared: Prepared, interrupt: Callable[[], None]) -> AttackProblem
     )
 
 
-def _write(prepared: Prepared, problem: AttackProblem, found: AttackState, out: Path) -> Result:
+def _write(
+    prepared: Prepared, problem: AttackProblem, found: AttackState, out: Path, library: Library, report: Report
+) -> Result:
     out.mkdir(parents=True, exist_ok=True)
     verifier, goal, labels, original = prepared.verifier, prepared.goal, prepared.target.labels, prepared.original
     queries, renders = problem.queries + verifier.queries, problem.renders + verifier.renders
@@ -113,6 +124,9 @@ def _write(prepared: Prepared, problem: AttackProblem, found: AttackState, out: 
     logits = verifier.logits(attacked)
     first, last, met = int(prepared.logits.argmax()), int(logits.argmax()), bool(goal.fooled(logits))
     limit = prepared.spec.attack.truncation
+    ends = ScoredImage(prepared.exact, original, prepared.logits), ScoredImage(exact, attacked, logits)
+    rows = subsets(verifier, goal, found.stored, *ends)
+    analyses = analyse(Subject(prepared, found.stored, *ends), prepared.spec.analysis, library, report)
     result = Result(
         spec=prepared.spec.model_dump(mode="json"),
         outcome=judge(prepared.truth, first, last, met),
@@ -128,6 +142,7 @@ def _write(prepared: Prepared, problem: AttackProblem, found: AttackState, out: 
         original=answer(prepared.logits, labels, goal),
         attacked=answer(logits, labels, goal),
         in_loop=answer(found.scores, labels, goal),
+        float_perceptibility=of_float_images(prepared.exact, exact),
         perceptibility=of_images(original, attacked),
         group_perceptibility=of_groups(prepared.renderer.name, found.stored),
         beyond_truncation=None if limit is None else beyond(original, attacked, limit),
@@ -135,7 +150,9 @@ def _write(prepared: Prepared, problem: AttackProblem, found: AttackState, out: 
         image_error=_image_error(problem, found, exact),
         sampled_error=prepared.renderer.sampled_error,
         environment_map_error=prepared.renderer.plan.environment_map_error,
-        subsets=subsets(verifier, goal, found.stored, (original, prepared.logits), (attacked, logits)),
+        subsets=rows,
+        attribution=of_subsets(rows),
+        analyses=analyses,
         settings=found.settings,
         steps=found.step,
         step=found.stored_step,

@@ -24,7 +24,10 @@ class Outcome(BaseModel):
     before_confidence: float
     after: str = Field(description="label of the attacked image, rendered exactly")
     after_confidence: float
-    perceptibility: float
+    float_perceptibility: float | None = Field(
+        None, description="p of the image before rounding, the paper's; null in results of version 0.1"
+    )
+    perceptibility: float = Field(description="p of the image as saved, of 8 bits")
     steps: int
     queries: int
     seconds: float
@@ -55,6 +58,7 @@ def outcome(result: Result) -> dict[str, Any]:
         before_confidence=result.original.confidence,
         after=result.attacked.label,
         after_confidence=result.attacked.confidence,
+        float_perceptibility=result.float_perceptibility,
         perceptibility=result.perceptibility,
         steps=result.steps,
         queries=result.queries,

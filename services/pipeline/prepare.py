@@ -8,9 +8,11 @@ from services.attacks.goal import ResolvedGoal
 from services.attacks.verifier import Verifier
 from services.errors import InvalidRequest
 from services.pipeline import goals
+from services.pipeline.analysis_fields import check_analysis
 from services.pipeline.extensions import ATTACKS
 from services.pipeline.spec import JobSpec
 from services.pipeline.warning import JobWarning
+from services.rendering.color import to_bytes
 from services.rendering.factory import build
 from services.rendering.plan import Plan, Tolerance
 from services.rendering.protocol import Renderer
@@ -50,6 +52,8 @@ class Prepared:
     """The exact image of the scene rounded to 8 bits, uint8 [H, W, 3]."""
     logits: Tensor
     """The network's scores of the original image, [K]."""
+    exact: Tensor
+    """The exact image of the scene before it is rounded, [H, W, 3] in [0,1]."""
 
     @property
     def backend(self) -> str:
@@ -68,7 +72,7 @@ def preflight(spec: JobSpec, library: Library) -> Checked:
 
 def plan(spec: JobSpec, library: Library) -> Plan:
     """Returns the plan that a job would run, without loading the network. Raises InvalidRequest as `prepare` does."""
-    return _renderer(spec, _scene(spec, library), spec.tolerance).plan
+    return _renderer(spec, resolved_scene(spec, library), spec.tolerance).plan
 
 
 def prepare(spec: JobSpec, library: Library) -> Prepared:
@@ -88,7 +92,8 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
         raise InvalidRequest("target.name", f"{spec.target.name} has one label only; there is no other answer")
     card = registry.card(spec.target.name)
     asked = goals.asked(spec.goal, card, labels)
-    scene = _scene(spec, library)
+    check_analysis(spec)
+    scene = resolved_scene(spec, library)
     spec = spec.model_copy(update={"scene": scene.description})
     target = registry.load(spec.target.name)
     if spec.target.question is not None and not target.takes_question:
@@ -102,7 +107,8 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
         )
     renderer = _renderer(spec, scene, tolerance)
     verifier = Verifier(renderer, target, spec.target.question)
-    original = verifier.image({})
+    exact = verifier.render({})
+    original = to_bytes(exact).cpu()
     logits = verifier.logits(original)
     table = goals.table_truth((thing.mesh for thing in spec.scene.objects), card, labels)
     settled = goals.settle(asked, table, logits)
@@ -117,10 +123,12 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
         verifier=verifier,
         original=original,
         logits=logits,
+        exact=exact,
     )
 
 
-def _scene(spec: JobSpec, library: Library) -> ResolvedScene:
+def resolved_scene(spec: JobSpec, library: Library) -> ResolvedScene:
+    """The scene of a spec with its assets. Raises InvalidRequest for an unknown material, and as `resolve` does."""
     for index, thing in enumerate(spec.scene.objects):
         preset(thing.material, f"scene.objects.{index}.material")
     scene = resolve(spec.scene, library)

@@ -4,7 +4,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from services.analysis.records import Answer, Subset
+from services.analysis.records import Analyses, Answer, Attribution, Subset
 from services.attacks.trace import TraceRow
 from services.attacks.verdict import Verdict, with_outcome
 from services.pipeline.warning import JobWarning
@@ -64,7 +64,14 @@ class Result(_Record):
     original: Answer
     attacked: Answer = Field(description="the answer to the exact image of the stored perturbation")
     in_loop: Answer = Field(description="the answer to the loop's image, truncated, at the stored step")
-    perceptibility: float = Field(description="p(ΔY) of the exact image of the stored perturbation")
+    float_perceptibility: float | None = Field(
+        None,
+        description="p(ΔY) of the exact image of the stored perturbation before it is rounded to 8 bits, which is the "
+        "paper's p; in [0, √3]; null in results of version 0.1, which did not measure it",
+    )
+    perceptibility: float = Field(
+        description="p(ΔY) of the exact image of the stored perturbation as it is saved, rounded to 8 bits; in [0, √3]"
+    )
     group_perceptibility: dict[str, float]
     beyond_truncation: int | None = Field(
         description="pixels of the exact image with a value that differs from the original by more than U"
@@ -87,6 +94,11 @@ class Result(_Record):
         "64×128; null if the renderer uses no map or one of that size",
     )
     subsets: list[Subset]
+    attribution: Attribution | None = Field(
+        None,
+        description="Shapley values and interactions of the groups, from `subsets`; null in results of version 0.1",
+    )
+    analyses: Analyses = Field(Analyses(), description="the analyses that the request asked for")
     settings: dict[str, object] = Field(
         description="settings measured at the start of the attack, e.g. difference steps"
     )

@@ -18,6 +18,8 @@ COMMANDS = [
     ["run"],
     ["plan"],
     ["replay"],
+    ["analyse"],
+    ["rerender"],
     ["submit"],
     ["serve"],
     ["api"],
