@@ -104,10 +104,11 @@ def _minimal(found: MinimalChange) -> Iterator[Table]:
             f"{thousandths(found.smallest.float_perceptibility)}e-3, {found.images} images"
         )
     columns = ("group", "what", "measure", "minimal>", "stored>", "unit")
+    least = [f"{change.value:.4g}" for change in found.change] or ["–"] * len(found.stored_change)
     rows = [
-        [stored.group, stored.subject, stored.measure, f"{least.value:.4g}", f"{stored.value:.4g}", stored.unit]
-        for least, stored in zip(found.change, found.stored_change, strict=True)
-    ] or [[s.group, s.subject, s.measure, "–", f"{s.value:.4g}", s.unit] for s in found.stored_change]
+        [stored.group, stored.subject, stored.measure, value, f"{stored.value:.4g}", stored.unit]
+        for value, stored in zip(least, found.stored_change, strict=True)
+    ]
     yield table(columns, rows, title=title)
 
 

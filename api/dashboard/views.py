@@ -49,6 +49,8 @@ class Page:
     by_seconds: list[Chart]
     artifacts: list[Artifact]
     cancellable: bool
+    analysed: bool
+    """Whether the request asked for analyses, and they are made."""
 
 
 def line(job: Job) -> Line:
@@ -85,6 +87,7 @@ def page(job: Job, events: Iterable[Event], artifacts: Sequence[Artifact]) -> Pa
         by_seconds=charts(trace, job.spec, "seconds"),
         artifacts=list(artifacts),
         cancellable=not job.state.terminal and job.state != State.CANCELLING,
+        analysed=bool(job.result) and any((job.result.get("analyses") or {}).values()),
     )
 
 

@@ -63,6 +63,15 @@ def both_p(record: Mapping[str, Any]) -> str:
     return f"{saved} as saved" if paper is None else f"{milli(paper)} ({saved} as saved)"
 
 
+def strongest_interaction(attribution: Mapping[str, Any], part: int) -> str:
+    """A part's largest interaction and its partner, e.g. "-0.075 with rotation"; empty if there are none."""
+    matrix = attribution["log_odds"]["interactions"]
+    if not matrix or len(matrix) < 2:
+        return ""
+    other = max((j for j in range(len(matrix)) if j != part), key=lambda j: abs(matrix[part][j]))
+    return f"{matrix[part][other]:+.3f} with {attribution['parts'][other]}"
+
+
 def small(value: float | str) -> str:
     """An error or a tolerance, e.g. "8.0e-04" or "0"; the tolerance "exact" stays as it is."""
     return value if isinstance(value, str) else f"{value:.1e}" if value else "0"

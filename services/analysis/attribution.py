@@ -55,7 +55,9 @@ def moved_parts(perturbation: Parameters, names: Callable[[str], list[str] | Non
         moved = value.flatten().nonzero().flatten().tolist()
         labels = names(group)
         if labels is not None:
-            parts += [Part(f"{group}: {labels[index]}", group, index) for index in moved]
+            # most labels say the group themselves: "object 0 rotation x"
+            named = [label if group in label else f"{group}: {label}" for label in labels]
+            parts += [Part(named[index], group, index) for index in moved]
         elif moved:
             parts.append(Part(group, group, None))
     return parts

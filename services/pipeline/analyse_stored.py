@@ -28,7 +28,8 @@ def analyse_stored(directory: Path, request: AnalysisRequest, library: Library, 
     stored = read_stored(directory)
     spec = parse(stored.result.spec | {"analysis": request.model_dump(mode="json")})
     prepared = prepare(spec, library)
-    verifier, perturbation = prepared.verifier, stored.perturbation
+    verifier = prepared.verifier
+    perturbation = {group: stored.perturbation[group] for group in spec.attack.groups}  # in the order of tables
     ends = scored(verifier, {}), scored(verifier, perturbation)
     rows = subsets(verifier, prepared.goal, perturbation, *ends)
     found = analyse(Subject(prepared, perturbation, *ends), request, library, report)

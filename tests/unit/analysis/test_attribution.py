@@ -26,7 +26,7 @@ class Pixels(LinearRenderer):
         return (values / 255)[:, :, None].expand(-1, 9, 3).reshape(-1, 3, 3, 3)
 
     def names(self, group: str) -> list[str] | None:  # type: ignore[override]
-        return [f"a {i}" for i in range(6)] if group == "a" else None
+        return [f"object 0 a {i}" for i in range(6)] if group == "a" else None
 
 
 @dataclass
@@ -80,7 +80,7 @@ def test_an_additive_network_has_no_interactions() -> None:
     groups, coordinates = both(Built(ALONE, {}))
     assert groups.parts == ["a", "b"]
     assert groups.log_odds.shapley == pytest.approx([0.5 - 0.5 + 0.125 - 1.0, 1.5 + 0.25], abs=1e-9)
-    assert coordinates.parts == ["a: a 0", "a: a 1", "a: a 3", "a: a 4", "a: a 5", "b"]
+    assert coordinates.parts == [*(f"object 0 a {i}" for i in (0, 1, 3, 4, 5)), "b"]
     assert coordinates.log_odds.shapley == pytest.approx([0.5, -0.5, 0.0, 0.125, -1.0, 1.75], abs=1e-9)
     for found in (groups, coordinates):
         assert found.log_odds.interactions is not None

@@ -30,6 +30,15 @@ SPEC = parse(
 )
 
 
+ATTRIBUTION = {
+    "parts": ["normals", "illumination"],
+    "method": "exact",
+    "images": 2,
+    "log_odds": {"effect": -3.0, "shapley": [-2.25, -0.75], "interactions": [[0.0, 0.5], [0.5, 0.0]]},
+    "probability": {"effect": -0.4, "shapley": [-0.31, -0.09], "interactions": [[0.0, 0.02], [0.02, 0.0]]},
+}
+
+
 def row(step: int, **changed: Any) -> dict[str, Any]:
     """A row of a trace whose numbers fall and rise with the step."""
     return {
@@ -68,6 +77,8 @@ def result(spec: JobSpec = SPEC, **changed: Any) -> dict[str, Any]:
             "label": said,
             "confidence": 0.6,
             "goal_probability": 0.31,
+            "goal_log_odds": -0.8,
+            "float_perceptibility": 0.00375 * len(groups),
             "perceptibility": 0.004 * len(groups),
             "fooled": fooled,
         }
@@ -86,6 +97,7 @@ def result(spec: JobSpec = SPEC, **changed: Any) -> dict[str, Any]:
         "original": answer("grand piano", 0.77),
         "attacked": answer("upright", 0.55),
         "in_loop": answer("upright", 0.58),
+        "float_perceptibility": 0.0117,
         "perceptibility": 0.0123,
         "group_perceptibility": {"normals": 0.02, "illumination": 0.01, "material": 0.03},
         "beyond_truncation": 4,
@@ -116,6 +128,7 @@ def result(spec: JobSpec = SPEC, **changed: Any) -> dict[str, Any]:
             subset(["illumination"], False),
             subset(["normals", "illumination"], True),
         ],
+        "attribution": ATTRIBUTION,
         "settings": {"delta": {"normals": 0.001}},
         "steps": 5,
         "queries": 1234,

@@ -59,7 +59,7 @@ MISTAKES: dict[str, tuple[Any, str]] = {
     "target": ("mine", 'must be an object with the fields name, question, not "mine"'),
     "sceen": (
         {},
-        "there is no such field; there are scene, target, goal, attack, tolerance, seed; did you mean 'scene'",
+        "there is no such field; there are scene, target, goal, attack, tolerance, analysis, seed; did you mean 'scen",
     ),
 }
 
