@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from rich.table import Table
 from rich.text import Text
 
-from client.console import out, table
+from client.console import out, table, yes
 from client.outcomes import thousandths, verdict
 from services.analysis.records import (
     Analyses,
@@ -28,7 +28,15 @@ def print_subsets(rows: Sequence[Subset], attribution: Attribution | None) -> No
     """Prints the table of subsets and the groups' Shapley values, if there are several groups."""
     if len(rows) <= 2:
         return
-    columns = ("groups applied", "the network says", "confidence>", "goal's label>", "p ×1e-3>", "p saved>", "network")
+    columns = (
+        "groups applied",
+        "the network says",
+        "confidence>",
+        "goal's label>",
+        "p ×1e-3>",
+        "p saved>",
+        "meets the goal",
+    )
     cells: list[list[str | Text]] = [
         [
             " + ".join(row.groups) or "none",
@@ -37,7 +45,7 @@ def print_subsets(rows: Sequence[Subset], attribution: Attribution | None) -> No
             f"{row.goal_probability:.3g}",
             thousandths(row.float_perceptibility),
             thousandths(row.perceptibility),
-            verdict(row.fooled),
+            yes(row.fooled),
         ]
         for row in rows
     ]
@@ -113,20 +121,19 @@ def _minimal(found: MinimalChange) -> Iterator[Table]:
 
 
 def _transfer(found: Sequence[Transferred]) -> Table:
-    words = {True: "fooled", False: "not fooled", None: "unknown"}
-    rows = [
+    rows: list[list[str | Text]] = [
         [
             one.target,
             one.renderer,
             _said(one.before),
             _said(one.after),
-            "yes" if one.changed else "no",
-            "was wrong" if one.was_right is False else words[one.fooled],
+            verdict(one.model_dump()),
+            yes(one.right_before),
             one.note,
         ]
         for one in found
     ]
-    columns = ("target", "renderer", "original", "attacked", "changed", "network", "note")
+    columns = ("target", "renderer", "original", "attacked", "network", "right before", "note")
     return table(columns, rows, title="Transfer")
 
 

@@ -87,7 +87,7 @@ def page(job: Job, events: Iterable[Event], artifacts: Sequence[Artifact]) -> Pa
         by_seconds=charts(trace, job.spec, "seconds"),
         artifacts=list(artifacts),
         cancellable=not job.state.terminal and job.state != State.CANCELLING,
-        analysed=bool(job.result) and any((job.result.get("analyses") or {}).values()),
+        analysed=job.result is not None and any(job.result.get("analyses", {}).values()),
     )
 
 

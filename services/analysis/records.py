@@ -4,6 +4,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from services.attacks.verdict import Verdict
 from services.rendering.physical_change import PhysicalChange
 
 
@@ -113,11 +114,10 @@ class Transferred(Record):
     renderer: str = Field(description="the renderer that made both images")
     before: Said
     after: Said
-    changed: bool = Field(description="whether the two answers differ")
-    was_right: bool | None = Field(
-        description="whether the original does not meet the goal; null if the network lacks the goal's labels"
+    outcome: Verdict = Field(description="what it came to, judged as for a job; only `fooled` counts as a success")
+    right_before: bool | None = Field(
+        description="whether the answer to the original was right; null if nobody knows what is right for this network"
     )
-    fooled: bool | None = Field(description="whether it was right and the attacked image meets the goal; null as above")
     note: str = Field("", description="what of the perturbation the images show, if not all of it")
 
 

@@ -12,18 +12,20 @@ from services.analysis.records import Analyses, Rerendering, Transferred
 from services.analysis.requests import AnalysisRequest, RerenderingRequest
 from services.analysis.rerendering import interpret, rerender
 from services.analysis.subsets import ScoredImage
-from services.analysis.transfer import carried_goal, shown_to
+from services.analysis.transfer import Wanted, indices, shown_to
 from services.attacks.verifier import Verifier
 from services.errors import InvalidRequest
+from services.pipeline import goals
 from services.pipeline.described import described
 from services.pipeline.prepare import Prepared
 from services.pipeline.spec import JobSpec
 from services.rendering.factory import build
-from services.rendering.protocol import Parameters, Renderer
+from services.rendering.protocol import Parameters
 from services.rendering.torch_renderer.declaration import TORCH
 from services.scenes.library import Library
 from services.scenes.resolve import ResolvedScene, resolve
 from services.targets import registry
+from services.targets.truth import same_labels
 
 Report = Callable[[str, int, int], None]
 """Called before each image with the name of the analysis, the number of its images done and the number there may be."""
@@ -107,24 +109,36 @@ def _named(report: Report, name: str) -> Tick:
 def _to_target(subject: Subject, name: str) -> Transferred:
     prepared = subject.prepared
     other = replace(prepared.verifier, target=registry.load(name), question=None, queries=0, renders=0)
-    goal = carried_goal(prepared.goal, prepared.target.labels, other.target.labels)
-    return shown_to(other, goal, subject.original.saved, subject.attacked.saved, prepared.renderer.name)
+    wanted = _wanted(prepared, name, other.target.labels)
+    return shown_to(other, wanted, subject.original.saved, subject.attacked.saved, prepared.renderer.name)
 
 
 def _to_renderer(subject: Subject, name: str, library: Library) -> Transferred:
     """The scene that the perturbation describes, drawn by another renderer."""
     prepared = subject.prepared
     moved, carried, left = described(prepared.spec.scene, prepared.renderer.name, subject.perturbation)
-    before = _exact(prepared.scene, name)
     note = f"carries {', '.join(carried)}" + (f"; leaves out {', '.join(left)}" if left else "")
-    original = Verifier(before, prepared.target, prepared.spec.target.question)
+    asked = Verifier(build(prepared.scene, name, tolerance="exact"), prepared.target, prepared.spec.target.question)
+    original = attacked = asked.image({})
     try:
-        scene = resolve(moved, library)
-        after = Verifier(_exact(scene, name), prepared.target).image({})
+        attacked = Verifier(build(resolve(moved, library), name, tolerance="exact"), prepared.target).image({})
     except InvalidRequest as error:  # an object has left the frame
-        after, note = original.image({}), f"{note}; the changed scene cannot be drawn: {error.detail}"
-    return shown_to(original, prepared.goal, original.image({}), after, name, note)
+        note = f"{note}; the changed scene cannot be drawn: {error.detail}"
+    return shown_to(
+        asked, _wanted(prepared, prepared.target.name, prepared.target.labels), original, attacked, name, note
+    )
 
 
-def _exact(scene: ResolvedScene, renderer: str) -> Renderer:
-    return build(scene, renderer, tolerance="exact")
+def _wanted(prepared: Prepared, target: str, labels: tuple[str, ...]) -> Wanted:
+    """The job's truth and label to reach for another network: by name, or else by what its own table says is right."""
+    card, own = registry.card(target), prepared.target.labels
+    truth = indices([own[index] for index in prepared.truth], labels)
+    if not truth:
+        truth = frozenset(goals.table_truth((thing.mesh for thing in prepared.spec.scene.objects), card, labels))
+    reach = prepared.goal.reach
+    return Wanted(
+        truth=truth,
+        reach=labels.index(own[reach]) if reach is not None and own[reach] in labels else None,
+        same=tuple(indices(group, labels) for group in same_labels(card)),
+        least_confidence=prepared.goal.least_confidence,
+    )

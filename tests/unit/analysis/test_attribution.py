@@ -62,7 +62,7 @@ PERTURBATION = {
 
 def both(target: Built, images: int = 4096, seed: int = 0) -> tuple[Attribution, Attribution]:
     """The attributions to groups and to coordinates."""
-    verifier, goal = Verifier(Pixels(), target), ResolvedGoal(0, None)
+    verifier, goal = Verifier(Pixels(), target), ResolvedGoal((0,), None)
     ends = scored(verifier, {}), scored(verifier, PERTURBATION)
     rows = subsets(verifier, goal, PERTURBATION, *ends)
     queries = verifier.queries
@@ -135,7 +135,7 @@ def test_sampled_within_the_budget_and_the_same_for_the_same_seed() -> None:
 def test_a_targeted_goal_is_attributed_by_the_label_to_reach() -> None:
     verifier = Verifier(Pixels(), Built(ALONE, {}))
     rows = []
-    for goal in (ResolvedGoal(0, None), ResolvedGoal(None, 1)):
+    for goal in (ResolvedGoal((0,), None), ResolvedGoal((), 1)):
         ends = scored(verifier, {}), scored(verifier, PERTURBATION)
         rows.append(of_subsets(subsets(verifier, goal, PERTURBATION, *ends)).log_odds.shapley)
     assert rows[0] == pytest.approx([-v for v in rows[1]], abs=1e-9)

@@ -60,7 +60,7 @@ def ray(target: Built, perturbation: Parameters, tick: Callable[[int, int], None
     verifier = Verifier(Pixels(), target)
     return minimal_change(
         verifier,
-        ResolvedGoal(0, None),
+        ResolvedGoal((0,), None),
         perturbation,
         scored(verifier, {}),
         scans=10,

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from services.analysis.transfer import carried_goal, shown_to
+from services.analysis.transfer import Wanted, indices, shown_to
 from services.attacks.goal import ResolvedGoal
 from services.attacks.verifier import Verifier
 from services.errors import InvalidRequest
@@ -18,31 +18,35 @@ def grey(value: int) -> torch.Tensor:
     return image
 
 
-def test_a_goal_is_carried_by_the_names_of_its_labels() -> None:
-    labels, others = ("cat", "dog", "bird"), ("bird", "cat")
-    assert carried_goal(ResolvedGoal(0, None), labels, others) == ResolvedGoal(1, None)
-    assert carried_goal(ResolvedGoal(0, 2), labels, others) == ResolvedGoal(1, 0)
-    assert carried_goal(ResolvedGoal(1, None), labels, others) is None
-    assert carried_goal(ResolvedGoal(0, 1), labels, others) is None
+RIGHT, WRONG = frozenset([0]), frozenset([1])
 
 
 @pytest.mark.parametrize(
-    ("weight", "offset", "goal", "was_right", "fooled"),
+    ("weight", "offset", "truth", "right_before", "outcome"),
     [
-        (-1.0, 6.5, ResolvedGoal(0, None), True, True),  # yes, then no
-        (1.0, 6.5, ResolvedGoal(0, None), True, False),  # yes, then yes
-        (-1.0, -6.5, ResolvedGoal(0, None), False, False),  # no before the attack: not fooled
-        (-1.0, 6.5, None, None, None),  # no label of that name
+        (-1.0, 6.5, RIGHT, True, "fooled"),  # yes, then no
+        (1.0, 6.5, RIGHT, True, "held"),  # yes, then yes
+        (-1.0, -6.5, RIGHT, False, "still-wrong"),  # no before and after
+        (-1.0, 6.5, WRONG, False, "became-right"),  # yes, then no, which is right
+        (-1.0, 6.5, frozenset(), None, "changed"),
+        (1.0, 6.5, frozenset(), None, "held"),
     ],
 )
 def test_only_a_network_that_was_right_is_fooled(
-    weight: float, offset: float, goal: ResolvedGoal | None, was_right: bool | None, fooled: bool | None
+    weight: float, offset: float, truth: frozenset[int], right_before: bool | None, outcome: str
 ) -> None:
     verifier = Verifier(Pixels(), Built([weight] + 8 * [0.0], {}, offset))
-    found = shown_to(verifier, goal, grey(0), grey(20), "torch")
-    assert (found.was_right, found.fooled) == (was_right, fooled)
-    assert found.changed == (found.before.label != found.after.label)
+    found = shown_to(verifier, Wanted(truth, None, (), 0.0), grey(0), grey(20), "torch")
+    assert (found.right_before, found.outcome) == (right_before, outcome)
     assert found.target == "built"
+
+
+def test_the_labels_to_leave_are_the_truth_or_those_that_mean_the_first_answer() -> None:
+    wanted = Wanted(frozenset([1, 2]), None, (frozenset([3, 4]),), 0.25)
+    assert wanted.goal(2) == ResolvedGoal((1, 2), None, 0.25)
+    assert wanted.goal(3) == ResolvedGoal((3, 4), None, 0.25)
+    assert wanted.goal(0) == ResolvedGoal((0,), None, 0.25)
+    assert indices(["cat", "dog"], ("bird", "dog", "cat", "cow")) == {1, 2}
 
 
 def test_poses_and_colours_are_parts_of_the_scene_lights_are_not() -> None:
