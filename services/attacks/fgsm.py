@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from services.attacks.spec import AttackSettings, Rate, register
-from services.rendering.declaration import RENDERERS
+from services.attacks.suggested import suggested
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -37,12 +37,7 @@ class Fgsm(AttackSettings):
     @classmethod
     def complete(cls, data: dict[str, Any]) -> dict[str, Any]:
         """Fills in the learning rates that the renderer suggests for its groups."""
-        renderer = RENDERERS.get(str(data.get("renderer", "torch")))
-        given = data.get("learning_rate") or {}
-        if renderer is None or not isinstance(given, dict):
-            return data
-        suggested = {group.name: group.suggested_step for group in renderer.groups if group.name in data["groups"]}
-        return data | {"learning_rate": {g: step for g, step in suggested.items() if step is not None} | given}
+        return suggested(data, "learning_rate", lambda group: group.suggested_step)
 
     @model_validator(mode="after")
     def _a_rate_for_each_group(self) -> Self:
@@ -63,7 +58,7 @@ class FgsmMethod:
 
     def __init__(self, settings: Fgsm, problem: AttackProblem) -> None:
         self.settings = settings
-        self.perturbation: Parameters = problem.nothing()
+        self.perturbation: Parameters = problem.beginning
         self.velocity: Parameters = problem.nothing()
 
     def start(self, problem: AttackProblem) -> dict[str, object]:  # noqa: ARG002 - nothing to measure

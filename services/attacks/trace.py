@@ -9,6 +9,7 @@ class TraceRow(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     step: int
+    restart: int = Field(0, description="number of the start that this step belongs to; the first is 0")
     loss: float = Field(description="probability of the labels to leave, or 1 minus that of the label to reach")
     label: str = Field(description="the network's answer: its most probable label")
     confidence: float = Field(description="probability of `label`")

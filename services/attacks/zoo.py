@@ -89,7 +89,7 @@ class ZooMethod:
     def __init__(self, settings: Zoo, problem: AttackProblem) -> None:
         self.settings = settings
         self.layout = problem.layout
-        self.delta = self.layout.zeros()
+        self.delta = self.layout.flatten(problem.beginning).float()
         """The perturbation as one vector [total]."""
         self.first = self.layout.zeros().double()
         self.second = self.layout.zeros().double()
@@ -121,7 +121,7 @@ class ZooMethod:
         skipped = [{"coordinate": one.name, "why": one.why} for one in found]
         return {"delta": chosen, "noise": self.noise, "skipped": skipped}
 
-    def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:  # noqa: ARG002
+    def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:
         """Moves the coordinates whose difference is above the noise, by Adam. Returns the number of the others.
 
         Raises JobFailure("non-finite").
@@ -129,6 +129,7 @@ class ZooMethod:
         from services.attacks.differences import clamped, estimate
         from services.attacks.seeds import draw
 
+        self.delta = self.layout.flatten(view.perturbation).to(self.delta.dtype)  # backtracking may have shortened it
         chosen = draw(self._active(problem), self.settings.coordinates, problem.seed, "zoo", step)
         found = estimate(problem, self.delta, chosen, self.half_steps[chosen], self.noise)
         if not bool(found.gradients.isfinite().all()):

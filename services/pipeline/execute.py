@@ -15,6 +15,7 @@ from services.analysis.attribution import of_subsets
 from services.analysis.perceptibility import beyond, of_float_images, of_groups, of_images
 from services.analysis.subsets import ScoredImage, subsets
 from services.attacks.loop import Budget, run
+from services.attacks.method import Method
 from services.attacks.problem import AttackProblem
 from services.attacks.state import AttackState
 from services.attacks.trace import TraceRow
@@ -71,22 +72,28 @@ def execute(
         if cancelled():
             raise Cancelled
 
-    steps = spec.attack.steps
+    steps = (spec.attack.steps + 1) * (spec.attack.restarts + 1) - 1
     progress(Progress(phase="loading", steps=steps))
     interrupt()
     prepared = prepare(spec, library)
     warn(prepared.warnings)
     problem = _problem(prepared, interrupt)
-    with named(f"method {spec.attack.method!r}"):
-        method = ATTACKS[spec.attack.method].method(spec.attack, problem)
-    budget = Budget(steps, spec.attack.queries, spec.attack.seconds)
+
+    def fresh() -> Method:
+        with named(f"method {spec.attack.method!r}"):
+            method: Method = ATTACKS[spec.attack.method].method(spec.attack, problem)
+        return method
+
+    budget = Budget(spec.attack.steps, spec.attack.queries, spec.attack.seconds)
     found = run(
         problem,
-        method,
+        fresh(),
         prepared.verifier,
         budget,
         checkpoint_path=checkpoint,
         on_row=lambda row: progress(Progress(phase="attacking", step=row.step, steps=steps, row=row)),
+        restarts=spec.attack.restarts,
+        fresh=fresh,
     )
     progress(Progress(phase="analysing", step=found.step, steps=steps))
     interrupt()
@@ -100,6 +107,8 @@ def execute(
 
 def _problem(prepared: Prepared, interrupt: Callable[[], None]) -> AttackProblem:
     attack = prepared.spec.attack
+    limit = None if attack.truncation is None else attack.truncation / 255
+    backtracks = attack.constraint == "backtrack"
     return AttackProblem(
         renderer=prepared.renderer,
         target=prepared.target,
@@ -107,7 +116,11 @@ def _problem(prepared: Prepared, interrupt: Callable[[], None]) -> AttackProblem
         groups=attack.groups,
         seed=prepared.spec.seed,
         question=prepared.spec.target.question,
-        truncation=None if attack.truncation is None else attack.truncation / 255,
+        truncation=None if backtracks else limit,
+        backtrack=limit if backtracks else None,
+        epsilon=attack.epsilon,
+        limits=attack.bounds,
+        loss=attack.objective,
         weight=attack.distance_weight,
         interrupt=interrupt,
     )

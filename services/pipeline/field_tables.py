@@ -28,7 +28,7 @@ def tables() -> str:
         )
     lines += ["## Renderers and their parameter groups", ""]
     lines += ["If a request leaves `method` out, it is the method that this table gives for the renderer.", ""]
-    columns = ("renderer", "method", "group", "shape", "unit", "step of fgsm")
+    columns = ("renderer", "method", "group", "shape", "unit", "step of fgsm", "limit")
     return "\n".join(lines + list(_table(columns, _groups()))).rstrip()
 
 
@@ -42,8 +42,9 @@ def _groups() -> Iterator[list[str]]:
     for name, renderer in RENDERERS.items():
         for group in renderer.groups:
             step = "" if group.suggested_step is None else f"{group.suggested_step:g}"
+            limit = "" if group.suggested_limit is None else f"{group.suggested_limit:.2g}"
             shape = "×".join(group.shape)
-            yield [f"`{name}`", f"`{renderer.method}`", f"`{group.name}`", shape, group.unit, step]
+            yield [f"`{name}`", f"`{renderer.method}`", f"`{group.name}`", shape, group.unit, step, limit]
 
 
 def _table(columns: Iterable[str], rows: Iterable[list[str]]) -> Iterator[str]:

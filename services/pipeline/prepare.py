@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
+from services.attacks import losses
+from services.attacks.feasible import perturbation_bounds
 from services.attacks.goal import ResolvedGoal
 from services.attacks.verifier import Verifier
 from services.errors import InvalidRequest
@@ -79,8 +81,8 @@ def prepare(spec: JobSpec, library: Library) -> Prepared:
     """Looks up meshes, map, materials, target and labels, renders the scene exactly and asks the network.
 
     Raises InvalidRequest naming the field, for: unknown names, a label out of range, an object out of view, a method
-    that needs gradients of a network that has none, and what `goals.settle` refuses. Raises JobFailure for a target or
-    renderer that breaks its protocol.
+    that needs gradients of a network that has none, bounds that exclude the scene's own values, a loss that needs more
+    labels, and what `goals.settle` refuses. Raises JobFailure for a target or renderer that breaks its protocol.
     """
     return _prepare(spec, library, spec.tolerance)
 
@@ -106,12 +108,20 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
             f"image (they are constant, detached or computed without torch); methods without gradients are {others}",
         )
     renderer = _renderer(spec, scene, tolerance)
+    start = renderer.initial()
+    perturbation_bounds(
+        {group: start[group] for group in spec.attack.groups},
+        renderer.bounds(),
+        spec.attack.bounds,
+        spec.attack.epsilon,
+    )
     verifier = Verifier(renderer, target, spec.target.question)
     exact = verifier.render({})
     original = to_bytes(exact).cpu()
     logits = verifier.logits(original)
     table = goals.table_truth((thing.mesh for thing in spec.scene.objects), card, labels)
     settled = goals.settle(asked, table, logits)
+    losses.check(spec.attack.objective, settled.goal, len(labels))
     return Prepared(
         spec=spec.model_copy(update={"goal": settled.spec}),
         scene=scene,

@@ -66,6 +66,9 @@ class Group:
     suggested_step: float | None = None
     """Learning rate of a method that steps by the sign of the gradient, in the group's unit (paper, section 4.1); above
     0, at most 1000."""
+    suggested_limit: float | None = None
+    """Largest change of a value from the scene's own for methods that need one, in the group's unit; above 0, at most
+    1000."""
 
     def __post_init__(self) -> None:
         if not self.shape:
@@ -76,11 +79,11 @@ class Group:
             raise ValueError(f"group {self.name!r} has an axis of length 0: it has no value to attack")
         if not 0 <= self.vector_axes <= len(self.shape):
             raise ValueError(f"group {self.name!r} has {len(self.shape)} axes, not vectors of {self.vector_axes}")
-        step = self.suggested_step
-        if step is not None and not (isinstance(step, int | float) and 0 < step <= MAX_STEP):
-            raise ValueError(
-                f"group {self.name!r} suggests the step {step!r}, not a number above 0 and up to {MAX_STEP}"
-            )
+        for what, value in (("step", self.suggested_step), ("limit", self.suggested_limit)):
+            if value is not None and not (isinstance(value, int | float) and 0 < value <= MAX_STEP):
+                raise ValueError(
+                    f"group {self.name!r} suggests the {what} {value!r}, not a number above 0 and up to {MAX_STEP}"
+                )
 
 
 @dataclass(frozen=True, kw_only=True)
