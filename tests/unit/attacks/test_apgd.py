@@ -23,11 +23,11 @@ def test_it_reaches_the_optimum_of_a_linear_network_exactly(loss: str) -> None:
     renderer, target = Pixels(), LinearTarget(scale=1e-3, classes=2)
     case = problem(renderer, target, loss=loss, epsilon={"image": EPSILON})
     found = run(case, ApgdMethod(settings({"image": EPSILON}, 20), case), Verifier(renderer, target), Budget(20))
-    rows = target.weights[:, case.goal.label] - target.weights[:, 1 - case.goal.label]
+    rows = target.weights[:, case.goal.leave[0]] - target.weights[:, 1 - case.goal.leave[0]]
     corner = (case.original[0] - EPSILON * rows.reshape(4, 5, 3).sign()).clamp(0, 1)
     torch.testing.assert_close(case.original[0] + found.stored["image"], corner, rtol=0, atol=1e-12)
     scores = target.logits(corner[None])[0]
-    least = float(scores[case.goal.label] - scores[1 - case.goal.label])
+    least = float(scores[case.goal.leave[0]] - scores[1 - case.goal.leave[0]])
     # the image is float32 k/255 where it is shown to the network
     assert found.trace[found.stored_step].advantage == pytest.approx(least, abs=1e-7)
 

@@ -21,7 +21,7 @@ def test_steps_match_the_formula_on_gradients_of_an_independent_graph() -> None:
         leaves = {group: value.clone().requires_grad_() for group, value in delta.items()}
         images = case.renderer.render({group: (case.initial[group] + leaf)[None] for group, leaf in leaves.items()})
         p = torch.softmax(case.target.logits((images * 255).round() / 255 + images - images.detach()), -1)[0]
-        torch.log(p[case.goal.label] / (1 - p[case.goal.label])).backward()  # type: ignore[no-untyped-call]
+        torch.log(p[case.goal.leave[0]] / (1 - p[case.goal.leave[0]])).backward()  # type: ignore[no-untyped-call]
         for group, leaf in leaves.items():
             assert leaf.grad is not None
             sums[group] = 0.7 * sums[group] + leaf.grad / leaf.grad.abs().sum()

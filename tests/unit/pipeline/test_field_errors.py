@@ -49,8 +49,8 @@ MISTAKES: dict[str, tuple[Any, str]] = {
         "must be a text of 1 to 200 characters, an integer of at least 0, a list of at most 1000, each a text of 1 to "
         "200 characters or an integer of at least 0 or null, not 1.5: the label, or all labels",
     ),
-    "attack": ("fgsm", 'must be an object, in which "method" is one of fgsm, zoo, not "fgsm"'),
-    "attack.method": ("FGSM", "there is no 'FGSM'; there are fgsm, zoo"),
+    "attack": ("fgsm", 'must be an object, in which "method" is one of apgd, cma-es, fgsm, '),
+    "attack.method": ("FGSM", "there is no 'FGSM'; there are apgd, cma-es, fgsm, mi-fgsm, "),
     "attack.renderer": ("Torch", "there is no 'Torch'; there are image, pyrender, torch; did you mean 'torch'?"),
     "attack.truncation": (0.07, "must be an integer from 1 to 255 or null, not 0.07: U: largest change of an RGB"),
     "attack.momentum": (1, "must be a number of at least 0 and below 1, not 1: momentum"),

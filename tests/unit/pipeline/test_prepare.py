@@ -3,11 +3,13 @@
 from typing import Any
 
 import pytest
+import torch
 
 from services.errors import InvalidRequest
 from services.pipeline.prepare import plan, preflight, prepare
 from services.pipeline.spec import parse
 from services.targets import registry
+from tests.unit.attacks.small import LinearTarget
 from tests.unit.jobs.small import LIBRARY, SPHERE, spec
 
 SOMEWHERE_ELSE = {"mesh": "primitive/sphere", "translation": [50, 0, 0]}
@@ -39,6 +41,12 @@ REFUSED: list[tuple[str, dict[str, Any]]] = [
     ("attack.queries", {"attack": {"queries": 0}}),
     ("attack.learning_rate", {"attack": {"learning_rate": {"color": 1.0}}}),
     ("attack.learning_rate.normals", {"attack": {"learning_rate": {"normals": float("nan")}}}),
+    ("attack.bounds.image", {"attack": {"renderer": "image", "bounds": {"image": [0.99, 1.0]}}}),
+    ("attack.epsilon", {"attack": {"renderer": "image", "restarts": 2}}),
+    ("attack.epsilon.image", {"attack": {"renderer": "image", "epsilon": {"image": -0.1}}}),
+    ("attack.truncation", {"attack": {"renderer": "image", "constraint": "backtrack", "truncation": None}}),
+    ("attack.groups", {"attack": {"method": "square", "renderer": "torch", "groups": ["material"]}}),
+    ("attack.loss", {"attack": {"method": "apgd", "loss": "hinge"}}),
     ("attack.base_renderer", {"attack": {"renderer": "torch", "base_renderer": "pyrender"}}),
     ("scene.camera.size.0", {"scene": SPHERE | {"camera": {"size": [4096, 64]}}}),
     ("scene.camera.distance", {"scene": SPHERE | {"camera": {"distance": float("inf")}}}),
@@ -113,10 +121,23 @@ def test_a_network_with_one_label_is_refused_beforehand(monkeypatch: pytest.Monk
 
 def test_a_method_with_gradients_is_refused_for_a_network_without(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("services.pipeline.prepare.registry.has_gradient", lambda _: False)
-    with pytest.raises(InvalidRequest, match="methods without gradients are zoo") as refused:
+    with pytest.raises(InvalidRequest, match="methods without gradients are cma-es, spsa, square, zoo") as refused:
         preflight(spec(attack={"renderer": "image", "method": "fgsm"}), LIBRARY)
     assert refused.value.field == "attack.method"
     assert preflight(spec(attack={"renderer": "image", "method": "zoo"}), LIBRARY)
+
+
+def test_a_loss_that_the_number_of_classes_rules_out_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    target = LinearTarget(classes=2)
+    monkeypatch.setattr("services.pipeline.prepare.registry.labels", lambda _: target.labels)
+    monkeypatch.setattr("services.pipeline.prepare.registry.load", lambda _: target)
+    monkeypatch.setattr("services.pipeline.prepare.registry.has_gradient", lambda _: True)
+    monkeypatch.setattr(target, "logits", lambda images, _: torch.stack([images.sum((1, 2, 3)), images[:, 0, 0, 0]], 1))
+    attack = {"renderer": "image", "method": "apgd", "loss": "dlr"}
+    with pytest.raises(InvalidRequest, match="dlr needs at least 3 classes") as refused:
+        preflight(spec(attack=attack), LIBRARY)
+    assert refused.value.field == "attack.loss"
+    assert preflight(spec(attack=attack | {"loss": "margin"}), LIBRARY)
 
 
 # The environment map's size
