@@ -15,7 +15,7 @@ PYRENDER = Declaration(
             "directional light its energy / 3 and its direction; per spot light its energy / 30, its position and its "
             "direction",
             words="illumination",
-            suggested_limit=0.2,
+            suggested_limit=0.1,
             # The labels depend on the kinds of the lights, not on their number alone: see `PyrenderRenderer.names`.
         ),
         Group(
@@ -23,7 +23,7 @@ PYRENDER = Declaration(
             shape=("objects", "3"),
             unit="linear factor on the mesh's own colours, in [0,1]",
             words="colour",
-            suggested_limit=0.2,
+            suggested_limit=0.1,
             labels=labelled("object {} color", ("red", "green", "blue")),
         ),
         Group(
@@ -31,7 +31,7 @@ PYRENDER = Declaration(
             shape=("objects", "3"),
             unit="scene units",
             words="position",
-            suggested_limit=0.05,
+            suggested_limit=0.02,
             labels=labelled("object {} translation", ("x", "y", "z")),
         ),
         Group(
@@ -39,7 +39,7 @@ PYRENDER = Declaration(
             shape=("objects", "3"),
             unit="radians: a rotation vector",
             words="rotation",
-            suggested_limit=0.2,
+            suggested_limit=0.1,
             labels=labelled("object {} rotation", ("x", "y", "z")),
         ),
     ),

@@ -30,7 +30,7 @@ TORCH = Declaration(
             labels=labelled("object {}", ("red", "green", "blue"), "lobe {}", ("kappa", "gamma"), "{}"),
             vector_axes=2,
             suggested_step=0.003,
-            suggested_limit=6.0,
+            suggested_limit=3.0,
         ),
     ),
     differentiable=True,
