@@ -157,9 +157,9 @@ def attack(case: Case) -> AttackRow:
 
 
 def _truth(case: Case, labels: tuple[str, ...]) -> tuple[int, ...]:
-    """All labels that are right for the scene, which the attack must leave together."""
-    names = {case.label, *truth_labels(card(NETWORK), case.scene)}
-    return tuple(sorted(labels.index(name) for name in names))
+    """The case's label and those that are as right, which the attack must leave together."""
+    found = truth_labels(card(NETWORK), case.scene)
+    return tuple(sorted(labels.index(name) for name in (found if case.label in found else (case.label,))))
 
 
 def target_size() -> tuple[int, int]:
