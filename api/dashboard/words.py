@@ -31,6 +31,9 @@ OUTCOMES = {
     "held": "The network held",
 }
 
+WRONG_BEFORE = ("became-right", "still-wrong")
+"""Outcomes beside which "verified" would read as a success."""
+
 STOPPED = {
     "verified": "it found an adversary that holds when rendered afresh",
     "steps": "its steps were used up",

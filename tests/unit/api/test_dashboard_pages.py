@@ -159,7 +159,9 @@ async def test_each_outcome_has_its_badge_and_its_sentence(repository: Repositor
     succeed(repository, job, result(outcome=outcome, fooled=met, verified=met, truth=["harp"]))
     page, listed = Tags((await get(repository, f"/jobs/{job.id}")).text), Tags((await get(repository, "/")).text)
     for tags in (page, listed):
-        assert f"badge {outcome}" in [a.get("class") for a in tags.all("span")]
+        classes = [a.get("class") for a in tags.all("span")]
+        assert f"badge {outcome}" in classes
+        assert ("badge verified" in classes) == (outcome in ("fooled", "changed"))
     assert sentence in page.text
     assert ("Right is harp." in page.text) == met
 
