@@ -11,6 +11,7 @@ FAILURES = {
     "out-of-memory": "The job needed more memory than a job may have.",
     "worker-lost": "The process running the job died more often than it may be restarted.",
     "timeout": "The job ran longer than a job may.",
+    "target-unreachable": "The network behind a URL did not answer.",
     "internal": "Something in the program itself went wrong.",
 }
 

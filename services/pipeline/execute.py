@@ -22,7 +22,7 @@ from services.attacks.trace import TraceRow
 from services.attacks.verdict import judge
 from services.errors import Cancelled, named
 from services.pipeline.analyse import Report, Subject, analyse
-from services.pipeline.extensions import ATTACKS, EXTENSIONS
+from services.pipeline.extensions import ATTACKS, EXTENSIONS, TARGETS
 from services.pipeline.prepare import Prepared, lit_by_map, prepare
 from services.pipeline.result import Provenance, Result
 from services.pipeline.spec import JobSpec
@@ -200,6 +200,7 @@ def _provenance(prepared: Prepared) -> Provenance:
         versions=versions(*_VERSIONED),
         scene_sha256=prepared.scene.sha256,
         weights_sha256=prepared.target.weights_sha256,
+        card_sha256=TARGETS[prepared.spec.target.name].info.card_sha256,
         meshes={
             thing.mesh: mesh.sha256
             for thing, mesh in zip(prepared.spec.scene.objects, prepared.scene.meshes, strict=True)

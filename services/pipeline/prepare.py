@@ -105,7 +105,7 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
         raise InvalidRequest(
             "attack.method",
             f"{spec.attack.method} needs gradients, and the scores of {target.name} have none with respect to the "
-            f"image (they are constant, detached or computed without torch); methods without gradients are {others}",
+            f"image ({registry.no_gradient(target.name)}); methods without gradients are {others}",
         )
     renderer = _renderer(spec, scene, tolerance)
     start = renderer.initial()
