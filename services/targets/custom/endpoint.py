@@ -75,7 +75,8 @@ class Endpoint:
         if tuple(x.shape[-2:]) != self.input_size:
             x = F.interpolate(x, self.input_size, mode="bilinear", antialias=True)
         pixels = (x.permute(0, 2, 3, 1) * 255).round().clamp(0, 255).to(torch.uint8)
-        scores = torch.cat([self._ask(portion) for portion in pixels.split(MOST_IMAGES)])
+        portions: tuple[Tensor, ...] = pixels.split(MOST_IMAGES)  # type: ignore[no-untyped-call]
+        scores = torch.cat([self._ask(portion) for portion in portions])
         if self.probabilities:
             scores = scores.clamp_min(torch.finfo(torch.float32).tiny).log()
         return scores.to(images.device)

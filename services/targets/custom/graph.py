@@ -128,7 +128,7 @@ class FixedBatch(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """Maps inputs [B, ...] to outputs [B, ...]."""
         found = []
-        for portion in x.split(self.count):
+        for portion in x.split(self.count):  # type: ignore[no-untyped-call]
             missing = self.count - len(portion)
             full = torch.cat([portion, portion[-1:].expand(missing, *portion.shape[1:])]) if missing else portion
             found.append(self.network(full)[: len(portion)])

@@ -92,8 +92,9 @@ def _load(
         digest = factory.digest(made)
         if factory.is_maite(made):
             factory.check_labels(made, labels)
-            network: nn.Module = factory.MaiteNetwork(made, size)
-            scores_only = network.scores_only
+            maite = factory.MaiteNetwork(made, size)
+            network: nn.Module = maite
+            scores_only = maite.scores_only
         elif isinstance(made, nn.Module):
             network = made
         elif hasattr(made, "logits") and hasattr(made, "labels"):

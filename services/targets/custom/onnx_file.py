@@ -105,7 +105,7 @@ def _converted(
     graph = convert(model)
     network = graph.to(device(), dtype).eval().requires_grad_(False)
     if device().type == "cpu" and dtype == torch.float32 and count in (None, 1):
-        network = network.to(memory_format=torch.channels_last)
+        network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         pack(network, size)
     tried = torch.randn((count or _TRIED, 3, *size), generator=torch.Generator().manual_seed(0))
     with torch.no_grad():

@@ -235,7 +235,8 @@ def cast(x: Tensor, *, to: int, saturate: int = 1) -> Tensor:  # noqa: ARG001 - 
 
 def expand(x: Tensor, shape: Tensor) -> Tensor:
     """Broadcasts to a shape."""
-    return x.expand(torch.broadcast_shapes(x.shape, tuple(_integers(shape))))
+    whole: tuple[int, ...] = torch.broadcast_shapes(x.shape, _integers(shape))  # type: ignore[no-untyped-call]
+    return x.expand(whole)
 
 
 def shape_of(x: Tensor, *, start: int = 0, end: int | None = None) -> Tensor:

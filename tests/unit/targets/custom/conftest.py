@@ -15,18 +15,18 @@ Scan = Callable[..., tuple[TargetFolder, ...]]
 
 @pytest.fixture
 def scan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scan]:
-    """Registers the folders of the test's directory for one test, under the given settings.
+    """Registers the folders of a directory, the test's own by default, for one test, under the given settings.
 
     The small network is a registered architecture then.
     """
     before, architectures = TARGETS.snapshot(), ARCHITECTURES.snapshot()
     register_architecture("small")(SmallNetwork)
 
-    def run(**values: str) -> tuple[TargetFolder, ...]:
+    def run(root: Path = tmp_path, **values: str) -> tuple[TargetFolder, ...]:
         for name, value in values.items():
             monkeypatch.setenv(f"SCENE_ATTACK_{name.upper()}", value)
         settings.cache_clear()
-        return register_folders(tmp_path)
+        return register_folders(root)
 
     yield run
     monkeypatch.undo()

@@ -139,7 +139,7 @@ def test_a_file_that_is_no_archive(tmp_path: Path) -> None:
     with pytest.raises(Unreadable, match=r"it is no archive of torch.export.save"):
         exported.read(path, SIZE)
     torch.save(nn.Flatten().state_dict(), path)
-    with pytest.raises(Unreadable, match="neither TorchScript nor what torch.save wrote is read"):
+    with pytest.raises(Unreadable, match=r"neither TorchScript nor what torch.save wrote is read"):
         exported.read(path, SIZE)
 
 

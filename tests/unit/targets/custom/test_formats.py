@@ -28,13 +28,15 @@ from tests.unit.targets.custom.small_network import LABELS, MEAN, SCALE, SIZE, W
 MODULE = small_network.__name__
 FACTORIES = {"target_factories": f"{MODULE}:network,{MODULE}:maite,{MODULE}:numpy_maite,{MODULE}:fails"}
 SCENE = {"camera": {"size": [48, 48]}, "objects": [{"mesh": "primitive/sphere"}]}
-FGSM = {"renderer": "image", "base_renderer": "pyrender", "method": "fgsm", "steps": 6}
+FGSM = {"renderer": "image", "base_renderer": "pyrender", "method": "fgsm", "steps": 40}
 ALL = ("exported", "exported-1", "onnx", "onnx-2", "weights", "module", "maite", "maite-numpy")
 WITH_GRADIENTS = tuple(name for name in ALL if name != "maite-numpy")
 
 
-def everything(root: Path) -> None:
-    """A folder of the small network in each format."""
+@pytest.fixture(scope="module")
+def everything(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the small network in each format."""
+    root = tmp_path_factory.mktemp("targets")
     small_network.save_pt2(folder(root, "exported") / "model.pt2")
     small_network.save_pt2(folder(root, "exported-1") / "model.pt2", fixed=1)
     small_network.save_onnx(folder(root, "onnx") / "model.onnx")
@@ -43,6 +45,7 @@ def everything(root: Path) -> None:
     folder(root, "module", factory=f"{MODULE}:network")
     folder(root, "maite", factory=f"{MODULE}:maite", output="probabilities")
     folder(root, "maite-numpy", factory=f"{MODULE}:numpy_maite", output="probabilities")
+    return root
 
 
 def reference(images: Tensor) -> Tensor:
@@ -54,9 +57,8 @@ def reference(images: Tensor) -> Tensor:
 
 
 @pytest.fixture
-def formats(scan: Scan, tmp_path: Path) -> None:
-    everything(tmp_path)
-    assert [one.error for one in scan(**FACTORIES)] == [None] * len(ALL)
+def formats(scan: Scan, everything: Path) -> None:
+    assert [one.error for one in scan(everything, **FACTORIES)] == [None] * len(ALL)
 
 
 @pytest.mark.usefixtures("formats")
