@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from services.device import describe, device
-from services.targets.packing import pack
+from services.targets.packing import pack, to_channels_last
 
 
 @dataclass
@@ -37,8 +37,8 @@ class Classifier:
         self.differentiable = self.scores_only is None
         self._device = device()
         # channels_last is 1.4 to 1.7 times faster on a CPU for depthwise networks
-        network = self.network.to(self._device, self.dtype).eval().requires_grad_(False)
-        self.network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.network = self.network.to(self._device, self.dtype).eval().requires_grad_(False)
+        to_channels_last(self.network)
         self._mean = torch.tensor(self.mean, dtype=self.dtype, device=self._device)
         self._scale = torch.tensor(self.scale, dtype=self.dtype, device=self._device)
         if self._device.type == "cpu" and self.dtype == torch.float32:

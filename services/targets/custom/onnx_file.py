@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from services.device import device
 from services.targets.custom.graph import FixedBatch, Unreadable, check_input
 from services.targets.custom.onnx_graph import convert
-from services.targets.packing import pack
+from services.targets.packing import pack, to_channels_last
 
 TOLERANCE = 1e-4
 """Largest difference between a score in torch and in onnxruntime, relative to the largest score or 1."""
@@ -102,10 +102,9 @@ def _converted(
     dtype: torch.dtype,
 ) -> nn.Module:
     """The network in torch. Raises Unreadable if its scores are not those of onnxruntime."""
-    graph = convert(model)
-    network = graph.to(device(), dtype).eval().requires_grad_(False)
+    network = convert(model).to(device(), dtype).eval().requires_grad_(False)
     if device().type == "cpu" and dtype == torch.float32 and count in (None, 1):
-        network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        to_channels_last(network)
         pack(network, size)
     tried = torch.randn((count or _TRIED, 3, *size), generator=torch.Generator().manual_seed(0))
     with torch.no_grad():

@@ -40,7 +40,9 @@ def convert(model: onnx.ModelProto) -> GraphNetwork:
             steps.append(Step(label, f"convolution_{index}", inputs[:1], (node.output[0],)))
         else:
             run = partial(OPERATORS[node.op_type], **attributes)
-            steps.append(Step(label, run, inputs, (node.output[0],)))
+            # of another operator only the first output is converted: masks and indices are not
+            outputs = tuple(node.output) if node.op_type == "Split" else (node.output[0],)
+            steps.append(Step(label, run, inputs, outputs))
     source = next(one.name for one in graph.input if one.name not in weights)
     return GraphNetwork(source, graph.output[0].name, steps, weights, layers)
 

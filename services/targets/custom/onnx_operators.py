@@ -195,6 +195,25 @@ def gather(x: Tensor, indices: Tensor, *, axis: int = 0) -> Tensor:
     return x.index_select(axis, flat).reshape(*x.shape[:axis], *indices.shape, *x.shape[axis + 1 :])
 
 
+def gather_nd(x: Tensor, indices: Tensor, *, batch_dims: int = 0) -> Tensor:
+    """Picks entries by indices of the first axes."""
+    if batch_dims:
+        raise ValueError("GatherND with batch_dims is not converted")
+    return x[indices.unbind(-1)]
+
+
+def split(
+    x: Tensor, lengths: Tensor | None = None, *, axis: int = 0, num_outputs: int | None = None
+) -> tuple[Tensor, ...]:
+    """Cuts an axis into parts, of given lengths or equal but for the last."""
+    if lengths is None and num_outputs is None:
+        raise ValueError("Split without lengths is not converted")
+    total = x.shape[axis]
+    parts = -(-total // (num_outputs or 1)) if lengths is None else _integers(lengths)
+    found: tuple[Tensor, ...] = x.split(parts, dim=axis)  # type: ignore[no-untyped-call]
+    return found
+
+
 def slices(x: Tensor, starts: Tensor, ends: Tensor, axes: Tensor | None = None, steps: Tensor | None = None) -> Tensor:
     """Cuts out ranges of axes, with steps from 1."""
     first, last = _integers(starts), _integers(ends)
@@ -260,6 +279,7 @@ OPERATORS: dict[str, Callable[..., Any]] = {
     "Expand": expand,
     "Flatten": flatten,
     "Gather": gather,
+    "GatherND": gather_nd,
     "Gelu": lambda x, *, approximate="none": F.gelu(x, approximate=approximate),
     "Gemm": gemm,
     "GlobalAveragePool": lambda x: x.mean(dim=tuple(range(2, x.dim())), keepdim=True),
@@ -284,6 +304,7 @@ OPERATORS: dict[str, Callable[..., Any]] = {
     "Sigmoid": torch.sigmoid,
     "Slice": slices,
     "Softmax": lambda x, *, axis=-1: F.softmax(x, dim=axis),
+    "Split": split,
     "Sqrt": torch.sqrt,
     "Squeeze": squeeze,
     "Sub": lambda a, b: a - b,

@@ -57,6 +57,7 @@ CASES: list[Case] = [
     ("Flatten", IMAGE, [], {"axis": -1}),
     ("Flatten", IMAGE, [], {"axis": 0}),
     ("Gather", IMAGE, [np.array([[0, -1], [2, 1]], dtype=np.int64)], {"axis": 1}),
+    ("GatherND", IMAGE, [np.array([[[0, 1], [1, 3]]], dtype=np.int64)], {}),
     ("Gelu", IMAGE, [], {"approximate": "tanh"}),
     ("Gemm", [3, 5], [values(4, 5), values(4)], {"alpha": 0.5, "beta": 2.0, "transB": 1}),
     ("Gemm", [5, 3], [values(5, 4)], {"transA": 1}),
@@ -85,6 +86,8 @@ CASES: list[Case] = [
     ("Sigmoid", IMAGE, [], {}),
     ("Slice", IMAGE, [integers(1, 0), integers(-1, 99), integers(2, 3), integers(1, 2)], {}),
     ("Softmax", IMAGE, [], {"axis": 1}),
+    ("Split", IMAGE, [integers(3, 6)], {"axis": 2}),
+    ("Split", IMAGE, [], {"axis": 3, "num_outputs": 3}),
     ("Squeeze", [2, 1, 3, 1], [integers(1, -1)], {}),
     ("Sub", IMAGE, [values(11)], {}),
     ("Sum", IMAGE, [values(11), values(9, 1)], {}),
@@ -100,7 +103,9 @@ CASES += [("Cast", IMAGE, [], {"to": int(TensorProto.INT64)})]
 
 def model(kind: str, shape: Sequence[Any], more: list[Any], attributes: dict[str, Any]) -> onnx.ModelProto:
     names = [f"w{index}" for index in range(len(more))]
-    node = helper.make_node(kind, ["x", *names], ["y"], **attributes)
+    more_outputs = [f"y{index}" for index in range(1, 3 if "num_outputs" in attributes else 2)]
+    outputs = ["y", *more_outputs] if kind == "Split" else ["y"]
+    node = helper.make_node(kind, ["x", *names], outputs, **attributes)
     return in_model([node], shape, [numpy_helper.from_array(v, n) for n, v in zip(names, more, strict=True)])
 
 
