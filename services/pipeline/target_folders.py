@@ -81,6 +81,7 @@ def _register(folder: Path) -> TargetFolder:
         takes_question=False,
         source=card.source,
         licence=card.licence,
+        vocabulary="imagenet" if card.labels == "imagenet" else "custom",
         card_sha256=digest,
     )
 

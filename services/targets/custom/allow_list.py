@@ -2,8 +2,7 @@
 
 import socket
 from ipaddress import IPv4Address, IPv6Address, ip_address
-
-import httpx
+from urllib.parse import urlsplit
 
 from services.settings import settings
 
@@ -22,29 +21,29 @@ def endpoint_refusal(endpoint: str) -> str | None:
     if endpoint not in settings().allowed_endpoints:
         return f"the endpoint {endpoint!r} is not allowed; the operator lists it in SCENE_ATTACK_TARGET_ENDPOINTS"
     try:
-        url = httpx.URL(endpoint)
-    except httpx.InvalidURL as error:
+        url = urlsplit(endpoint)
+        host = url.hostname or ""
+    except ValueError as error:
         return f"the endpoint {endpoint!r} is no URL: {error}"
-    if url.userinfo or url.fragment:
+    if url.username or url.password or url.fragment:
         return "the endpoint has a user name, a password or a fragment; leave them out"
-    if url.scheme == "https" and url.host:
+    if url.scheme == "https" and host:
         return None
-    if url.scheme == "http" and _is_loopback(url.host):
+    if url.scheme == "http" and _is_loopback(host):
         return None
     return f"the endpoint {endpoint!r} is neither https nor on this machine"
 
 
-def resolve(url: httpx.URL) -> str:
-    """Returns an IP address of the URL's host that may be connected to.
+def resolve(host: str, port: int) -> str:
+    """Returns an IP address of the host of a URL that may be connected to.
 
     An address that is not public is allowed if the URL names it itself, or the operator's list does. Connect to what is
     returned, not to the name: another look-up may give another address. Raises OSError if there is none.
     """
-    found = socket.getaddrinfo(url.host, url.port or (443 if url.scheme == "https" else 80), type=socket.SOCK_STREAM)
-    for *_, place in found:
-        if _allowed(url.host, _plain(str(place[0]))):
+    for *_, place in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM):
+        if _allowed(host, _plain(str(place[0]))):
             return str(place[0])
-    raise OSError(f"{url.host} has no address that is public or listed in SCENE_ATTACK_TARGET_ENDPOINTS")
+    raise OSError(f"{host} has no address that is public or listed in SCENE_ATTACK_TARGET_ENDPOINTS")
 
 
 def _allowed(host: str, address: Address) -> bool:

@@ -105,7 +105,7 @@ class Endpoint:
             "Accept-Encoding": "identity",
             "Idempotency-Key": hashlib.sha256(body).hexdigest(),  # a repeated request is the same request
         }
-        place = url.copy_with(host=resolve(url))
+        place = url.copy_with(host=resolve(url.host, url.port or (443 if url.scheme == "https" else 80)))
         with self._client.stream(
             "POST", place, content=body, headers=headers, extensions={"sni_hostname": url.host}
         ) as response:

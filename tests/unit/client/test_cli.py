@@ -26,6 +26,7 @@ COMMANDS = [
     ["worker"],
     ["demo"],
     ["targets"],
+    ["targets", "check"],
     *(["jobs", *rest] for rest in ([], ["list"], ["show"], ["watch"], ["cancel"], ["download"])),
     *(["assets", *rest] for rest in ([], ["list"], ["show"], ["add"], ["environments"])),
     *(["accuracy", *rest] for rest in ([], ["stability"], ["work-precision"])),
