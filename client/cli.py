@@ -5,7 +5,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from client.commands import accuracy, analyse, assets, demo, jobs, plan, run, serve, submit, targets
+from client.commands import accuracy, analyse, assets, demo, jobs, plan, run, serve, submit, targets, train
 from services.errors import InvalidRequest, JobFailure
 
 app = typer.Typer(
@@ -44,6 +44,7 @@ app.add_typer(jobs.app, name="jobs")
 app.add_typer(assets.app, name="assets")
 app.add_typer(targets.app, name="targets")
 app.add_typer(accuracy.app, name="accuracy")
+app.add_typer(train.app, name="train")
 serve.register(app)
 demo.register(app)
 
