@@ -2,6 +2,7 @@
 
 import asyncio
 from concurrent.futures import ThreadPoolExecutor
+from io import BytesIO
 from typing import Any, BinaryIO
 
 from services.errors import InvalidRequest
@@ -17,6 +18,8 @@ CHECK_SECONDS = 120.0
 """Longest check of a spec, in which the scene is rendered and classified once."""
 MESH_SECONDS = 30.0
 """Longest time for parsing an uploaded mesh, after which the process is killed."""
+RERENDER_SECONDS = 300.0
+"""Longest time for re-rendering an image, after which the process is killed."""
 
 log = logger(__name__)
 
@@ -64,6 +67,14 @@ class Preflight:
             detail = f"it could not be read within {MESH_SECONDS:g} seconds and the memory allowed"
             raise InvalidRequest("file", detail) from error
         return Entry.model_validate(answer["entry"])
+
+    async def rerender(self, request: dict[str, Any], image: bytes) -> dict[str, Any]:
+        """Applies the re-rendering defence. Raises InvalidRequest naming the field, and Unavailable."""
+        try:
+            return await self._ask({"rerender": request}, BytesIO(image), RERENDER_SECONDS)
+        except ChildDied as error:
+            detail = f"the fit did not end within {RERENDER_SECONDS:g} seconds and the memory allowed; ask for fewer"
+            raise InvalidRequest("fit.steps", detail) from error
 
     async def _ask(self, message: dict[str, Any], file: BinaryIO | None, seconds: float) -> dict[str, Any]:
         loop = asyncio.get_running_loop()

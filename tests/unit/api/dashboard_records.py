@@ -191,6 +191,6 @@ def app(repository: Repository) -> FastAPI:
     made.include_router(dashboard.router)
     none = cast(Any, None)
     made.state.services = Services(
-        repository=repository, queue=none, submissions=none, store=none, library=none, preflight=none
+        repository=repository, queue=none, submissions=none, store=none, library=none, preflight=none, rerenderer=none
     )
     return made

@@ -10,6 +10,13 @@ from services.pipeline.result import Result
 from tests.unit.api.dashboard_records import ATTRIBUTION, add, record, result, succeed
 from tests.unit.api.test_dashboard_pages import Tags, get
 
+pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    return "asyncio"
+
 
 @pytest.fixture
 def repository(tmp_path: Path) -> Iterator[Repository]:
