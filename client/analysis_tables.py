@@ -8,6 +8,7 @@ from rich.text import Text
 from client.console import out, table, yes
 from client.outcomes import thousandths, verdict
 from services.analysis.records import (
+    AdaptiveAttack,
     Analyses,
     Attribution,
     Interpretation,
@@ -71,6 +72,8 @@ def _tables(found: Analyses) -> Iterator[Table]:
         yield _interpretation(found.interpretation)
     if found.rerendering is not None:
         yield rerendering_table(found.rerendering)
+    if found.adaptive is not None:
+        yield _adaptive(found.adaptive)
 
 
 def _attribution(found: Attribution, title: str) -> Table:
@@ -165,6 +168,26 @@ def rerendering_table(found: Rerendering) -> Table:
     ]
     columns = ("image", "re-rendered", *FIT_COLUMNS, "p of the difference>")
     return table(columns, [row], title=f"Re-rendering defence: {found.optimiser}, rate {found.rate:g}")
+
+
+def _adaptive(found: AdaptiveAttack) -> Table:
+    row: list[str | Text] = [
+        yes(found.fooled),
+        str(found.steps),
+        _said(found.image),
+        _said(found.rerendered),
+        f"{found.goal_probability[0]:.3f} → {found.goal_probability[-1]:.3f}",
+        thousandths(found.perceptibility),
+    ]
+    columns = (
+        "defence fooled",
+        "steps>",
+        "attacked image",
+        "re-rendered",
+        "goal's label, re-rendered",
+        "p saved ×1e-3>",
+    )
+    return table(columns, [row], title="Attack on pixels through the re-rendering defence")
 
 
 def _said(said: Said) -> str:

@@ -38,6 +38,7 @@ def analyse(
     ] = None,
     interpret: Annotated[bool, typer.Option("--interpret", help="Fit physical parameters to the image.")] = False,
     defend: Annotated[bool, typer.Option("--rerender", help="The re-rendering defence.")] = False,
+    adaptive: Annotated[bool, typer.Option("--adaptive", help="Attack the pixels through that defence.")] = False,
     steps: Annotated[int, typer.Option(min=1, help="Steps of each fit, for --interpret and --rerender.")] = 100,
     as_json: JsonOption = False,
 ) -> None:
@@ -57,6 +58,7 @@ def analyse(
         "transfer": {"targets": transfer or [], "renderers": renderer or []} if transfer or renderer else None,
         "interpretation": {"steps": steps} if interpret else None,
         "rerendering": {"steps": steps} if defend else None,
+        "adaptive": {} if adaptive else None,
     }
     found = _analyse(directory, request)
     (directory / ANALYSES).write_text(found.model_dump_json(indent=1) + "\n", "utf-8")

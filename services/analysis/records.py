@@ -150,6 +150,19 @@ class Rerendering(Record):
     distance: float = Field(description="p of the difference between the two images, both of 8 bits")
 
 
+class AdaptiveAttack(Record):
+    """An attack on pixels that knows the re-rendering defence (BPDA)."""
+
+    fooled: bool = Field(description="whether the answer to the re-rendered image met the goal")
+    steps: int
+    goal_probability: list[float] = Field(
+        description="probability of the goal's label for the re-rendered image, at the start and after each step"
+    )
+    image: Said = Field(description="the answer to the attacked image itself, without the defence")
+    rerendered: Said = Field(description="the answer to its re-rendering")
+    perceptibility: float = Field(description="p(ΔY) of the attacked image as saved, of 8 bits")
+
+
 class Analyses(Record):
     """The analyses that the request asked for; null for those that it did not name."""
 
@@ -158,3 +171,4 @@ class Analyses(Record):
     transfer: list[Transferred] | None = None
     interpretation: Interpretation | None = None
     rerendering: Rerendering | None = None
+    adaptive: AdaptiveAttack | None = None

@@ -60,6 +60,13 @@ class RerenderingRequest(Model):
     steps: Steps = Field(100, description="its number of steps")
 
 
+class AdaptiveRequest(Model):
+    """An attack on the original image's pixels that knows the re-rendering defence; each step needs a fit."""
+
+    steps: Annotated[int, Field(ge=1, le=1000)] = Field(10, description="largest number of steps")
+    fit: RerenderingRequest = Field(RerenderingRequest(steps=30), description="the defence that it attacks")
+
+
 class AnalysisRequest(Model):
     """The analyses of the stored perturbation to make after the attack. Each is left out unless it is named; {} gives
     its defaults. Perceptibility, the table of subsets and the groups' Shapley values are in every result.
@@ -70,3 +77,4 @@ class AnalysisRequest(Model):
     transfer: TransferRequest | None = Field(None, description="other targets and renderers")
     interpretation: InterpretationRequest | None = Field(None, description="fits of physical parameters to the image")
     rerendering: RerenderingRequest | None = Field(None, description="the re-rendering defence")
+    adaptive: AdaptiveRequest | None = Field(None, description="an attack through the re-rendering defence")

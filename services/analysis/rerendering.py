@@ -38,7 +38,7 @@ def interpret(verifier: Verifier, image: Tensor, *, steps: int, tick: Callable[[
     found: list[Explanation] = []
     for number, (optimiser, rate) in enumerate(product(OPTIMISERS, RATES)):
         begun, total = number * each, len(OPTIMISERS) * len(RATES) * each
-        best, rendered = _fitted(verifier, image, optimiser, rate, steps, partial(_tick_from, tick, begun, total))
+        best, rendered = fitted(verifier, image, optimiser, rate, steps, partial(_tick_from, tick, begun, total))
         found.append(
             Explanation(
                 optimiser=optimiser,
@@ -69,7 +69,7 @@ def rerender(
 ) -> tuple[Rerendering, Tensor]:
     """Fits once; returns the answers to the image and to the rendering of the fit, and that image, uint8 [H, W, 3]."""
     labels = verifier.target.labels
-    best, rendered = _fitted(verifier, image, optimiser, rate, steps, lambda step: tick(step, steps + 2))
+    best, rendered = fitted(verifier, image, optimiser, rate, steps, lambda step: tick(step, steps + 2))
     record = Rerendering(
         optimiser=optimiser,
         rate=rate,
@@ -81,7 +81,7 @@ def rerender(
     return record, rendered
 
 
-def _fitted(
+def fitted(
     verifier: Verifier, image: Tensor, optimiser: Optimiser, rate: float, steps: int, tick: Callable[[int], None]
 ) -> tuple[Fit, Tensor]:
     """A fit to an image, uint8 [H, W, 3], and its exact rendering, uint8 [H, W, 3]."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 from torch import Tensor
 
+from services.analysis.adaptive import attack_through
 from services.analysis.attribution import Tick, of_coordinates
 from services.analysis.minimal import minimal_change
 from services.analysis.physical import physical_changes
@@ -76,7 +77,7 @@ def analyse(subject: Subject, request: AnalysisRequest, library: Library, report
             tick(number, len(asked))
             is_target = number < len(request.transfer.targets)
             found.transfer.append(_to_target(subject, name) if is_target else _to_renderer(subject, name, library))
-    if request.interpretation is not None or request.rerendering is not None:
+    if any((request.interpretation, request.rerendering, request.adaptive)):
         fitted = fitting_verifier(prepared.scene, prepared.spec)
         if request.interpretation is not None:
             steps = request.interpretation.steps
@@ -86,6 +87,15 @@ def analyse(subject: Subject, request: AnalysisRequest, library: Library, report
         if request.rerendering is not None:
             tick = _named(report, "rerendering")
             found.rerendering, _ = rerendered(fitted, subject.attacked.saved, request.rerendering, tick)
+        if request.adaptive is not None:
+            found.adaptive = attack_through(
+                fitted,
+                goal,
+                subject.original.saved,
+                fit=request.adaptive.fit,
+                steps=request.adaptive.steps,
+                tick=_named(report, "adaptive"),
+            )
     return found
 
 

@@ -9,9 +9,12 @@ from services.targets import registry
 
 
 def check_analysis(spec: JobSpec) -> None:
-    """Raises InvalidRequest naming the field, for unknown targets and renderers, and for analyses that would be empty:
-    a renderer that can draw nothing of the attacked groups.
+    """Raises InvalidRequest naming the field, for unknown targets and renderers, for a target without gradients
+    where they are needed, and for a renderer that can draw nothing of the attacked groups.
     """
+    if spec.analysis.adaptive is not None and not registry.has_gradient(spec.target.name):
+        detail = f"it needs gradients, and the scores of {spec.target.name} have none with respect to the image"
+        raise InvalidRequest("analysis.adaptive", detail)
     asked = spec.analysis.transfer
     if asked is None:
         return

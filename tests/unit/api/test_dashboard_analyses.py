@@ -77,6 +77,14 @@ ANALYSES = {
             }
         ],
     },
+    "adaptive": {
+        "fooled": False,
+        "steps": 10,
+        "goal_probability": [0.9, 0.8],
+        "image": {"label": "desk", "confidence": 0.7},
+        "rerendered": {"label": "piano", "confidence": 0.8},
+        "perceptibility": 0.025,
+    },
     "rerendering": {
         "optimiser": "adam",
         "rate": 1e-3,
@@ -103,6 +111,8 @@ async def test_job_page_shows_the_analyses_that_were_asked_for(repository: Repos
         "c torch piano 90.0 % <desk> 40.0 % changed truth unknown",
         "sgd 1.0e-04 5.000 4.000 piano 80.0 %",
         "fell from 6.000 to 5.000 × 10⁻³",
+        "after 10 steps, at p = 25.00 × 10⁻³ as saved, the network says desk 70.0 % of the image",
+        "the defence held",
     ):
         assert words in text, words
 
