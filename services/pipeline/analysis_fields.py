@@ -37,6 +37,6 @@ def check_analysis(spec: JobSpec) -> None:
             attacked = ", ".join(spec.attack.groups)
             raise InvalidRequest(
                 field,
-                f"nothing of {attacked} ({spec.attack.renderer}) is a part of the scene that {name} draws; colours and "
-                "poses of pyrender are",
+                f"nothing of {attacked} ({spec.attack.renderer}) is a part of the scene that {name} draws; colours, "
+                "poses and the camera of pyrender are",
             )

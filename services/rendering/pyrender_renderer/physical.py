@@ -40,6 +40,8 @@ def changes(scene: ResolvedScene, renderer: Renderer, perturbation: Mapping[str,
             found += translation_changes(change, lengths)
         elif group == "rotation":
             found += rotation_changes(initial[group], change)
+        elif group == "camera":
+            found += camera_changes(change, lengths[0] if len(lengths) == 1 else None)
     return found
 
 
@@ -89,6 +91,14 @@ def rotation_changes(initial: Doubles, change: Doubles) -> Iterator[PhysicalChan
         # arccosine of the trace is not
         sine = float(np.linalg.norm(new - old)) / (2 * np.sqrt(2))
         yield _angle("rotation", f"object {index}", 2 * float(np.arcsin(min(1.0, sine))))
+
+
+def camera_changes(change: Doubles, centimetres: float | None) -> Iterator[PhysicalChange]:
+    """Changes of azimuth, elevation, distance and roll [4]: signed angles, and how far the distance changes."""
+    azimuth, elevation, distance, roll = (float(value) for value in change)
+    for word, value in (("azimuth", azimuth), ("elevation", elevation), ("roll", roll)):
+        yield _angle("camera", word, value)
+    yield _distance("camera", "camera", np.array([distance]), centimetres)
 
 
 def _angle_between(first: Doubles, second: Doubles) -> float:

@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from services.rendering.pyrender_renderer.physical import (
+    camera_changes,
     color_changes,
     light_changes,
     rotation_changes,
@@ -58,3 +59,13 @@ def test_translations_are_in_each_objects_centimetres() -> None:
 def test_the_largest_channel_of_a_colour_with_its_sign() -> None:
     [found] = color_changes(np.array([[0.01, -0.03, 0.02]]))
     assert found.value == pytest.approx(-3)
+
+
+def test_the_camera_turns_by_signed_angles_and_moves_by_a_distance() -> None:
+    found = {c.subject: (c.value, c.unit) for c in camera_changes(np.array([0.1, -0.2, -0.5, 0.3]), 100.0)}
+    assert found == {
+        "azimuth": (pytest.approx(degrees(0.1)), "degrees"),
+        "elevation": (pytest.approx(degrees(-0.2)), "degrees"),
+        "roll": (pytest.approx(degrees(0.3)), "degrees"),
+        "camera": (pytest.approx(50), "cm"),
+    }
