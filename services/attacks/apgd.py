@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from services.attacks.losses import DESCRIPTION, Loss
 from services.attacks.spec import AttackSettings, register
+from services.attacks.square import groups_without_pixels
 from services.attacks.suggested import suggested_limits
 
 if TYPE_CHECKING:
@@ -36,11 +37,21 @@ class Apgd(AttackSettings):
         100, description="largest number of steps, over which the checkpoints are spread"
     )
     loss: Loss = Field("log-odds", description=DESCRIPTION)
+    masking_queries: Annotated[int, Field(ge=0, le=100_000)] = Field(
+        0,
+        description="after an attack that held, `square` tries with at most this number of queries, and the result's "
+        "settings say under `masking` whether it succeeded: then the gradient is masked; 0: no such check",
+    )
 
     @property
     def objective(self) -> Loss:
         """The loss whose gradient the loop computes."""
         return self.loss
+
+    @property
+    def masking_check(self) -> int:
+        """Queries of the check for masked gradients."""
+        return self.masking_queries
 
     @classmethod
     def complete(cls, data: dict[str, Any]) -> dict[str, Any]:
@@ -50,6 +61,8 @@ class Apgd(AttackSettings):
     @model_validator(mode="after")
     def _a_limit_for_each_group(self) -> Self:
         self.check_groups("epsilon", self.epsilon)
+        for group in groups_without_pixels(self) if self.masking_queries else ():
+            raise ValueError(f"masking_queries: {group!r} is no image, which square needs; leave this out")
         return self
 
 

@@ -1,7 +1,7 @@
 """The protocol of an attack method. Its whole state is a set of named tensors, which a checkpoint saves and loads.
 
 `services.attacks.spec.register` registers a method's class. The class is called with the settings and an
-`AttackProblem`.
+`AttackProblem`, whose `beginning` is the method's first perturbation: zeros, or a random one for a restart.
 """
 
 from typing import Protocol
@@ -35,6 +35,8 @@ class Method(Protocol):
 
     def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:
         """Moves the perturbation by one step, given its evaluation `view` and the number `step`, which begins at 0.
+
+        `view.perturbation` is what was evaluated; backtracking may have made it shorter than `perturbation`.
 
         Returns the number of differences that were below the noise, or of groups whose gradient is zero throughout.
         """

@@ -118,6 +118,11 @@ class AttackSettings(Limits):
         """The loss whose gradient the loop computes, and whose value it gives to the method."""
         return "log-odds"
 
+    @property
+    def masking_check(self) -> int:
+        """Queries of the check for masked gradients after an attack that held; 0: there is none."""
+        return 0
+
     @classmethod
     def complete(cls, data: dict[str, Any]) -> dict[str, Any]:
         """Fills in settings that the method derives from the renderer and the groups. The base class derives none."""

@@ -50,12 +50,16 @@ class Square(AttackSettings):
 
     @model_validator(mode="after")
     def _images_with_a_limit(self) -> Self:
-        declared = RENDERERS[self.renderer]
-        for group in self.groups:
-            if declared.group(group).shape[:2] != ("H", "W"):
-                raise ValueError(f"groups: {group!r} is no image; square needs a value or more at each pixel")
+        for group in groups_without_pixels(self):
+            raise ValueError(f"groups: {group!r} is no image; square needs a value or more at each pixel")
         self.check_groups("epsilon", self.epsilon)
         return self
+
+
+def groups_without_pixels(settings: AttackSettings) -> list[str]:
+    """The attacked groups that have no values by pixel, in which there are no squares."""
+    declared = RENDERERS[settings.renderer]
+    return [group for group in settings.groups if declared.group(group).shape[:2] != ("H", "W")]
 
 
 @register(Square)

@@ -15,6 +15,7 @@ from services.analysis.attribution import of_subsets
 from services.analysis.perceptibility import beyond, of_float_images, of_groups, of_images
 from services.analysis.subsets import ScoredImage, subsets
 from services.attacks.loop import Budget, run
+from services.attacks.masking import check_masking
 from services.attacks.method import Method
 from services.attacks.problem import AttackProblem
 from services.attacks.state import AttackState
@@ -95,6 +96,8 @@ def execute(
         restarts=spec.attack.restarts,
         fresh=fresh,
     )
+    if spec.attack.masking_check and not found.verified:
+        found.settings |= {"masking": check_masking(problem, prepared.verifier, spec.attack.masking_check)}
     progress(Progress(phase="analysing", step=found.step, steps=steps))
     interrupt()
 

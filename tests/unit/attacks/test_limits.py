@@ -22,6 +22,7 @@ from services.attacks.zoo import Zoo
         (Fgsm, {"bounds": {"normals": [1, 1]}}, "bounds: those of group 'normals' are 1 and 1"),
         (Fgsm, {"epsilon": {"normals": 0}}, "greater than 0"),
         (Square, {"renderer": "torch", "groups": ["material"]}, "groups: 'material' is no image"),
+        (Apgd, {"masking_queries": 10}, "masking_queries: 'illumination' is no image"),
         (Apgd, {"loss": "hinge"}, "'log-odds', 'margin' or 'dlr'"),
     ],
 )

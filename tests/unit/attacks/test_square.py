@@ -3,6 +3,7 @@ import torch
 
 from services.attacks.apgd import Apgd, ApgdMethod
 from services.attacks.loop import Budget, run
+from services.attacks.masking import check_masking
 from services.attacks.problem import AttackProblem
 from services.attacks.square import Square, SquareMethod, square_side
 from services.attacks.state import AttackState
@@ -104,3 +105,16 @@ def test_it_fools_a_network_whose_gradient_is_zero() -> None:
     assert not found["apgd"].fooled
     assert found["apgd"].trace[-1].below_noise == 1
     assert found["square"].verified
+
+
+def test_the_masking_check_is_square_within_the_same_limits_and_counts_what_it_asks() -> None:
+    for scale, outcome in ((3.0, "fooled"), (1e-6, "held")):
+        renderer = Pixels()
+        target = LinearTarget(scale=scale) if outcome == "fooled" else Ahead(renderer)
+        case = problem(renderer, target, epsilon={"image": EPSILON})
+        verifier = Verifier(renderer, target)
+        found = check_masking(case, verifier, 30)
+        assert found["square"] == outcome
+        assert case.queries == found["queries"] + 1  # type: ignore[operator]
+        assert verifier.queries == (outcome == "fooled")
+        assert found["queries"] == 30 or outcome == "fooled"
