@@ -15,8 +15,8 @@ PAGE = Path(__file__).parents[1] / "docs" / "benchmarks.md"
 
 def page() -> str:
     """The whole page as Markdown."""
-    parts = ["# Benchmarks", INTRODUCTION, *_shading(), *_jobs(), *_image_attacks(), *_zoo(), *_rounded()]
-    return "\n\n".join(parts) + "\n"
+    sections = (_shading, _jobs, _image_attacks, _peer_attacks, _zoo, _rounded)
+    return "\n\n".join(["# Benchmarks", INTRODUCTION, *(part for section in sections for part in section())]) + "\n"
 
 
 INTRODUCTION = """Each table is of one run of one command, after a warm-up: times are the shortest of several repeats
@@ -115,6 +115,28 @@ def _image_attacks() -> list[str]:
         result["about"].split("\n\n")[1].replace("\n", " "),
         _table(result["timing"][0], timing),
         _table(result["success"][0], success),
+        _foot(result),
+    ]
+
+
+def _peer_attacks() -> list[str]:
+    result = _result("peer_attacks")
+    used = result["settings"]
+    rows = [
+        [
+            row["attack"],
+            f"{row['fooled']} of {row['of']}",
+            f"{row['margin']:.2f}",
+            "" if row["queries"] is None else f"{row['queries']:.1f}",
+        ]
+        for row in result["rows"]
+    ]
+    return [
+        "## Attacks on pixels by several packages",
+        *(part.replace("\n", " ").strip() for part in result["about"].split("\n\n")[1:]),
+        f"ε is {used['epsilon']}/255, for Square {used['square epsilon']}/255; APGD takes {used['steps']} steps, "
+        f"Square at most {used['queries']} queries.",
+        _table(("attack", "fooled", "margin", "queries"), rows),
         _foot(result),
     ]
 

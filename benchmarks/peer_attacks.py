@@ -1,0 +1,239 @@
+"""Compares FGSM, MI-FGSM, APGD and Square on pixels with Foolbox's and torchattacks'. Writes results/peer_attacks.json.
+
+All attack the same images, which the network classifies correctly, with the same ε, step size and number of steps, and
+without ending early; so what is compared is the method, not the loop around it. Every adversary is rounded to 8 bits
+and classified by the same network: `fooled` counts those whose label is not the right one any more, `margin` is the
+mean of the right label's score over the largest other, which the methods lower. Ours see the rounded image inside the
+attack, the others the unrounded one. APGD and Square begin at random, so ours and torchattacks' run with two seeds
+each: the difference between two seeds of one package is the noise. Square ends at the first success: `queries` is the
+mean over all images, those that held counted with all their queries.
+
+Foolbox's MI-FGSM for L∞ does not divide the gradients by their ℓ1 norm, which the paper (Dong et al. 2018, equation 6)
+does, so it is listed but not the same method. Foolbox has no APGD and no Square; auto-attack, where both come from, is
+not a published package, and torchattacks' are its code.
+"""
+
+import argparse
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from benchmarks.peers import Lite0, reach
+from benchmarks.report import RESULTS, save
+from benchmarks.views import VIEWS
+from services.attacks.goal import ResolvedGoal
+from services.attacks.loop import AttackRun, Budget, run_together
+from services.attacks.method import Method
+from services.attacks.problem import AttackProblem, ask, gradients, quantize
+from services.attacks.verifier import Verifier
+from services.errors import InvalidRequest
+from services.pipeline.extensions import ATTACKS
+from services.pipeline.prepare import prepare
+from services.pipeline.spec import parse
+from services.rendering.color import from_bytes, to_bytes
+from services.rendering.image_renderer import ImageRenderer
+from services.rendering.protocol import Parameters
+from services.scenes.library import Library
+from services.settings import settings
+from services.targets import registry
+from services.targets.protocol import Target
+
+AZIMUTHS = (0.61, -0.61, 1.2)
+"""Views of each model, until there are enough that the network gets right."""
+SEEDS = (0, 1)
+
+
+@dataclass(frozen=True)
+class Case:
+    """The 8-bit images [B, H, W, 3], their right labels [B], ε and the networks."""
+
+    saved: Tensor
+    labels: Tensor
+    epsilon: float
+    target: Target
+    plain: Lite0
+
+    @property
+    def channels_first(self) -> Tensor:
+        """The images as the other packages take them, float32 [B, 3, H, W]."""
+        return from_bytes(self.saved).permute(0, 3, 1, 2).contiguous()
+
+    def problems(self, loss: str, seed: int) -> list[AttackProblem]:
+        """Our problems, one for each image."""
+        return [
+            AttackProblem(
+                ImageRenderer(from_bytes(image), "a file"),
+                self.target,
+                ResolvedGoal((int(label),), None),
+                ("image",),
+                seed=1000 * seed + index,
+                loss=loss,  # type: ignore[arg-type]
+                epsilon={"image": self.epsilon},
+            )
+            for index, (image, label) in enumerate(zip(self.saved, self.labels, strict=True))
+        ]
+
+    def method(self, name: str, problem: AttackProblem, **given: Any) -> Method:
+        """Our method of this name."""
+        request = {"method": name, "renderer": "image", "epsilon": {"image": self.epsilon}} | given
+        attack = ATTACKS[name]
+        method: Method = attack.method(attack.settings.model_validate(request), problem)
+        return method
+
+
+def ours(case: Case, name: str, steps: int, seed: int | None = None, **given: Any) -> Tensor:
+    """All steps of our method, without ending early. Begins at random if there is a seed, and then keeps the best."""
+    problems = case.problems(given.get("loss", "log-odds"), seed or 0)
+    if seed is not None:
+        for problem in problems:
+            problem.restart(1)
+    methods = [case.method(name, problem, steps=steps, **given) for problem in problems]
+    best: list[tuple[float, Parameters]] = [(torch.inf, {})] * len(methods)
+    for step in range(steps + 1):
+        views = [p.view(m.perturbation, gradient=True) for p, m in zip(problems, methods, strict=True)]
+        logits = ask(problems, quantize(torch.cat([view.images for view in views]))[1])
+        found = gradients(problems, views, logits)
+        for index, (problem, method, view) in enumerate(zip(problems, methods, views, strict=True)):
+            objective = float(problem.objective(logits[index].detach()))
+            if seed is None or objective < best[index][0]:
+                best[index] = (objective, {g: v.detach() for g, v in view.perturbation.items()})
+            method.advance(problem, replace(view, gradients=found[index], objective=objective), step)
+    images = [p.initial["image"] + kept["image"] for p, (_, kept) in zip(problems, best, strict=True)]
+    return to_bytes(torch.stack(images))
+
+
+def our_square(case: Case, queries: int, seed: int) -> tuple[Tensor, float]:
+    """Our Square through the loop, which ends at the first success; the images, and the mean of the queries."""
+    runs = [
+        AttackRun(p, case.method("square", p, steps=queries), Verifier(p.renderer, case.target), Budget(queries))
+        for p in case.problems("margin", seed)
+    ]
+    found = run_together(runs)
+    return torch.stack([one.image for one in found]), sum(one.step for one in found) / len(found)
+
+
+def theirs(case: Case, run: Callable[[Tensor, Tensor], Tensor]) -> Tensor:
+    """Another package's attack, which takes images [B, 3, H, W] and labels, rounded to 8 bits [B, H, W, 3]."""
+    return to_bytes(run(case.channels_first, case.labels).detach().permute(0, 2, 3, 1))
+
+
+def torchattacks_square(case: Case, queries: int, seed: int) -> tuple[Tensor, float]:
+    """torchattacks' Square and the mean of its queries."""
+    import torchattacks
+
+    attack = torchattacks.Square(case.plain, eps=case.epsilon, n_queries=queries, loss="margin")
+    attack.init_hyperparam(case.channels_first)
+    torch.manual_seed(seed)
+    asked, images = attack.attack_single_run(case.channels_first, case.labels)
+    return to_bytes(images.permute(0, 2, 3, 1)), float(asked.mean())
+
+
+def one_step_and_momentum(case: Case, step: float, steps: int) -> dict[str, Tensor]:
+    """The methods without random numbers: FGSM of one step, and MI-FGSM."""
+    import foolbox
+    import torchattacks
+
+    model = foolbox.PyTorchModel(case.plain, bounds=(0, 1), device="cpu")
+    fast = foolbox.attacks.LinfFastGradientAttack()
+    momentum = foolbox.attacks.LinfMomentumIterativeFastGradientMethod(abs_stepsize=step, steps=steps)
+    whole, rate = {"image": case.epsilon}, {"image": step}
+    mifgsm = torchattacks.MIFGSM(case.plain, eps=case.epsilon, alpha=step, steps=steps)
+    plain: dict[str, Any] = {"truncation": None}
+    return {
+        "FGSM, ours": ours(case, "fgsm", 1, learning_rate=whole, momentum=0, weight_decay=0, **plain),
+        "FGSM, torchattacks": theirs(case, torchattacks.FGSM(case.plain, eps=case.epsilon)),
+        "FGSM, Foolbox": theirs(case, lambda x, y: fast(model, x, y, epsilons=case.epsilon)[1]),
+        "MI-FGSM, ours": ours(case, "mi-fgsm", steps, learning_rate=rate, **plain),
+        "MI-FGSM, torchattacks": theirs(case, mifgsm),
+        "MI-FGSM without the norm, Foolbox": theirs(case, lambda x, y: momentum(model, x, y, epsilons=case.epsilon)[1]),
+    }
+
+
+def apgd(case: Case, steps: int) -> dict[str, Tensor]:
+    """APGD by cross-entropy and by DLR, from two random starts each."""
+    import torchattacks
+
+    found = {}
+    for name, ours_by in (("ce", "log-odds"), ("dlr", "dlr")):
+        for seed in SEEDS:
+            found[f"APGD {name}, ours, seed {seed}"] = ours(case, "apgd", steps, seed, loss=ours_by)
+        for seed in SEEDS:
+            attack = torchattacks.APGD(case.plain, eps=case.epsilon, steps=steps, loss=name, seed=seed)
+            # `best_loss` keeps the best point of each image, as ours does; otherwise it ends at the first success
+            run = lambda x, y, attack=attack: attack.perturb(x, y, best_loss=True)[1]  # noqa: E731
+            torch.manual_seed(seed)
+            found[f"APGD {name}, torchattacks, seed {seed}"] = theirs(case, run)
+    return found
+
+
+def row(name: str, case: Case, images: Tensor, queries: float | None = None) -> dict[str, object]:
+    """What the network says of the images, one at a time."""
+    logits = torch.stack([case.target.logits(from_bytes(image)[None])[0] for image in images])
+    own = logits.gather(1, case.labels[:, None])[:, 0]
+    margin = own - logits.scatter(1, case.labels[:, None], -torch.inf).amax(dim=1)
+    beyond = (images.int() - case.saved.int()).abs().max().item() - round(255 * case.epsilon)
+    assert beyond <= 0, f"{name} is beyond ε by {beyond}/255"
+    found = {"attack": name, "fooled": int((logits.argmax(dim=1) != case.labels).sum()), "of": len(images)}
+    return found | {"margin": float(margin.mean()), "queries": queries}
+
+
+def right_images(library: Library, count: int) -> tuple[Tensor, Tensor, list[str]]:
+    """The first `count` views that the network gets right: 8-bit images, labels, and the views' names."""
+    images, labels, names = [], [], []
+    for azimuth in AZIMUTHS:
+        for mesh, label in json.loads(VIEWS.read_text("utf-8"))["views"]:
+            if len(images) == count:
+                break
+            scene = {"objects": [{"mesh": mesh}], "camera": {"azimuth": azimuth}}
+            try:
+                prepared = prepare(parse({"scene": scene, "goal": {"leave": label}}), library)
+            except InvalidRequest:
+                continue
+            images.append(prepared.original)
+            labels.append(int(prepared.logits.argmax()))
+            names.append(f"{mesh} at {azimuth:g}")
+    return torch.stack(images), torch.tensor(labels), names
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Runs the comparison; see --help."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--images", type=int, default=32, help="number of images (default 32)")
+    parser.add_argument("--epsilon", type=int, default=2, help="ε of the gradient methods in 1/255 (default 2)")
+    parser.add_argument("--steps", type=int, default=20, help="steps of APGD (default 20)")
+    parser.add_argument("--square-epsilon", type=int, default=12, help="ε of Square in 1/255 (default 12)")
+    parser.add_argument("--queries", type=int, default=150, help="queries of Square (default 150)")
+    parser.add_argument("--out", type=Path, default=RESULTS / "peer_attacks.json")
+    options = parser.parse_args(arguments)
+    reach()
+    torch.set_num_threads(settings().threads)
+    target, plain = registry.load("efficientnet-lite0"), Lite0(torch.channels_last)
+    saved, labels, names = right_images(Library(settings().cache_dir, settings().data_dir), options.images)
+    case = Case(saved, labels, options.epsilon / 255, target, plain)
+    rows = [row("none", case, saved)]
+    for name, images in one_step_and_momentum(case, 0.25 * case.epsilon, 8).items():
+        rows.append(row(name, case, images))
+        print(rows[-1], flush=True)
+    for name, images in apgd(case, options.steps).items():
+        rows.append(row(name, case, images))
+        print(rows[-1], flush=True)
+    wide = replace(case, epsilon=options.square_epsilon / 255)
+    for who, square in (("ours", our_square), ("torchattacks", torchattacks_square)):
+        for seed in SEEDS:
+            images, queries = square(wide, options.queries, seed)
+            rows.append(row(f"Square, {who}, seed {seed}", wide, images, queries))
+            print(rows[-1], flush=True)
+    save(
+        options.out, __doc__ or "", target.backend, SEEDS[0], rows=rows, views=names,
+        settings={"epsilon": options.epsilon, "steps": options.steps, "square epsilon": options.square_epsilon,
+                  "queries": options.queries, "seeds": SEEDS},
+    )  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
