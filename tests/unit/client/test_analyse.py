@@ -1,0 +1,53 @@
+"""The commands `analyse` and `rerender` as processes."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from services.analysis.images import save_png
+from services.analysis.records import Rerendering
+from services.pipeline.analyse_stored import StoredAnalysis
+from services.pipeline.execute import execute
+from services.pipeline.prepare import prepare
+from tests.unit.client.test_cli import cli
+from tests.unit.jobs.small import LIBRARY, SPHERE, spec
+
+
+def test_analyse_prints_what_was_asked_for_and_keeps_it(tmp_path: Path) -> None:
+    execute(spec({"renderer": "torch", "groups": ["illumination", "material"], "steps": 1}), tmp_path, LIBRARY)
+    done = cli("analyse", str(tmp_path), "--minimal")
+    assert done.returncode == 0, done.stderr
+    for words in ("Subsets of the groups", "Shapley values of the groups, exact", "Minimal change", "largest texel"):
+        assert words in done.stdout
+    assert "minimal" in done.stderr  # progress
+    kept = StoredAnalysis.model_validate_json((tmp_path / "analyses.json").read_text())
+    assert kept.analyses.minimal is not None
+    assert kept.analyses.coordinates is None
+
+
+def test_rerender_answers_for_an_image_and_writes_the_rendering(tmp_path: Path) -> None:
+    save_png(prepare(spec({"renderer": "torch"}), LIBRARY).original, tmp_path / "image.png")
+    (tmp_path / "spec.json").write_text(json.dumps({"scene": SPHERE}))
+    arguments = ["rerender", str(tmp_path / "image.png"), str(tmp_path / "spec.json"), "--steps", "1"]
+    done = cli(*arguments, "--out", str(tmp_path / "again.png"), "--json")
+    assert done.returncode == 0, done.stderr
+    assert len(Rerendering.model_validate_json(done.stdout).losses) == 2
+    assert (tmp_path / "again.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["analyse", "{here}"], "directory"),
+        (["rerender", "{here}/no.png", "{here}/spec.json"], "IMAGE"),
+        (["rerender", "{here}/spec.json", "{here}/spec.json"], "IMAGE"),
+        (["rerender", "{here}/no.png", "{here}/spec.json", "--optimiser", "lbfgs"], "--optimiser"),
+    ],
+)
+def test_bad_input_is_named_and_exits_2(arguments: list[str], said: str, tmp_path: Path) -> None:
+    (tmp_path / "spec.json").write_text(json.dumps({"scene": SPHERE}))
+    done = cli(*(argument.format(here=tmp_path) for argument in arguments))
+    assert done.returncode == 2, done.stderr
+    assert f"bad input: {said}" in done.stderr
+    assert "Traceback" not in done.stderr
