@@ -11,6 +11,7 @@ from torch import Tensor
 
 from services.attacks import checkpoint
 from services.attacks.contract import check_count, check_settings, check_state
+from services.attacks.image_differences import ImageDifferences
 from services.attacks.method import Method
 from services.attacks.problem import AttackProblem, Evaluation, ask, distances, gradients, quantize
 from services.attacks.state import AttackState
@@ -19,6 +20,9 @@ from services.attacks.verifier import Verifier
 from services.errors import named
 from services.rendering.protocol import Parameters
 from services.targets.scores import probability
+
+DIFFERENCES = "image_differences"
+"""Name among a result's settings of those of `ImageDifferences`."""
 
 
 @dataclass(frozen=True)
@@ -99,11 +103,27 @@ class _Running:
             found = checkpoint.load(attack.checkpoint_path, attack.problem, attack.method, attack.verifier)
         self.run = found or AttackState(ever=torch.zeros(attack.problem.renderer.size, dtype=torch.bool))
         self.began, self.last_saved = monotonic() - self.run.seconds, monotonic()
-        if not self.run.settings and not self.run.trace:
+        resumed = bool(self.run.settings or self.run.trace)
+        measured = self._differences(resumed)
+        if not resumed:
             with named(self.name):
                 self.run.settings = attack.method.start(attack.problem)
                 check_state(attack.method.state())
             check_settings(self.run.settings)
+            self.run.settings |= measured
+
+    def _differences(self, resumed: bool) -> dict[str, object]:
+        """Prepares differences of images if the method needs gradients through a renderer that has none. Returns their
+        settings as `image_differences`, from which a resumed attack takes them.
+        """
+        problem = self.attack.problem
+        if problem.renderer.differentiable or not self.attack.method.needs_gradient:
+            return {}
+        if resumed:
+            problem.differences = ImageDifferences.load(problem, self.run.settings[DIFFERENCES])
+        else:
+            problem.differences = ImageDifferences.measure(problem)
+        return {DIFFERENCES: problem.differences.settings(problem)}
 
     @property
     def seconds(self) -> float:

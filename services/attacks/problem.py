@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
@@ -15,6 +15,9 @@ from services.finite import finite
 from services.rendering import color
 from services.rendering.protocol import Parameters, Renderer
 from services.targets.protocol import Target
+
+if TYPE_CHECKING:
+    from services.attacks.image_differences import ImageDifferences
 
 ROUNDING = 1e-6
 """Tolerance of the comparison with U: float32 sums of k/255 are off by less, and a change of exactly U is allowed."""
@@ -51,6 +54,8 @@ class AttackProblem:
     weight: float = 0.0
     interrupt: Callable[[], None] = lambda: None
     """Called before every rendering; raises Cancelled to stop."""
+    differences: "ImageDifferences | None" = None
+    """Differences of the image, by which `view` differentiates it if the renderer cannot; None if it can."""
     queries: int = 0
     renders: int = 0
     initial: Parameters = field(init=False)
@@ -96,13 +101,16 @@ class AttackProblem:
     def view(self, perturbation: Mapping[str, Tensor], gradient: bool = False) -> Evaluation:
         """The image of one perturbation, truncated to U around the original; with a graph if `gradient`.
 
-        Raises JobFailure for a perturbation of other groups or shapes, or with values that are not finite or beyond the
-        renderer's bounds.
+        The graph is the renderer's own, or that of `differences` if the renderer has none. Raises JobFailure for a
+        perturbation of other groups or shapes, or with values that are not finite or beyond the renderer's bounds.
         """
         check_perturbation(perturbation, self.initial, self.bounds)
         leaves = {g: value.detach().requires_grad_(gradient) for g, value in perturbation.items()}
         with torch.set_grad_enabled(gradient):
-            images = self.render({g: (self.initial[g] + value)[None] for g, value in leaves.items()})
+            if gradient and self.differences is not None:
+                images = self.differences.render(self, leaves)
+            else:
+                images = self.render({g: (self.initial[g] + value)[None] for g, value in leaves.items()})
             return Evaluation(leaves, *truncate(images, self.original, self.truncation))
 
     def logits(self, images: Tensor) -> Tensor:
@@ -149,11 +157,15 @@ class _Quantize(torch.autograd.Function):
 def gradients(problems: Sequence[AttackProblem], views: Sequence[Evaluation], logits: Tensor) -> list[Parameters]:
     """∂objective/∂perturbation of each problem at its view, by group, in one backward pass.
 
-    `logits` [B, K] has one row for each problem, and a graph that leads to the views. Raises JobFailure("non-finite")
-    naming the group, and JobFailure("internal") if there is no graph.
+    The objective is the goal's, plus λ·‖ΔY‖² if the problem has a `weight`. `logits` [B, K] has one row for each
+    problem, and a graph that leads to the views. Raises JobFailure("non-finite") naming the group, and
+    JobFailure("internal") if there is no graph.
     """
     check_graph(problems[0].renderer, problems[0].target, views[0].images, logits)
     objective = torch.stack([p.goal.objective(of) for p, of in zip(problems, logits, strict=True)]).sum()
+    for p, view in zip(problems, views, strict=True):
+        if p.weight:
+            objective = objective + p.weight * (view.images - p.original).square().sum().to(objective.device)
     leaves = [view.perturbation[group] for p, view in zip(problems, views, strict=True) for group in p.groups]
     # zeros where every pixel is truncated, or does not depend on the parameter
     by_leaf = iter(torch.autograd.grad(objective, leaves, materialize_grads=True))

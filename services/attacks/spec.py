@@ -117,10 +117,6 @@ class AttackSettings(Model):
             raise ValueError("groups: each group at most once")
         if self.base_renderer is not None and has.base_renderer is None:
             raise ValueError(f"base_renderer: renderer {self.renderer} works on no other's image; leave this out")
-        if ATTACKS[self.method].needs_gradient and not has.differentiable:
-            raise ValueError(
-                f"method: {self.method} needs a differentiable renderer, {self.renderer} is not; use {has.method}"
-            )
         return self
 
     def check_groups(self, field: str, given: dict[str, float]) -> None:
@@ -171,7 +167,7 @@ class Attack:
     method: type[Any]
     """The class of its method (services.attacks.method.Method), called with the settings and an AttackProblem."""
     needs_gradient: bool
-    """Whether the method needs a differentiable renderer."""
+    """Whether the method needs gradients, and so a network whose scores have them. The renderer may have none."""
 
 
 ATTACKS: Registry[Attack] = Registry("method", "services.attacks")

@@ -107,7 +107,7 @@ class ZooMethod:
         """Measures the objective's noise floor and, for `delta: "measured"`, each group's half-step; finds inactive
         coordinates. Returns them as `noise`, `delta` and `skipped`.
         """
-        from services.attacks.differences import measure_half_steps, measure_noise
+        from services.attacks.differences import inactive, measure_half_steps, measure_noise
 
         self.noise = measure_noise(problem, self.delta)
         asked = self.settings.delta
@@ -116,7 +116,7 @@ class ZooMethod:
         else:
             chosen = asked if isinstance(asked, dict) else dict.fromkeys(self.layout.groups, asked)
         self.half_steps = self.layout.spread(chosen)
-        found = self._find_inactive(problem)
+        found = inactive(problem, self.perturbation, self.half_steps)
         self.inactive = self._mask(found)
         skipped = [{"coordinate": one.name, "why": one.why} for one in found]
         return {"delta": chosen, "noise": self.noise, "skipped": skipped}
@@ -162,18 +162,16 @@ class ZooMethod:
         self.moves, self.half_steps, self.noise = state["moves"], state["half_steps"], float(state["noise"])
         self.inactive = state["inactive"]
 
-    def _find_inactive(self, problem: AttackProblem) -> list[InactiveCoordinate]:
-        """The attacked coordinates that change no pixel of the present image when moved by their half-step."""
-        reach = {g: float(self.half_steps[self.layout.starts[g]]) for g in self.layout.groups}
-        at = {g: problem.initial[g] + value for g, value in self.perturbation.items()}
-        return [one for one in problem.renderer.inactive(at, reach) if one.group in self.layout.groups]
-
     def _mask(self, found: Sequence[InactiveCoordinate]) -> Tensor:
         return self.layout.mask((one.group, one.index) for one in found)
 
     def _active(self, problem: AttackProblem) -> Tensor:
         """The coordinates to draw from: all but those inactive at the start that still are. Most scenes have none."""
-        still = self.inactive & self._mask(self._find_inactive(problem)) if self.inactive.any() else self.inactive
+        from services.attacks.differences import inactive
+
+        still = self.inactive
+        if still.any():
+            still = still & self._mask(inactive(problem, self.perturbation, self.half_steps))
         return (~still).nonzero()[:, 0]
 
     def _rates(self) -> Tensor:
