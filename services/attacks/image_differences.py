@@ -17,13 +17,17 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from services.attacks.contract import check_graph
-from services.attacks.differences import CANDIDATES, clamped, inactive, per_batch, steadiest
+from services.attacks.differences import clamped, inactive, per_batch, steadiest
 from services.attacks.problem import AttackProblem, quantize
-from services.attacks.seeds import draw
+from services.attacks.seeds import draw, generator
 from services.rendering.protocol import Parameters
 
-PROBES = 16
-"""Coordinates per group at which half-steps are compared."""
+CANDIDATES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4)
+"""Half-steps among which `measure_half_steps` chooses."""
+PLACES, PROBES = 3, 4
+"""Perturbations at which half-steps are compared, and the largest number of coordinates per group at each."""
+REACH = 0.03
+"""Largest coordinate of these perturbations, in the groups' units."""
 NOISE = 4.0
 """Noise floor of a projected difference, in standard deviations of its rounding."""
 
@@ -84,7 +88,7 @@ class _Render(torch.autograd.Function):
         return problem.render({g: (problem.initial[g] + value)[None] for g, value in ctx.perturbation.items()})
 
     @staticmethod
-    @once_differentiable  # type: ignore[misc]
+    @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         found = ctx.differences.project(ctx.problem, ctx.perturbation, gradient[0])
         return None, None, *(found[group] for group in ctx.problem.groups)
@@ -109,7 +113,7 @@ def projected(
     noise = NOISE * (2 / 3) ** 0.5 * torch.finfo(problem.original.dtype).eps * float(weights.norm())
     size = max(1, per_batch(problem) // 2)
     found = []
-    for chosen, steps in zip(coordinates.split(size), half_steps.split(size), strict=True):
+    for chosen, steps in zip(torch.split(coordinates, size), torch.split(half_steps, size), strict=True):
         rows = torch.arange(len(chosen))
         both = delta.repeat(len(chosen), 2, 1)  # [k, 2, total]: the two sides of a difference are neighbours
         both[rows, 0, chosen] += steps.to(both.dtype)
@@ -127,19 +131,25 @@ def measure_half_steps(problem: AttackProblem) -> dict[str, float]:
     """Returns for each group the half-step among `CANDIDATES` whose gradients agree best with its neighbours'.
 
     A step that is too small is dominated by rounding and by the pixels that a silhouette happens to cross, a step that
-    is too large by curvature; both show as disagreement with the gradients of the next step (`steadiest`). Gradients
-    are projected at up to `PROBES` random coordinates per group of the unperturbed scene. This takes one query.
+    is too large by curvature; both show as disagreement with the gradients of the next step (`steadiest`). One place
+    would be too few: of three coordinates of a position, two steps that are both too small may agree by chance. All
+    changes of the image are projected on the gradient at the original, so that this takes one query.
     """
     layout = problem.layout
-    towards = image_gradient(problem)
+    towards, nothing = image_gradient(problem), layout.flatten(problem.nothing())
+    random = generator(problem.seed, "image differences")
+    offsets = REACH * (2 * torch.rand(PLACES, layout.total, generator=random, dtype=torch.float64) - 1)
+    places = clamped(problem, nothing + offsets.to(nothing.dtype))
     chosen = {}
     for group in problem.groups:
         pool = torch.arange(layout.shapes[group].numel()) + layout.starts[group]
-        probes = draw(pool, PROBES, problem.seed, "image differences", group)
-        steps = torch.tensor(CANDIDATES, dtype=torch.float64).repeat(len(probes))
-        coordinates = probes.repeat_interleave(len(CANDIDATES))
-        found = projected(problem, layout.flatten(problem.nothing()), coordinates, steps, towards)
-        chosen[group] = CANDIDATES[steadiest(found.reshape(len(probes), len(CANDIDATES)))]
+        found = []
+        for index, place in enumerate(places):
+            probes = draw(pool, PROBES, problem.seed, "image differences", group, index)
+            steps = torch.tensor(CANDIDATES, dtype=torch.float64).repeat(len(probes))
+            coordinates = probes.repeat_interleave(len(CANDIDATES))
+            found.append(projected(problem, place, coordinates, steps, towards).reshape(-1, len(CANDIDATES)))
+        chosen[group] = CANDIDATES[steadiest(torch.cat(found))]
     return chosen
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from math import sqrt
 from pathlib import Path
 from time import monotonic
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -120,7 +121,8 @@ class _Running:
         if problem.renderer.differentiable or not self.attack.method.needs_gradient:
             return {}
         if resumed:
-            problem.differences = ImageDifferences.load(problem, self.run.settings[DIFFERENCES])
+            settings: Any = self.run.settings[DIFFERENCES]
+            problem.differences = ImageDifferences.load(problem, settings)
         else:
             problem.differences = ImageDifferences.measure(problem)
         return {DIFFERENCES: problem.differences.settings(problem)}

@@ -12,9 +12,15 @@ import pytest
 import torch
 from torch import Tensor
 
-from services.attacks.differences import CANDIDATES
 from services.attacks.fgsm import Fgsm, FgsmMethod
-from services.attacks.image_differences import ImageDifferences, measure_half_steps, projected
+from services.attacks.image_differences import (
+    CANDIDATES,
+    PLACES,
+    PROBES,
+    ImageDifferences,
+    measure_half_steps,
+    projected,
+)
 from services.attacks.loop import AttackRun, Budget, run, run_together
 from services.attacks.problem import AttackProblem, ask, gradients
 from services.attacks.state import AttackState
@@ -171,7 +177,8 @@ def test_a_step_takes_one_query_and_two_images_per_coordinate() -> None:
     assert second.queries - first.queries == 1
     assert second.renders - first.renders == 1 + 2 * 9
     assert first.queries == 2  # the half-steps are measured with one gradient of the network
-    assert first.renders == 2 + 2 * len(CANDIDATES) * 9
+    probes = PLACES * (PROBES + 3)  # of group a, which has more, and of all 3 of b
+    assert first.renders == 2 + 2 * len(CANDIDATES) * probes
 
 
 def test_it_fools_as_autograd_does() -> None:
