@@ -60,7 +60,9 @@ class AttackSettings(Model):
         "torch", description="the renderer whose parameters are attacked", json_schema_extra=_renderer_names
     )
     groups: tuple[str, ...] = Field(
-        (), max_length=8, description="the parameter groups to attack; empty means all groups of the renderer"
+        (),
+        max_length=8,
+        description="the parameter groups to attack; empty means the renderer's default groups",
     )
     base_renderer: str | None = Field(
         None,
@@ -149,7 +151,7 @@ def _completed(given: dict[str, Any]) -> dict[str, Any]:
         return data
     asked = data.get("groups")
     if not asked:
-        data["groups"] = renderer.group_names
+        data["groups"] = renderer.default_groups
     elif isinstance(asked, (list, tuple)) and all(group in renderer.group_names for group in asked):
         # the same request, whatever order it was written in
         data["groups"] = sorted(asked, key=renderer.group_names.index)

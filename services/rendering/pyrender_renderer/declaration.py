@@ -1,6 +1,6 @@
-"""The pyrender renderer's groups: lights, colours and poses.
+"""The pyrender renderer's groups: lights, colours and poses, and on request the camera.
 
-With one object and one point light they are the paper's 14 numbers.
+With one object and one point light, those that are attacked by default are the paper's 14 numbers.
 """
 
 from services.rendering.declaration import Declaration, Group, labelled, register
@@ -37,6 +37,14 @@ PYRENDER = Declaration(
             unit="radians: a rotation vector",
             words="rotation",
             labels=labelled("object {} rotation", ("x", "y", "z")),
+        ),
+        Group(
+            name="camera",
+            shape=("4",),
+            unit="azimuth and elevation in radians, distance in scene units, and roll in radians",
+            words="camera",
+            labels=labelled(("camera azimuth", "camera elevation", "camera distance", "camera roll")),
+            by_default=False,
         ),
     ),
     differentiable=False,
