@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from services.attacks.spec import AttackSettings, Rate, register
+from services.attacks.spec import AttackSettings, Rate, register, suggested_steps
 from services.rendering.declaration import RENDERERS
 
 if TYPE_CHECKING:
@@ -24,25 +24,32 @@ class Fgsm(AttackSettings):
     method: Literal["fgsm"] = "fgsm"
     steps: Annotated[int, Field(ge=1, le=10_000)] = Field(120, description="largest number of steps")
     learning_rate: dict[str, Rate] = Field(
-        default_factory=dict, description="step size of each group, in the group's units; default: the paper's"
+        default_factory=dict,
+        description="step size of each group, in the group's units; default: the step that the renderer suggests for "
+        "it, for `image` and `torch` the paper's",
     )
     momentum: Annotated[float, Field(ge=0, lt=1)] = Field(0.9, description="momentum μ of the signed gradients")
     weight_decay: Annotated[float, Field(ge=0, le=1)] = Field(
         1e-4, description="factor on the perturbation that is added to the sign"
     )
     truncation: Annotated[int, Field(ge=1, le=255)] | None = Field(
-        18, description="U: largest change of an RGB value from the original inside the loop, in 1/255; null: no limit"
+        18,
+        description="U: largest change of an RGB value from the original inside the loop, in 1/255; null: no limit, "
+        "which is the default for a renderer without gradients: silhouettes that move exceed any U at once",
     )
 
     @classmethod
     def complete(cls, data: dict[str, Any]) -> dict[str, Any]:
-        """Fills in the learning rates that the renderer suggests for its groups."""
-        renderer = RENDERERS.get(str(data.get("renderer", "torch")))
+        """Fills in the learning rates that the renderer suggests for its groups, and U, which a renderer without
+        gradients does not have.
+        """
         given = data.get("learning_rate") or {}
+        renderer = RENDERERS.get(str(data.get("renderer", "torch")))
         if renderer is None or not isinstance(given, dict):
             return data
-        suggested = {group.name: group.suggested_step for group in renderer.groups if group.name in data["groups"]}
-        return data | {"learning_rate": {g: step for g, step in suggested.items() if step is not None} | given}
+        if not renderer.differentiable:
+            data = {"truncation": None} | data
+        return data | {"learning_rate": suggested_steps(data) | given}
 
     @model_validator(mode="after")
     def _a_rate_for_each_group(self) -> Self:

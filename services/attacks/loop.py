@@ -141,7 +141,7 @@ class _Running:
         """Records an evaluation, its image as saved (uint8 [H, W, 3]) and the scores [K]; verifies; may stop."""
         attack, state = self.attack, self.run
         problem, verifier = attack.problem, attack.verifier
-        row = _row(problem, verifier, view, logits, state, self.seconds)
+        row = _row(attack, view, logits, state, self.seconds)
         fooled = bool(problem.goal.fooled(logits))
         state.ever |= view.truncated.cpu()
         if fooled or not state.fooled:
@@ -186,9 +186,9 @@ def _step(active: list[_Running]) -> None:
         one.save()
 
 
-def _row(
-    problem: AttackProblem, verifier: Verifier, view: Evaluation, logits: Tensor, state: AttackState, seconds: float
-) -> TraceRow:
+def _row(attack: AttackRun, view: Evaluation, logits: Tensor, state: AttackState, seconds: float) -> TraceRow:
+    problem, verifier = attack.problem, attack.verifier
+    minimised = problem.goal.objective if attack.method.needs_gradient else problem.goal.advantage
     height, width = problem.renderer.size
     distance = float(distances(view.images.detach(), problem.original)[0])
     label = int(logits.argmax())
@@ -198,6 +198,7 @@ def _row(
         label=problem.target.labels[label],
         confidence=float(probability(logits, label)),
         advantage=float(problem.goal.advantage(logits)),
+        objective=float(minimised(logits)) + problem.weight * distance**2,
         distance=distance,
         perceptibility=distance / sqrt(height * width),
         truncated=int(view.truncated.sum()),

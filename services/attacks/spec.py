@@ -132,6 +132,17 @@ class AttackSettings(Model):
                 raise ValueError(f"{field}: group {group!r} has no value")
 
 
+def suggested_steps(data: dict[str, Any]) -> dict[str, float]:
+    """The steps that the renderer of a request suggests for its attacked groups, by group, of those that have any.
+
+    `data` is a request whose groups are filled in, as `AttackSettings.complete` is given it.
+    """
+    renderer = RENDERERS.get(str(data.get("renderer", AttackSettings.model_fields["renderer"].default)))
+    declared = () if renderer is None else renderer.groups
+    attacked = {group.name: group.suggested_step for group in declared if group.name in data.get("groups", ())}
+    return {group: step for group, step in attacked.items() if step is not None}
+
+
 def _one_of(names: list[str], value: str) -> str:
     if value not in names:
         raise ValueError(f"there is no {value!r}; {there_are(value, names)}")

@@ -15,6 +15,11 @@ class TraceRow(BaseModel):
     advantage: float = Field(
         description="log p_leave − largest other log p; targeted: largest other log p − log p_reach; below 0: fooled"
     )
+    objective: float | None = Field(
+        None,
+        description="what the method minimises: the advantage, or for a method with gradients the log-odds of the "
+        "label to leave or minus those of the label to reach, plus λ·distance²; null in traces of earlier versions",
+    )
     distance: float = Field(description="‖ΔY‖₂ of the float image over all pixels and channels, RGB in [0,1]")
     perceptibility: float = Field(description="p(ΔY) of the float image")
     truncated: int = Field(description="pixels with a value truncated to U in this step")

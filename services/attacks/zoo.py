@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from services.attacks.spec import AttackSettings, Rate, register
+from services.attacks.spec import AttackSettings, Rate, register, suggested_steps
 from services.errors import JobFailure
+from services.rendering.declaration import RENDERERS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,7 +23,15 @@ PRESETS: dict[str, dict[str, Any]] = {
     "paper-vqa": {"delta": 1e-3, "learning_rate": 1e-2, "weight": 0.5, "steps": 500},
     "measured": {"delta": "measured", "learning_rate": 2e-3, "weight": 0.1, "steps": 500},
 }
-"""The paper's settings (sections 4.1 and 4.2), and the same with difference steps chosen from the measured noise."""
+"""The paper's settings (sections 4.1 and 4.2), and settings of which the difference steps are chosen from the measured
+noise. Through a renderer without gradients `measured` has a λ and learning rates of its own."""
+WEIGHT = 1e-3
+"""λ of `measured` through a renderer without gradients. There objects move, and with the paper's 0.1 the objective is
+lowest before the first step: Adam moves every coordinate by its rate, silhouettes with it, and λ times the sum of
+squares outweighs what that gains (benchmarks/image_differences.py)."""
+SPEED = 5
+"""Adam's learning rate there, in the steps that the renderer suggests for a group: half the speed of FGSM with its
+momentum of 0.9."""
 BETAS = (0.9, 0.999)
 EPSILON = 1e-8
 REACH = 10
@@ -48,10 +57,14 @@ class Zoo(AttackSettings):
         description="half-step of the central difference, in the group's units: one value, or one for each group",
     )
     learning_rate: Rate | dict[str, Rate] = Field(
-        2e-3, description="Adam's learning rate, in the group's units: one value, or one for each group"
+        2e-3,
+        description="Adam's learning rate, in the group's units: one value, or one for each group; default through a "
+        "renderer without gradients: 5 times the step that it suggests for each group",
     )
     weight: Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)] = Field(
-        0.1, description="λ: weight of the summed squares of the image's change"
+        0.1,
+        description="λ: weight of the summed squares of the image's change; default through a renderer without "
+        "gradients: 0.001",
     )
     truncation: Annotated[int, Field(ge=1, le=255)] | None = Field(
         None, description="U, as for fgsm; null: no limit, as in the paper, which keeps changes small by λ alone"
@@ -65,7 +78,14 @@ class Zoo(AttackSettings):
     @classmethod
     def complete(cls, data: dict[str, Any]) -> dict[str, Any]:
         """Fills in the settings of the preset where they were left out."""
-        return PRESETS.get(str(data.get("preset", "measured")), {}) | data
+        preset = str(data.get("preset", "measured"))
+        renderer = RENDERERS.get(str(data.get("renderer", "torch")))
+        own = {}
+        if preset == "measured" and renderer is not None and not renderer.differentiable:
+            rates = {group: SPEED * step for group, step in suggested_steps(data).items()}
+            rate = PRESETS[preset]["learning_rate"]
+            own = {"weight": WEIGHT, "learning_rate": dict.fromkeys(data["groups"], rate) | rates}
+        return PRESETS.get(preset, {}) | own | data
 
     @model_validator(mode="after")
     def _a_value_for_each_group(self) -> Self:

@@ -83,7 +83,7 @@ def _moved_away(distance: float) -> Measured:
 def _looked_at() -> Measured:
     """An attack moves the camera, and a small cube beside the origin lands where the closed form of its view has it.
 
-    Around, up to the bounds of the elevation, to twice the distance, and rolled over.
+    Around, up to the bounds of the elevation, farther and nearer, and rolled over.
     """
     place, size = (0.25, 0.35, 0.0), 48
     dark = {"ambient": 0.0, "points": []}
@@ -98,7 +98,7 @@ def _looked_at() -> Measured:
         for azimuth, elevation, distance, roll in (
             (0.9, 0.0, 1.8, 0.0),
             (-2.5, low, 1.8, 0.0),
-            (0.4, high, 3.6, 0.5),
+            (0.4, high, 2.4, 0.5),
             (0.0, 0.3, 1.5, -pi / 2),
         ):
             camera = torch.tensor([[azimuth, elevation, distance, roll]], dtype=torch.float64)
