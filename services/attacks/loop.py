@@ -122,10 +122,11 @@ class _Running:
             return {}
         if resumed:
             settings: Any = self.run.settings[DIFFERENCES]
-            problem.differences = ImageDifferences.load(problem, settings)
+            differences = ImageDifferences.load(problem, settings)
         else:
-            problem.differences = ImageDifferences.measure(problem)
-        return {DIFFERENCES: problem.differences.settings(problem)}
+            differences = ImageDifferences.measure(problem)
+        problem.differences = differences
+        return {DIFFERENCES: differences.settings(problem)}
 
     @property
     def seconds(self) -> float:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
@@ -15,9 +15,6 @@ from services.finite import finite
 from services.rendering import color
 from services.rendering.protocol import Parameters, Renderer
 from services.targets.protocol import Target
-
-if TYPE_CHECKING:
-    from services.attacks.image_differences import ImageDifferences
 
 ROUNDING = 1e-6
 """Tolerance of the comparison with U: float32 sums of k/255 are off by less, and a change of exactly U is allowed."""
@@ -37,6 +34,14 @@ class Evaluation:
     """∂objective/∂perturbation by group, for a method that needs it; see `gradients`."""
 
 
+class Differences(Protocol):
+    """Derivatives of images for a renderer that has none (`image_differences`)."""
+
+    def render(self, problem: "AttackProblem", perturbation: Parameters) -> Tensor:
+        """The image [1, H, W, 3] of a perturbation, with a graph to the perturbation's tensors."""
+        ...
+
+
 @dataclass
 class AttackProblem:
     """Renders perturbations and classifies images, and counts both (`renders`, `queries`).
@@ -54,7 +59,7 @@ class AttackProblem:
     weight: float = 0.0
     interrupt: Callable[[], None] = lambda: None
     """Called before every rendering; raises Cancelled to stop."""
-    differences: "ImageDifferences | None" = None
+    differences: Differences | None = None
     """Differences of the image, by which `view` differentiates it if the renderer cannot; None if it can."""
     queries: int = 0
     renders: int = 0
