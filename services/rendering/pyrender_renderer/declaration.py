@@ -2,11 +2,10 @@
 
 With one object and one point light, those that are attacked by default are the paper's 14 numbers.
 
-The suggested steps are a hundredth of a light or a colour, a thousandth of a scene unit and 0.002 radians (0.1°). A
-step of all coordinates of a group, with random signs, changes an image of 224² by a perceptibility p of about 1e-3
-(illumination), 4e-4 (color), 2e-2 (translation) and 1e-2 (rotation, camera), as benchmarks/image_differences.py
-measures. Light and colour change an image smoothly and may take longer steps than what moves silhouettes, whose p grows
-with the root of the step.
+The suggested steps are 0.005 of a light or a colour, 0.0005 scene units and 0.001 radians. A step of all coordinates
+of a group at random signs changes an image of 224² by a perceptibility p of about 1e-3 (illumination), 2e-4 (color) and
+6e-3 to 1e-2 (translation, rotation, camera), as benchmarks/image_differences.py measures. Light and colour change an
+image smoothly and may take longer steps than what moves silhouettes, whose p grows with the root of the step.
 """
 
 from services.rendering.declaration import Declaration, Group, labelled, register
@@ -22,7 +21,7 @@ PYRENDER = Declaration(
             "direction",
             words="illumination",
             # The labels depend on the kinds of the lights, not on their number alone: see `PyrenderRenderer.names`.
-            suggested_step=0.01,
+            suggested_step=0.005,
         ),
         Group(
             name="color",
@@ -30,7 +29,7 @@ PYRENDER = Declaration(
             unit="linear factor on the mesh's own colours, in [0,1]",
             words="colour",
             labels=labelled("object {} color", ("red", "green", "blue")),
-            suggested_step=0.01,
+            suggested_step=0.005,
         ),
         Group(
             name="translation",
@@ -38,7 +37,7 @@ PYRENDER = Declaration(
             unit="scene units",
             words="position",
             labels=labelled("object {} translation", ("x", "y", "z")),
-            suggested_step=0.001,
+            suggested_step=0.0005,
         ),
         Group(
             name="rotation",
@@ -46,7 +45,7 @@ PYRENDER = Declaration(
             unit="radians: a rotation vector",
             words="rotation",
             labels=labelled("object {} rotation", ("x", "y", "z")),
-            suggested_step=0.002,
+            suggested_step=0.001,
         ),
         Group(
             name="camera",
@@ -55,7 +54,7 @@ PYRENDER = Declaration(
             words="camera",
             labels=labelled(("camera azimuth", "camera elevation", "camera distance", "camera roll")),
             by_default=False,
-            suggested_step=0.002,
+            suggested_step=0.001,
         ),
     ),
     differentiable=False,
