@@ -15,7 +15,8 @@ from api.description import describe
 from api.limits import BodyLimit, SameSite, is_loopback
 from api.preflight import Preflight
 from api.problems import Answers, install
-from api.routes import artifacts, assets, events, health, jobs, library
+from api.rerenderer import Rerenderer
+from api.routes import artifacts, assets, events, health, jobs, library, rerenderings
 from api.state import Services
 from services.device import check_device
 from services.errors import JobFailure
@@ -52,6 +53,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
         queue = Queue(redis)
         preflight = Preflight(chosen)
         preflight.start()
+        rerenderer = Rerenderer(chosen)
         app.state.services = Services(
             repository=repository,
             queue=queue,
@@ -59,11 +61,13 @@ def create_app(values: Settings | None = None) -> FastAPI:
             store=ArtifactStore(chosen.data_dir / "artifacts"),
             library=Library(chosen.cache_dir, chosen.data_dir),
             preflight=preflight,
+            rerenderer=rerenderer,
         )
         try:
             yield
         finally:
             preflight.close()
+            rerenderer.close()
             redis.close()
             engine.dispose()
 
@@ -78,7 +82,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
             Middleware(BodyLimit, uploads={assets.PATH: chosen.max_upload_bytes}),
         ],
     )
-    for part in (jobs, events, artifacts, assets, library, health, dashboard):
+    for part in (jobs, events, artifacts, rerenderings, assets, library, health, dashboard):
         app.include_router(part.router)
     install(app)
     describe(app)

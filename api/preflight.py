@@ -2,12 +2,14 @@
 
 import asyncio
 from concurrent.futures import ThreadPoolExecutor
+from io import BytesIO
 from typing import Any, BinaryIO
 
 from services.errors import InvalidRequest
 from services.jobs.child import Child, ChildDied
 from services.logs import logger
 from services.pipeline.spec import JobSpec
+from services.pipeline.warning import JobWarning
 from services.scenes.library import Entry
 from services.settings import Settings
 
@@ -16,6 +18,8 @@ CHECK_SECONDS = 120.0
 """Longest check of a spec, in which the scene is rendered and classified once."""
 MESH_SECONDS = 30.0
 """Longest time for parsing an uploaded mesh, after which the process is killed."""
+RERENDER_SECONDS = 300.0
+"""Longest time for re-rendering an image, after which the process is killed."""
 
 log = logger(__name__)
 
@@ -47,13 +51,13 @@ class Preflight:
             self._child.kill()
             self._child = None
 
-    async def check(self, spec: JobSpec) -> JobSpec:
-        """Returns the spec as it would run. Raises InvalidRequest if it cannot run, and Unavailable."""
+    async def check(self, spec: JobSpec) -> tuple[JobSpec, list[JobWarning]]:
+        """Returns the spec as it would run, and warnings. Raises InvalidRequest if it cannot run, and Unavailable."""
         try:
             answer = await self._ask({"check": spec.model_dump(mode="json")}, None, CHECK_SECONDS)
         except ChildDied as error:
             raise Unavailable("the check of this request was cut short; try again") from error
-        return JobSpec.model_validate(answer["spec"])
+        return JobSpec.model_validate(answer["spec"]), [JobWarning.model_validate(one) for one in answer["warnings"]]
 
     async def add_mesh(self, file: BinaryIO, kind: str) -> Entry:
         """Checks and stores an uploaded mesh of format `kind`. Raises InvalidRequest("file"), and Unavailable."""
@@ -63,6 +67,14 @@ class Preflight:
             detail = f"it could not be read within {MESH_SECONDS:g} seconds and the memory allowed"
             raise InvalidRequest("file", detail) from error
         return Entry.model_validate(answer["entry"])
+
+    async def rerender(self, request: dict[str, Any], image: bytes) -> dict[str, Any]:
+        """Applies the re-rendering defence. Raises InvalidRequest naming the field, and Unavailable."""
+        try:
+            return await self._ask({"rerender": request}, BytesIO(image), RERENDER_SECONDS)
+        except ChildDied as error:
+            detail = f"the fit did not end within {RERENDER_SECONDS:g} seconds and the memory allowed; ask for fewer"
+            raise InvalidRequest("fit.steps", detail) from error
 
     async def _ask(self, message: dict[str, Any], file: BinaryIO | None, seconds: float) -> dict[str, Any]:
         loop = asyncio.get_running_loop()

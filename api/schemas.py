@@ -13,6 +13,8 @@ from services.jobs.models import Artifact, Job, State
 from services.pipeline.outcome import Outcome
 from services.pipeline.result import Result
 from services.pipeline.spec import JobSpec
+from services.pipeline.target_folders import TargetFolder
+from services.pipeline.warning import JobWarning
 from services.scenes.library import Entry
 
 
@@ -28,7 +30,8 @@ class FailureView(BaseModel):
     """The reason for which a job failed."""
 
     kind: str = Field(
-        description='"non-finite", "asset-missing", "out-of-memory", "worker-lost", "timeout" or "internal"'
+        description='"non-finite", "asset-missing", "out-of-memory", "worker-lost", "timeout", "target-unreachable" or '
+        '"internal"'
     )
     detail: str
 
@@ -46,6 +49,9 @@ class JobSummary(BaseModel):
     spec: Annotated[JobSpec | dict[str, Any], Field(union_mode="left_to_right")] = Field(
         description="the request with the values of all fields filled in; as it was stored, if its attack or renderer "
         "is not installed any more"
+    )
+    warnings: list[JobWarning] = Field(
+        default_factory=list, description="what the request was warned of when it was accepted"
     )
     outcome: Outcome | None = Field(description="the part of the result that lists show, once the job succeeded")
     failure: FailureView | None
@@ -82,6 +88,7 @@ def _fields(job: Job) -> dict:  # type: ignore[type-arg]
         "seed": job.seed,
         "progress": progress,
         "spec": job.spec,
+        "warnings": job.warnings or [],
         "outcome": job.outcome,
         "failure": failure,
     }
@@ -149,6 +156,19 @@ class ExtensionView(BaseModel):
         return cls(file=extension.name, sha256=extension.sha256, adds=adds, error=extension.error)
 
 
+class TargetFolderView(BaseModel):
+    """A folder of SCENE_ATTACK_TARGETS, as the service found it."""
+
+    name: str
+    card_sha256: str | None = Field(description="SHA-256 of the card's bytes; null if it has none that can be read")
+    error: str | None = Field(description="the reason for which it is no target; null if it is one")
+
+    @classmethod
+    def of(cls, folder: TargetFolder) -> Self:
+        """The view of a folder."""
+        return cls(name=folder.name, card_sha256=folder.card_sha256, error=folder.error)
+
+
 class Readiness(BaseModel):
     """Whether the service can take jobs and run them."""
 
@@ -158,6 +178,9 @@ class Readiness(BaseModel):
     workers: int = Field(description="number of workers with a heartbeat in the last 15 seconds")
     extensions: list[ExtensionView] = Field(
         description="the extensions that this process loaded or left out; the service can be ready without the latter"
+    )
+    targets: list[TargetFolderView] = Field(
+        description="the networks of your own that this process registered or left out, one folder each"
     )
 
 

@@ -6,6 +6,7 @@ from typing import Annotated
 from fastapi import Depends, HTTPException, Request
 
 from api.preflight import Preflight
+from api.rerenderer import Rerenderer
 from services.jobs.artifacts import ArtifactStore
 from services.jobs.models import Job
 from services.jobs.queue import Queue
@@ -16,7 +17,7 @@ from services.scenes.library import Library
 
 @dataclass(frozen=True)
 class Services:
-    """The record, the queue, the files and the preflight process."""
+    """The record, the queue, the files, and the processes that check requests and re-render images."""
 
     repository: Repository
     queue: Queue
@@ -24,6 +25,7 @@ class Services:
     store: ArtifactStore
     library: Library
     preflight: Preflight
+    rerenderer: Rerenderer
 
 
 def services(request: Request) -> Services:

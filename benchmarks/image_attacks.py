@@ -74,7 +74,7 @@ def ours(momentum: float) -> Attacks:
 def _attack(target: Target, saved: Tensor, label: Tensor, step: float, steps: int, momentum: float) -> AttackRun:
     chosen = Fgsm(method="fgsm", renderer="image", learning_rate={"image": step}, momentum=momentum)
     renderer = ImageRenderer(from_bytes(saved), "a file")
-    problem = AttackProblem(renderer, target, ResolvedGoal(int(label), None), ("image",), truncation=BOUND)
+    problem = AttackProblem(renderer, target, ResolvedGoal((int(label),), None), ("image",), truncation=BOUND)
     return AttackRun(problem, FgsmMethod(chosen, problem), Verifier(renderer, target), Budget(steps))
 
 
@@ -152,7 +152,7 @@ def _images(library: Library, count: int) -> tuple[Images, list[str]]:
     for mesh, label in views:
         prepared = prepare(parse({"scene": {"objects": [{"mesh": mesh}]}, "goal": {"leave": label}}), library)
         saved.append(prepared.original)
-        labels.append(prepared.goal.label)
+        labels.append(int(prepared.logits.argmax()))
     return Images(torch.stack(saved), torch.tensor(labels)), [mesh for mesh, _ in views]
 
 

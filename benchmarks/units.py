@@ -17,6 +17,7 @@ from rich.progress import track
 
 from benchmarks.views import right
 from services.pipeline.execute import execute
+from services.pipeline.outcome import success
 from services.pipeline.result import Result
 from services.pipeline.spec import JobSpec, parse
 from services.rendering.torch_renderer.declaration import TORCH
@@ -76,14 +77,14 @@ def _attack(library: Library, mesh: str, label: str, group: str, factor: float) 
 
 
 def _summary(results: list[Result]) -> dict[str, object]:
-    fooled = [result for result in results if result.verified]
+    fooled = [result for result in results if success(result)]
     return {
         "views": len(results),
         "verified": len(fooled),
         "truncated_mean": statistics.fmean(result.truncated for result in results),
         "truncated_max": max(result.truncated for result in results),
         "p_verified_mean": statistics.fmean(result.perceptibility for result in fooled) if fooled else None,
-        "p_held_mean": statistics.fmean(r.perceptibility for r in results if not r.verified)
+        "p_held_mean": statistics.fmean(r.perceptibility for r in results if not success(r))
         if len(fooled) < len(results)
         else None,
         "steps_mean": statistics.fmean(result.steps for result in results),

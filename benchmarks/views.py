@@ -18,8 +18,10 @@ def right(library: Library, count: int) -> Iterator[tuple[str, str]]:
         if count == 0:
             return
         try:
-            preflight(parse({"scene": {"objects": [{"mesh": mesh}]}, "goal": {"leave": label}}), library)
+            found = preflight(parse({"scene": {"objects": [{"mesh": mesh}]}, "goal": {"leave": label}}), library)
         except InvalidRequest:
+            continue
+        if any(warning.code in ("already-wrong", "truth-unknown") for warning in found.warnings):
             continue
         yield mesh, label
         count -= 1

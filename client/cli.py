@@ -5,7 +5,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from client.commands import accuracy, assets, demo, jobs, plan, run, serve, submit
+from client.commands import accuracy, analyse, assets, demo, jobs, plan, run, serve, submit, targets, train
 from services.errors import InvalidRequest, JobFailure
 
 app = typer.Typer(
@@ -37,12 +37,14 @@ def _root(
 
 
 run.register(app)
+analyse.register(app)
 plan.register(app)
 submit.register(app)
 app.add_typer(jobs.app, name="jobs")
 app.add_typer(assets.app, name="assets")
-assets.register(app)
+app.add_typer(targets.app, name="targets")
 app.add_typer(accuracy.app, name="accuracy")
+app.add_typer(train.app, name="train")
 serve.register(app)
 demo.register(app)
 

@@ -21,14 +21,17 @@ def err() -> Console:
 
 
 def report_extensions() -> None:
-    """Prints on stderr the extensions that were left out, with the reasons."""
+    """Prints on stderr the extensions and the folders of networks that were left out, with the reasons."""
     from services.errors import printable
-    from services.pipeline.extensions import EXTENSIONS
+    from services.pipeline.extensions import EXTENSIONS, TARGET_FOLDERS
 
     for extension in EXTENSIONS:
         if extension.error is not None:
             file = printable(str(extension.path))
             err().print(f"extension left out: {file}: {extension.error}", markup=False, highlight=False)
+    for folder in TARGET_FOLDERS:
+        if folder.error is not None:
+            err().print(f"target left out: {folder.name}: {folder.error}", markup=False, highlight=False)
 
 
 def print_json(data: Any) -> None:

@@ -1,13 +1,16 @@
 """Formats the outcomes of jobs (services.pipeline.outcome.Outcome, as JSON) as table rows."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from rich.text import Text
 
-from client.console import yes
+from client.console import err, yes
+from services.attacks.verdict import SUCCESS, with_outcome
 
-COLUMNS = ("scene", "attack", "before", "after", "network", "verified", "p ×1e-3>", "queries>", "seconds>")
+STYLES = {"fooled": "bold magenta", "held": "bold blue"}
+"""The colours of outcomes; the others are yellow, since they are neither a success nor a failure."""
+COLUMNS = ("scene", "attack", "before", "after", "network", "verified", "p ×1e-3>", "p saved>", "queries>", "seconds>")
 
 
 def cells(scene: str, attack: str, outcome: Mapping[str, Any]) -> list[str | Text]:
@@ -17,12 +20,18 @@ def cells(scene: str, attack: str, outcome: Mapping[str, Any]) -> list[str | Tex
         attack,
         answer_cell(outcome, "before"),
         answer_cell(outcome, "after"),
-        verdict(outcome["fooled"]),
+        verdict(outcome),
         yes(outcome["verified"]),
-        f"{outcome['perceptibility'] * 1000:.2f}",
+        thousandths(outcome.get("float_perceptibility")),
+        thousandths(outcome["perceptibility"]),
         f"{outcome['queries']:,}",
         f"{outcome['seconds']:.1f}",
     ]
+
+
+def thousandths(p: float | None) -> str:
+    """A perceptibility in thousandths; a dash where it was not measured, as in results of version 0.1."""
+    return "–" if p is None else f"{p * 1000:.2f}"
 
 
 def answer_cell(outcome: Mapping[str, Any], when: str) -> str:
@@ -30,6 +39,21 @@ def answer_cell(outcome: Mapping[str, Any], when: str) -> str:
     return f"{outcome[when]} {outcome[when + '_confidence']:.2f}"
 
 
-def verdict(fooled: bool) -> Text:
-    """The word "fooled" or "held", in its colour."""
-    return Text("fooled", style="bold magenta") if fooled else Text("held", style="bold blue")
+def verdict(outcome: Mapping[str, Any]) -> Text:
+    """The word for what the attack came to, e.g. "fooled" or "held", in its colour."""
+    word = with_outcome(dict(outcome))["outcome"]
+    return Text(word, style=STYLES.get(word, "yellow"))
+
+
+def successes(outcomes: Iterable[Mapping[str, Any]]) -> str:
+    """How many attacks succeeded, of those on scenes that the network is known to have had right before."""
+    found = [with_outcome(dict(one)) for one in outcomes]
+    counted = [one for one in found if one.get("right_before")]
+    won = sum(one["outcome"] == SUCCESS and one["verified"] for one in counted)
+    return f"Fooled and verified: {won} of {len(counted)} attacks on scenes that the network had right before"
+
+
+def warn(warnings: Iterable[Mapping[str, Any]]) -> None:
+    """Prints the warnings of a job on stderr."""
+    for one in warnings:
+        err().print(f"warning: {one['field']}: {one['text']}", markup=False, highlight=False)

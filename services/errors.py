@@ -27,7 +27,8 @@ class JobFailure(RuntimeError):
     """A valid job could not be finished. `kind` is a stable word, `detail` a sentence for a person.
 
     Kinds: "non-finite" (a loss, gradient or image that is not a number), "asset-missing", "out-of-memory",
-    "worker-lost" (its process died too often), "timeout", "internal".
+    "worker-lost" (its process died too often), "timeout", "target-unreachable" (a URL's network does not answer),
+    "internal".
     """
 
     def __init__(self, kind: str, detail: str) -> None:

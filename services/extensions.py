@@ -26,7 +26,6 @@ Entry = TypeVar("Entry")
 
 NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
 _NUMBERS = count()
-_REGISTERS = re.compile(r"^@?register\(", re.MULTILINE)
 LOAD_SECONDS = 60.0
 """Longest time for running an extension file. Importing torch, the slowest thing that one should do, takes about 2."""
 
@@ -35,13 +34,14 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
     """Entries by name, in alphabetical order.
 
     At the first look-up the built-in modules are imported: those of `package` in whose text a line begins with
-    `register(` or `@register(`. The text is searched so that the package's other modules, and torch with them, need not
-    be imported to list the entries.
+    `register(` or `@register(`, or with another name of the function that registers. The text is searched so that the
+    package's other modules, and torch with them, need not be imported to list the entries.
     """
 
-    def __init__(self, kind: str, package: str) -> None:
+    def __init__(self, kind: str, package: str, function: str = "register") -> None:
         self.kind = kind
         self._package = package
+        self._registers = re.compile(rf"^@?{function}\(", re.MULTILINE)
         self._entries: dict[str, Entry] = {}
         self._complete = False
 
@@ -80,7 +80,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         self._complete = True
         root = Path(str(files(self._package)))
         for path in sorted(root.rglob("*.py")):
-            if _REGISTERS.search(path.read_text("utf-8")):
+            if self._registers.search(path.read_text("utf-8")):
                 import_module(".".join([self._package, *path.relative_to(root).with_suffix("").parts]))
 
 

@@ -32,6 +32,18 @@ class Settings(BaseSettings):
         description="files, or folders of .py files, with attacks, renderers and targets of your own; separated as in "
         "`PATH`",
     )
+    targets: Path | None = Field(
+        None, description="folder with networks of your own, one folder each with a `card.json`; docs/targets.md"
+    )
+    target_factories: str | None = Field(
+        None,
+        description="`module:callable` of each function that a card may name as its `factory`, separated by commas",
+    )
+    target_endpoints: str | None = Field(
+        None,
+        description="each URL that a card may name as its `endpoint`, and each private IP address that such a URL's "
+        "host may have, separated by commas",
+    )
     gl: Literal["auto", "egl", "osmesa"] = Field("auto", description="OpenGL platform; auto tries EGL, then OSMesa")
     kernel: Literal["auto", "native", "torch"] = Field(
         "auto",
@@ -73,10 +85,29 @@ class Settings(BaseSettings):
         """The files and folders listed in `extensions`, as they were written."""
         return [Path(part) for part in (self.extensions or "").split(os.pathsep) if part]
 
+    @property
+    def target_folder(self) -> Path | None:
+        """The folder with the operator's own networks, absolute; None if there is none."""
+        return None if self.targets is None else self.targets.expanduser().resolve()
+
+    @property
+    def allowed_factories(self) -> frozenset[str]:
+        """The factories that cards may name."""
+        return _listed(self.target_factories)
+
+    @property
+    def allowed_endpoints(self) -> frozenset[str]:
+        """The URLs that cards may name, and the private addresses that these may have."""
+        return _listed(self.target_endpoints)
+
     def environ(self) -> dict[str, str]:
         """Returns the environment variables that give a child process these settings."""
         values = {name: getattr(self, name) for name in type(self).model_fields}
         return {f"SCENE_ATTACK_{name.upper()}": str(value) for name, value in values.items() if value is not None}
+
+
+def _listed(text: str | None) -> frozenset[str]:
+    return frozenset(part.strip() for part in (text or "").split(",") if part.strip())
 
 
 @lru_cache(maxsize=1)

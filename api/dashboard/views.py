@@ -6,6 +6,7 @@ from datetime import datetime
 from typing import Any
 
 from api.dashboard.charts import Chart, chart
+from services.attacks.verdict import judge, with_outcome
 from services.jobs.models import Artifact, Event, Job, State
 from services.pipeline.names import attack_name, scene_name
 
@@ -40,12 +41,16 @@ class Page:
     times: dict[str, datetime]
     attempt: int
     failure_detail: str | None
+    warnings: list[Any]
     result: dict[str, Any] | None
+    subsets: list[dict[str, Any]]
     last: dict[str, Any] | None
     by_step: list[Chart]
     by_seconds: list[Chart]
     artifacts: list[Artifact]
     cancellable: bool
+    analysed: bool
+    """Whether the request asked for analyses, and they are made."""
 
 
 def line(job: Job) -> Line:
@@ -60,7 +65,7 @@ def line(job: Job) -> Line:
         phase=job.phase,
         step=job.step,
         steps=job.steps,
-        outcome=job.outcome,
+        outcome=with_outcome(job.outcome),
         failure_kind=job.failure_kind,
     )
 
@@ -74,13 +79,24 @@ def page(job: Job, events: Iterable[Event], artifacts: Sequence[Artifact]) -> Pa
         times=job.times,
         attempt=job.attempt,
         failure_detail=job.failure_detail,
-        result=job.result,
+        warnings=job.warnings or [],
+        result=with_outcome(job.result),
+        subsets=subsets(job.result),
         last=trace[-1] if trace else None,
         by_step=charts(trace, job.spec, "step"),
         by_seconds=charts(trace, job.spec, "seconds"),
         artifacts=list(artifacts),
         cancellable=not job.state.terminal and job.state != State.CANCELLING,
+        analysed=job.result is not None and any(job.result.get("analyses", {}).values()),
     )
+
+
+def subsets(result: dict[str, Any] | None) -> list[dict[str, Any]]:
+    """The table of subsets, each with its outcome as if its groups were all of the perturbation."""
+    if result is None:
+        return []
+    truth, first = result.get("truth", ()), result["original"]["label"]
+    return [one | {"outcome": judge(truth, first, one["label"], one["fooled"])} for one in result["subsets"]]
 
 
 def trace_of_events(events: Iterable[Event]) -> list[dict[str, Any]]:
@@ -104,8 +120,7 @@ def charts(trace: Sequence[dict[str, Any]], spec: dict[str, Any], against: str) 
     if goal.get("reach") is not None:
         loss, other = f"1 − probability of “{goal['reach']}”", "below 0: the network says the wanted label"
     else:
-        said = "the label to leave" if goal.get("leave") is None else f"“{goal['leave']}”"
-        loss, other = f"Probability of {said}", "below 0: fooled"
+        loss, other = f"Probability of {_labels(goal.get('leave'))}", "below 0: another answer"
 
     def curve(key: str, scale: float = 1.0) -> list[tuple[float, float]]:
         return [(row[against], row[key] * scale) for row in trace]
@@ -119,3 +134,10 @@ def charts(trace: Sequence[dict[str, Any]], spec: dict[str, Any], against: str) 
         ),
         chart("Distance ‖ΔY‖₂", against, curve("distance"), low=0, high=LEAST, whole=whole),
     ]
+
+
+def _labels(leave: str | int | list[str | int] | None) -> str:
+    """The labels to leave, in words; the request of a job that has not begun may not name them."""
+    if leave is None:
+        return "the label to leave"
+    return " or ".join(f"“{label}”" for label in (leave if isinstance(leave, list) else [leave]))

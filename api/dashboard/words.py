@@ -1,7 +1,9 @@
 """Formats numbers, times and reasons for the pages."""
 
 import json
+from collections.abc import Mapping
 from datetime import datetime
+from typing import Any
 
 FAILURES = {
     "non-finite": "An image, loss or gradient was not a number, so the attack could not go on.",
@@ -9,6 +11,7 @@ FAILURES = {
     "out-of-memory": "The job needed more memory than a job may have.",
     "worker-lost": "The process running the job died more often than it may be restarted.",
     "timeout": "The job ran longer than a job may.",
+    "target-unreachable": "The network behind a URL did not answer.",
     "internal": "Something in the program itself went wrong.",
 }
 
@@ -20,6 +23,17 @@ PHASES = {
     "attacking": "Attacking",
     "analysing": "Measuring the result",
 }
+
+OUTCOMES = {
+    "fooled": "The network was fooled",
+    "changed": "The network's answer changed, and nobody has said which answer is right",
+    "became-right": "The network was wrong before the attack and became right",
+    "still-wrong": "The network was wrong before the attack and still is, which is no success",
+    "held": "The network held",
+}
+
+WRONG_BEFORE = ("became-right", "still-wrong")
+"""Outcomes beside which "verified" would read as a success."""
 
 STOPPED = {
     "verified": "it found an adversary that holds when rendered afresh",
@@ -42,6 +56,24 @@ def failure(kind: str | None) -> str:
 def milli(value: float) -> str:
     """A perceptibility in thousandths, as in the paper's tables, e.g. "5.70"."""
     return f"{value * 1000:.2f}"
+
+
+def both_p(record: Mapping[str, Any]) -> str:
+    """The two p of a result, an outcome or a subset in thousandths, the paper's first: "3.46 (6.80 as saved)".
+
+    Results of version 0.1 have that of the saved image only.
+    """
+    paper, saved = record.get("float_perceptibility"), milli(record["perceptibility"])
+    return f"{saved} as saved" if paper is None else f"{milli(paper)} ({saved} as saved)"
+
+
+def strongest_interaction(attribution: Mapping[str, Any], part: int) -> str:
+    """A part's largest interaction and its partner, e.g. "-0.075 with rotation"; empty if there are none."""
+    matrix = attribution["log_odds"]["interactions"]
+    if not matrix or len(matrix) < 2:
+        return ""
+    other = max((j for j in range(len(matrix)) if j != part), key=lambda j: abs(matrix[part][j]))
+    return f"{matrix[part][other]:+.3f} with {attribution['parts'][other]}"
 
 
 def small(value: float | str) -> str:

@@ -4,9 +4,9 @@ from fastapi import APIRouter, Response
 from redis.exceptions import RedisError
 from sqlalchemy.exc import SQLAlchemyError
 
-from api.schemas import ExtensionView, Health, Readiness
+from api.schemas import ExtensionView, Health, Readiness, TargetFolderView
 from api.state import ServicesDependency
-from services.pipeline.extensions import EXTENSIONS
+from services.pipeline.extensions import EXTENSIONS, TARGET_FOLDERS
 
 router = APIRouter(tags=["health"])
 
@@ -35,4 +35,7 @@ def readyz(services: ServicesDependency, response: Response) -> Readiness:
     ready = database and redis and workers > 0
     response.status_code = 200 if ready else 503
     extensions = [ExtensionView.of(extension) for extension in EXTENSIONS]
-    return Readiness(ready=ready, database=database, redis=redis, workers=workers, extensions=extensions)
+    targets = [TargetFolderView.of(folder) for folder in TARGET_FOLDERS]
+    return Readiness(
+        ready=ready, database=database, redis=redis, workers=workers, extensions=extensions, targets=targets
+    )

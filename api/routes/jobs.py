@@ -47,13 +47,15 @@ async def submit(
     """Queues one attack.
 
     The request is checked completely before the answer, so a request that is answered by 202 is a job. With
-    `Prefer: wait=N` the answer comes when the job has ended (200) or after N seconds, at most 30 (202).
+    `Prefer: wait=N` the answer comes when the job has ended (200) or after N seconds, at most 30 (202). `warnings` says
+    why a job that runs may show less than it seems to: the network is wrong before the attack, nobody knows the truth,
+    or the network is unsure.
     """
     key = None if idempotency_key is None else Key(idempotency_key, digest(spec))
     body = None if key is None else await run_in_threadpool(services.repository.first_answer, key)
     if body is None:
-        spec = await services.preflight.check(spec)
-        body = await run_in_threadpool(services.submissions.submit, spec, key, _answer)
+        spec, warnings = await services.preflight.check(spec)
+        body = await run_in_threadpool(services.submissions.submit, spec, key, _answer, warnings)
     response.headers["Location"] = f"/v1/jobs/{body['id']}"
     if wait is not None:
         job = await until_over(services.repository, body["id"], wait)

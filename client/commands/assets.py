@@ -1,4 +1,4 @@
-"""The commands `assets` and `targets`: the meshes, environment maps and networks that a request can name."""
+"""The commands `assets`: the meshes and environment maps that a request can name."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -8,18 +8,11 @@ import typer
 from client.commands.options import DEFAULT_URL, JsonOption, UrlOption
 
 if TYPE_CHECKING:
-    from rich.text import Text
-
     from services.scenes.library import Library
 
 app = typer.Typer(help="The meshes and environment maps that scenes are made of.", no_args_is_help=True)
 
 FORMATS = ("obj", "ply", "stl", "glb", "off")
-
-
-def register(root: typer.Typer) -> None:
-    """Adds the commands outside the group."""
-    root.command(epilog="Example: [bold]scene-attack targets[/bold]")(targets)
 
 
 @app.command(
@@ -107,23 +100,6 @@ def environments(as_json: JsonOption = False) -> None:
         print_json(names)
     else:
         out().print("\n".join(map(str, names)), markup=False, highlight=False)
-
-
-def targets(as_json: JsonOption = False) -> None:
-    """List the networks that can be attacked."""
-    from client.console import out, print_json, report_extensions, table, yes
-    from services.targets.info import available
-
-    report_extensions()
-    found = available()
-    if as_json:
-        print_json([info.model_dump(mode="json") for info in found])
-        return
-    rows: list[list[str | Text]] = [
-        [t.name, t.title, t.task, "×".join(map(str, t.input_size)), f"{t.classes:,}", yes(t.differentiable), t.licence]
-        for t in found
-    ]
-    out().print(table(("target", "title", "task", "input", "classes>", "differentiable", "licence"), rows))
 
 
 def _library() -> "Library":

@@ -26,13 +26,14 @@ def demo(
     """Start the service, attack furniture through its HTTP API, and show the outcome.
 
     Three things the network gets right, each attacked in image space, through the differentiable renderer and through
-    the physical parameters of the other renderer. Whatever fails to fool the network is shown as held.
+    the physical parameters of the other renderer. An attack that does not fool the network is shown as held.
 
     The exit code is 0 if all jobs ran to their end.
     """
     from client.api_client import ApiClient
     from client.console import err, out
     from client.demo_jobs import specs
+    from client.outcomes import successes
     from client.service_process import running_service
     from services.device import check_device
     from services.settings import settings
@@ -47,6 +48,7 @@ def demo(
             _clear(client)
             jobs = _watch(client, [client.submit(spec)["id"] for spec in specs()])
         out().print(_table(jobs))
+        out().print(successes(job["outcome"] for job in jobs if job.get("outcome")), highlight=False)
         for job in jobs:
             if job["state"] == "failed":
                 say.print(f"{_name(job)} failed: {job['failure']['detail']}", markup=False, highlight=False)

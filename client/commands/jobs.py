@@ -46,7 +46,7 @@ def list_jobs(
                 attack_name(job["spec"]),
                 job["spec"]["target"]["name"],
                 "" if done is None else f"{answer_cell(done, 'before')} → {answer_cell(done, 'after')}",
-                "" if done is None else verdict(done["fooled"]),
+                "" if done is None else verdict(done),
                 yes(None if done is None else done["verified"]),
             ]
         )

@@ -38,6 +38,7 @@ def run(
     was fooled or held.
     """
     from client import spec_input
+    from client.analysis_tables import print_analyses, print_subsets
     from client.console import err, print_json, report_extensions, table
     from client.console import out as stdout
     from client.live import JobLine
@@ -62,6 +63,8 @@ def run(
     from services.pipeline.outcome import outcome
 
     stdout().print(table(COLUMNS, [cells(name, attack, outcome(result))]))
+    print_subsets(result.subsets, result.attribution)
+    print_analyses(result.analyses)
     for credit in result.provenance.credits:
         err().print(f"Shown: {credit}", markup=False, highlight=False)
     err().print(f"Files in {out}", markup=False, highlight=False)
@@ -140,12 +143,13 @@ def library() -> "Library":
 
 def _execute(spec: "JobSpec", out: Path, line: "JobLine") -> "Result":
     """Runs the job; a checkpoint in `out` is resumed from if it is of this very job, and removed at the end."""
+    from client.outcomes import warn
     from services.errors import InvalidRequest
     from services.pipeline.execute import execute
 
     def report(progress: "Progress") -> None:
         row = None if progress.row is None else progress.row.model_dump()
-        line.update(progress.phase, progress.step, progress.steps, row)
+        line.update(progress.analysis or progress.phase, progress.step, progress.steps, row)
 
     checkpoint, begun = out / "checkpoint", out / "checkpoint.json"
     words = spec.model_dump_json()
@@ -153,7 +157,14 @@ def _execute(spec: "JobSpec", out: Path, line: "JobLine") -> "Result":
         checkpoint.unlink(missing_ok=True)
         begun.write_text(words, "utf-8")
     try:
-        result = execute(spec, out, library(), progress=report, checkpoint=checkpoint)
+        result = execute(
+            spec,
+            out,
+            library(),
+            progress=report,
+            checkpoint=checkpoint,
+            warn=lambda found: warn(one.model_dump() for one in found),
+        )
     except InvalidRequest:
         begun.unlink()
         raise

@@ -32,10 +32,12 @@ def submit(
     from client import spec_input
     from client.api_client import ApiClient
     from client.console import err, out, print_json
+    from client.outcomes import warn
 
     data = spec_input.read(spec, seed)
     with ApiClient(url) as client:
         job = client.submit(data)
+        warn(job.get("warnings", ()))
         if watch:
             err().print(f"{client.url}/jobs/{job['id']}", markup=False, highlight=False)
             job = follow(client, job)

@@ -162,7 +162,7 @@ def _errors(renderer: TorchRenderer, groups: tuple[str, ...], steps: int) -> Ite
     settings = Fgsm(groups=groups, truncation=None)
     start = renderer.exact().render({group: renderer.initial()[group][None].double() for group in groups})
     first = int(target.logits(quantize(start.float())[1])[0].argmax())
-    problem = AttackProblem(renderer, target, ResolvedGoal(leave=first, reach=None), settings.groups)
+    problem = AttackProblem(renderer, target, ResolvedGoal(leave=(first,), reach=None), settings.groups)
     method = FgsmMethod(settings, problem)
     for step in range(steps + 1):
         view = problem.view(method.perturbation, gradient=True)

@@ -1,5 +1,6 @@
 """Reads and writes PNG files, and makes a visible image of the perturbation."""
 
+from io import BytesIO
 from pathlib import Path
 
 import torch
@@ -18,12 +19,23 @@ def magnified(original: Tensor, attacked: Tensor) -> Tensor:
 
 def save_png(image: Tensor, path: Path) -> None:
     """Writes a uint8 image [H, W, 3]; the same image gives the same bytes."""
-    Image.fromarray(image.numpy()).save(path, format="PNG", optimize=False)
+    path.write_bytes(png(image))
+
+
+def png(image: Tensor) -> bytes:
+    """A uint8 image [H, W, 3] as the bytes of a PNG file."""
+    buffer = BytesIO()
+    Image.fromarray(image.numpy()).save(buffer, format="PNG", optimize=False)
+    return buffer.getvalue()
 
 
 def load_png(path: Path) -> Tensor:
     """Reads an image as uint8 [H, W, 3]. Raises OSError, also for a file that is not an image."""
     with Image.open(path) as image:
-        return torch.frombuffer(bytearray(image.convert("RGB").tobytes()), dtype=torch.uint8).reshape(
-            image.height, image.width, 3
-        )
+        return pixels(image)
+
+
+def pixels(image: Image.Image) -> Tensor:
+    """An image as uint8 [H, W, 3]."""
+    data = bytearray(image.convert("RGB").tobytes())
+    return torch.frombuffer(data, dtype=torch.uint8).reshape(image.height, image.width, 3)

@@ -1,28 +1,174 @@
 """Records of the analysis. This module does not import torch, so that the API can read them."""
 
+from typing import Literal
+
 from pydantic import BaseModel, ConfigDict, Field
 
+from services.attacks.verdict import Verdict
+from services.rendering.physical_change import PhysicalChange
 
-class Answer(BaseModel):
-    """The network's answer to one image, rounded to 8 bits."""
+
+class Record(BaseModel):
+    """Base class of the records, without unknown fields."""
 
     model_config = ConfigDict(extra="forbid")
+
+
+class Answer(Record):
+    """The network's answer to one image, rounded to 8 bits."""
 
     label: str
     index: int
     confidence: float = Field(description="probability of `label`")
-    goal_probability: float = Field(description="probability of the goal's label (the one to leave, or to reach)")
+    goal_probability: float = Field(
+        description="probability of the goal's labels together (those to leave, or the one to reach)"
+    )
     top: list[tuple[str, float]] = Field(description="the five most probable labels")
 
 
-class Subset(BaseModel):
+class Subset(Record):
     """The network's answer to the stored perturbation with only some of its groups applied, rendered exactly."""
-
-    model_config = ConfigDict(extra="forbid")
 
     groups: list[str]
     label: str
     confidence: float
     goal_probability: float
-    perceptibility: float
+    goal_log_odds: float | None = Field(
+        None, description="log-odds of the goal's label; null in results of version 0.1, which did not record them"
+    )
+    float_perceptibility: float | None = Field(
+        None,
+        description="p(ΔY) before the images are rounded to 8 bits, as the paper's; null in results of version 0.1",
+    )
+    perceptibility: float = Field(description="p(ΔY) of the images as saved, of 8 bits")
     fooled: bool
+
+
+class Shares(Record):
+    """How the effect of the whole perturbation on one quantity is shared out among its parts."""
+
+    effect: float = Field(description="the quantity with the whole perturbation minus that of the original")
+    shapley: list[float] = Field(description="each part's Shapley value; they sum to the effect")
+    standard_error: list[float] | None = Field(None, description="of each Shapley value; null where they are exact")
+    interactions: list[list[float]] | None = Field(
+        None,
+        description="Shapley interaction of each pair of parts, 0 on the diagonal: 0 where their contributions add up; "
+        "null where Shapley values are sampled",
+    )
+
+
+class Attribution(Record):
+    """Shapley values of a perturbation's parts: its groups, or single coordinates."""
+
+    parts: list[str]
+    method: Literal["exact", "sampled"]
+    orders: int | None = Field(None, description="random orders of the parts that a sampled attribution is the mean of")
+    images: int = Field(description="images rendered and classified for it, beside the original and the attacked one")
+    log_odds: Shares = Field(description="of the log-odds of the goal's label")
+    probability: Shares = Field(description="of the probability of the goal's label")
+
+
+class RayPoint(Record):
+    """The network's answer to the stored perturbation times a scale, rendered exactly."""
+
+    scale: float
+    label: str
+    confidence: float
+    goal_probability: float
+    float_perceptibility: float = Field(description="p(ΔY) before the image is rounded, the paper's")
+    perceptibility: float = Field(description="p(ΔY) of the image as saved, of 8 bits")
+    fooled: bool
+
+
+class MinimalChange(Record):
+    """The smallest scale of the stored perturbation that was found to fool the network.
+
+    Success need not be monotone along the ray: `smallest.scale` is below `fools_from` where a scanned scale between
+    them holds, and what lies between two scanned scales is not known.
+    """
+
+    smallest: RayPoint | None = Field(
+        description="the smallest scale found that fools, by a scan and a bisection; null if no scanned scale does"
+    )
+    holds_at: float = Field(description="the largest scale below it at which the network was seen to hold; 0: original")
+    fools_from: float | None = Field(
+        description="the smallest scanned scale from which on every scanned scale fools; null if scale 1 does not"
+    )
+    scan: list[RayPoint] = Field(description="the scanned scales, evenly spaced, the last is 1")
+    images: int = Field(description="images rendered and classified")
+    change: list[PhysicalChange] = Field(description="the perturbation at the smallest scale, in physical units")
+    stored_change: list[PhysicalChange] = Field(description="the stored perturbation in physical units")
+
+
+class Said(Record):
+    """A network's answer to an image of 8 bits, in short."""
+
+    label: str
+    confidence: float
+
+
+class Transferred(Record):
+    """What a network, asked in transfer, says of the original and of the attacked image."""
+
+    target: str
+    renderer: str = Field(description="the renderer that made both images")
+    before: Said
+    after: Said
+    outcome: Verdict = Field(description="what it came to, judged as for a job; only `fooled` counts as a success")
+    right_before: bool | None = Field(
+        description="whether the answer to the original was right; null if nobody knows what is right for this network"
+    )
+    note: str = Field("", description="what of the perturbation the images show, if not all of it")
+
+
+class Explanation(Record):
+    """One fit of physical parameters to an image."""
+
+    optimiser: str
+    rate: float = Field(description="learning rate, of all groups")
+    losses: list[float] = Field(description="mean absolute difference of a displayed value, at the start and each step")
+    after: Said = Field(description="the answer to the exact rendering of the best fit")
+    distance: float = Field(description="p of the difference between the image and that rendering, both of 8 bits")
+
+
+class Interpretation(Record):
+    """How well physical parameters explain the attacked image (paper, section 4.1.1)."""
+
+    image: Said = Field(description="the answer to the attacked image")
+    scene: Said = Field(description="the answer to the scene's own image, from which every fit starts")
+    fits: list[Explanation]
+
+
+class Rerendering(Record):
+    """The re-rendering defence applied to one image."""
+
+    optimiser: str
+    rate: float
+    losses: list[float]
+    before: Said = Field(description="the answer to the image")
+    after: Said = Field(description="the answer to the exact rendering of the scene fitted to it")
+    distance: float = Field(description="p of the difference between the two images, both of 8 bits")
+
+
+class AdaptiveAttack(Record):
+    """An attack on pixels that knows the re-rendering defence (BPDA)."""
+
+    fooled: bool = Field(description="whether the answer to the re-rendered image met the goal")
+    steps: int
+    goal_probability: list[float] = Field(
+        description="probability of the goal's label for the re-rendered image, at the start and after each step"
+    )
+    image: Said = Field(description="the answer to the attacked image itself, without the defence")
+    rerendered: Said = Field(description="the answer to its re-rendering")
+    perceptibility: float = Field(description="p(ΔY) of the attacked image as saved, of 8 bits")
+
+
+class Analyses(Record):
+    """The analyses that the request asked for; null for those that it did not name."""
+
+    coordinates: Attribution | None = None
+    minimal: MinimalChange | None = None
+    transfer: list[Transferred] | None = None
+    interpretation: Interpretation | None = None
+    rerendering: Rerendering | None = None
+    adaptive: AdaptiveAttack | None = None

@@ -3,18 +3,35 @@ section 4.1.2).
 """
 
 from itertools import combinations
+from typing import NamedTuple
 
 from torch import Tensor
 
-from services.analysis.answers import answer
-from services.analysis.perceptibility import of_images
+from services.analysis.answers import answer, goal_log_odds
+from services.analysis.perceptibility import of_float_images, of_images
 from services.analysis.records import Subset
 from services.attacks.goal import ResolvedGoal
 from services.attacks.verifier import Verifier
+from services.rendering.color import to_bytes
 from services.rendering.protocol import Parameters
 
-ScoredImage = tuple[Tensor, Tensor]
-"""An exact image rounded to 8 bits, uint8 [H, W, 3], and the network's scores of it, [K]."""
+
+class ScoredImage(NamedTuple):
+    """An exact image and the network's scores of it."""
+
+    exact: Tensor
+    """[H, W, 3] in [0,1], before it is rounded."""
+    saved: Tensor
+    """The same rounded to 8 bits, uint8 [H, W, 3]."""
+    logits: Tensor
+    """The scores of the saved image, [K]."""
+
+
+def scored(verifier: Verifier, perturbation: Parameters) -> ScoredImage:
+    """Renders a perturbation by the exact path and asks the network."""
+    exact = verifier.render(perturbation)
+    saved = to_bytes(exact).cpu()
+    return ScoredImage(exact, saved, verifier.logits(saved))
 
 
 def subsets(
@@ -29,21 +46,22 @@ def subsets(
     for size in range(len(perturbation) + 1):
         for groups in combinations(perturbation, size):
             if not groups:
-                image, logits = original
+                image = original
             elif len(groups) == len(perturbation):
-                image, logits = attacked
+                image = attacked
             else:
-                image = verifier.image({g: perturbation[g] for g in groups})
-                logits = verifier.logits(image)
-            said = answer(logits, verifier.target.labels, goal)
+                image = scored(verifier, {g: perturbation[g] for g in groups})
+            said = answer(image.logits, verifier.target.labels, goal)
             rows.append(
                 Subset(
                     groups=list(groups),
                     label=said.label,
                     confidence=said.confidence,
                     goal_probability=said.goal_probability,
-                    perceptibility=of_images(original[0], image),
-                    fooled=bool(goal.fooled(logits)),
+                    goal_log_odds=goal_log_odds(image.logits, goal),
+                    float_perceptibility=of_float_images(original.exact, image.exact),
+                    perceptibility=of_images(original.saved, image.saved),
+                    fooled=bool(goal.fooled(image.logits)),
                 )
             )
     return rows

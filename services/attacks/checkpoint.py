@@ -17,7 +17,8 @@ from services.attacks.verifier import Verifier
 
 EVERY = 2.0
 """Seconds between checkpoints."""
-_PLAIN = ("step", "settings", "below_noise", "seconds", "stopped", "fooled", "verified", "stored_step")
+_WORDS = "step restart began settings below_noise seconds stopped fooled verified stored_step"
+_PLAIN = tuple(_WORDS.split())
 
 
 def save(path: Path, run: AttackState, problem: AttackProblem, method: Method, verifier: Verifier) -> None:

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from services.attacks.spec import AttackSettings, Rate, register, suggested_steps
-from services.rendering.declaration import RENDERERS
+from services.attacks.spec import AttackSettings, Rate, register
+from services.attacks.suggested import suggested
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -40,16 +40,8 @@ class Fgsm(AttackSettings):
 
     @classmethod
     def complete(cls, data: dict[str, Any]) -> dict[str, Any]:
-        """Fills in the learning rates that the renderer suggests for its groups, and U, which a renderer without
-        gradients does not have.
-        """
-        given = data.get("learning_rate") or {}
-        renderer = RENDERERS.get(str(data.get("renderer", "torch")))
-        if renderer is None or not isinstance(given, dict):
-            return data
-        if not renderer.differentiable:
-            data = {"truncation": None} | data
-        return data | {"learning_rate": suggested_steps(data) | given}
+        """Fills in the learning rates that the renderer suggests for its groups."""
+        return suggested(data, "learning_rate", lambda group: group.suggested_step)
 
     @model_validator(mode="after")
     def _a_rate_for_each_group(self) -> Self:
@@ -70,7 +62,7 @@ class FgsmMethod:
 
     def __init__(self, settings: Fgsm, problem: AttackProblem) -> None:
         self.settings = settings
-        self.perturbation: Parameters = problem.nothing()
+        self.perturbation: Parameters = problem.beginning
         self.velocity: Parameters = problem.nothing()
 
     def start(self, problem: AttackProblem) -> dict[str, object]:  # noqa: ARG002 - nothing to measure

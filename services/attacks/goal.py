@@ -1,62 +1,88 @@
 """The goal of an attack as numbers: an objective to minimise and a test of success."""
 
 from dataclasses import dataclass
+from math import log
 
+import torch
 from torch import Tensor
 
 from services.errors import InvalidRequest
-from services.targets.scores import advantage, log_odds, probability
+from services.targets.scores import advantage, log_odds, log_odds_of_best_other, probability
 
 
 @dataclass(frozen=True)
 class ResolvedGoal:
-    """A goal over label indices: if `reach` is None, the network must stop answering `leave`; else it must answer
-    `reach`.
+    """A goal over label indices: if `reach` is None, the network must answer none of `leave`; else it must answer
+    `reach`. The new answer must have at least the probability `least_confidence`, in [0,1).
 
-    All methods take logits [..., K]. `objective` and `advantage` raise InvalidRequest("target.name") if K is 1, since
-    such a network has no other answer.
+    `leave` is a set of labels that count as one answer; it may be empty only if `reach` is given. All methods take
+    logits [..., K] and return [...]. `objective` and `advantage` raise InvalidRequest("target.name") if the network has
+    no label outside the set, since there is then no other answer.
     """
 
-    leave: int | None
+    leave: tuple[int, ...]
     reach: int | None
+    least_confidence: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.leave is None and self.reach is None:
+        if not self.leave and self.reach is None:
             raise ValueError("a goal needs a label to leave or to reach")
+        if not 0 <= self.least_confidence < 1:
+            raise ValueError(f"the least confidence is {self.least_confidence}, not in [0, 1)")
 
     @property
-    def label(self) -> int:
-        """The label whose probability the trace records: `reach` if it is given, else `leave`."""
-        label = self.leave if self.reach is None else self.reach
-        assert label is not None
-        return label
+    def labels(self) -> tuple[int, ...]:
+        """The labels whose probability the trace records: `reach` if it is given, else `leave`."""
+        return self.leave if self.reach is None else (self.reach,)
+
+    def probability(self, logits: Tensor) -> Tensor:
+        """The probability of `labels` together, float64."""
+        return probability(logits, self.labels)
 
     def objective(self, logits: Tensor) -> Tensor:
-        """The objective that FGSM minimises, [B]: the log-odds of the label to leave, or minus those of `reach`.
+        """The objective that gradient methods minimise: the log-odds of the labels to leave, or minus those of `reach`.
 
         Its gradient has the direction of the paper's loss (the probability) and does not vanish on a confident network.
+        With a least confidence and no `reach` it is minus the log-odds of the most probable other label: to leave
+        alone may spread the probability over many labels and give none of them the confidence.
         """
-        _several(logits)
-        odds = log_odds(logits, self.label)
-        return odds if self.reach is None else -odds
+        _several(logits, self.labels)
+        if self.reach is not None:
+            return -log_odds(logits, self.labels)
+        if self.least_confidence:
+            return -log_odds_of_best_other(logits, self.leave)
+        return log_odds(logits, self.leave)
 
     def advantage(self, logits: Tensor) -> Tensor:
-        """Log-probability advantage of the present answer, [B]; negative once fooled (paper, attack curves)."""
-        _several(logits)
-        value = advantage(logits, self.label)
-        return value if self.reach is None else -value
+        """Log-probability advantage of the present answer; negative once fooled (paper, attack curves).
+
+        With a least confidence c it is the larger of that and log(c / (1 − c)) − the new answer's log-odds.
+        """
+        _several(logits, self.labels)
+        value = advantage(logits, self.labels)
+        if self.reach is not None:
+            value = -value
+        if not self.least_confidence:
+            return value
+        odds = log_odds_of_best_other(logits, self.leave) if self.reach is None else log_odds(logits, self.labels)
+        return torch.maximum(value, log(self.least_confidence / (1 - self.least_confidence)) - odds)
 
     def loss(self, logits: Tensor) -> Tensor:
-        """The loss as the paper reports it, [B]: probability of the label to leave, or 1 minus that to reach."""
-        value = probability(logits, self.label)
+        """The loss as the paper reports it: probability of the labels to leave, or 1 minus that to reach."""
+        value = self.probability(logits)
         return value if self.reach is None else 1 - value
 
     def fooled(self, logits: Tensor) -> Tensor:
-        """Whether the most probable label meets the goal, [B] bool. On a tie the lower index is the answer."""
-        answer = logits.argmax(dim=-1)
-        return answer != self.label if self.reach is None else answer == self.label
+        """Whether the most probable label meets the goal, bool. On a tie the lower index is the answer."""
+        answer = logits.argmax(dim=-1, keepdim=True)
+        named = (answer == torch.tensor(self.labels, device=logits.device)).any(dim=-1)
+        met = ~named if self.reach is None else named
+        if not self.least_confidence:
+            return met
+        confidence = torch.softmax(logits.double(), dim=-1).gather(-1, answer).squeeze(-1)
+        return met & (confidence >= self.least_confidence)
 
 
-def _several(logits: Tensor) -> None:
-    if logits.shape[-1] < 2:
-        raise InvalidRequest("target.name", "it has one label only; there is no other answer to bring it to")
+def _several(logits: Tensor, labels: tuple[int, ...]) -> None:
+    if logits.shape[-1] <= len(labels):
+        raise InvalidRequest("target.name", "it has no label but those to leave or to reach; there is no other answer")

@@ -159,5 +159,5 @@ def image_gradient(problem: AttackProblem) -> Tensor:
     with torch.enable_grad():
         logits = problem.logits(quantize(images)[1])
         check_graph(problem.renderer, problem.target, images, logits)
-        (found,) = torch.autograd.grad(problem.goal.objective(logits[0]), images)
+        (found,) = torch.autograd.grad(problem.objective(logits[0]), images)
     return found[0]

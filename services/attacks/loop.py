@@ -31,7 +31,7 @@ class Budget:
     """The limits at which an attack stops without success; None means no limit.
 
     `queries` counts every image that the network classifies, verification included. `seconds` is wall-clock time over
-    all attempts of a job.
+    all attempts of a job. `steps` is the limit of each start.
     """
 
     steps: int
@@ -44,7 +44,8 @@ class AttackRun:
     """One attack as the loop runs it.
 
     The loop resumes from the file `checkpoint_path` if it holds a readable checkpoint, and writes it every few seconds.
-    It calls `on_row` with every new row of the trace.
+    It calls `on_row` with every new row of the trace. A start that took all its steps is followed by up to `restarts`
+    others, whose methods `fresh` makes.
     """
 
     problem: AttackProblem
@@ -53,6 +54,8 @@ class AttackRun:
     budget: Budget
     checkpoint_path: Path | None = None
     on_row: Callable[[TraceRow], None] = lambda _: None
+    restarts: int = 0
+    fresh: Callable[[], Method] | None = None
 
 
 def run(
@@ -63,6 +66,8 @@ def run(
     *,
     checkpoint_path: Path | None = None,
     on_row: Callable[[TraceRow], None] = lambda _: None,
+    restarts: int = 0,
+    fresh: Callable[[], Method] | None = None,
 ) -> AttackState:
     """Attacks until an adversary is verified or the budget is spent, and returns the final state.
 
@@ -72,7 +77,7 @@ def run(
     or a gradient is not finite, JobFailure("internal") if renderer, target or method break their protocol (`contract`),
     and what `problem.interrupt` raises.
     """
-    [found] = run_together([AttackRun(problem, method, verifier, budget, checkpoint_path, on_row)])
+    [found] = run_together([AttackRun(problem, method, verifier, budget, checkpoint_path, on_row, restarts, fresh)])
     return found
 
 
@@ -103,15 +108,13 @@ class _Running:
         with named(self.name):
             found = checkpoint.load(attack.checkpoint_path, attack.problem, attack.method, attack.verifier)
         self.run = found or AttackState(ever=torch.zeros(attack.problem.renderer.size, dtype=torch.bool))
+        for number in range(1, self.run.restart + 1):
+            attack.problem.restart(number)
         self.began, self.last_saved = monotonic() - self.run.seconds, monotonic()
         resumed = bool(self.run.settings or self.run.trace)
         measured = self._differences(resumed)
         if not resumed:
-            with named(self.name):
-                self.run.settings = attack.method.start(attack.problem)
-                check_state(attack.method.state())
-            check_settings(self.run.settings)
-            self.run.settings |= measured
+            self.run.settings = self.start() | measured
 
     def _differences(self, resumed: bool) -> dict[str, object]:
         """Prepares differences of images if the method needs gradients through a renderer that has none. Returns their
@@ -132,6 +135,29 @@ class _Running:
     def seconds(self) -> float:
         return monotonic() - self.began
 
+    def start(self) -> dict[str, object]:
+        """Starts the method. Returns the settings that it measured."""
+        with named(self.name):
+            settings = self.attack.method.start(self.attack.problem)
+            check_state(self.attack.method.state())
+        check_settings(settings)
+        return settings
+
+    def restart(self) -> None:
+        """If a start has taken all its steps, begins the next one, if any, at a random point and with a fresh method.
+
+        Trace, counts and the best perturbation so far are kept.
+        """
+        attack, state = self.attack, self.run
+        if state.stopped != "steps" or state.restart >= attack.restarts or attack.fresh is None:
+            return
+        state.restart, state.step, state.stopped = state.restart + 1, state.step + 1, ""
+        state.began, state.below_noise = state.step, 0
+        attack.problem.restart(state.restart)
+        with named(self.name):
+            attack.method = attack.fresh()
+        self.start()
+
     def view(self) -> Evaluation:
         method = self.attack.method
         with named(self.name):
@@ -145,7 +171,8 @@ class _Running:
         row = _row(attack, view, logits, state, self.seconds)
         fooled = bool(problem.goal.fooled(logits))
         state.ever |= view.truncated.cpu()
-        if fooled or not state.fooled:
+        best = not state.trace or row.advantage <= state.trace[state.stored_step].advantage
+        if fooled or (best and not state.fooled):
             state.stored = {g: v.detach().clone() for g, v in view.perturbation.items()}
             state.stored_step = state.step
             state.image, state.scores = image.cpu().clone(), logits.cpu().clone()
@@ -158,7 +185,8 @@ class _Running:
 
     def advance(self, view: Evaluation) -> None:
         with named(self.name):
-            self.run.below_noise = self.attack.method.advance(self.attack.problem, view, self.run.step)
+            step = self.run.step - self.run.began
+            self.run.below_noise = self.attack.method.advance(self.attack.problem, view, step)
         check_count(self.run.below_noise)
         self.run.step += 1
 
@@ -182,19 +210,22 @@ def _step(active: list[_Running]) -> None:
     if needs_gradient and going:
         found = gradients([problems[i] for i in going], [views[i] for i in going], logits[going])
     for i, of in zip(going, found, strict=True):
-        active[i].advance(replace(views[i], gradients=of))
+        value = float(problems[i].objective(logits[i].detach()))
+        active[i].advance(replace(views[i], gradients=of, objective=value))
     for one in active:
+        one.restart()
         one.save()
 
 
 def _row(attack: AttackRun, view: Evaluation, logits: Tensor, state: AttackState, seconds: float) -> TraceRow:
     problem, verifier = attack.problem, attack.verifier
-    minimised = problem.goal.objective if attack.method.needs_gradient else problem.goal.advantage
+    minimised = problem.objective if attack.method.needs_gradient else problem.goal.advantage
     height, width = problem.renderer.size
     distance = float(distances(view.images.detach(), problem.original)[0])
     label = int(logits.argmax())
     return TraceRow(
         step=state.step,
+        restart=state.restart,
         loss=float(problem.goal.loss(logits)),
         label=problem.target.labels[label],
         confidence=float(probability(logits, label)),
@@ -213,10 +244,10 @@ def _row(attack: AttackRun, view: Evaluation, logits: Tensor, state: AttackState
 def _stop(problem: AttackProblem, verifier: Verifier, state: AttackState, budget: Budget, seconds: float) -> str:
     if state.verified:
         return "verified"
-    if state.step >= budget.steps:
-        return "steps"
     if budget.queries is not None and problem.queries + verifier.queries >= budget.queries:
         return "queries"
     if budget.seconds is not None and seconds >= budget.seconds:
         return "seconds"
+    if state.step - state.began >= budget.steps:
+        return "steps"  # the last reason, since a restart may follow it
     return ""

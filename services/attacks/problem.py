@@ -2,14 +2,18 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import nan
 from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
 from services.attacks.contract import check_graph, check_images, check_perturbation, check_scores
+from services.attacks.feasible import BACKTRACK_MARGIN, perturbation_bounds, pulled_back, random_start
 from services.attacks.goal import ResolvedGoal
 from services.attacks.layout import Layout
+from services.attacks.losses import Loss, loss
+from services.attacks.seeds import derived
 from services.errors import JobFailure, named
 from services.finite import finite
 from services.rendering import color
@@ -32,6 +36,8 @@ class Evaluation:
     """Pixels with a truncated value, bool [H, W]."""
     gradients: Parameters = field(default_factory=dict)
     """∂objective/∂perturbation by group, for a method that needs it; see `gradients`."""
+    objective: float = nan
+    """The objective of the image rounded to 8 bits, without an own query of the network; see `AttackProblem.loss`."""
 
 
 class Differences(Protocol):
@@ -46,7 +52,9 @@ class Differences(Protocol):
 class AttackProblem:
     """Renders perturbations and classifies images, and counts both (`renders`, `queries`).
 
-    `truncation` is U in [0,1] or None; `weight` is λ of the summed squares of the image's change (zoo).
+    `truncation` is U in [0,1] or None; `weight` is λ of the summed squares of the image's change (zoo). `backtrack` is
+    U of the constraint `backtrack`, or None. `epsilon` and `limits` are the request's ε and bounds of the values, by
+    group.
     """
 
     renderer: Renderer
@@ -57,6 +65,11 @@ class AttackProblem:
     question: str | None = None
     truncation: float | None = None
     weight: float = 0.0
+    loss: Loss = "log-odds"
+    """What the gradients are of, and the objective of an evaluation."""
+    backtrack: float | None = None
+    epsilon: Mapping[str, float] = field(default_factory=dict)
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     interrupt: Callable[[], None] = lambda: None
     """Called before every rendering; raises Cancelled to stop."""
     differences: Differences | None = None
@@ -68,17 +81,16 @@ class AttackProblem:
     layout: Layout = field(init=False)
     """The attacked groups as one vector."""
     bounds: dict[str, tuple[Tensor, Tensor]] = field(init=False)
-    """Smallest and largest perturbation of each group that has physical bounds."""
+    """Smallest and largest perturbation of each group that has any limit (`feasible`)."""
+    beginning: Parameters = field(init=False)
+    """The perturbation with which a method begins: zeros, or a random one for a restart."""
 
     def __post_init__(self) -> None:
-        start, bounds = self.renderer.initial(), self.renderer.bounds()
+        start = self.renderer.initial()
         self.initial = {group: start[group] for group in self.groups}
         self.layout = Layout.of(self.initial)
-        self.bounds = {
-            group: (bounds[group][0] - value, bounds[group][1] - value)
-            for group, value in self.initial.items()
-            if not all(bool(bound.isinf().all()) for bound in bounds[group])
-        }
+        self.bounds = perturbation_bounds(self.initial, self.renderer.bounds(), self.limits, self.epsilon)
+        self.beginning = self.nothing()
         with torch.no_grad():
             self.original = self.render({g: v[None] for g, v in self.initial.items()})
 
@@ -86,8 +98,15 @@ class AttackProblem:
         """The perturbation of zeros."""
         return {group: torch.zeros_like(value) for group, value in self.initial.items()}
 
+    def restart(self, number: int) -> None:
+        """Moves the beginning to a random point within the bounds, and the seed to one of its own, for restart
+        `number`, from 1.
+        """
+        self.beginning = random_start(self.initial, self.bounds, self.seed, number)
+        self.seed = derived(self.seed, "restart", number)
+
     def clamp(self, perturbation: Mapping[str, Tensor]) -> Parameters:
-        """The perturbation, clamped so that the perturbed parameters are within the renderer's physical bounds."""
+        """The perturbation, clamped to `bounds`."""
         return {
             group: value.clamp(*self.bounds[group]) if group in self.bounds else value
             for group, value in perturbation.items()
@@ -106,10 +125,15 @@ class AttackProblem:
     def view(self, perturbation: Mapping[str, Tensor], gradient: bool = False) -> Evaluation:
         """The image of one perturbation, truncated to U around the original; with a graph if `gradient`.
 
-        The graph is the renderer's own, or that of `differences` if the renderer has none. Raises JobFailure for a
-        perturbation of other groups or shapes, or with values that are not finite or beyond the renderer's bounds.
+        With `backtrack`, of the perturbation pulled back until its image is within U, which the view then names. The
+        graph is the renderer's own, or that of `differences` if the renderer has none.
+
+        Raises JobFailure for a perturbation of other groups or shapes, or with values that are not finite or beyond the
+        renderer's bounds.
         """
         check_perturbation(perturbation, self.initial, self.bounds)
+        if self.backtrack is not None:
+            perturbation = self.layout.unflatten(self.feasible(self.layout.flatten(perturbation)[None])[0])
         leaves = {g: value.detach().requires_grad_(gradient) for g, value in perturbation.items()}
         with torch.set_grad_enabled(gradient):
             if gradient and self.differences is not None:
@@ -117,6 +141,21 @@ class AttackProblem:
             else:
                 images = self.render({g: (self.initial[g] + value)[None] for g, value in leaves.items()})
             return Evaluation(leaves, *truncate(images, self.original, self.truncation))
+
+    def feasible(self, vectors: Tensor) -> Tensor:
+        """The perturbations [B, total], pulled back with `backtrack` until no value of their images is beyond U."""
+        return vectors if self.backtrack is None else pulled_back(self._within_limit, vectors.detach())
+
+    @torch.no_grad()
+    def _within_limit(self, vectors: Tensor) -> Tensor:
+        assert self.backtrack is not None
+        start, limit = self.layout.flatten(self.initial), self.backtrack - BACKTRACK_MARGIN + ROUNDING
+        images = (self.render(self.layout.unflatten((start + vector)[None])) for vector in vectors)
+        return torch.tensor([float((image - self.original).abs().max()) <= limit for image in images])
+
+    def objective(self, logits: Tensor) -> Tensor:
+        """The loss of logits [..., K] that is minimised, [...]."""
+        return loss(self.loss, self.goal, logits)
 
     def logits(self, images: Tensor) -> Tensor:
         """Scores [B, K] of images. Raises JobFailure as `ask` does."""
@@ -167,7 +206,7 @@ def gradients(problems: Sequence[AttackProblem], views: Sequence[Evaluation], lo
     JobFailure("internal") if there is no graph.
     """
     check_graph(problems[0].renderer, problems[0].target, views[0].images, logits)
-    objective = torch.stack([p.goal.objective(of) for p, of in zip(problems, logits, strict=True)]).sum()
+    objective = torch.stack([p.objective(of) for p, of in zip(problems, logits, strict=True)]).sum()
     for p, view in zip(problems, views, strict=True):
         if p.weight:
             objective = objective + p.weight * (view.images - p.original).square().sum().to(objective.device)

@@ -8,9 +8,13 @@ from torch import Tensor
 
 def generator(seed: int, *words: str | int) -> torch.Generator:
     """A CPU generator that depends on the seed and on `words` alone, which name the purpose and the step."""
+    return torch.Generator().manual_seed(derived(seed, *words))
+
+
+def derived(seed: int, *words: str | int) -> int:
+    """A seed of 63 bits that depends on the seed and on `words` alone."""
     text = "/".join([str(seed), *map(str, words)])
-    number = int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big")
-    return torch.Generator().manual_seed(number % 2**63)
+    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big") % 2**63
 
 
 def draw(pool: Tensor, count: int, seed: int, *words: str | int) -> Tensor:

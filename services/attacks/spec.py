@@ -5,20 +5,25 @@ An attack is one file: it derives its settings from `AttackSettings`, writes its
 errors, openapi.yaml and the tables in docs/scene.md follow from the registry. This module does not import torch.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from math import isfinite
 from typing import Annotated, Any, Literal, Self, TypeVar, get_args, get_origin
 
 from pydantic import Field, field_validator, model_validator
 
+from services.attacks.limits import Limits
+from services.attacks.losses import Loss
 from services.extensions import Registry
 from services.rendering.declaration import MAX_STEP, RENDERERS
 from services.scenes.description import Model
 from services.suggestions import there_are
 
 Rate = Annotated[float, Field(ge=0, le=MAX_STEP, allow_inf_nan=False)]
+MAX_LABELS = 1000
+"""Largest number of labels that count as one answer."""
 Label = Annotated[str, Field(min_length=1, max_length=200)] | Annotated[int, Field(ge=0)]
+Labels = Label | Annotated[tuple[Label, ...], Field(max_length=MAX_LABELS)]
 
 LARGEST_SEED = 2**63 - 1
 Seed = Annotated[int, Field(ge=0, le=LARGEST_SEED)]
@@ -27,13 +32,38 @@ Seed = Annotated[int, Field(ge=0, le=LARGEST_SEED)]
 class Goal(Model):
     """The answer that the attack wants from the network. A label is a name or an index.
 
-    Non-targeted: the network must stop answering `leave`, the true label, which must be its answer to the original
-    image. If `leave` is left out, it is the network's answer to the original image. Targeted: the network must answer
-    `reach`.
+    Non-targeted: the network must answer none of the labels in `leave`. Targeted: it must answer `reach`. `truth` says
+    which answers are right; it decides the outcome, and which labels count as one answer.
+
+    If `leave` is given, the network's answer to the original image must be among it. If it is left out, it is filled
+    in: with the truth if that answer is right, else with that answer and the labels that mean the same.
     """
 
-    leave: Label | None = Field(None, description="the true label, which the network must stop answering")
+    truth: Labels | None = Field(
+        None,
+        description="the true label, or all labels that are right; where it is left out it is taken from the table of "
+        "library meshes, else from `leave`; an empty list says that nobody knows it",
+    )
+    leave: Labels | None = Field(
+        None,
+        description="the label, or all labels, which the network must stop answering; where the truth is left out and "
+        "the table has none, it is taken for the truth",
+    )
     reach: Label | None = Field(None, description="the label that the network must answer (targeted)")
+    least_confidence: float = Field(
+        0.0,
+        ge=0,
+        lt=1,
+        allow_inf_nan=False,
+        description="least probability of the new answer for the goal to be met",
+    )
+
+    @field_validator("leave")
+    @classmethod
+    def _something_to_leave(cls, value: Labels | None) -> Labels | None:
+        if value == ():
+            raise ValueError("an empty list has no label to leave; leave the field out")
+        return value
 
 
 def _base_renderers() -> list[str]:
@@ -41,7 +71,8 @@ def _base_renderers() -> list[str]:
     return [name for name, one in RENDERERS.items() if one.base_renderer is None]
 
 
-def _renderer_names(schema: dict[str, Any]) -> None:
+def renderer_names(schema: dict[str, Any]) -> None:
+    """Adds the renderers' names to the JSON schema of a field."""
     schema["enum"] = list(RENDERERS)
 
 
@@ -49,7 +80,7 @@ def _base_renderer_names(schema: dict[str, Any]) -> None:
     schema["anyOf"][0]["enum"] = _base_renderers()
 
 
-class AttackSettings(Model):
+class AttackSettings(Limits):
     """Settings that every method has. Settings left out are filled in, so that the stored spec states all of them.
 
     A method's settings derive from this class. They add fields, among them `method: Literal["its-name"] = "its-name"`,
@@ -57,7 +88,7 @@ class AttackSettings(Model):
     """
 
     renderer: str = Field(
-        "torch", description="the renderer whose parameters are attacked", json_schema_extra=_renderer_names
+        "torch", description="the renderer whose parameters are attacked", json_schema_extra=renderer_names
     )
     groups: tuple[str, ...] = Field(
         (),
@@ -78,15 +109,16 @@ class AttackSettings(Model):
     )
     method: str
     steps: Annotated[int, Field(ge=1, le=100_000)] = Field(500, description="largest number of steps")
-    truncation: Annotated[int, Field(ge=1, le=255)] | None = Field(
-        None,
-        description="U: largest change of an RGB value from the original inside the loop, in 1/255; null: no limit",
-    )
 
     @property
     def distance_weight(self) -> float:
         """λ: weight of the summed squares of the image's change in the objective of finite differences."""
         return 0.0
+
+    @property
+    def objective(self) -> Loss:
+        """The loss whose gradient the loop computes, and whose value it gives to the method."""
+        return "log-odds"
 
     @classmethod
     def complete(cls, data: dict[str, Any]) -> dict[str, Any]:
@@ -96,7 +128,7 @@ class AttackSettings(Model):
     @model_validator(mode="before")
     @classmethod
     def _complete(cls, data: Any) -> Any:
-        return cls.complete(_completed(data)) if isinstance(data, dict) else data
+        return cls.complete(_completed(cls, data)) if isinstance(data, dict) else data
 
     @field_validator("renderer")
     @classmethod
@@ -119,28 +151,25 @@ class AttackSettings(Model):
             raise ValueError("groups: each group at most once")
         if self.base_renderer is not None and has.base_renderer is None:
             raise ValueError(f"base_renderer: renderer {self.renderer} works on no other's image; leave this out")
+        for field, given in (("epsilon", self.epsilon), ("bounds", self.bounds)):
+            self.check_known(field, given)
+        if self.needs_epsilon:
+            self.check_groups("epsilon", self.epsilon)
         return self
 
-    def check_groups(self, field: str, given: dict[str, float]) -> None:
-        """Raises ValueError unless `given` has a value for each attacked group and for no other."""
+    def check_known(self, field: str, given: Iterable[str]) -> None:
+        """Raises ValueError unless each group in `given` is attacked."""
         for group in given:
             if group not in self.groups:
                 attacked = ", ".join(self.groups)
                 raise ValueError(f"{field}: {group!r} is not an attacked group; attacked are {attacked}")
+
+    def check_groups(self, field: str, given: Mapping[str, object]) -> None:
+        """Raises ValueError unless `given` has a value for each attacked group and for no other."""
+        self.check_known(field, given)
         for group in self.groups:
             if group not in given:
                 raise ValueError(f"{field}: group {group!r} has no value")
-
-
-def suggested_steps(data: dict[str, Any]) -> dict[str, float]:
-    """The steps that the renderer of a request suggests for its attacked groups, by group, of those that have any.
-
-    `data` is a request whose groups are filled in, as `AttackSettings.complete` is given it.
-    """
-    renderer = RENDERERS.get(str(data.get("renderer", AttackSettings.model_fields["renderer"].default)))
-    declared = () if renderer is None else renderer.groups
-    attacked = {group.name: group.suggested_step for group in declared if group.name in data.get("groups", ())}
-    return {group: step for group, step in attacked.items() if step is not None}
 
 
 def _one_of(names: list[str], value: str) -> str:
@@ -149,15 +178,14 @@ def _one_of(names: list[str], value: str) -> str:
     return value
 
 
-def _completed(given: dict[str, Any]) -> dict[str, Any]:
-    """The data with the groups and the base renderer filled in where they were left out."""
-    data = dict(given)
+def _completed(settings: type[AttackSettings], given: dict[str, Any]) -> dict[str, Any]:
+    """The data with renderer, groups and base renderer filled in where they were left out."""
+    data = {"renderer": settings.model_fields["renderer"].default} | given
     if "picture" in data:  # the name of `base_renderer` in version 0.1
         if "base_renderer" in data:
             raise ValueError("base_renderer: `picture` is the old name of this field; leave `picture` out")
         data["base_renderer"] = data.pop("picture")
-    name = data.get("renderer", AttackSettings.model_fields["renderer"].default)
-    renderer = RENDERERS.get(name) if isinstance(name, str) else None
+    renderer = RENDERERS.get(data["renderer"]) if isinstance(data["renderer"], str) else None
     if renderer is None:
         return data
     asked = data.get("groups")

@@ -14,6 +14,10 @@ class AttackState:
     """The loop's state. Together with the method's state it is enough to resume the attack."""
 
     step: int = 0
+    restart: int = 0
+    """Number of the present start."""
+    began: int = 0
+    """The step at which it began."""
     trace: list[TraceRow] = field(default_factory=list)
     settings: dict[str, object] = field(default_factory=dict)
     ever: Tensor = field(default_factory=lambda: torch.zeros(0, 0, dtype=torch.bool))
@@ -26,7 +30,8 @@ class AttackState:
     verified: bool = False
     stored_step: int = 0
     stored: Parameters = field(default_factory=dict)
-    """The perturbation to store: the verified one, else the last that met the goal inside the loop, else the last."""
+    """The perturbation to store: the verified one, else the last that met the goal inside the loop, else the one
+    with the smallest advantage."""
     image: Tensor = field(default_factory=lambda: torch.zeros(0, 0, 3, dtype=torch.uint8))
     """The loop's image of the stored perturbation, truncated and rounded, uint8 [H, W, 3]."""
     scores: Tensor = field(default_factory=lambda: torch.zeros(0))

@@ -9,11 +9,14 @@ class TraceRow(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     step: int
-    loss: float = Field(description="probability of the label to leave, or 1 minus that of the label to reach")
+    restart: int = Field(0, description="number of the start that this step belongs to; the first is 0")
+    loss: float = Field(description="probability of the labels to leave, or 1 minus that of the label to reach")
     label: str = Field(description="the network's answer: its most probable label")
     confidence: float = Field(description="probability of `label`")
     advantage: float = Field(
-        description="log p_leave − largest other log p; targeted: largest other log p − log p_reach; below 0: fooled"
+        description="largest log p of the labels to leave − largest other log p; targeted: largest other log p − log "
+        "p_reach; with a least confidence c the larger of that and log(c / (1 − c)) − the new answer's log-odds; below "
+        "0: the goal is met"
     )
     objective: float | None = Field(
         None,

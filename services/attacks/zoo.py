@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from services.attacks.spec import AttackSettings, Rate, register, suggested_steps
+from services.attacks.spec import AttackSettings, Rate, register
+from services.attacks.suggested import suggested
 from services.errors import JobFailure
 from services.rendering.declaration import RENDERERS
 
@@ -29,6 +30,8 @@ WEIGHT = 1e-3
 """λ of `measured` through a renderer without gradients. There objects move, and with the paper's 0.1 the objective is
 lowest before the first step: Adam moves every coordinate by its rate, silhouettes with it, and λ times the sum of
 squares outweighs what that gains (benchmarks/image_differences.py)."""
+RATE = 2e-3
+"""Adam's learning rate there for a group whose renderer suggests no step: the paper's."""
 SPEED = 10
 """Adam's learning rate there, in the steps that the renderer suggests for a group. Adam moves by about its rate in a
 step, and FGSM by ten of its steps once its momentum of 0.9 has built up."""
@@ -80,12 +83,11 @@ class Zoo(AttackSettings):
         """Fills in the settings of the preset where they were left out."""
         preset = str(data.get("preset", "measured"))
         renderer = RENDERERS.get(str(data.get("renderer", "torch")))
-        own = {}
         if preset == "measured" and renderer is not None and not renderer.differentiable:
-            rates = {group: SPEED * step for group, step in suggested_steps(data).items()}
-            rate = PRESETS[preset]["learning_rate"]
-            own = {"weight": WEIGHT, "learning_rate": dict.fromkeys(data["groups"], rate) | rates}
-        return PRESETS.get(preset, {}) | own | data
+            data = {"weight": WEIGHT} | data
+            if "learning_rate" not in data:
+                data = suggested(data, "learning_rate", lambda group: SPEED * (group.suggested_step or RATE / SPEED))
+        return PRESETS.get(preset, {}) | data
 
     @model_validator(mode="after")
     def _a_value_for_each_group(self) -> Self:
@@ -109,7 +111,7 @@ class ZooMethod:
     def __init__(self, settings: Zoo, problem: AttackProblem) -> None:
         self.settings = settings
         self.layout = problem.layout
-        self.delta = self.layout.zeros()
+        self.delta = self.layout.flatten(problem.beginning).float()
         """The perturbation as one vector [total]."""
         self.first = self.layout.zeros().double()
         self.second = self.layout.zeros().double()
@@ -141,7 +143,7 @@ class ZooMethod:
         skipped = [{"coordinate": one.name, "why": one.why} for one in found]
         return {"delta": chosen, "noise": self.noise, "skipped": skipped}
 
-    def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:  # noqa: ARG002
+    def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:
         """Moves the coordinates whose difference is above the noise, by Adam. Returns the number of the others.
 
         Raises JobFailure("non-finite").
@@ -149,6 +151,7 @@ class ZooMethod:
         from services.attacks.differences import clamped, estimate
         from services.attacks.seeds import draw
 
+        self.delta = self.layout.flatten(view.perturbation).to(self.delta.dtype)  # backtracking may have shortened it
         chosen = draw(self._active(problem), self.settings.coordinates, problem.seed, "zoo", step)
         found = estimate(problem, self.delta, chosen, self.half_steps[chosen], self.noise)
         if not bool(found.gradients.isfinite().all()):

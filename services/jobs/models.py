@@ -45,7 +45,7 @@ _STATE = Enum(State, native_enum=False, length=16, values_callable=lambda states
 class Base(DeclarativeBase):
     """Base of the tables."""
 
-    type_annotation_map = {datetime: UtcTime, dict[str, Any]: JSON, State: _STATE}  # noqa: RUF012
+    type_annotation_map = {datetime: UtcTime, dict[str, Any]: JSON, list[Any]: JSON, State: _STATE}  # noqa: RUF012
 
 
 class Job(Base):
@@ -76,6 +76,8 @@ class Job(Base):
     lease_owner: Mapped[str | None] = mapped_column(String(100))
     lease_until: Mapped[datetime | None]
 
+    warnings: Mapped[list[Any] | None]
+    """What the sender was warned of (services.pipeline.warning.JobWarning); None in records of version 0.1."""
     phase: Mapped[str | None] = mapped_column(String(32))
     step: Mapped[int | None]
     steps: Mapped[int | None]

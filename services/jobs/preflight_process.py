@@ -4,16 +4,20 @@ loaded, and it parses meshes that are not trusted.
 The API starts it with `python -m services.jobs.preflight_process FD`.
 """
 
+import base64
 import resource
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from services.analysis.images import png
+from services.analysis.requests import RerenderingRequest
 from services.errors import InvalidRequest, JobFailure
 from services.jobs.child import connect, reply, requests
 from services.jobs.warm_up import warm_up
 from services.logs import configure, logger
 from services.pipeline.prepare import preflight
+from services.pipeline.rerender import decode_image, rerender_image
 from services.pipeline.spec import JobSpec
 from services.scenes.library import Library
 from services.settings import settings
@@ -25,13 +29,18 @@ log = logger(__name__)
 
 
 def answer(message: dict[str, Any], data: bytes, library: Library) -> dict[str, Any]:
-    """Answers one request: {"check": spec} by {"spec"}, and {"mesh": kind}, with the file as `data`, by {"entry"}.
+    """Answers one request: {"check": spec} by {"spec", "warnings"}, and {"mesh": kind}, with the file as `data`, by
+    {"entry"}; {"rerender": {"spec", "fit"}}, with an image file as `data`, by {"rerendering", "png"}.
 
     A request with a bad field is answered by {"field", "detail"}, and a check that failed by {"trouble"}.
     """
     try:
         if "check" in message:
-            return {"spec": preflight(JobSpec.model_validate(message["check"]), library).model_dump(mode="json")}
+            found = preflight(JobSpec.model_validate(message["check"]), library)
+            said = [one.model_dump(mode="json") for one in found.warnings]
+            return {"spec": found.spec.model_dump(mode="json"), "warnings": said}
+        if "rerender" in message:
+            return _rerender(message["rerender"], data, library)
         with _limited(MESH_BYTES):
             return {"entry": library.add_mesh(data, message["mesh"]).model_dump(mode="json")}
     except InvalidRequest as error:
@@ -44,6 +53,14 @@ def answer(message: dict[str, Any], data: bytes, library: Library) -> dict[str, 
     except (Exception, SystemExit) as error:  # an extension's code may end the process it is run in
         log.error("preflight failed", exc_info=error)
         return {"trouble": "internal: the service's log says why"}
+
+
+def _rerender(request: dict[str, Any], data: bytes, library: Library) -> dict[str, Any]:
+    spec = JobSpec.model_validate(request["spec"])
+    fit = RerenderingRequest.model_validate(request["fit"])
+    image = decode_image(data, spec.scene.camera.size)
+    record, rendered = rerender_image(image, spec, fit, library, lambda done, of: None)  # noqa: ARG005
+    return {"rerendering": record.model_dump(mode="json"), "png": base64.b64encode(png(rendered)).decode()}
 
 
 @contextmanager

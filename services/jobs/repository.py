@@ -3,7 +3,7 @@
 Every change of a job is one transaction together with its event; a result and its artifacts are one, too.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
@@ -16,6 +16,7 @@ from services.jobs.attempts import Attempts
 from services.jobs.models import Artifact, Event, IdempotencyKey, Job, State
 from services.jobs.transactions import story
 from services.pipeline.spec import JobSpec
+from services.pipeline.warning import JobWarning
 
 
 class QueueFull(Exception):
@@ -54,7 +55,12 @@ class Repository(Attempts):
             session.execute(text("SELECT 1"))
 
     def create(
-        self, spec: JobSpec, max_queued: int, key: Key | None, answer: Callable[[Job], dict[str, Any]]
+        self,
+        spec: JobSpec,
+        max_queued: int,
+        key: Key | None,
+        answer: Callable[[Job], dict[str, Any]],
+        warnings: Sequence[JobWarning] = (),
     ) -> tuple[Job | None, dict[str, Any]]:
         """Records a new queued job. Returns it and `answer(job)`, or None and the key's first answer if it was used.
 
@@ -76,6 +82,7 @@ class Repository(Attempts):
                 queued_at=now,
                 attempt=0,
                 lost=0,
+                warnings=[one.model_dump(mode="json") for one in warnings],
                 events=1,
             )
             session.add(job)

@@ -1,7 +1,7 @@
 """Submission of jobs: the part of the API's `POST /v1/jobs` that does not depend on HTTP."""
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +13,7 @@ from services.jobs.queue import Queue
 from services.jobs.repository import Key, Repository
 from services.logs import logger
 from services.pipeline.spec import JobSpec
+from services.pipeline.warning import JobWarning
 
 log = logger(__name__)
 
@@ -25,15 +26,21 @@ class Submissions:
     queue: Queue
     max_queued: int
 
-    def submit(self, spec: JobSpec, key: Key | None, answer: Callable[[Job], dict[str, Any]]) -> dict[str, Any]:
+    def submit(
+        self,
+        spec: JobSpec,
+        key: Key | None,
+        answer: Callable[[Job], dict[str, Any]],
+        warnings: Sequence[JobWarning] = (),
+    ) -> dict[str, Any]:
         """Records the job, then sends its id. Returns `answer(job)`, or the first answer if the key was used before.
 
         Raises QueueFull, and KeyReused if the key came with another request.
         """
         try:
-            job, said = self.repository.create(spec, self.max_queued, key, answer)
+            job, said = self.repository.create(spec, self.max_queued, key, answer, warnings)
         except IntegrityError:  # another process recorded the same key at the same moment
-            job, said = self.repository.create(spec, self.max_queued, key, answer)
+            job, said = self.repository.create(spec, self.max_queued, key, answer, warnings)
         if job is not None:
             self._send(job)
         return said

@@ -1,6 +1,6 @@
 """Runs one job from spec to result in this process. The worker and `scene-attack run` both call it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -11,17 +11,22 @@ from torch import Tensor
 
 from services.analysis import images
 from services.analysis.answers import answer
-from services.analysis.perceptibility import beyond, of_groups, of_images
-from services.analysis.subsets import subsets
+from services.analysis.attribution import of_subsets
+from services.analysis.perceptibility import beyond, of_float_images, of_groups, of_images
+from services.analysis.subsets import ScoredImage, subsets
 from services.attacks.loop import Budget, run
+from services.attacks.method import Method
 from services.attacks.problem import AttackProblem
 from services.attacks.state import AttackState
 from services.attacks.trace import TraceRow
+from services.attacks.verdict import judge
 from services.errors import Cancelled, named
-from services.pipeline.extensions import ATTACKS, EXTENSIONS
+from services.pipeline.analyse import Report, Subject, analyse
+from services.pipeline.extensions import ATTACKS, EXTENSIONS, TARGETS
 from services.pipeline.prepare import Prepared, lit_by_map, prepare
 from services.pipeline.result import Provenance, Result
 from services.pipeline.spec import JobSpec
+from services.pipeline.warning import JobWarning
 from services.rendering.color import to_bytes
 from services.scenes.library import Library
 from services.versions import versions
@@ -33,13 +38,15 @@ _VERSIONED = ("scene-attack", "torch", "numpy", "pyrender-maintained", "PyOpenGL
 class Progress(BaseModel):
     """The progress of a running job: its phase, the steps taken, and the largest number of steps.
 
-    `row` is the newest row of the trace in the phase "attacking", otherwise None.
+    `row` is the newest row of the trace in the phase "attacking", otherwise None. `analysis` is the name of the
+    analysis in progress, whose images are then counted instead of steps.
     """
 
     phase: Literal["loading", "attacking", "analysing"]
     step: int = 0
     steps: int
     row: TraceRow | None = None
+    analysis: str | None = None
 
 
 def execute(
@@ -50,12 +57,14 @@ def execute(
     progress: Callable[[Progress], None] = lambda _: None,
     cancelled: Callable[[], bool] = lambda: False,
     checkpoint: Path | None = None,
+    warn: Callable[[Sequence[JobWarning]], None] = lambda _: None,
 ) -> Result:
     """Runs a job and writes its files into `out`.
 
     The files are result.json, trace.json, perturbation.safetensors (one tensor for each group), original.png,
     attacked.png, and perturbation.png (the difference times 5, plus 128). `progress` is called in every phase and with
-    every row of the trace. The attack writes the file `checkpoint` every few seconds and resumes from it.
+    every row of the trace, `warn` once before the attack. The attack writes the file `checkpoint` every few seconds and
+    resumes from it.
     Raises InvalidRequest, JobFailure, or Cancelled once `cancelled()`, which is called before every rendering, is true.
     """
 
@@ -63,29 +72,43 @@ def execute(
         if cancelled():
             raise Cancelled
 
-    steps = spec.attack.steps
+    steps = (spec.attack.steps + 1) * (spec.attack.restarts + 1) - 1
     progress(Progress(phase="loading", steps=steps))
     interrupt()
     prepared = prepare(spec, library)
+    warn(prepared.warnings)
     problem = _problem(prepared, interrupt)
-    with named(f"method {spec.attack.method!r}"):
-        method = ATTACKS[spec.attack.method].method(spec.attack, problem)
-    budget = Budget(steps, spec.attack.queries, spec.attack.seconds)
+
+    def fresh() -> Method:
+        with named(f"method {spec.attack.method!r}"):
+            method: Method = ATTACKS[spec.attack.method].method(spec.attack, problem)
+        return method
+
+    budget = Budget(spec.attack.steps, spec.attack.queries, spec.attack.seconds)
     found = run(
         problem,
-        method,
+        fresh(),
         prepared.verifier,
         budget,
         checkpoint_path=checkpoint,
         on_row=lambda row: progress(Progress(phase="attacking", step=row.step, steps=steps, row=row)),
+        restarts=spec.attack.restarts,
+        fresh=fresh,
     )
     progress(Progress(phase="analysing", step=found.step, steps=steps))
     interrupt()
-    return _write(prepared, problem, found, out)
+
+    def report(name: str, done: int, of: int) -> None:
+        interrupt()
+        progress(Progress(phase="analysing", step=done, steps=of, analysis=name))
+
+    return _write(prepared, problem, found, out, library, report)
 
 
 def _problem(prepared: Prepared, interrupt: Callable[[], None]) -> AttackProblem:
     attack = prepared.spec.attack
+    limit = None if attack.truncation is None else attack.truncation / 255
+    backtracks = attack.constraint == "backtrack"
     return AttackProblem(
         renderer=prepared.renderer,
         target=prepared.target,
@@ -93,30 +116,46 @@ def _problem(prepared: Prepared, interrupt: Callable[[], None]) -> AttackProblem
         groups=attack.groups,
         seed=prepared.spec.seed,
         question=prepared.spec.target.question,
-        truncation=None if attack.truncation is None else attack.truncation / 255,
+        truncation=None if backtracks else limit,
+        backtrack=limit if backtracks else None,
+        epsilon=attack.epsilon,
+        limits=attack.bounds,
+        loss=attack.objective,
         weight=attack.distance_weight,
         interrupt=interrupt,
     )
 
 
-def _write(prepared: Prepared, problem: AttackProblem, found: AttackState, out: Path) -> Result:
+def _write(
+    prepared: Prepared, problem: AttackProblem, found: AttackState, out: Path, library: Library, report: Report
+) -> Result:
     out.mkdir(parents=True, exist_ok=True)
     verifier, goal, labels, original = prepared.verifier, prepared.goal, prepared.target.labels, prepared.original
     queries, renders = problem.queries + verifier.queries, problem.renders + verifier.renders
     exact = verifier.render(found.stored)
     attacked = to_bytes(exact).cpu()
     logits = verifier.logits(attacked)
+    first, last, met = int(prepared.logits.argmax()), int(logits.argmax()), bool(goal.fooled(logits))
     limit = prepared.spec.attack.truncation
+    ends = ScoredImage(prepared.exact, original, prepared.logits), ScoredImage(exact, attacked, logits)
+    rows = subsets(verifier, goal, found.stored, *ends)
+    analyses = analyse(Subject(prepared, found.stored, *ends), prepared.spec.analysis, library, report)
     result = Result(
         spec=prepared.spec.model_dump(mode="json"),
+        outcome=judge(prepared.truth, first, last, met),
+        truth=[labels[i] for i in prepared.truth],
+        right_before=first in prepared.truth if prepared.truth else None,
         fooled=found.fooled,
-        verified=bool(goal.fooled(logits)),
+        verified=met,
         stopped=found.stopped,
-        leave=prepared.spec.goal.leave if isinstance(prepared.spec.goal.leave, str) else None,
-        reach=prepared.spec.goal.reach if isinstance(prepared.spec.goal.reach, str) else None,
+        leave=labels[first] if first in goal.leave else None,
+        labels_to_leave=[labels[i] for i in goal.leave],
+        reach=None if goal.reach is None else labels[goal.reach],
+        warnings=list(prepared.warnings),
         original=answer(prepared.logits, labels, goal),
         attacked=answer(logits, labels, goal),
         in_loop=answer(found.scores, labels, goal),
+        float_perceptibility=of_float_images(prepared.exact, exact),
         perceptibility=of_images(original, attacked),
         group_perceptibility=of_groups(prepared.renderer.name, found.stored),
         beyond_truncation=None if limit is None else beyond(original, attacked, limit),
@@ -124,7 +163,9 @@ def _write(prepared: Prepared, problem: AttackProblem, found: AttackState, out: 
         image_error=_image_error(problem, found, exact),
         sampled_error=prepared.renderer.sampled_error,
         environment_map_error=prepared.renderer.plan.environment_map_error,
-        subsets=subsets(verifier, goal, found.stored, (original, prepared.logits), (attacked, logits)),
+        subsets=rows,
+        attribution=of_subsets(rows),
+        analyses=analyses,
         settings=found.settings,
         steps=found.step,
         step=found.stored_step,
@@ -159,6 +200,7 @@ def _provenance(prepared: Prepared) -> Provenance:
         versions=versions(*_VERSIONED),
         scene_sha256=prepared.scene.sha256,
         weights_sha256=prepared.target.weights_sha256,
+        card_sha256=TARGETS[prepared.spec.target.name].info.card_sha256,
         meshes={
             thing.mesh: mesh.sha256
             for thing, mesh in zip(prepared.spec.scene.objects, prepared.scene.meshes, strict=True)

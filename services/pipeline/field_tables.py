@@ -32,7 +32,7 @@ def tables() -> str:
         "`groups` out, all groups are attacked but those marked with “if it is named”.",
         "",
     ]
-    columns = ("renderer", "method", "group", "shape", "unit", "step of fgsm")
+    columns = ("renderer", "method", "group", "shape", "unit", "step of fgsm", "limit")
     return "\n".join(lines + list(_table(columns, _groups()))).rstrip()
 
 
@@ -46,9 +46,10 @@ def _groups() -> Iterator[list[str]]:
     for name, renderer in RENDERERS.items():
         for group in renderer.groups:
             step = "" if group.suggested_step is None else f"{group.suggested_step:g}"
+            limit = "" if group.suggested_limit is None else f"{group.suggested_limit:.2g}"
             shape = "×".join(group.shape)
             named = f"`{group.name}`" + ("" if group.by_default else ", if it is named")
-            yield [f"`{name}`", f"`{renderer.method}`", named, shape, group.unit, step]
+            yield [f"`{name}`", f"`{renderer.method}`", named, shape, group.unit, step, limit]
 
 
 def _table(columns: Iterable[str], rows: Iterable[list[str]]) -> Iterator[str]:

@@ -2,8 +2,9 @@
 
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from services.attacks.verdict import SUCCESS, Verdict, with_outcome
 from services.pipeline.result import Result
 
 
@@ -12,22 +13,44 @@ class Outcome(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    fooled: bool
-    verified: bool
+    outcome: Verdict = Field(description="what the attack came to; only `fooled` counts as a success")
+    right_before: bool | None = Field(
+        None, description="whether the answer to the original image was right; null if nobody knows"
+    )
+    fooled: bool = Field(description="whether the answer to an image inside the attack met the goal")
+    verified: bool = Field(description="whether the answer to the perturbation rendered afresh meets the goal")
     stopped: str
     before: str = Field(description="label of the original image")
     before_confidence: float
     after: str = Field(description="label of the attacked image, rendered exactly")
     after_confidence: float
-    perceptibility: float
+    float_perceptibility: float | None = Field(
+        None, description="p of the image before rounding, the paper's; null in results of version 0.1"
+    )
+    perceptibility: float = Field(description="p of the image as saved, of 8 bits")
     steps: int
     queries: int
     seconds: float
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_an_earlier_version(cls, data: Any) -> Any:
+        return with_outcome(data)
+
+
+def success(record: Outcome | Result) -> bool:
+    """Whether an attack succeeded: a scene that the network had right is wrong when the adversary is rendered afresh.
+
+    Every rate and count of successes uses this and nothing else.
+    """
+    return record.outcome == SUCCESS and record.verified
 
 
 def outcome(result: Result) -> dict[str, Any]:
     """The outcome of a result as JSON data, which the database stores beside the result."""
     return Outcome(
+        outcome=result.outcome,
+        right_before=result.right_before,
         fooled=result.fooled,
         verified=result.verified,
         stopped=result.stopped,
@@ -35,6 +58,7 @@ def outcome(result: Result) -> dict[str, Any]:
         before_confidence=result.original.confidence,
         after=result.attacked.label,
         after_confidence=result.attacked.confidence,
+        float_perceptibility=result.float_perceptibility,
         perceptibility=result.perceptibility,
         steps=result.steps,
         queries=result.queries,

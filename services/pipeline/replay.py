@@ -3,16 +3,12 @@
 from pathlib import Path
 
 from pydantic import BaseModel
-from safetensors.torch import load_file
 
 from services.analysis.answers import answer
-from services.analysis.images import load_png
 from services.analysis.records import Answer
-from services.errors import InvalidRequest
-from services.pipeline.execute import PERTURBATION
 from services.pipeline.prepare import prepare
-from services.pipeline.result import Result
 from services.pipeline.spec import parse
+from services.pipeline.stored import read_stored
 from services.scenes.library import Library
 
 
@@ -34,12 +30,8 @@ def replay(directory: Path, library: Library) -> Replay:
 
     Raises InvalidRequest("directory") if a file is missing or damaged, and as `prepare` does.
     """
-    try:
-        result = Result.model_validate_json((directory / "result.json").read_bytes())
-        perturbation = load_file(directory / PERTURBATION)
-        stored = load_png(directory / "attacked.png")
-    except (OSError, ValueError) as error:
-        raise InvalidRequest("directory", f"{directory} is not the output of a finished job: {error}") from error
+    kept = read_stored(directory)
+    result, perturbation, stored = kept.result, kept.perturbation, kept.attacked
     prepared = prepare(parse(result.spec), library)
     image = prepared.verifier.image(perturbation)
     logits = prepared.verifier.logits(image)

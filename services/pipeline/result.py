@@ -1,9 +1,13 @@
 """The record of a finished job: `result.json`, the API's `result`, and the content of the dashboard's job page."""
 
-from pydantic import BaseModel, ConfigDict, Field
+from typing import Any
 
-from services.analysis.records import Answer, Subset
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from services.analysis.records import Analyses, Answer, Attribution, Subset
 from services.attacks.trace import TraceRow
+from services.attacks.verdict import Verdict, with_outcome
+from services.pipeline.warning import JobWarning
 from services.rendering.image_error import ImageError
 from services.rendering.plan import Plan
 
@@ -22,6 +26,7 @@ class Provenance(_Record):
     weights_sha256: str
     meshes: dict[str, str] = Field(description="mesh name to sha256 of its file")
     credits: list[str] = Field(description="creators and licences of the models and maps shown")
+    card_sha256: str | None = Field(None, description="sha256 of the card of a network of your own")
     extensions: dict[str, str] = Field(
         default_factory=dict,
         description="name to sha256 of the extension files that registered the method, a renderer or the target",
@@ -33,19 +38,41 @@ class Result(_Record):
 
     fooled: the network's answer to the loop's image, truncated and rounded to 8 bits, met the goal. verified: its
     answer to the stored perturbation, rendered afresh by the exact path and rounded to 8 bits, meets the goal too. Only
-    a verified perturbation is called an adversary.
+    a verified perturbation is called an adversary, and only the outcome "fooled" counts as a success.
     """
 
     spec: dict[str, object]
+    outcome: Verdict = Field(
+        description="fooled: the answer was right, is wrong, and meets the goal; changed: nobody knows the right "
+        "answer, and the new one meets the goal; became-right and still-wrong: the answer was wrong before the attack; "
+        "held: none of these"
+    )
+    truth: list[str] = Field(
+        default_factory=list, description="the labels that are right for the scene; empty if nobody knows them"
+    )
+    right_before: bool | None = Field(
+        None, description="whether the answer to the original image was right; null if nobody knows"
+    )
     fooled: bool
     verified: bool
     stopped: str = Field(description='why the loop ended: "verified", "steps", "queries" or "seconds"')
-    leave: str | None
+    leave: str | None = Field(description="the network's answer to the original image, if it is one to leave")
+    labels_to_leave: list[str] = Field(
+        default_factory=list, description="all labels that count as that answer: the truth, or those that mean the same"
+    )
     reach: str | None
+    warnings: list[JobWarning] = Field(default_factory=list)
     original: Answer
     attacked: Answer = Field(description="the answer to the exact image of the stored perturbation")
     in_loop: Answer = Field(description="the answer to the loop's image, truncated, at the stored step")
-    perceptibility: float = Field(description="p(ΔY) of the exact image of the stored perturbation")
+    float_perceptibility: float | None = Field(
+        None,
+        description="p(ΔY) of the exact image of the stored perturbation before it is rounded to 8 bits, which is the "
+        "paper's p; in [0, √3]; null in results of version 0.1, which did not measure it",
+    )
+    perceptibility: float = Field(
+        description="p(ΔY) of the exact image of the stored perturbation as it is saved, rounded to 8 bits; in [0, √3]"
+    )
     group_perceptibility: dict[str, float]
     beyond_truncation: int | None = Field(
         description="pixels of the exact image with a value that differs from the original by more than U"
@@ -68,6 +95,11 @@ class Result(_Record):
         "64×128; null if the renderer uses no map or one of that size",
     )
     subsets: list[Subset]
+    attribution: Attribution | None = Field(
+        None,
+        description="Shapley values and interactions of the groups, from `subsets`; null in results of version 0.1",
+    )
+    analyses: Analyses = Field(Analyses(), description="the analyses that the request asked for")
     settings: dict[str, object] = Field(
         description="settings measured at the start of the attack, e.g. difference steps"
     )
@@ -79,3 +111,8 @@ class Result(_Record):
     step: int = Field(description="the step at which the stored perturbation was found")
     trace: list[TraceRow]
     provenance: Provenance
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_an_earlier_version(cls, data: Any) -> Any:
+        return with_outcome(data)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
 from pydantic import Field, ValidationError, model_validator
 
+from services.analysis.requests import AnalysisRequest
 from services.attacks.spec import AttackSettings, Goal, Seed
 from services.errors import InvalidRequest
 from services.pipeline.extensions import ATTACKS, RENDERERS
@@ -42,6 +43,9 @@ class JobSpec(Model):
         DEFAULT_TOLERANCE,
         description="largest error of a displayed value, in [0,1], of images inside the attack; `exact` for no "
         "approximation; the verdict is always on the exact image",
+    )
+    analysis: AnalysisRequest = Field(
+        AnalysisRequest(), description="analyses of the stored perturbation to make after the attack; default none"
     )
     seed: Seed = Field(0, description="seed of every random number in the job")
 

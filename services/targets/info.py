@@ -15,17 +15,25 @@ if TYPE_CHECKING:
 
 
 class TargetInfo(BaseModel):
-    """A target's model card: its name, task, input size, source and licence. `input_size` is height and width."""
+    """A target's model card: its name, task, input size, source and licence. `input_size` is height and width.
+
+    `vocabulary` says what its labels are, from which the truth of a scene follows (services.targets.truth): those of
+    ImageNet-1k, the kinds of the library's furniture, or something else.
+    """
 
     name: str
     title: str
     task: Literal["classification", "question answering"]
     input_size: tuple[int, int]
     classes: int
-    differentiable: bool
+    differentiable: bool | None
+    """Whether scores have a gradient with respect to the image; None if that is known once the network is loaded."""
     takes_question: bool
     source: str
     licence: str
+    vocabulary: Literal["imagenet", "furniture-14", "custom"] = "custom"
+    card_sha256: str | None = None
+    """SHA-256 (hex) of the bytes of `card.json`, for a network that a user brings."""
 
 
 Load = Callable[["torch.dtype"], "Target"]
@@ -42,6 +50,9 @@ class RegisteredTarget:
 
 
 TARGETS: Registry[RegisteredTarget] = Registry("target", "services.targets")
+
+UNAVAILABLE: dict[str, str] = {}
+"""Name to reason of each folder of SCENE_ATTACK_TARGETS that cannot be a target."""
 
 
 def register(info: TargetInfo, labels: Callable[[], tuple[str, ...]]) -> Callable[[Loader], Loader]:

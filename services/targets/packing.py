@@ -36,6 +36,13 @@ class Site:
         return [getattr(self.parent, name) for name in self.names]
 
 
+def to_channels_last(network: nn.Module) -> None:
+    """Lays out the four-dimensional weights of a network channels last. `nn.Module.to` fails if others have five."""
+    for value in [*network.parameters(), *network.buffers()]:
+        if value.dim() == 4:
+            value.data = value.data.contiguous(memory_format=torch.channels_last)
+
+
 def pack(network: nn.Module, size: Pair) -> bool:
     """Replaces the convolutions of a frozen float32 network on the CPU by packed ones; returns whether it did.
 

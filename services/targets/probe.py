@@ -112,7 +112,7 @@ def _check_scores(name: str, scores: Tensor, labels: Sequence[str]) -> None:
         raise _refused(
             name,
             "returns probabilities, which sum to 1; return the scores before the softmax, or the logarithms of the "
-            "probabilities",
+            'probabilities, or state "output": "probabilities" in its card',
         )
 
 

@@ -1,5 +1,7 @@
 """Finds and loads targets by name. Loading reads the weights, once per process."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import lru_cache
 
 import torch
@@ -7,10 +9,10 @@ import torch
 from services.errors import InvalidRequest
 from services.suggestions import there_are
 from services.targets import probe
-from services.targets.info import TARGETS, RegisteredTarget, TargetInfo, available
+from services.targets.info import TARGETS, UNAVAILABLE, RegisteredTarget, TargetInfo, available, register
 from services.targets.protocol import Target
 
-__all__ = ["TargetInfo", "available", "has_gradient", "labels", "load"]
+__all__ = ["TargetInfo", "available", "card", "has_gradient", "labels", "load", "no_gradient", "registered"]
 
 
 def labels(name: str) -> tuple[str, ...]:
@@ -19,6 +21,11 @@ def labels(name: str) -> tuple[str, ...]:
     Raises InvalidRequest("target.name") for an unknown name, and for labels that cannot be listed or are not unique.
     """
     return probe.labels(name, _known(name))
+
+
+def card(name: str) -> TargetInfo:
+    """Returns a target's model card. Raises InvalidRequest("target.name") for an unknown name."""
+    return _known(name).info
 
 
 @lru_cache(maxsize=4)
@@ -35,10 +42,37 @@ def has_gradient(name: str) -> bool:
     """Whether the target's scores have a gradient with respect to the images: its card, it and torch say so. Raises as
     `load` does.
     """
-    return _known(name).info.differentiable and probe.has_gradient(load(name))
+    return _known(name).info.differentiable is not False and probe.has_gradient(load(name))
+
+
+def no_gradient(name: str) -> str:
+    """Returns the reason for which a target without gradients has none."""
+    found = getattr(load(name), "scores_only", None)
+    return found or "they are constant, detached or computed without torch"
+
+
+@contextmanager
+def registered(info: TargetInfo, target: Target) -> Iterator[None]:
+    """Makes a target of this process known under its name for as long as the context lasts.
+
+    Raises InvalidRequest("name") for a name that is taken, or that is not made of a-z, 0-9, - and _.
+    """
+    before = TARGETS.snapshot()
+    try:
+        register(info, lambda: target.labels)(lambda _: target)
+    except ValueError as error:
+        raise InvalidRequest("name", str(error)) from error
+    try:
+        yield
+    finally:
+        TARGETS.restore(before)
+        load.cache_clear()
+        has_gradient.cache_clear()
 
 
 def _known(name: str) -> RegisteredTarget:
+    if name in UNAVAILABLE:
+        raise InvalidRequest("target.name", f"target {name!r} is not available: {UNAVAILABLE[name]}")
     if name not in TARGETS:
         raise InvalidRequest("target.name", f"there is no target {name!r}; {there_are(name, TARGETS)}")
     return TARGETS[name]

@@ -1,17 +1,29 @@
-"""Computes probabilities, log-odds and margins so that a confident network's gradient does not vanish."""
+"""Computes probabilities, log-odds and margins so that a confident network's gradient does not vanish.
+
+All functions take scores [..., K] and return [...]. `labels` is the index of one label or those of a set of labels,
+which then counts as one answer.
+"""
+
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
-
-def probability(logits: Tensor, label: int) -> Tensor:
-    """Returns the softmax probability of `label`, float64 [B]; in float32 it would round to 1 at a margin of 20."""
-    return torch.softmax(logits.double(), dim=-1)[..., label]
+Labels = int | Sequence[int]
 
 
-def _others(logits: Tensor, label: int) -> Tensor:
-    """Returns the scores with −inf for `label`, which excludes it from logsumexp and from maxima."""
-    return logits.index_fill(-1, torch.tensor([label], device=logits.device), -torch.inf)
+def probability(logits: Tensor, labels: Labels) -> Tensor:
+    """Returns the softmax probability of the labels together, float64; in float32 a margin of 20 would round to 1."""
+    return torch.softmax(logits.double(), dim=-1).index_select(-1, _index(logits, labels)).sum(dim=-1)
+
+
+def _index(logits: Tensor, labels: Labels) -> Tensor:
+    return torch.tensor([labels] if isinstance(labels, int) else list(labels), device=logits.device)
+
+
+def _others(logits: Tensor, labels: Labels) -> Tensor:
+    """Returns the scores with −inf for the labels, which excludes them from logsumexp and from maxima."""
+    return logits.index_fill(-1, _index(logits, labels), -torch.inf)
 
 
 def _wide(logits: Tensor) -> Tensor:
@@ -19,17 +31,26 @@ def _wide(logits: Tensor) -> Tensor:
     return logits.to(torch.promote_types(logits.dtype, torch.float32))
 
 
-def log_odds(logits: Tensor, label: int) -> Tensor:
-    """Returns z_label − logsumexp of the other scores, [B].
+def log_odds(logits: Tensor, labels: Labels) -> Tensor:
+    """Returns logsumexp of the labels' scores − logsumexp of the other scores.
 
-    Its gradient has the direction of the probability's gradient and does not saturate. For a network with a single
-    class it is +inf.
+    Its gradient has the direction of the probability's gradient and does not saturate. If there is no other label it is
+    +inf.
     """
     logits = _wide(logits)
-    return logits[..., label] - torch.logsumexp(_others(logits, label), dim=-1)
+    inside = logits.index_select(-1, _index(logits, labels))
+    return torch.logsumexp(inside, dim=-1) - torch.logsumexp(_others(logits, labels), dim=-1)
 
 
-def advantage(logits: Tensor, label: int) -> Tensor:
-    """Returns log p_label − max over other labels of log p, [B]; negative if another label wins (paper, curves)."""
+def advantage(logits: Tensor, labels: Labels) -> Tensor:
+    """Returns the labels' largest log p − the others' largest log p; negative if another label wins (paper, curves)."""
     logits = _wide(logits)
-    return logits[..., label] - _others(logits, label).amax(dim=-1)
+    return logits.index_select(-1, _index(logits, labels)).amax(dim=-1) - _others(logits, labels).amax(dim=-1)
+
+
+def log_odds_of_best_other(logits: Tensor, labels: Labels) -> Tensor:
+    """Returns the log-odds of the most probable label that is not among `labels`."""
+    logits = _wide(logits)
+    best = _others(logits, labels).argmax(dim=-1, keepdim=True)
+    rest = logits.scatter(-1, best, -torch.inf)
+    return logits.gather(-1, best).squeeze(-1) - torch.logsumexp(rest, dim=-1)

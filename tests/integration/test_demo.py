@@ -44,6 +44,8 @@ def test_once_runs_every_job_shows_the_table_and_leaves_nothing_running(tmp_path
     rows = [line for line in table.splitlines() if re.search(r"\b(fooled|held)\b", line)]
     assert len(rows) == len(specs()) >= 9
     assert f"Dashboard: {url}" in table
+    # Every scene was right before, so that every job counts.
+    assert re.search(rf"Fooled and verified: \d of {len(specs())} attacks on scenes that the network had right", table)
     # Every image attack fooled the network, and so did at least two of the torch renderer, all verified.
     image = [row for row in rows if "image fgsm" in row]
     torch = [row for row in rows if "torch combined" in row]

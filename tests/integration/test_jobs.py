@@ -148,5 +148,5 @@ def test_ready_means_a_worker(stack: Stack) -> None:
         found: dict[str, Any] = stack.client.get("/readyz").json()
         return found
 
-    assert answer() == {"ready": True, "database": True, "redis": True, "workers": 1, "extensions": []}
+    assert answer() == {"ready": True, "database": True, "redis": True, "workers": 1, "extensions": [], "targets": []}
     until(lambda: answer()["workers"] == 1, "the worker keeps saying that it lives")

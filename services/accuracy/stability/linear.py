@@ -51,7 +51,7 @@ def linear_problem(
 ) -> AttackProblem:
     """To leave the first of the network's two labels; `groups` None: all of the renderer's."""
     network = linear_network(classes=2, lead=lead)
-    return AttackProblem(renderer, network, ResolvedGoal(0, None), groups or renderer.groups, **more)
+    return AttackProblem(renderer, network, ResolvedGoal((0,), None), groups or renderer.groups, **more)
 
 
 def linear_gradient() -> Tensor:

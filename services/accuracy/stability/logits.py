@@ -45,7 +45,7 @@ def _margin(margin: float, reach: bool = False) -> Measured:
     """A label ahead of (or, to be reached, behind) all others by a margin: the gradient neither vanishes nor turns."""
     sign = -1.0 if reach else 1.0
     logits = torch.tensor([0.3, sign * margin, -0.7, -0.1, 0.0])
-    goal = ResolvedGoal(None, 1) if reach else ResolvedGoal(1, None)
+    goal = ResolvedGoal((), 1) if reach else ResolvedGoal((1,), None)
     found, (wanted, remainder) = sign * _gradient(goal, logits).double(), _by_hand(logits, 1)
     need(float(found[1]) == 1.0, f"the gradient of the label itself is {float(found[1]):.1e}")
     p = float(probability(logits[None], 1))
@@ -72,7 +72,7 @@ def _perturbed(network: Classifier) -> Tensor:
     image = torch.rand(SIDE, SIDE, 3, generator=torch.Generator().manual_seed(5))
     renderer = ImageRenderer(image, "random numbers")
     label = int(network.logits(image[None]).argmax())
-    problem = AttackProblem(renderer, network, ResolvedGoal(label, None), ("image",))
+    problem = AttackProblem(renderer, network, ResolvedGoal((label,), None), ("image",))
     settings = Fgsm(renderer="image", learning_rate={"image": 1e-4}, truncation=None)
     found = run(problem, FgsmMethod(settings, problem), Verifier(renderer, network), Budget(steps=5))
     need(found.step == 5, f"it stopped after {found.step} steps")
@@ -82,13 +82,13 @@ def _perturbed(network: Classifier) -> Tensor:
 def _tied() -> Measured:
     """Of two equal scores the first is the answer, and the gradient parts between them."""
     logits = torch.tensor([-1.0, 2.5, 2.5, 0.0])
-    need(not bool(ResolvedGoal(1, None).fooled(logits[None])), "the first of two equals is not the answer")
-    need(bool(ResolvedGoal(2, None).fooled(logits[None])), "the second of two equals is the answer")
-    need(not bool(ResolvedGoal(None, 2).fooled(logits[None])), "a tie reaches the second of two equals")
-    need(float(ResolvedGoal(1, None).advantage(logits[None])) == 0.0, "the advantage is not zero")
+    need(not bool(ResolvedGoal((1,), None).fooled(logits[None])), "the first of two equals is not the answer")
+    need(bool(ResolvedGoal((2,), None).fooled(logits[None])), "the second of two equals is the answer")
+    need(not bool(ResolvedGoal((), 2).fooled(logits[None])), "a tie reaches the second of two equals")
+    need(float(ResolvedGoal((1,), None).advantage(logits[None])) == 0.0, "the advantage is not zero")
     batch = logits.repeat(33, 1)
-    need(bool((ResolvedGoal(2, None).fooled(batch)).all()), "the answer depends on the batch")
-    found = _gradient(ResolvedGoal(3, None), logits).double()
+    need(bool((ResolvedGoal((2,), None).fooled(batch)).all()), "the answer depends on the batch")
+    found = _gradient(ResolvedGoal((3,), None), logits).double()
     need(float(found[1] - found[2]) == 0.0, "equal scores have different gradients")
     wanted, _ = _by_hand(logits, 3)
     error = max(abs(a - b) for a, b in zip(found.tolist(), wanted, strict=True))
@@ -98,8 +98,8 @@ def _tied() -> Measured:
 def _all_tied() -> Measured:
     """A thousand equal scores."""
     logits = torch.full((1000,), 7.0)
-    found = _gradient(ResolvedGoal(0, None), logits).double()
-    need(not bool(ResolvedGoal(0, None).fooled(logits[None])), "the first of equals is not the answer")
+    found = _gradient(ResolvedGoal((0,), None), logits).double()
+    need(not bool(ResolvedGoal((0,), None).fooled(logits[None])), "the first of equals is not the answer")
     need(abs(float(probability(logits[None], 0)) - 1e-3) < 1e-12, "the probability is not 1/1000")
     return Measured(float((found[1:] + 1 / 999).abs().max()), 1e-8, "error of the gradient, closed form −1/999")
 
@@ -107,7 +107,7 @@ def _all_tied() -> Measured:
 def _two() -> Measured:
     """With two classes the log-odds are the difference of the scores."""
     random = torch.randn(50, 2, generator=torch.Generator().manual_seed(2)) * 100
-    goal = ResolvedGoal(0, None)
+    goal = ResolvedGoal((0,), None)
     need(bool((goal.fooled(random) == (random[:, 1] > random[:, 0])).all()), "fooled is not z₁ > z₀")
     error = (goal.objective(random) - (random[:, 0] - random[:, 1])).abs().max()
     return Measured(float(error), 0.0, "difference of the objective from z₀ − z₁, closed form")
@@ -115,7 +115,7 @@ def _two() -> Measured:
 
 def _one(ask: Callable[[ResolvedGoal, Tensor], Tensor]) -> Measured:
     """With one class there is no other answer."""
-    return Measured(float(ask(ResolvedGoal(0, None), torch.tensor([[3.0]])).sum()), -1.0, "an answer")
+    return Measured(float(ask(ResolvedGoal((0,), None), torch.tensor([[3.0]])).sum()), -1.0, "an answer")
 
 
 def _attacked(network: Classifier) -> Measured:
@@ -131,8 +131,8 @@ def _not_numbers(value: float) -> Measured:
 def _large() -> Measured:
     """Scores near the end of float32: sums of their exponentials stay in range."""
     logits = torch.tensor([1e38, -1e38, 0.0])
-    found = _gradient(ResolvedGoal(0, None), logits).double()
-    need(bool(torch.isfinite(ResolvedGoal(0, None).objective(logits[None])).all()), "the objective is not finite")
+    found = _gradient(ResolvedGoal((0,), None), logits).double()
+    need(bool(torch.isfinite(ResolvedGoal((0,), None).objective(logits[None])).all()), "the objective is not finite")
     return Measured(
         float((found - torch.tensor([1.0, 0.0, -1.0])).abs().max()), 0.0, "error of the gradient, closed form"
     )

@@ -63,7 +63,7 @@ def _curve() -> Measured:
 def _scores() -> Measured:
     """Log-odds of bfloat16 scores lose nothing more: sums of exponentials are not taken in bfloat16."""
     scores = torch.randn(20, 1000, generator=torch.Generator().manual_seed(4)).to(torch.bfloat16)
-    goal = ResolvedGoal(7, None)
+    goal = ResolvedGoal((7,), None)
     wanted, found = goal.objective(scores.double()), goal.objective(scores)
     return Measured(
         float((found.double() - wanted).abs().max() / wanted.abs().max()),

@@ -54,7 +54,7 @@ def _attacked(size: tuple[int, int], renderer: str) -> Measured:
     drawn = build(placed(size=size, radiance=sky()), renderer)
     network = linear_network()
     label = int(network.logits(drawn.render({g: v[None] for g, v in drawn.initial().items()}).float()).argmax())
-    problem = AttackProblem(drawn, network, ResolvedGoal(label, None), drawn.groups, truncation=18 / 255)
+    problem = AttackProblem(drawn, network, ResolvedGoal((label,), None), drawn.groups, truncation=18 / 255)
     far = dict.fromkeys(drawn.groups, 1.0)
     method = FgsmMethod(Fgsm.model_validate({"renderer": renderer, "learning_rate": far}), problem)
     found = run(problem, method, Verifier(drawn, network), Budget(5))

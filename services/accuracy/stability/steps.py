@@ -17,24 +17,26 @@ from services.attacks.state import AttackState
 from services.attacks.verifier import Verifier
 from services.attacks.zoo import Zoo, ZooMethod
 from services.rendering.factory import build
-from services.rendering.protocol import Renderer
+from services.rendering.protocol import Parameters, Renderer
 
 DEFINED = "largest error of a displayed value, against the definition in float64"
 
 
-def _fgsm(renderer: Renderer, group: str, steps: int, **settings: Any) -> AttackState:
+def _fgsm(renderer: Renderer, group: str, steps: int, **settings: Any) -> tuple[AttackState, Parameters]:
+    """The attack after all its steps, and its last perturbation, which need not be the one that it stored."""
     problem = linear_problem(renderer, (group,))
     spec = Fgsm.model_validate({"renderer": renderer.name, "groups": (group,), "truncation": None} | settings)
-    found = run(problem, FgsmMethod(spec, problem), Verifier(renderer, problem.target), Budget(steps))
+    method = FgsmMethod(spec, problem)
+    found = run(problem, method, Verifier(renderer, problem.target), Budget(steps))
     need(found.step == steps, f"it stopped after {found.step} steps")
     need(all(np.isfinite(row.perceptibility) for row in found.trace), "a perceptibility is not finite")
-    return found
+    return found, method.perturbation
 
 
 def _no_step(renderer: Renderer, group: str) -> Measured:
     """η = 0 moves nothing, however often."""
-    found = _fgsm(renderer, group, 120, learning_rate={group: 0.0})
-    need(not bool(found.stored[group].any()), "the perturbation is not zero")
+    found, last = _fgsm(renderer, group, 120, learning_rate={group: 0.0})
+    need(not bool(last[group].any()), "the perturbation is not zero")
     # Images with a gradient may be computed in another order than the original, to float32's rounding.
     moved = max(row.perceptibility for row in found.trace)
     need(len({row.perceptibility for row in found.trace}) == 1, "the image changes from step to step")
@@ -45,11 +47,11 @@ def _giant_step(group: str) -> Measured:
     """η = 1e3: the parameters stay within bounds, and images of them are those of the definition."""
     shading = Shading.of(placed(radiance=sky(), size=(16, 16)))
     renderer = shading.renderer
-    found = _fgsm(renderer, group, 120, learning_rate={group: 1e3})
+    _, last = _fgsm(renderer, group, 120, learning_rate={group: 1e3})
     low, high = renderer.bounds()[group]
-    value = renderer.initial()[group] + found.stored[group]
+    value = renderer.initial()[group] + last[group]
     need(bool(torch.isfinite(value).all()), "a parameter is not finite")
-    need(float(found.stored[group].abs().max()) > 1.0, "it does not move")
+    need(float(last[group].abs().max()) > 1.0, "it does not move")
     rounding = 1e-6 * (1 + value.abs())
     need(bool((value >= low - rounding).all() and (value <= high + rounding).all()), "a parameter is out of bounds")
     return shading.errors({group: value}).within(SHARP, DEFINED)
@@ -78,10 +80,10 @@ def _giant_zoo() -> Measured:
     found = run(problem, method, Verifier(renderer, problem.target), Budget(20))
     outside = 0.0
     for group, (low, high) in renderer.bounds().items():
-        value = renderer.initial()[group] + found.stored[group]
+        value = renderer.initial()[group] + method.perturbation[group]
         need(bool(torch.isfinite(value).all()), f"{group} is not finite")
         outside = max(outside, float((low - value).clamp_min(0).max()), float((value - high).clamp_min(0).max()))
-    need(max(float(v.abs().max()) for v in found.stored.values()) > 100, "it does not move")
+    need(max(float(v.abs().max()) for v in method.perturbation.values()) > 100, "it does not move")
     need(all(np.isfinite(row.perceptibility) for row in found.trace), "a perceptibility is not finite")
     return Measured(outside, 1e-6, "how far any parameter is out of its bounds after 20 steps")
 
@@ -89,8 +91,8 @@ def _giant_zoo() -> Measured:
 def _giant_decay() -> Measured:
     """η = 1e3 and decay 1 would multiply the perturbation by 1,000 a step; pixels are held in [0,1]."""
     renderer = pixels()
-    found = _fgsm(renderer, "image", 120, learning_rate={"image": 1e3}, weight_decay=1.0)
-    shown = renderer.initial()["image"] + found.stored["image"]
+    _, last = _fgsm(renderer, "image", 120, learning_rate={"image": 1e3}, weight_decay=1.0)
+    shown = renderer.initial()["image"] + last["image"]
     need(bool(torch.isfinite(shown).all()), "a pixel is not finite")
     return Measured(float(torch.maximum(-shown, shown - 1).max()), 1e-7, "how far any pixel is out of [0,1]")
 

@@ -17,7 +17,8 @@ from services.attacks.zoo import Zoo
 from services.rendering.factory import build
 from services.rendering.plan import Tolerance
 from services.rendering.protocol import Renderer
-from services.targets.registry import load
+from services.targets.registry import card, load
+from services.targets.truth import truth_labels
 
 NETWORK = "efficientnet-lite0"
 SCENES = (
@@ -129,7 +130,7 @@ def attack(case: Case) -> AttackRow:
     scene = placed(case.scene, size=target_size(), lights={"environment": {"map": "studio", "size": (16, 32)}})
     renderer: Renderer = build(scene, settings.renderer, settings.base_renderer, settings.groups, case.tolerance)
     verifier = Verifier(renderer, target)
-    goal = ResolvedGoal(leave=target.labels.index(case.label), reach=None)
+    goal = ResolvedGoal(_truth(case, target.labels), None)
     if bool(goal.fooled(verifier.logits(verifier.image({})))):
         return AttackRow(**known, outcome="wrong to begin with")
     problem = AttackProblem(
@@ -153,6 +154,12 @@ def attack(case: Case) -> AttackRow:
         perceptibility=found.trace[found.stored_step].perceptibility,
         advantages=[row.advantage for row in found.trace],
     )
+
+
+def _truth(case: Case, labels: tuple[str, ...]) -> tuple[int, ...]:
+    """The case's label and those that are as right, which the attack must leave together."""
+    found = truth_labels(card(NETWORK), case.scene)
+    return tuple(sorted(labels.index(name) for name in (found if case.label in found else (case.label,))))
 
 
 def target_size() -> tuple[int, int]:

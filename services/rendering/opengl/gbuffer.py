@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -15,6 +16,9 @@ from services.rendering.opengl.camera import CameraMatrices
 from services.rendering.opengl.screen_bounds import Rectangle, rectangle
 from services.rendering.opengl.watertight import has_holes
 from services.scenes.resolve import ResolvedScene
+
+if TYPE_CHECKING:
+    from services.rendering.opengl.mesh_upload import Drawing
 
 FACTOR = 4
 """Samples per pixel in each direction: coverage in steps of 1/16."""
@@ -55,13 +59,15 @@ class GBuffer:
         )
 
 
-def rasterise(scene: ResolvedScene) -> GBuffer:
+def rasterise(scene: ResolvedScene, drawing: "Drawing | None" = None) -> GBuffer:
     """Draw the scene's geometry, where the objects are, with 4x4 samples per pixel and average: coverage is the share
     of samples on an object; normal (renormalised) and base colour are means over those; the object is the one with most
     samples (the first of equals), the depth the mean of its samples.
 
     A part of opacity d < 1 is seen by about the share d of the samples and seen through by the others, so that it
     counts with its opacity in coverage, colour and normal; texels of less than half alpha are holes.
+
+    `drawing` holds the scene's meshes, for a caller that draws many views of them: they are then uploaded once.
 
     Raises InvalidRequest("scene.objects") when no sample meets an object.
     """
@@ -71,7 +77,7 @@ def rasterise(scene: ResolvedScene) -> GBuffer:
     height, width = scene.description.camera.size
     count = len(scene.meshes)
     view = CameraMatrices.of(scene.view, scene.projection)
-    drawing = Drawing(scene.meshes)
+    drawing = Drawing(scene.meshes) if drawing is None else drawing
     colors = np.array([o.color for o in scene.description.objects], np.float64)
     images = {
         "normals": torch.zeros(height, width, 3),

@@ -20,6 +20,7 @@ PYRENDER = Declaration(
             "directional light its energy / 3 and its direction; per spot light its energy / 30, its position and its "
             "direction",
             words="illumination",
+            suggested_limit=0.1,
             # The labels depend on the kinds of the lights, not on their number alone: see `PyrenderRenderer.names`.
             suggested_step=0.005,
         ),
@@ -28,6 +29,7 @@ PYRENDER = Declaration(
             shape=("objects", "3"),
             unit="linear factor on the mesh's own colours, in [0,1]",
             words="colour",
+            suggested_limit=0.1,
             labels=labelled("object {} color", ("red", "green", "blue")),
             suggested_step=0.005,
         ),
@@ -36,6 +38,7 @@ PYRENDER = Declaration(
             shape=("objects", "3"),
             unit="scene units",
             words="position",
+            suggested_limit=0.02,
             labels=labelled("object {} translation", ("x", "y", "z")),
             suggested_step=0.0005,
         ),
@@ -44,6 +47,7 @@ PYRENDER = Declaration(
             shape=("objects", "3"),
             unit="radians: a rotation vector",
             words="rotation",
+            suggested_limit=0.1,
             labels=labelled("object {} rotation", ("x", "y", "z")),
             suggested_step=0.001,
         ),
@@ -53,6 +57,7 @@ PYRENDER = Declaration(
             unit="azimuth and elevation in radians, distance in scene units, and roll in radians",
             words="camera",
             labels=labelled(("camera azimuth", "camera elevation", "camera distance", "camera roll")),
+            suggested_limit=0.1,
             by_default=False,
             suggested_step=0.001,
         ),
@@ -60,6 +65,7 @@ PYRENDER = Declaration(
     differentiable=False,
     method="zoo",
     renderer="services.rendering.pyrender_renderer.renderer:PyrenderRenderer",
+    changes="services.rendering.pyrender_renderer.physical:changes",
 )
 
 register(PYRENDER)

@@ -11,6 +11,7 @@ TORCH = Declaration(
             unit="radians: azimuth and polar angle in the camera's frame",
             words="surface normals",
             suggested_step=0.004,
+            suggested_limit=0.1,
         ),
         Group(
             name="illumination",
@@ -19,6 +20,7 @@ TORCH = Declaration(
             words="illumination",
             vector_axes=0,
             suggested_step=0.003,
+            suggested_limit=3.0,
         ),
         Group(
             name="material",
@@ -28,11 +30,13 @@ TORCH = Declaration(
             labels=labelled("object {}", ("red", "green", "blue"), "lobe {}", ("kappa", "gamma"), "{}"),
             vector_axes=2,
             suggested_step=0.003,
+            suggested_limit=3.0,
         ),
     ),
     differentiable=True,
     method="fgsm",
     renderer="services.rendering.torch_renderer.renderer:TorchRenderer",
+    changes="services.rendering.torch_renderer.physical:changes",
 )
 
 register(TORCH)

@@ -14,40 +14,40 @@ from services.targets.classifier import Classifier
 def odds_of_probabilities(patch) -> None:
     """Log-odds from the softmax: the dead zone of a certain network."""
 
-    def log_odds(scores, label):
-        p = torch.softmax(scores, dim=-1)[..., label]
+    def log_odds(scores, labels):
+        p = torch.softmax(scores, dim=-1)[..., labels[0]]
         return torch.log(p / (1 - p))
 
     patch.setattr(goal, "log_odds", log_odds)
 
 
 def no_odds(patch) -> None:
-    patch.setattr(goal, "log_odds", lambda scores, label: 0 * scores[..., label])
+    patch.setattr(goal, "log_odds", lambda scores, labels: 0 * scores[..., labels[0]])
 
 
 def odds_by_largest(patch) -> None:
     """The margin in place of the log-odds."""
-    patch.setattr(goal, "log_odds", lambda scores, label: scores[..., label] - scores.amax(-1))
+    patch.setattr(goal, "log_odds", lambda scores, labels: scores[..., labels[0]] - scores.amax(-1))
 
 
 def narrow_odds(patch) -> None:
     true = goal.log_odds
-    patch.setattr(goal, "log_odds", lambda scores, label: true(scores, label).to(scores.dtype))
+    patch.setattr(goal, "log_odds", lambda scores, labels: true(scores, labels).to(scores.dtype))
 
 
 def ties_by_value(patch) -> None:
     """Fooled where another score is as large."""
 
     def fooled(self, scores):
-        return scores[..., self.label] <= scores.scatter(
-            -1, torch.full((*scores.shape[:-1], 1), self.label), -torch.inf
-        ).amax(-1)
+        (label,) = self.labels
+        others = scores.scatter(-1, torch.full((*scores.shape[:-1], 1), label), -torch.inf)
+        return scores[..., label] <= others.amax(-1)
 
     patch.setattr(goal.ResolvedGoal, "fooled", fooled)
 
 
 def any_number_of_labels(patch) -> None:
-    patch.setattr(goal, "_several", lambda _: None)
+    patch.setattr(goal, "_several", lambda *_: None)
 
 
 def never_flat(patch) -> None:

@@ -3,7 +3,8 @@ import math
 import pytest
 import torch
 
-from services.analysis.perceptibility import beyond, of_groups, of_images, perceptibility
+from services.analysis.perceptibility import FULL_RANGE, beyond, of_float_images, of_groups, of_images, perceptibility
+from services.rendering.color import to_bytes
 
 
 def test_a_constant_change_by_hand() -> None:
@@ -34,3 +35,19 @@ def test_beyond_counts_pixels_not_channels() -> None:
     attacked[0, 0] = torch.tensor([119, 119, 100])
     attacked[1, 1] = torch.tensor([118, 82, 100])  # exactly at the limit, both ways
     assert beyond(original, attacked, 18) == 1
+
+
+def test_black_against_white_is_the_full_range() -> None:
+    black, white = torch.zeros(4, 5, 3), torch.ones(4, 5, 3)
+    assert of_float_images(black, white) == pytest.approx(FULL_RANGE, rel=1e-15)
+    assert of_images(black.byte(), 255 * white.byte()) == pytest.approx(FULL_RANGE, rel=1e-12)
+    assert pytest.approx(3, rel=1e-15) == FULL_RANGE**2
+
+
+def test_a_step_below_half_an_8_bit_step_is_lost_and_one_above_it_doubles() -> None:
+    """A step of 0.002 is 0.51/255: every value is saved one step of 1/255 further, at 1/(255 · 0.002) times the p."""
+    original = torch.full((6, 6, 3), 128 / 255, dtype=torch.float64)
+    for step, saved in ((0.002, math.sqrt(3) / 255), (0.0019, 0.0)):
+        attacked = original + step
+        assert of_float_images(original, attacked) == pytest.approx(math.sqrt(3) * step, rel=1e-12)
+        assert of_images(to_bytes(original), to_bytes(attacked)) == pytest.approx(saved, rel=1e-12)

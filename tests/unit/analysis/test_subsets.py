@@ -1,6 +1,9 @@
+from math import log
+
+import pytest
 import torch
 
-from services.analysis.subsets import subsets
+from services.analysis.subsets import scored, subsets
 from services.attacks.verifier import Verifier
 from tests.unit.attacks.small import problem
 
@@ -9,8 +12,7 @@ def test_every_subset_once_and_the_ends_are_the_original_and_the_attacked() -> N
     case = problem()
     verifier = Verifier(case.renderer, case.target)
     perturbation = {"a": torch.full((2, 3), 0.05), "b": torch.full((3,), 0.3)}
-    original, attacked = verifier.image({}), verifier.image(perturbation)
-    known = [(image, verifier.logits(image)) for image in (original, attacked)]
+    known = scored(verifier, {}), scored(verifier, perturbation)
     asked = verifier.queries
     rows = subsets(verifier, case.goal, perturbation, *known)
     assert verifier.queries == asked + 2  # what is known is not asked again
@@ -18,9 +20,14 @@ def test_every_subset_once_and_the_ends_are_the_original_and_the_attacked() -> N
     assert rows[0].perceptibility == 0
     assert not rows[0].fooled
     for row in rows:
+        exact = verifier.render({g: perturbation[g] for g in row.groups})
         fresh = verifier.logits(verifier.image({g: perturbation[g] for g in row.groups}))
-        assert row.goal_probability == float(torch.softmax(fresh.double(), 0)[case.goal.label])
-        assert row.fooled == (int(fresh.argmax()) != case.goal.label)
+        truth = float(torch.softmax(fresh, 0)[case.goal.labels[0]])
+        assert row.goal_log_odds == pytest.approx(log(truth / (1 - truth)), abs=1e-9)
+        change = float((exact - known[0].exact).square().sum(dim=-1).mean().sqrt())
+        assert row.float_perceptibility == pytest.approx(change, rel=1e-12)
+        assert row.goal_probability == float(torch.softmax(fresh.double(), 0)[case.goal.labels[0]])
+        assert row.fooled == (int(fresh.argmax()) != case.goal.labels[0])
     assert len({row.fooled for row in rows[1:]}) == 2, "the subsets are all alike"
     # a subset applies its own groups and no other
     assert len({row.perceptibility for row in rows}) == 4

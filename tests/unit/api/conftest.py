@@ -22,6 +22,8 @@ SPHERE: dict[str, Any] = {
 }
 
 OUTCOME = Outcome(
+    outcome="fooled",
+    right_before=True,
     fooled=True,
     verified=True,
     stopped="verified",

@@ -1,6 +1,6 @@
 """A record with jobs in every state, and the dashboard on it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, cast
@@ -16,6 +16,7 @@ from services.jobs.repository import Repository
 from services.pipeline.outcome import outcome
 from services.pipeline.result import Result
 from services.pipeline.spec import JobSpec, parse
+from services.pipeline.warning import JobWarning
 from services.rendering.plan import Item, Plan, Stage
 from services.settings import Settings
 
@@ -27,6 +28,15 @@ SPEC = parse(
         "seed": 7,
     }
 )
+
+
+ATTRIBUTION = {
+    "parts": ["normals", "illumination"],
+    "method": "exact",
+    "images": 2,
+    "log_odds": {"effect": -3.0, "shapley": [-2.25, -0.75], "interactions": [[0.0, 0.5], [0.5, 0.0]]},
+    "probability": {"effect": -0.4, "shapley": [-0.31, -0.09], "interactions": [[0.0, 0.02], [0.02, 0.0]]},
+}
 
 
 def row(step: int, **changed: Any) -> dict[str, Any]:
@@ -67,20 +77,27 @@ def result(spec: JobSpec = SPEC, **changed: Any) -> dict[str, Any]:
             "label": said,
             "confidence": 0.6,
             "goal_probability": 0.31,
+            "goal_log_odds": -0.8,
+            "float_perceptibility": 0.00375 * len(groups),
             "perceptibility": 0.004 * len(groups),
             "fooled": fooled,
         }
 
     values = {
         "spec": spec.model_dump(mode="json"),
+        "outcome": "fooled",
+        "truth": ["grand piano"],
+        "right_before": True,
         "fooled": True,
         "verified": True,
         "stopped": "verified",
         "leave": "grand piano",
+        "labels_to_leave": ["grand piano"],
         "reach": None,
         "original": answer("grand piano", 0.77),
         "attacked": answer("upright", 0.55),
         "in_loop": answer("upright", 0.58),
+        "float_perceptibility": 0.0117,
         "perceptibility": 0.0123,
         "group_perceptibility": {"normals": 0.02, "illumination": 0.01, "material": 0.03},
         "beyond_truncation": 4,
@@ -111,6 +128,7 @@ def result(spec: JobSpec = SPEC, **changed: Any) -> dict[str, Any]:
             subset(["illumination"], False),
             subset(["normals", "illumination"], True),
         ],
+        "attribution": ATTRIBUTION,
         "settings": {"delta": {"normals": 0.001}},
         "steps": 5,
         "queries": 1234,
@@ -133,9 +151,9 @@ def result(spec: JobSpec = SPEC, **changed: Any) -> dict[str, Any]:
     return Result.model_validate(values).model_dump(mode="json")
 
 
-def add(repository: Repository, spec: JobSpec = SPEC) -> Job:
+def add(repository: Repository, spec: JobSpec = SPEC, warnings: Sequence[JobWarning] = ()) -> Job:
     """A queued job."""
-    job, _ = repository.create(spec, 1000, None, lambda _: {})
+    job, _ = repository.create(spec, 1000, None, lambda _: {}, warnings)
     assert job is not None
     return job
 
@@ -173,6 +191,6 @@ def app(repository: Repository) -> FastAPI:
     made.include_router(dashboard.router)
     none = cast(Any, None)
     made.state.services = Services(
-        repository=repository, queue=none, submissions=none, store=none, library=none, preflight=none
+        repository=repository, queue=none, submissions=none, store=none, library=none, preflight=none, rerenderer=none
     )
     return made

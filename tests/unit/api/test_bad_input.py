@@ -95,6 +95,10 @@ BAD = {
     "rate not a number": ({"attack": FGSM | {"learning_rate": {"image": math.nan}}}, "attack.learning_rate.image"),
     "steps not a number": ({"attack__steps": math.nan}, "attack.steps"),
     "label out of range": ({"goal": {"leave": 1000}}, "goal.leave"),
+    "a truth that is no label": ({"goal": {"truth": "grand pino"}}, "goal.truth"),
+    "a truth that is no label, among others": ({"goal": {"truth": ["tench", "grand pino"]}}, "goal.truth.1"),
+    "no label to leave": ({"goal": {"leave": []}}, "goal.leave"),
+    "least confidence out of bounds": ({"goal": {"least_confidence": 1.0}}, "goal.least_confidence"),
     "unknown label": ({"goal": {"reach": "grand pino"}}, "goal.reach"),
     "a network that is already wrong": ({"goal": {"leave": "tench"}}, "goal.leave"),
     "object out of view": ({"scene__objects__0__translation": [50, 0, 0]}, "scene.objects.0"),
@@ -129,6 +133,17 @@ def test_without_a_label_the_first_answer_is_the_one_to_leave(client: Client) ->
     made = client.post("/v1/jobs", json=SPHERE)
     assert made.status_code == 202, made.text
     assert isinstance(made.json()["spec"]["goal"]["leave"], str)
+
+
+def test_an_accepted_job_carries_its_warnings(client: Client) -> None:
+    (unknown, *_) = client.post("/v1/jobs", json=SPHERE).json()["warnings"]
+    assert (unknown["code"], unknown["field"]) == ("truth-unknown", "goal.truth")
+    made = client.post("/v1/jobs", json=SPHERE | {"goal": {"truth": ["tench", "goldfish"]}})
+    assert made.status_code == 202, made.text
+    wrong = made.json()["warnings"][0]
+    assert (wrong["code"], wrong["field"]) == ("already-wrong", "goal.truth")
+    assert "not 'tench' or 'goldfish'" in wrong["text"]
+    assert client.get(f"/v1/jobs/{made.json()['id']}").json()["warnings"] == made.json()["warnings"]
 
 
 def stl(**changes: Any) -> bytes:

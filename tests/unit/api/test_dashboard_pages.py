@@ -9,7 +9,10 @@ import pytest
 from httpx import ASGITransport
 
 from services.jobs.repository import Repository
+from services.pipeline.outcome import outcome as line_of
+from services.pipeline.result import Result
 from services.pipeline.spec import parse
+from services.pipeline.warning import JobWarning
 from tests.unit.api.dashboard_records import SPEC, add, app, record, result, row, start, succeed
 
 HOSTILE = "<script>alert(1)</script>\"'&"
@@ -106,7 +109,10 @@ async def test_job_page_tells_the_whole_result(repository: Repository) -> None:
     for words in (
         "it says upright (55.0 %) where it said grand piano (77.0 %)",
         "p of surface normals 20.00 × 10⁻³",
-        "surface normals + illumination upright 60.0 % 31.0 % 8.00 fooled",
+        "surface normals + illumination upright 60.0 % 31.0 % 7.50 (8.00 as saved) fooled",
+        "Perceptibility p = 11.70 (12.30 as saved) × 10⁻³ after 5 steps",
+        "normals -2.250 -31.00 % +0.500 with illumination",
+        "all -3.000 -40.00 %",
         "“Grand piano” by Dante, CC0 1.0",
         "harp 0.0021 %",
         "Tolerance 1.0e-03; estimated error 4.2e-04, measured 1.5e-04",
@@ -131,10 +137,54 @@ async def test_job_page_tells_the_whole_result(repository: Repository) -> None:
 
 async def test_fooled_but_not_verified_is_not_called_an_adversary(repository: Repository) -> None:
     job = add(repository)
-    succeed(repository, job, result(verified=False, stopped="steps"))
+    succeed(repository, job, result(outcome="held", verified=False, stopped="steps"))
     text = Tags((await get(repository, f"/jobs/{job.id}")).text).text
     assert "rendered afresh does not fool it" in text
     assert "not verified" in text
+
+
+@pytest.mark.parametrize(
+    ("outcome", "sentence"),
+    [
+        ("fooled", "The network was fooled: it says upright (55.0 %) where it said grand piano"),
+        ("changed", "nobody has said which answer is right: it says upright"),
+        ("became-right", "The network was wrong before the attack and became right: it says upright"),
+        ("still-wrong", "wrong before the attack and still is, which is no success: it says upright"),
+        ("held", "The network held: it says upright (55.0 %) where it said grand piano (77.0 %), which is not"),
+    ],
+)
+async def test_each_outcome_has_its_badge_and_its_sentence(repository: Repository, outcome: str, sentence: str) -> None:
+    job = add(repository)
+    met = outcome != "held"
+    succeed(repository, job, result(outcome=outcome, fooled=met, verified=met, truth=["harp"]))
+    page, listed = Tags((await get(repository, f"/jobs/{job.id}")).text), Tags((await get(repository, "/")).text)
+    for tags in (page, listed):
+        classes = [a.get("class") for a in tags.all("span")]
+        assert f"badge {outcome}" in classes
+        assert ("badge verified" in classes) == (outcome in ("fooled", "changed"))
+    assert sentence in page.text
+    assert ("Right is harp." in page.text) == met
+
+
+async def test_a_result_without_an_outcome_is_not_shown_as_a_success(repository: Repository) -> None:
+    """As earlier versions stored it, in the result and beside it."""
+    found = result()
+    new = ("outcome", "truth", "right_before", "labels_to_leave", "warnings")
+    job = add(repository)
+    attempt = start(repository, job)
+    stored = {name: value for name, value in found.items() if name not in new}
+    line = {name: value for name, value in line_of(Result.model_validate(found)).items() if name not in new}
+    assert repository.succeed(attempt, stored, line, [])
+    for path in ("/", f"/jobs/{job.id}"):
+        classes = [a.get("class") for a in Tags((await get(repository, path)).text).all("span")]
+        assert "badge changed" in classes
+        assert "badge fooled" not in classes
+
+
+async def test_the_job_s_page_has_its_warnings(repository: Repository) -> None:
+    warning = JobWarning(code="already-wrong", field="goal.truth", text="it says <harp>, not 'upright'")
+    job = add(repository, warnings=[warning])
+    assert "goal.truth it says <harp>, not 'upright'" in Tags((await get(repository, f"/jobs/{job.id}")).text).text
 
 
 async def test_running_job_shows_the_trace_so_far_and_listens(repository: Repository) -> None:

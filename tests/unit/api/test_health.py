@@ -10,7 +10,14 @@ def test_the_process_is_well_by_itself(client: Client) -> None:
 def test_without_a_worker_the_service_is_not_ready(client: Client) -> None:
     answer = client.get("/readyz")
     assert answer.status_code == 503
-    assert answer.json() == {"ready": False, "database": True, "redis": True, "workers": 0, "extensions": []}
+    assert answer.json() == {
+        "ready": False,
+        "database": True,
+        "redis": True,
+        "workers": 0,
+        "extensions": [],
+        "targets": [],
+    }
 
 
 def test_without_redis_the_service_is_not_ready(client: Client, services: Services, tmp_path) -> None:  # type: ignore[no-untyped-def]

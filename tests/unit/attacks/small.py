@@ -97,11 +97,57 @@ def problem(
     renderer, target = renderer or LinearRenderer(), target or LinearTarget()
     start = {g: v[None] for g, v in renderer.initial().items()}
     first = int(target.logits(renderer.render(start)).argmax())
-    return AttackProblem(renderer, target, ResolvedGoal(first, None), renderer.groups, **settings)  # type: ignore[arg-type]
+    return AttackProblem(renderer, target, ResolvedGoal((first,), None), renderer.groups, **settings)  # type: ignore[arg-type]
 
 
 def guided(case: AttackProblem, perturbation: Parameters) -> Evaluation:
-    """The view of a perturbation with the objective's gradients, as the loop hands it to FGSM."""
+    """The view of a perturbation with the objective and its gradients, as the loop hands it to gradient methods."""
     view = case.view(perturbation, gradient=True)
-    [found] = gradients([case], [view], ask([case], quantize(view.images)[1]))
-    return replace(view, gradients=found)
+    logits = ask([case], quantize(view.images)[1])
+    [found] = gradients([case], [view], logits)
+    return replace(view, gradients=found, objective=float(case.objective(logits.detach())))
+
+
+class Pixels(LinearRenderer):
+    """One group, `image`: the 4×5 pixels themselves, which are multiples of 1/255."""
+
+    groups = ("image",)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.base = (self.base * 255).round() / 255
+
+    def initial(self) -> dict[str, Tensor]:
+        return {"image": self.base.to(self.dtype)}
+
+    def bounds(self) -> dict[str, tuple[Tensor, Tensor]]:
+        return {"image": (torch.tensor(0.0), torch.tensor(1.0))}
+
+    def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
+        return parameters["image"].clamp(0, 1)
+
+
+class Ahead(LinearTarget):
+    """Its answer to the renderer's original leads by 10, so that no small perturbation ends an attack early."""
+
+    def __init__(self, renderer: LinearRenderer, scale: float = 0.02, classes: int = 4) -> None:
+        super().__init__(scale=scale, classes=classes)
+        self.lead = torch.zeros(classes)
+        original = renderer.render({group: value[None] for group, value in renderer.initial().items()})
+        first = int(super().logits(original).argmax())
+        self.lead[first] = 10.0
+
+    def logits(self, images: Tensor, question: str | None = None) -> Tensor:
+        return super().logits(images, question) + self.lead
+
+
+class Bowl(LinearTarget):
+    """Two classes, of which the first leads by the squared distance of the image from `bottom` [H, W, 3]."""
+
+    def __init__(self, bottom: Tensor, scale: float = 1.0) -> None:
+        super().__init__(scale=scale, classes=2)
+        self.bottom = bottom
+
+    def logits(self, images: Tensor, question: str | None = None) -> Tensor:
+        leads = self.scale * (images.to(self.dtype) - self.bottom).square().flatten(1).sum(dim=1)
+        return torch.stack([leads, torch.zeros_like(leads)], dim=1)

@@ -21,7 +21,7 @@ def test_steps_match_torch_sgd_on_the_signed_gradient() -> None:
     for step in range(4):
         view = guided(case, method.perturbation)
         images = case.renderer.render({"a": leaf[None], "b": (start["b"] + other)[None]})
-        p = torch.softmax(case.target.logits(images), -1)[0, case.goal.label]
+        p = torch.softmax(case.target.logits(images), -1)[0, case.goal.labels[0]]
         (leaf.grad,) = torch.autograd.grad(torch.log(p / (1 - p)), leaf)
         leaf.grad.sign_()
         sgd.step()

@@ -1,10 +1,12 @@
+from math import log
+
 import pytest
 import torch
 
 from services.attacks.goal import ResolvedGoal
 from services.errors import InvalidRequest
 
-LEAVE, REACH = ResolvedGoal(0, None), ResolvedGoal(None, 1)
+LEAVE, REACH = ResolvedGoal((0,), None), ResolvedGoal((), 1)
 
 
 def test_the_objective_has_the_direction_of_the_probability() -> None:
@@ -51,13 +53,13 @@ def test_one_class_is_certain_and_never_fooled() -> None:
 
 def test_a_goal_wants_something() -> None:
     with pytest.raises(ValueError, match="leave or to reach"):
-        ResolvedGoal(None, None)
+        ResolvedGoal((), None)
 
 
 @pytest.mark.parametrize("ask", [ResolvedGoal.objective, ResolvedGoal.advantage])
 def test_a_network_with_one_label_cannot_be_brought_to_another(ask) -> None:
-    with pytest.raises(InvalidRequest, match="one label only") as refused:
-        ask(ResolvedGoal(0, None), torch.tensor([[3.0]]))
+    with pytest.raises(InvalidRequest, match="no other answer") as refused:
+        ask(ResolvedGoal((0,), None), torch.tensor([[3.0]]))
     assert refused.value.field == "target.name"
 
 
@@ -66,4 +68,75 @@ def test_to_minimise_the_objective_is_to_reach_the_label_or_to_leave_it() -> Non
     scores = torch.tensor([[0.3, 2.0], [1.5, -0.4]], dtype=torch.float64)
     torch.testing.assert_close(LEAVE.objective(scores), torch.tensor([-1.7, 1.9], dtype=torch.float64))
     torch.testing.assert_close(REACH.objective(scores), torch.tensor([-1.7, 1.9], dtype=torch.float64))
-    torch.testing.assert_close(ResolvedGoal(1, 0).objective(scores), torch.tensor([1.7, -1.9], dtype=torch.float64))
+    torch.testing.assert_close(ResolvedGoal((1,), 0).objective(scores), torch.tensor([1.7, -1.9], dtype=torch.float64))
+
+
+# Sets of labels, by hand: scores are logarithms of weights, so that probabilities are fractions of their sum
+
+WEIGHTS = torch.tensor([[4.0, 2.0, 1.0, 1.0], [1.0, 2.0, 4.0, 1.0]], dtype=torch.float64)
+SET = ResolvedGoal((0, 1), None)
+
+
+def test_a_set_of_labels_counts_as_one_answer() -> None:
+    scores = WEIGHTS.log()
+    torch.testing.assert_close(SET.loss(scores), torch.tensor([6 / 8, 3 / 8], dtype=torch.float64))
+    torch.testing.assert_close(SET.objective(scores), torch.tensor([log(6 / 2), log(3 / 5)], dtype=torch.float64))
+    torch.testing.assert_close(SET.advantage(scores), torch.tensor([log(4 / 1), log(2 / 4)], dtype=torch.float64))
+    assert SET.fooled(scores).tolist() == [False, True]
+    within = torch.tensor([[2.0, 4.0, 1.0, 1.0]]).log()
+    assert not SET.fooled(within), "an answer that counts as the same one is no other answer"
+
+
+def test_the_gradient_of_a_set_has_the_direction_of_its_probability() -> None:
+    logits = torch.randn(5, 7, dtype=torch.float64, generator=torch.Generator().manual_seed(0)).requires_grad_()
+    goal = ResolvedGoal((1, 4, 5), None)
+    (odds,) = torch.autograd.grad(goal.objective(logits).sum(), logits)
+    (probability,) = torch.autograd.grad(torch.softmax(logits, -1)[:, [1, 4, 5]].sum(), logits)
+    torch.testing.assert_close(torch.nn.functional.cosine_similarity(odds, probability), torch.ones(5).double())
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_a_set_of_one_is_its_label_to_the_bit(dtype: torch.dtype) -> None:
+    """z − logsumexp of the others, as goals of a single label have always been."""
+    logits = 8 * torch.randn(64, 1000, dtype=dtype, generator=torch.Generator().manual_seed(0))
+    others = logits[:, [i for i in range(1000) if i != 7]]
+    goal = ResolvedGoal((7,), None)
+    without = logits.index_fill(-1, torch.tensor([7]), -torch.inf)
+    assert torch.equal(goal.objective(logits), logits[:, 7] - torch.logsumexp(without, -1))
+    assert torch.equal(goal.advantage(logits), logits[:, 7] - others.amax(-1))
+    assert torch.equal(goal.loss(logits), torch.softmax(logits.double(), -1)[:, 7])
+
+
+def test_the_new_answer_must_have_the_least_confidence() -> None:
+    scores = WEIGHTS.log()  # the answer to the second row has probability 4 / 8
+    for least, met in ((0.0, True), (0.49, True), (0.51, False)):
+        assert ResolvedGoal((0, 1), None, least).fooled(scores).tolist() == [False, met]
+        assert ResolvedGoal((0, 1), 2, least).fooled(scores).tolist() == [False, met]
+
+
+@pytest.mark.parametrize("reach", [None, 2])
+@pytest.mark.parametrize("least", [0.0, 0.3, 0.6, 0.9])
+def test_the_advantage_is_negative_where_the_goal_is_met_and_nowhere_else(reach: int | None, least: float) -> None:
+    logits = 3 * torch.randn(2000, 5, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    goal = ResolvedGoal((0, 1), reach, least)
+    met = goal.fooled(logits)
+    assert 0 < met.sum() < len(met)
+    assert torch.equal(goal.advantage(logits) < 0, met)
+
+
+def test_with_a_least_confidence_the_objective_raises_one_other_label() -> None:
+    """By hand: the best label outside the set has weight 1 of 8 in the first row and 4 of 8 in the second."""
+    goal = ResolvedGoal((0, 1), None, 0.5)
+    torch.testing.assert_close(goal.objective(WEIGHTS.log()), torch.tensor([log(7), 0.0], dtype=torch.float64))
+
+
+@pytest.mark.parametrize("least", [-0.1, 1.0, float("nan")])
+def test_a_least_confidence_is_a_probability_below_1(least: float) -> None:
+    with pytest.raises(ValueError, match="least confidence"):
+        ResolvedGoal((0,), None, least)
+
+
+@pytest.mark.parametrize("ask", [ResolvedGoal.objective, ResolvedGoal.advantage])
+def test_a_set_of_all_labels_leaves_no_other_answer(ask) -> None:
+    with pytest.raises(InvalidRequest, match="no other answer"):
+        ask(ResolvedGoal((0, 1, 2), None), torch.zeros(1, 3))

@@ -89,7 +89,7 @@ class Few:
 def problem(renderer: Renderer, target: Target, groups: tuple[str, ...] = ()) -> AttackProblem:
     with torch.no_grad():
         first = int(target.logits(renderer.render({g: v[None] for g, v in renderer.initial().items()})).argmax())
-    return AttackProblem(renderer, target, ResolvedGoal(first, None), groups or renderer.groups)
+    return AttackProblem(renderer, target, ResolvedGoal((first,), None), groups or renderer.groups)
 
 
 def place(case: AttackProblem, seed: int, size: float) -> Parameters:

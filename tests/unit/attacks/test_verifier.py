@@ -39,7 +39,7 @@ class Threshold:
         return torch.stack([-change, change], dim=-1)
 
 
-LEAVE = ResolvedGoal(0, None)
+LEAVE = ResolvedGoal((0,), None)
 NOTHING = {"a": torch.zeros(2, 3), "b": torch.zeros(3)}
 
 

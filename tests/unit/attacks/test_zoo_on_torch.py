@@ -33,7 +33,7 @@ def build(group: str, weight: float = 0.1) -> AttackProblem:
     with torch.no_grad():
         start = {g: v[None] for g, v in renderer.initial().items()}
         first = int(target.logits(renderer.render(start)).argmax())
-    return AttackProblem(renderer, target, ResolvedGoal(first, None), (group,), weight=weight)
+    return AttackProblem(renderer, target, ResolvedGoal((first,), None), (group,), weight=weight)
 
 
 def at_random(problem: AttackProblem) -> torch.Tensor:

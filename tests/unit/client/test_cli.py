@@ -18,15 +18,19 @@ COMMANDS = [
     ["run"],
     ["plan"],
     ["replay"],
+    ["analyse"],
+    ["rerender"],
     ["submit"],
     ["serve"],
     ["api"],
     ["worker"],
     ["demo"],
     ["targets"],
+    ["targets", "check"],
     *(["jobs", *rest] for rest in ([], ["list"], ["show"], ["watch"], ["cancel"], ["download"])),
     *(["assets", *rest] for rest in ([], ["list"], ["show"], ["add"], ["environments"])),
     *(["accuracy", *rest] for rest in ([], ["stability"], ["work-precision"])),
+    *(["train", *rest] for rest in ([], ["split"], ["alexnet"], ["resnet34"])),
 ]
 
 
@@ -46,7 +50,7 @@ def cli(*arguments: str, stdin: str = "", **environ: str) -> subprocess.Complete
 def test_every_command_has_help_with_an_example(command: list[str]) -> None:
     done = CliRunner().invoke(app, [*command, "--help"])
     assert done.exit_code == 0
-    assert ("Example" in done.stdout) == (command not in ([], ["jobs"], ["assets"], ["accuracy"]))
+    assert ("Example" in done.stdout) == (command not in ([], ["jobs"], ["assets"], ["accuracy"], ["train"]))
 
 
 NETWORKS_AND_RENDERERS = {"torch", "scipy", "trimesh", "OpenGL", "pyrender"}

@@ -12,7 +12,8 @@ from packaging.version import Version
 
 ROOT = Path(__file__).parents[3]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-DIRECT = {"requirements.txt": PROJECT["dependencies"], "requirements-dev.txt": PROJECT["optional-dependencies"]["dev"]}
+EXTRAS = PROJECT["optional-dependencies"]
+DIRECT = {"requirements.txt": PROJECT["dependencies"] + EXTRAS["onnx"], "requirements-dev.txt": EXTRAS["dev"]}
 
 
 def pins(path: str) -> dict[str, Version]:
@@ -67,7 +68,7 @@ def test_the_development_pins_are_what_the_extra_pulls_in_beside_them() -> None:
 
 def test_the_extra_for_benchmarks_is_among_their_requirements() -> None:
     pinned = pins("benchmarks/requirements.txt")
-    for text in PROJECT["optional-dependencies"]["bench"]:
+    for text in EXTRAS["bench"]:
         need = Requirement(text)
         assert pinned[canonicalize_name(need.name)] in need.specifier, text
 

@@ -44,9 +44,13 @@ MISTAKES: dict[str, tuple[Any, str]] = {
     "scene.objects.0.translation": ([0, 0], "must be a list of 3, each a number from -100 to 100, not [0, 0]: posit"),
     "scene.lights.points": ({"energy": 3}, "must be a list of at most 4, each an object with the fields energy, posi"),
     "scene.ground": ("grey", 'must be a list of 3, each a number from 0 to 1, not "grey": displayed colour'),
-    "goal.leave": ([1], "must be a text of 1 to 200 characters, an integer of at least 0 or null, not [1]: the true"),
-    "attack": ("fgsm", 'must be an object, in which "method" is one of fgsm, zoo, not "fgsm"'),
-    "attack.method": ("FGSM", "there is no 'FGSM'; there are fgsm, zoo"),
+    "goal.leave": (
+        1.5,
+        "must be a text of 1 to 200 characters, an integer of at least 0, a list of at most 1000, each a text of 1 to "
+        "200 characters or an integer of at least 0 or null, not 1.5: the label, or all labels",
+    ),
+    "attack": ("fgsm", 'must be an object, in which "method" is one of apgd, cma-es, fgsm, '),
+    "attack.method": ("FGSM", "there is no 'FGSM'; there are apgd, cma-es, fgsm, mi-fgsm, "),
     "attack.renderer": ("Torch", "there is no 'Torch'; there are image, pyrender, torch; did you mean 'torch'?"),
     "attack.truncation": (0.07, "must be an integer from 1 to 255 or null, not 0.07: U: largest change of an RGB"),
     "attack.momentum": (1, "must be a number of at least 0 and below 1, not 1: momentum"),
@@ -55,7 +59,7 @@ MISTAKES: dict[str, tuple[Any, str]] = {
     "target": ("mine", 'must be an object with the fields name, question, not "mine"'),
     "sceen": (
         {},
-        "there is no such field; there are scene, target, goal, attack, tolerance, seed; did you mean 'scene'",
+        "there is no such field; there are scene, target, goal, attack, tolerance, analysis, seed; did you mean 'scen",
     ),
 }
 

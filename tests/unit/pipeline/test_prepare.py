@@ -3,11 +3,13 @@
 from typing import Any
 
 import pytest
+import torch
 
 from services.errors import InvalidRequest
 from services.pipeline.prepare import plan, preflight, prepare
 from services.pipeline.spec import parse
 from services.targets import registry
+from tests.unit.attacks.small import LinearTarget
 from tests.unit.jobs.small import LIBRARY, SPHERE, spec
 
 SOMEWHERE_ELSE = {"mesh": "primitive/sphere", "translation": [50, 0, 0]}
@@ -24,6 +26,11 @@ REFUSED: list[tuple[str, dict[str, Any]]] = [
     ("goal.leave", {"goal": {"leave": "grand piano"}}),  # the network says something else of a sphere
     ("goal.leave", {"goal": {"leave": "gran piano"}}),
     ("goal.leave", {"goal": {"leave": 1000}}),
+    ("goal.truth", {"goal": {"truth": "gran piano"}}),
+    ("goal.truth.1", {"goal": {"truth": ["grand piano", 1000]}}),
+    ("goal.leave", {"goal": {"leave": []}}),
+    ("goal.least_confidence", {"goal": {"least_confidence": 1}}),
+    ("goal.least_confidence", {"goal": {"least_confidence": float("nan")}}),
     ("goal.reach", {"goal": {"reach": 1000}}),
     ("goal.reach", {"goal": {"reach": 3, "leave": 3}}),
     ("attack.groups", {"attack": {"renderer": "torch", "groups": ["color"]}}),
@@ -33,6 +40,12 @@ REFUSED: list[tuple[str, dict[str, Any]]] = [
     ("attack.queries", {"attack": {"queries": 0}}),
     ("attack.learning_rate", {"attack": {"learning_rate": {"color": 1.0}}}),
     ("attack.learning_rate.normals", {"attack": {"learning_rate": {"normals": float("nan")}}}),
+    ("attack.bounds.image", {"attack": {"renderer": "image", "bounds": {"image": [0.99, 1.0]}}}),
+    ("attack.epsilon", {"attack": {"renderer": "image", "restarts": 2}}),
+    ("attack.epsilon.image", {"attack": {"renderer": "image", "epsilon": {"image": -0.1}}}),
+    ("attack.truncation", {"attack": {"renderer": "image", "constraint": "backtrack", "truncation": None}}),
+    ("attack.groups", {"attack": {"method": "square", "renderer": "torch", "groups": ["material"]}}),
+    ("attack.loss", {"attack": {"method": "apgd", "loss": "hinge"}}),
     ("attack.base_renderer", {"attack": {"renderer": "torch", "base_renderer": "pyrender"}}),
     ("scene.camera.size.0", {"scene": SPHERE | {"camera": {"size": [4096, 64]}}}),
     ("scene.camera.distance", {"scene": SPHERE | {"camera": {"distance": float("inf")}}}),
@@ -58,7 +71,7 @@ def test_an_unknown_label_comes_with_near_ones() -> None:
 
 
 def test_a_scene_it_gets_wrong_says_what_the_network_says() -> None:
-    first = preflight(spec(), LIBRARY).goal.leave
+    first = preflight(spec(), LIBRARY).spec.goal.leave
     with pytest.raises(InvalidRequest, match=f"already gets this scene wrong: it says '{first}'"):
         preflight(spec(goal={"leave": "grand piano"}), LIBRARY)
 
@@ -66,15 +79,33 @@ def test_a_scene_it_gets_wrong_says_what_the_network_says() -> None:
 def test_the_first_answer_is_the_label_to_leave_by_default() -> None:
     prepared = prepare(spec(), LIBRARY)
     first = int(prepared.logits.argmax())
-    assert prepared.goal.leave == first
+    assert prepared.goal.leave == (first,)
     assert prepared.spec.goal.leave == prepared.target.labels[first]
-    # saying it outright, by name or index, is the same request
+    assert prepared.truth == prepared.spec.goal.truth == ()
+    # saying it outright, by name or index, is the same request, but for the truth that it states
     for label in (first, prepared.target.labels[first]):
-        assert preflight(spec(goal={"leave": label}), LIBRARY) == prepared.spec
+        stated = prepare(spec(goal={"leave": label}), LIBRARY)
+        assert (stated.goal, stated.truth) == (prepared.goal, (first,))
+        assert stated.spec.goal.leave == prepared.spec.goal.leave
+
+
+def test_a_scene_that_is_wrong_by_its_truth_is_attacked_with_a_warning() -> None:
+    found = preflight(spec(goal={"truth": "grand piano"}), LIBRARY)
+    assert "already-wrong" in [warning.code for warning in found.warnings]
+    assert found.spec.goal.truth == ("grand piano",)
+    assert found.spec.goal.leave not in (None, "grand piano")
+
+
+def test_the_truth_of_a_library_mesh_is_filled_in() -> None:
+    scene = {"objects": [{"mesh": "furniture/soccer-ball"}], "camera": {"size": [96, 96]}}
+    found = preflight(parse({"scene": scene}), LIBRARY)
+    assert found.spec.goal.truth == ("soccer ball",)
+    assert found.spec.goal.leave == "soccer ball"
+    assert found.warnings == ()
 
 
 def test_a_goal_already_reached_is_refused() -> None:
-    first = preflight(spec(), LIBRARY).goal.leave
+    first = preflight(spec(), LIBRARY).spec.goal.leave
     with pytest.raises(InvalidRequest, match="already says") as refused:
         preflight(spec(goal={"reach": first}), LIBRARY)
     assert refused.value.field == "goal.reach"
@@ -89,10 +120,23 @@ def test_a_network_with_one_label_is_refused_beforehand(monkeypatch: pytest.Monk
 
 def test_a_method_with_gradients_is_refused_for_a_network_without(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("services.pipeline.prepare.registry.has_gradient", lambda _: False)
-    with pytest.raises(InvalidRequest, match="methods without gradients are zoo") as refused:
+    with pytest.raises(InvalidRequest, match="methods without gradients are cma-es, spsa, square, zoo") as refused:
         preflight(spec(attack={"renderer": "image", "method": "fgsm"}), LIBRARY)
     assert refused.value.field == "attack.method"
     assert preflight(spec(attack={"renderer": "image", "method": "zoo"}), LIBRARY)
+
+
+def test_a_loss_that_the_number_of_classes_rules_out_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    target = LinearTarget(classes=2)
+    monkeypatch.setattr("services.pipeline.prepare.registry.labels", lambda _: target.labels)
+    monkeypatch.setattr("services.pipeline.prepare.registry.load", lambda _: target)
+    monkeypatch.setattr("services.pipeline.prepare.registry.has_gradient", lambda _: True)
+    monkeypatch.setattr(target, "logits", lambda images, _: torch.stack([images.sum((1, 2, 3)), images[:, 0, 0, 0]], 1))
+    attack = {"renderer": "image", "method": "apgd", "loss": "dlr"}
+    with pytest.raises(InvalidRequest, match="dlr needs at least 3 classes") as refused:
+        preflight(spec(attack=attack), LIBRARY)
+    assert refused.value.field == "attack.loss"
+    assert preflight(spec(attack=attack | {"loss": "margin"}), LIBRARY)
 
 
 # The environment map's size
@@ -105,7 +149,7 @@ def auto(tolerance: float, **attack: Any) -> dict[str, Any]:
 
 
 def test_the_smallest_map_within_the_tolerance_is_chosen_and_said() -> None:
-    chosen = [preflight(parse(auto(tolerance)), LIBRARY).scene.lights.environment.size for tolerance in (0.1, 0.01)]
+    chosen = [preflight(parse(auto(t)), LIBRARY).spec.scene.lights.environment.size for t in (0.1, 0.01)]
     assert chosen[0] < chosen[1]
     for tolerance, size in zip((0.1, 0.01), chosen, strict=True):
         scene = SPHERE | {"lights": {"environment": {"map": "studio", "size": size}}}
@@ -115,7 +159,7 @@ def test_the_smallest_map_within_the_tolerance_is_chosen_and_said() -> None:
 
 
 def test_where_no_map_lights_the_scene_its_size_is_the_default() -> None:
-    spec = preflight(parse(auto(1e-3, renderer="pyrender")), LIBRARY)
+    spec = preflight(parse(auto(1e-3, renderer="pyrender")), LIBRARY).spec
     assert spec.scene.lights.environment.size == (16, 32)
 
 
@@ -130,5 +174,5 @@ def test_a_method_that_needs_gradients_of_a_network_without_is_refused(monkeypat
         preflight(spec({"renderer": "image", "base_renderer": "pyrender"}), LIBRARY)
     assert refused.value.field == "attack.method"
     zoo = {"renderer": "image", "base_renderer": "pyrender", "method": "zoo"}
-    assert preflight(spec(zoo), LIBRARY).attack.method == "zoo"
+    assert preflight(spec(zoo), LIBRARY).spec.attack.method == "zoo"
     registry.has_gradient.cache_clear()

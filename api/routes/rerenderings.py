@@ -1,0 +1,85 @@
+"""The route of the re-rendering defence."""
+
+import binascii
+
+from fastapi import APIRouter, Depends
+from pydantic import BaseModel, Field, model_validator
+from starlette.concurrency import run_in_threadpool
+
+from api.rerenderer import decoded
+from api.routes.jobs import json_body
+from api.state import Services, ServicesDependency, no_such
+from services.analysis.records import Rerendering
+from services.analysis.requests import RerenderingRequest
+from services.errors import InvalidRequest
+from services.pipeline.spec import JobSpec, TargetChoice
+from services.scenes.description import Model, Scene
+
+router = APIRouter(prefix="/v1/rerenderings", tags=["defence"])
+
+
+class ImageOfScene(Model):
+    """An image: its bytes, or a file of a finished job."""
+
+    data: str | None = Field(None, description="a PNG or JPEG file in base64, of the size of the scene's camera")
+    job: str | None = Field(None, max_length=100, description="the id of a finished job")
+    artifact: str = Field("attacked.png", max_length=100, description="the name of the job's file")
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> "ImageOfScene":
+        if (self.data is None) == (self.job is None):
+            raise ValueError("give either `data` or `job`")
+        return self
+
+
+class RerenderingBody(Model):
+    """An image of a known scene, and the network to defend."""
+
+    image: ImageOfScene
+    scene: Scene | None = Field(None, description="the scene of the image; default: that of the job, if one is given")
+    target: TargetChoice | None = Field(None, description="the network; default: that of the job, else the default one")
+    fit: RerenderingRequest = RerenderingRequest()
+
+
+class RerenderingView(BaseModel):
+    """The network's answers to the image and to the rendering of the scene fitted to it."""
+
+    rerendering: Rerendering
+    png: str = Field(description="the rendering as a PNG file in base64")
+
+
+@router.post("", dependencies=[Depends(json_body)])
+async def rerender(body: RerenderingBody, services: ServicesDependency) -> RerenderingView:
+    """Fits the scene's normals, illumination and material to an image, and classifies the fitted scene's rendering.
+
+    The answer comes when the fit has ended: one image at a time, for at most five minutes.
+    """
+    image, spec = await run_in_threadpool(_read, body, services)
+    return RerenderingView.model_validate(await services.rerenderer.rerender(image, spec, body.fit))
+
+
+def _read(body: RerenderingBody, services: Services) -> tuple[bytes, JobSpec]:
+    """The image's bytes, and a spec with the scene and the target."""
+    given: dict[str, object] = {}
+    if body.image.job is not None:
+        job = services.repository.get(body.image.job)
+        artifact = None if job is None else services.repository.artifact(job.id, body.image.artifact)
+        if job is None or artifact is None:
+            raise InvalidRequest("image.job", "there is no such job, or it has no file of this name")
+        path = services.store.path(artifact.sha256)
+        if not path.exists():
+            raise no_such("file of the job any more")
+        image = path.read_bytes()
+        given = {"scene": job.spec["scene"], "target": job.spec["target"]}
+    else:
+        try:
+            image = decoded(body.image.data or "")
+        except (binascii.Error, ValueError) as error:
+            raise InvalidRequest("image.data", "it is not base64") from error
+    if body.scene is not None:
+        given["scene"] = body.scene.model_dump(mode="json")
+    if body.target is not None:
+        given["target"] = body.target.model_dump(mode="json")
+    if "scene" not in given:
+        raise InvalidRequest("scene", "an image that is no file of a job needs its scene")
+    return image, JobSpec.model_validate(given)

@@ -1,0 +1,142 @@
+"""The commands `analyse`, which analyses a stored result, and `rerender`, the re-rendering defence of an image."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from client.commands.options import JsonOption
+
+if TYPE_CHECKING:
+    from services.pipeline.analyse_stored import StoredAnalysis
+
+ANALYSES = "analyses.json"
+
+
+def register(app: typer.Typer) -> None:
+    """Adds the commands."""
+    app.command(
+        epilog="Examples: [bold]scene-attack analyse out/combined --minimal[/bold]\n\n"
+        "[bold]scene-attack analyse out/poses --coordinates --transfer efficientnet-lite0 --renderer torch[/bold]"
+    )(analyse)
+    app.command(
+        epilog="Example: [bold]scene-attack rerender out/image/attacked.png examples/image-fgsm.json "
+        "--out rendered.png[/bold]"
+    )(rerender)
+
+
+def analyse(
+    directory: Annotated[Path, typer.Argument(help="The directory that `run --out` or `jobs download` wrote.")],
+    minimal: Annotated[bool, typer.Option("--minimal", help="The smallest scale that still fools.")] = False,
+    coordinates: Annotated[bool, typer.Option("--coordinates", help="Shapley values of single coordinates.")] = False,
+    images: Annotated[int, typer.Option(min=4, help="Largest number of images for --coordinates.")] = 4096,
+    transfer: Annotated[
+        list[str] | None, typer.Option(metavar="TARGET", help="Show the image to this target; repeatable.")
+    ] = None,
+    renderer: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="Draw the changed scene with this renderer; repeatable.")
+    ] = None,
+    interpret: Annotated[bool, typer.Option("--interpret", help="Fit physical parameters to the image.")] = False,
+    defend: Annotated[bool, typer.Option("--rerender", help="The re-rendering defence.")] = False,
+    adaptive: Annotated[bool, typer.Option("--adaptive", help="Attack the pixels through that defence.")] = False,
+    steps: Annotated[int, typer.Option(min=1, help="Steps of each fit, for --interpret and --rerender.")] = 100,
+    as_json: JsonOption = False,
+) -> None:
+    """Analyse a stored result: which groups did it, how little is enough, and what else it fools.
+
+    The table of subsets and the groups' Shapley values are always made; options ask for more. All of it is written to
+    analyses.json in the directory.
+    """
+    from client.analysis_tables import print_analyses, print_subsets
+    from client.console import err, print_json
+    from services.device import check_device
+
+    check_device()
+    request: dict[str, Any] = {
+        "minimal": {} if minimal else None,
+        "coordinates": {"images": images} if coordinates else None,
+        "transfer": {"targets": transfer or [], "renderers": renderer or []} if transfer or renderer else None,
+        "interpretation": {"steps": steps} if interpret else None,
+        "rerendering": {"steps": steps} if defend else None,
+        "adaptive": {} if adaptive else None,
+    }
+    found = _analyse(directory, request)
+    (directory / ANALYSES).write_text(found.model_dump_json(indent=1) + "\n", "utf-8")
+    if as_json:
+        print_json(found.model_dump(mode="json"))
+        return
+    print_subsets(found.subsets, found.attribution)
+    print_analyses(found.analyses)
+    err().print(f"Written to {directory / ANALYSES}", markup=False, highlight=False)
+
+
+def _analyse(directory: Path, request: dict[str, Any]) -> "StoredAnalysis":
+    from client.commands.run import library
+    from client.live import JobLine
+
+    with JobLine(str(directory)) as line:
+        line.update("loading", 0, 1, None)
+        assets = library()
+        from services.analysis.requests import AnalysisRequest
+        from services.pipeline.analyse_stored import analyse_stored
+
+        return analyse_stored(
+            directory,
+            AnalysisRequest.model_validate(request),
+            assets,
+            lambda name, done, of: line.update(name, done, of, None),
+        )
+
+
+def rerender(
+    image: Annotated[Path, typer.Argument(help="An image of the scene, of the camera's size.")],
+    spec: Annotated[str, typer.Argument(metavar="SPEC", help="A job as JSON, for scene and target; - reads stdin.")],
+    out: Annotated[Path | None, typer.Option(help="Write the rendering to this PNG file.")] = None,
+    steps: Annotated[int, typer.Option(min=1, max=10_000, help="Steps of the fit.")] = 100,
+    rate: Annotated[float, typer.Option(help="Learning rate of the fit.")] = 1e-3,
+    optimiser: Annotated[str, typer.Option(help="Optimiser of the fit: adam or sgd.")] = "adam",
+    as_json: JsonOption = False,
+) -> None:
+    """Defend a network by re-rendering: fit the scene to an image, and classify the fitted scene's rendering instead.
+
+    The exit code is 0 whatever the network says.
+    """
+    from pydantic import ValidationError
+
+    from client import spec_input
+    from client.analysis_tables import rerendering_table
+    from client.commands.run import library
+    from client.console import out as stdout
+    from client.console import print_json
+    from client.live import JobLine
+    from services.analysis.requests import RerenderingRequest
+    from services.device import check_device
+    from services.errors import InvalidRequest
+    from services.pipeline.spec import parse
+
+    check_device()
+    job = parse(spec_input.read(spec))
+    try:
+        request = RerenderingRequest.model_validate({"steps": steps, "rate": rate, "optimiser": optimiser})
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise InvalidRequest(f"--{first['loc'][0]}", first["msg"]) from error
+    with JobLine(image.name) as line:
+        line.update("loading", 0, 1, None)
+        assets = library()
+        from services.analysis.images import load_png, save_png
+        from services.pipeline.rerender import rerender_image
+
+        try:
+            pixels = load_png(image)
+        except OSError as error:
+            raise InvalidRequest("IMAGE", f"cannot read {image}: {error}") from error
+        record, rendered = rerender_image(
+            pixels, job, request, assets, lambda done, of: line.update("fitting", done, of, None)
+        )
+    if out is not None:
+        save_png(rendered, out)
+    if as_json:
+        print_json(record.model_dump(mode="json"))
+    else:
+        stdout().print(rerendering_table(record))

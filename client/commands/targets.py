@@ -1,0 +1,87 @@
+"""The commands `targets`: the networks that can be attacked, and a trial of one."""
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from client.commands.options import JsonOption
+
+if TYPE_CHECKING:
+    from rich.text import Text
+
+    from services.pipeline.target_check import TargetCheck
+
+app = typer.Typer(help="The networks that can be attacked.")
+
+DEFAULT_MESH = "furniture/grand-piano"
+
+
+@app.callback(
+    invoke_without_command=True,
+    epilog="Examples: [bold]scene-attack targets[/bold]\n\n[bold]scene-attack targets check efficientnet-lite0[/bold]",
+)
+def targets(context: typer.Context, as_json: JsonOption = False) -> None:
+    """List the networks that can be attacked."""
+    if context.invoked_subcommand is not None:
+        return
+    from client.console import out, print_json, report_extensions, table, yes
+    from services.pipeline.extensions import TARGETS
+
+    report_extensions()
+    found = [target.info for target in TARGETS.values()]
+    if as_json:
+        print_json([info.model_dump(mode="json") for info in found])
+        return
+    rows: list[list[str | Text]] = [
+        [t.name, t.title, t.task, "×".join(map(str, t.input_size)), f"{t.classes:,}", yes(t.differentiable), t.licence]
+        for t in found
+    ]
+    out().print(table(("target", "title", "task", "input", "classes>", "differentiable", "licence"), rows))
+
+
+@app.command(epilog="Example: [bold]scene-attack targets check efficientnet-lite0[/bold]")
+def check(
+    name: Annotated[str, typer.Argument(help="A name from `targets`.")],
+    mesh: Annotated[str, typer.Option(help="The mesh whose view it is shown.")] = DEFAULT_MESH,
+    as_json: JsonOption = False,
+) -> None:
+    """Load a network, show it a view, and print its card, its answers, whether it has gradients, and its speed.
+
+    The exit code is 2 if it cannot be used; the message says why.
+    """
+    from client.commands.run import library
+    from client.console import err, print_json, report_extensions
+    from services.device import check_device
+
+    check_device()
+    report_extensions()
+    with err().status("loading") as line:
+        assets = library()
+        from services.pipeline.target_check import check as try_target
+
+        found = try_target(name, mesh, assets, line.update)
+    if as_json:
+        print_json(found.model_dump(mode="json"))
+    else:
+        _print(found)
+
+
+def _print(found: "TargetCheck") -> None:
+    from client.console import out, table
+
+    card = found.target
+    facts = {
+        "target": card.name,
+        "title": card.title,
+        "input": "×".join(map(str, card.input_size)),
+        "classes": f"{card.classes:,}",
+        "licence": card.licence,
+        "source": card.source,
+        "weights sha256": found.weights_sha256,
+        "card sha256": card.card_sha256 or "",
+        "backend": found.backend,
+        "gradient": "yes" if found.gradient else f"no: {found.no_gradient}",
+    } | {f"time, batch of {count}": f"{1000 * time:.2f} ms an image" for count, time in found.seconds.items()}
+    out().print(table(("", ""), [[name, value] for name, value in facts.items()]))
+    rows = [[answer.label, f"{answer.probability:.3f}"] for answer in found.answers]
+    out().print(table((f"answer to a view of {found.mesh}", "probability>"), rows))

@@ -1,0 +1,136 @@
+"""The commands `train`: they divide the library's models and train the networks that ship with the project."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+    from services.scenes.library import Library
+
+app = typer.Typer(help="Train networks on views of the furniture library.", no_args_is_help=True)
+
+OUT = Path("out/training")
+Minutes = Annotated[float | None, typer.Option(min=0.1, help="Train so long; the schedule follows the clock.")]
+Epochs = Annotated[
+    int | None, typer.Option(min=1, help="Train so many times over all views, reproducible bit for bit.")
+]
+Out = Annotated[Path, typer.Option(help="Folder of the checkpoint, the weights and the cards.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of the weights, the views and the batches.")]
+Export = Annotated[
+    bool, typer.Option("--export", help="Train no more: write weights and cards from the checkpoint as it is.")
+]
+
+
+@app.command(epilog="Example: [bold]scene-attack train split[/bold]")
+def split(
+    out: Annotated[Path | None, typer.Option(help="File to write; default: the committed one.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the order in which families are held out.")] = 0,
+) -> None:
+    """Divide the library's models by family, and choose the classes inside the training models."""
+    from client.console import err
+    from services.settings import settings
+    from services.training.making_split import make
+    from services.training.split import PATH, save
+
+    _threads()
+    command = f"scene-attack train split --seed {seed}"
+    with err().status("") as line:
+        made = make(_library(), settings().cache_dir, seed, command, lambda words: line.update(words))
+    save(made, out or PATH)
+    held_out, training = (len(made.models(side)) for side in ("held_out", "training"))
+    err().print(
+        f"{len(made.classes)} classes, {training} models for training, {held_out} held out; cross-validated accuracy "
+        f"of a linear probe {made.accuracy:.3f}: {', '.join(made.classes)}",
+        markup=False,
+        highlight=False,
+    )
+
+
+@app.command(epilog="Example: [bold]scene-attack train alexnet --minutes 45[/bold]")
+def alexnet(
+    minutes: Minutes = None, epochs: Epochs = None, out: Out = OUT, seed: Seed = 0, export: Export = False
+) -> None:
+    """Train AlexNet. A killed training goes on from its checkpoint."""
+    _train("alexnet", minutes, epochs, out, seed, export)
+
+
+@app.command(epilog="Example: [bold]scene-attack train resnet34 --epochs 40[/bold]")
+def resnet34(
+    minutes: Minutes = None, epochs: Epochs = None, out: Out = OUT, seed: Seed = 0, export: Export = False
+) -> None:
+    """Train ResNet-34. A killed training goes on from its checkpoint."""
+    _train("resnet34", minutes, epochs, out, seed, export)
+
+
+def _train(name: str, minutes: float | None, epochs: int | None, out: Path, seed: int, export: bool) -> None:
+    from rich.progress import TaskID
+
+    from client.console import err
+    from client.console import out as stdout
+    from services.errors import InvalidRequest
+    from services.settings import settings
+    from services.training.data import gather
+    from services.training.export import write
+    from services.training.recipe import RECIPES, Budget
+    from services.training.split import committed
+    from services.training.training import Report, Training, load_trained
+
+    if not export and (minutes is None) == (epochs is None):
+        raise InvalidRequest("--minutes", "give either --minutes or --epochs")
+    _threads()
+    recipe, chosen, cache = RECIPES[name], committed(), settings().cache_dir
+    checkpoint = out / f"{name}.checkpoint"
+    with _progress() as progress:
+        steps: dict[str, TaskID] = {}
+
+        def said(what: str, done: int, total: int) -> None:
+            if what not in steps:
+                steps[what] = progress.add_task(what, total=total)
+            progress.update(steps[what], completed=done, total=total)
+
+        if not export:
+            data = gather(_library(), cache, recipe, chosen.models("training"), seed, said)
+            training = Training(recipe, len(chosen.classes), data, seed, checkpoint)
+            if training.step:
+                err().print(f"goes on from step {training.step:,} of {checkpoint}", markup=False, highlight=False)
+            task = progress.add_task("training", total=1.0)
+
+            def report(at: Report) -> None:
+                means = f"loss {at.loss:.3f}  right {at.accuracy:.3f}"
+                words = f"epoch {at.epoch:.1f}  {means}  {at.rate:.0f} images/s"
+                progress.update(task, completed=at.progress, description=words)
+                if not err().is_terminal:
+                    err().print(f"{at.progress:6.3f}  step {at.step:,}  {words}", markup=False, highlight=False)
+
+            training.run(Budget(minutes, epochs), report)
+            del data, training
+        trained = load_trained(recipe, len(chosen.classes), checkpoint)
+        written = write(recipe, trained, chosen, _library(), cache, out, said)
+    stdout().print(written.summary, markup=False, highlight=False)
+
+
+def _progress() -> "Progress":
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    from client.console import err
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=err())
+
+
+def _threads() -> None:
+    import torch
+
+    from services.settings import settings
+
+    torch.set_num_threads(settings().threads)
+
+
+def _library() -> "Library":
+    from services.scenes.library import Library
+    from services.settings import settings
+
+    return Library(settings().cache_dir, settings().data_dir)

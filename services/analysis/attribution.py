@@ -1,0 +1,137 @@
+"""Attribution of an attack's effect to the groups or the coordinates of its perturbation, by Shapley values.
+
+The effect is the change of the log-odds, and of the probability, of the goal's label from the original image to that of
+the whole perturbation, both rendered exactly and rounded to 8 bits.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from services.analysis import shapley
+from services.analysis.answers import answer, goal_log_odds
+from services.analysis.records import Attribution, Shares, Subset
+from services.analysis.subsets import ScoredImage
+from services.attacks.goal import ResolvedGoal
+from services.attacks.seeds import generator
+from services.attacks.verifier import Verifier
+from services.rendering.protocol import Parameters
+
+MOST_EXACT = 12
+"""Largest number of coordinates whose Shapley values are computed from all their subsets, 4,096 of them."""
+
+
+Tick = Callable[[int, int], None]
+"""Called before each image of an analysis with the number of those done and the largest number there may be. It reports
+progress, and may raise Cancelled."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """A player: one coordinate of a group, or all of a group whose coordinates have no names."""
+
+    name: str
+    group: str
+    index: int | None
+
+
+def of_subsets(rows: Sequence[Subset]) -> Attribution:
+    """The attribution to the groups, from the table of all their subsets; the last row is that of all groups."""
+    groups = rows[-1].groups
+    table = torch.zeros(len(rows), 2, dtype=torch.float64)
+    for row in rows:
+        assert row.goal_log_odds is not None, "the table is of a result of version 0.1"
+        at = sum(1 << groups.index(group) for group in row.groups)
+        table[at] = torch.tensor([row.goal_log_odds, row.goal_probability], dtype=torch.float64)
+    return _exact(groups, table, max(0, len(rows) - 2))
+
+
+def moved_parts(perturbation: Parameters, names: Callable[[str], list[str] | None]) -> list[Part]:
+    """The parts of a perturbation that are not zero; `names` gives the labels of a group's coordinates, or None."""
+    parts = []
+    for group, value in perturbation.items():
+        moved = value.flatten().nonzero().flatten().tolist()
+        labels = names(group)
+        if labels is not None:
+            # most labels say the group themselves: "object 0 rotation x"
+            named = [label if group in label else f"{group}: {label}" for label in labels]
+            parts += [Part(named[index], group, index) for index in moved]
+        elif moved:
+            parts.append(Part(group, group, None))
+    return parts
+
+
+def of_coordinates(
+    verifier: Verifier,
+    goal: ResolvedGoal,
+    perturbation: Parameters,
+    original: ScoredImage,
+    attacked: ScoredImage,
+    *,
+    images: int,
+    seed: int,
+    tick: Tick,
+) -> Attribution:
+    """The attribution to single coordinates; a group whose coordinates have no names (pixels, texels) is one part.
+
+    A coordinate that the perturbation does not move contributes nothing and is left out. Values are exact for up to
+    `MOST_EXACT` parts, if their subsets are no more than `images`, and else the mean over as many random orders as
+    `images` allow, two at least.
+    """
+    parts = moved_parts(perturbation, verifier.renderer.exact().names)
+    count, full = len(parts), 2 ** len(parts) - 1
+    is_exact = count <= MOST_EXACT and 2**count <= images
+    orders = max(2, images // max(1, count - 1))
+    most = 2**count - 2 if is_exact else orders * (count - 1)
+    asked = 0
+
+    def value(chosen: int) -> Tensor:
+        nonlocal asked
+        if chosen in (0, full):
+            logits = (original if chosen == 0 else attacked).logits
+        else:
+            tick(asked, most)
+            asked += 1
+            logits = verifier.logits(verifier.image(_only(perturbation, parts, chosen)))
+        said = answer(logits, verifier.target.labels, goal)
+        return torch.tensor([goal_log_odds(logits, goal), said.goal_probability], dtype=torch.float64)
+
+    names = [part.name for part in parts]
+    if is_exact:
+        table = torch.stack([value(chosen) for chosen in range(2**count)])
+        return _exact(names, table, asked)
+    values, errors = shapley.sampled(value, count, orders, generator(seed, "attribution"))
+    effect = value(full) - value(0)
+    log_odds, probability = (
+        Shares(effect=float(effect[k]), shapley=values[:, k].tolist(), standard_error=errors[:, k].tolist())
+        for k in range(2)
+    )
+    return Attribution(
+        parts=names, method="sampled", orders=orders, images=asked, log_odds=log_odds, probability=probability
+    )
+
+
+def _only(perturbation: Parameters, parts: Sequence[Part], chosen: int) -> Parameters:
+    """The perturbation with the parts whose bit in `chosen` is set, and zeros elsewhere."""
+    kept = {group: torch.zeros_like(value) for group, value in perturbation.items()}
+    for number, part in enumerate(parts):
+        if chosen >> number & 1:
+            at = slice(None) if part.index is None else part.index
+            kept[part.group].view(-1)[at] = perturbation[part.group].reshape(-1)[at]
+    return kept
+
+
+def _exact(names: Sequence[str], table: Tensor, images: int) -> Attribution:
+    """The attribution given by the values of all subsets, [2^n, 2]: log-odds and probability."""
+    values, interactions = shapley.exact(table)
+    log_odds, probability = (
+        Shares(
+            effect=float(table[-1, k] - table[0, k]),
+            shapley=values[:, k].tolist(),
+            interactions=interactions[:, :, k].tolist(),
+        )
+        for k in range(2)
+    )
+    return Attribution(parts=list(names), method="exact", images=images, log_odds=log_odds, probability=probability)

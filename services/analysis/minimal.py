@@ -1,0 +1,105 @@
+"""The minimal change: the smallest scale at which the stored perturbation still fools the network.
+
+The perturbation is multiplied by a scale s in (0, 1], rendered exactly and rounded to 8 bits. Along this ray success
+need not be monotone: a network that is fooled at s may hold at a larger s. So the ray is scanned first, and then the
+boundary of the first scanned scale that fools is bisected. What lies between two scanned scales is not known.
+"""
+
+from collections.abc import Callable, Sequence
+
+from services.analysis.answers import answer
+from services.analysis.attribution import Tick
+from services.analysis.perceptibility import of_float_images, of_images
+from services.analysis.records import MinimalChange, RayPoint
+from services.analysis.subsets import ScoredImage, scored
+from services.attacks.goal import ResolvedGoal
+from services.attacks.verifier import Verifier
+from services.rendering.physical_change import PhysicalChange
+from services.rendering.protocol import Parameters
+
+
+def scan_and_bisect(fooled: Callable[[float], bool], scans: int, bisections: int) -> tuple[float | None, float]:
+    """Returns the smallest scale found that fools, and the largest below it at which the network was seen to hold.
+
+    `fooled` is asked at 1/scans, 2/scans, …, 1 and then at `bisections` scales between the first of these that fools
+    and the one before it, so that the two results are 1/(scans · 2^bisections) apart. Scale 0, the original, counts as
+    holding. Returns (None, 1) if no scanned scale fools.
+    """
+    found = [fooled(k / scans) for k in range(1, scans + 1)]
+    if True not in found:
+        return None, 1.0
+    first = found.index(True)
+    low, high = first / scans, (first + 1) / scans
+    for _ in range(bisections):
+        middle = (low + high) / 2
+        if fooled(middle):
+            high = middle
+        else:
+            low = middle
+    return high, low
+
+
+def minimal_change(
+    verifier: Verifier,
+    goal: ResolvedGoal,
+    perturbation: Parameters,
+    original: ScoredImage,
+    *,
+    scans: int,
+    bisections: int,
+    physical: Callable[[Parameters], list[PhysicalChange]],
+    tick: Tick,
+) -> MinimalChange:
+    """Scans and bisects the ray of a perturbation; see `scan_and_bisect`.
+
+    `original` is the unperturbed image; `physical` words a perturbation in degrees, centimetres and percent.
+    """
+    points: dict[float, RayPoint] = {}
+
+    def fooled(scale: float) -> bool:
+        tick(len(points), scans + bisections)
+        points[scale] = _point(verifier, goal, scaled(perturbation, scale), original, scale)
+        return points[scale].fooled
+
+    scale, held = scan_and_bisect(fooled, scans, bisections)
+    scan = [points[k / scans] for k in range(1, scans + 1)]
+    return MinimalChange(
+        smallest=None if scale is None else points[scale],
+        holds_at=held,
+        fools_from=_fools_from(scan),
+        scan=scan,
+        images=len(points),
+        change=[] if scale is None else physical(scaled(perturbation, scale)),
+        stored_change=physical(perturbation),
+    )
+
+
+def scaled(perturbation: Parameters, scale: float) -> Parameters:
+    """The perturbation times `scale`; at 1 it is the perturbation itself, bit for bit."""
+    return {group: value * scale for group, value in perturbation.items()}
+
+
+def _fools_from(scan: Sequence[RayPoint]) -> float | None:
+    """The smallest scanned scale from which on all scanned scales fool; None if the whole perturbation does not."""
+    found = None
+    for point in reversed(scan):
+        if not point.fooled:
+            break
+        found = point.scale
+    return found
+
+
+def _point(
+    verifier: Verifier, goal: ResolvedGoal, perturbation: Parameters, original: ScoredImage, scale: float
+) -> RayPoint:
+    image = scored(verifier, perturbation)
+    said = answer(image.logits, verifier.target.labels, goal)
+    return RayPoint(
+        scale=scale,
+        label=said.label,
+        confidence=said.confidence,
+        goal_probability=said.goal_probability,
+        float_perceptibility=of_float_images(original.exact, image.exact),
+        perceptibility=of_images(original.saved, image.saved),
+        fooled=bool(goal.fooled(image.logits)),
+    )

@@ -1,0 +1,44 @@
+"""The outcome of a job, from the truth and the network's answers. This module does not import torch, so that the API
+can read it.
+"""
+
+from collections.abc import Collection
+from typing import Any, Literal, TypeVar
+
+Verdict = Literal["fooled", "changed", "became-right", "still-wrong", "held"]
+
+Label = TypeVar("Label", int, str)
+SUCCESS: Verdict = "fooled"
+"""The only outcome that counts as a success of an attack."""
+
+
+def judge(truth: Collection[Label], first: Label, attacked: Label, met: bool) -> Verdict:
+    """Returns the outcome, given the true labels (empty: nobody knows them), the answers to the original image and to
+    the exact image of the stored perturbation, and whether the latter meets the goal.
+
+    | truth   | first answer | attacked answer | goal met | not met     |
+    |---------|--------------|-----------------|----------|-------------|
+    | known   | right        | wrong           | fooled   | held        |
+    | known   | right        | right           | held     | held        |
+    | known   | wrong        | right           | became-right, either way |
+    | known   | wrong        | wrong           | still-wrong, either way  |
+    | unknown | any          | any             | changed  | held        |
+
+    The same for targeted goals: there a wrong answer other than the label to reach does not meet the goal. A right
+    answer that is not the first one meets no goal that leaves the whole truth; a targeted one is refused before.
+    """
+    if not truth:
+        return "changed" if met else "held"
+    if first not in truth:
+        return "became-right" if attacked in truth else "still-wrong"
+    return "fooled" if met and attacked not in truth else "held"
+
+
+def with_outcome(record: Any) -> Any:
+    """Returns a stored result or outcome with its field `outcome`, which earlier versions did not write.
+
+    Its truth is not known, so that it says of a verified perturbation that the answer changed.
+    """
+    if isinstance(record, dict) and "outcome" not in record:
+        return record | {"outcome": "changed" if record.get("verified") else "held"}
+    return record

@@ -1,0 +1,154 @@
+"""Makes the analyses that a request asks for, of a stored perturbation."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from torch import Tensor
+
+from services.analysis.adaptive import attack_through
+from services.analysis.attribution import Tick, of_coordinates
+from services.analysis.minimal import minimal_change
+from services.analysis.physical import physical_changes
+from services.analysis.records import Analyses, Rerendering, Transferred
+from services.analysis.requests import AnalysisRequest, RerenderingRequest
+from services.analysis.rerendering import interpret, rerender
+from services.analysis.subsets import ScoredImage
+from services.analysis.transfer import Wanted, indices, shown_to
+from services.attacks.verifier import Verifier
+from services.errors import InvalidRequest
+from services.pipeline import goals
+from services.pipeline.described import described
+from services.pipeline.prepare import Prepared
+from services.pipeline.spec import JobSpec
+from services.rendering.factory import build
+from services.rendering.protocol import Parameters
+from services.rendering.torch_renderer.declaration import TORCH
+from services.scenes.library import Library
+from services.scenes.resolve import ResolvedScene, resolve
+from services.targets import registry
+from services.targets.truth import same_labels
+
+Report = Callable[[str, int, int], None]
+"""Called before each image with the name of the analysis, the number of its images done and the number there may be."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A job's stored perturbation, and the images and scores of its two ends."""
+
+    prepared: Prepared
+    perturbation: Parameters
+    original: ScoredImage
+    attacked: ScoredImage
+
+
+def analyse(subject: Subject, request: AnalysisRequest, library: Library, report: Report) -> Analyses:
+    """Makes the analyses. Raises JobFailure, and what `report` raises, which may be Cancelled."""
+    prepared, perturbation = subject.prepared, subject.perturbation
+    verifier, goal = prepared.verifier, prepared.goal
+    found = Analyses()
+    if request.coordinates is not None:
+        found.coordinates = of_coordinates(
+            verifier,
+            goal,
+            perturbation,
+            subject.original,
+            subject.attacked,
+            images=request.coordinates.images,
+            seed=prepared.spec.seed,
+            tick=_named(report, "coordinates"),
+        )
+    if request.minimal is not None:
+        found.minimal = minimal_change(
+            verifier,
+            goal,
+            perturbation,
+            subject.original,
+            scans=request.minimal.scans,
+            bisections=request.minimal.bisections,
+            physical=lambda moved: physical_changes(prepared.scene, prepared.renderer, moved),
+            tick=_named(report, "minimal"),
+        )
+    if request.transfer is not None:
+        tick = _named(report, "transfer")
+        asked = [*request.transfer.targets, *request.transfer.renderers]
+        found.transfer = []
+        for number, name in enumerate(asked):
+            tick(number, len(asked))
+            is_target = number < len(request.transfer.targets)
+            found.transfer.append(_to_target(subject, name) if is_target else _to_renderer(subject, name, library))
+    if any((request.interpretation, request.rerendering, request.adaptive)):
+        fitted = fitting_verifier(prepared.scene, prepared.spec)
+        if request.interpretation is not None:
+            steps = request.interpretation.steps
+            found.interpretation = interpret(
+                fitted, subject.attacked.saved, steps=steps, tick=_named(report, "interpretation")
+            )
+        if request.rerendering is not None:
+            tick = _named(report, "rerendering")
+            found.rerendering, _ = rerendered(fitted, subject.attacked.saved, request.rerendering, tick)
+        if request.adaptive is not None:
+            found.adaptive = attack_through(
+                fitted,
+                goal,
+                subject.original.saved,
+                fit=request.adaptive.fit,
+                steps=request.adaptive.steps,
+                tick=_named(report, "adaptive"),
+            )
+    return found
+
+
+def fitting_verifier(scene: ResolvedScene, spec: JobSpec) -> Verifier:
+    """The torch renderer of a scene, for fits of all its groups, and the network that answers for them."""
+    renderer = build(scene, TORCH.name, tolerance=spec.tolerance)
+    return Verifier(renderer, registry.load(spec.target.name), spec.target.question)
+
+
+def rerendered(
+    verifier: Verifier, image: Tensor, request: RerenderingRequest, tick: Tick
+) -> tuple[Rerendering, Tensor]:
+    """Applies the re-rendering defence to an image, uint8 [H, W, 3]; returns the record and the rendering."""
+    return rerender(verifier, image, optimiser=request.optimiser, rate=request.rate, steps=request.steps, tick=tick)
+
+
+def _named(report: Report, name: str) -> Tick:
+    return lambda done, of: report(name, done, of)
+
+
+def _to_target(subject: Subject, name: str) -> Transferred:
+    prepared = subject.prepared
+    other = replace(prepared.verifier, target=registry.load(name), question=None, queries=0, renders=0)
+    wanted = _wanted(prepared, name, other.target.labels)
+    return shown_to(other, wanted, subject.original.saved, subject.attacked.saved, prepared.renderer.name)
+
+
+def _to_renderer(subject: Subject, name: str, library: Library) -> Transferred:
+    """The scene that the perturbation describes, drawn by another renderer."""
+    prepared = subject.prepared
+    moved, carried, left = described(prepared.spec.scene, prepared.renderer.name, subject.perturbation)
+    note = f"carries {', '.join(carried)}" + (f"; leaves out {', '.join(left)}" if left else "")
+    asked = Verifier(build(prepared.scene, name, tolerance="exact"), prepared.target, prepared.spec.target.question)
+    original = attacked = asked.image({})
+    try:
+        attacked = Verifier(build(resolve(moved, library), name, tolerance="exact"), prepared.target).image({})
+    except InvalidRequest as error:  # an object has left the frame
+        note = f"{note}; the changed scene cannot be drawn: {error.detail}"
+    return shown_to(
+        asked, _wanted(prepared, prepared.target.name, prepared.target.labels), original, attacked, name, note
+    )
+
+
+def _wanted(prepared: Prepared, target: str, labels: tuple[str, ...]) -> Wanted:
+    """The job's truth and label to reach for another network: by name, or else by what its own table says is right."""
+    card, own = registry.card(target), prepared.target.labels
+    truth = indices([own[index] for index in prepared.truth], labels)
+    if not truth:
+        truth = frozenset(goals.table_truth((thing.mesh for thing in prepared.spec.scene.objects), card, labels))
+    reach = prepared.goal.reach
+    return Wanted(
+        truth=truth,
+        reach=labels.index(own[reach]) if reach is not None and own[reach] in labels else None,
+        same=tuple(indices(group, labels) for group in same_labels(card)),
+        least_confidence=prepared.goal.least_confidence,
+    )

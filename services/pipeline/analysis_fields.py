@@ -1,0 +1,42 @@
+"""Checks the part of a request that asks for analyses against what is installed."""
+
+from services.errors import InvalidRequest
+from services.pipeline.described import can_carry
+from services.pipeline.extensions import RENDERERS, TARGETS
+from services.pipeline.spec import JobSpec
+from services.suggestions import there_are
+from services.targets import registry
+
+
+def check_analysis(spec: JobSpec) -> None:
+    """Raises InvalidRequest naming the field, for unknown targets and renderers, for a target without gradients
+    where they are needed, and for a renderer that can draw nothing of the attacked groups.
+    """
+    if spec.analysis.adaptive is not None and not registry.has_gradient(spec.target.name):
+        detail = f"it needs gradients, and the scores of {spec.target.name} have none with respect to the image"
+        raise InvalidRequest("analysis.adaptive", detail)
+    asked = spec.analysis.transfer
+    if asked is None:
+        return
+    for index, name in enumerate(asked.targets):
+        field = f"analysis.transfer.targets.{index}"
+        try:
+            registry.labels(name)
+        except InvalidRequest as error:
+            raise InvalidRequest(field, error.detail) from error
+        if TARGETS[name].info.takes_question:
+            raise InvalidRequest(field, f"{name} answers questions; an image is shown to it without one")
+    drawing = [name for name, one in RENDERERS.items() if one.base_renderer is None and name != spec.attack.renderer]
+    for index, name in enumerate(asked.renderers):
+        field = f"analysis.transfer.renderers.{index}"
+        if name == spec.attack.renderer:
+            raise InvalidRequest(field, f"{name} is the renderer of the attack itself")
+        if name not in drawing:
+            raise InvalidRequest(field, f"there is no renderer {name!r} that draws a scene; {there_are(name, drawing)}")
+        if not can_carry(spec.attack.renderer, spec.attack.groups):
+            attacked = ", ".join(spec.attack.groups)
+            raise InvalidRequest(
+                field,
+                f"nothing of {attacked} ({spec.attack.renderer}) is a part of the scene that {name} draws; colours, "
+                "poses and the camera of pyrender are",
+            )

@@ -1,0 +1,140 @@
+"""Turns the goal of a request into label indices: the truth, the labels to leave, and the label to reach."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from services.attacks.goal import ResolvedGoal
+from services.attacks.spec import Goal, Labels
+from services.errors import InvalidRequest
+from services.pipeline.warning import JobWarning, warnings
+from services.suggestions import did_you_mean
+from services.targets.info import TargetInfo
+from services.targets.scores import probability
+from services.targets.truth import same_labels, truth_labels
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A goal as the request states it, in label indices. A truth of None is one that the request leaves out."""
+
+    goal: Goal
+    labels: tuple[str, ...]
+    same: tuple[frozenset[int], ...]
+    """Groups of labels that mean the same."""
+    truth: frozenset[int] | None
+    leave: frozenset[int]
+    reach: int | None
+
+
+@dataclass(frozen=True)
+class Settled:
+    """A goal after the network has answered for the original image."""
+
+    spec: Goal
+    """The goal of the request with the truth and the labels to leave filled in."""
+    goal: ResolvedGoal
+    truth: tuple[int, ...]
+    """The labels that are right; empty if nobody knows them."""
+    warnings: tuple[JobWarning, ...]
+
+
+def asked(goal: Goal, target: TargetInfo, labels: tuple[str, ...]) -> Asked:
+    """Looks up the labels of a goal, and with each those that mean the same.
+
+    Raises InvalidRequest if a label is not among the target's, or if the label to reach is one to leave.
+    """
+    same = tuple(frozenset(labels.index(one) for one in group if one in labels) for group in same_labels(target))
+
+    def indices(field: str, wanted: Labels | None) -> frozenset[int]:
+        if not isinstance(wanted, tuple):
+            return frozenset() if wanted is None else frozenset([_index(wanted, labels, field, target.name)])
+        return frozenset(_index(one, labels, f"{field}.{i}", target.name) for i, one in enumerate(wanted))
+
+    truth = None if goal.truth is None else _with_same(indices("goal.truth", goal.truth), same)
+    leave = _with_same(indices("goal.leave", goal.leave), same)
+    reach = None if goal.reach is None else _index(goal.reach, labels, "goal.reach", target.name)
+    if reach in leave:
+        raise InvalidRequest("goal.reach", f"is a label to leave ({labels[reach]!r}); name another one")
+    return Asked(goal, labels, same, truth, leave, reach)
+
+
+def table_truth(meshes: Iterable[str], target: TargetInfo, labels: tuple[str, ...]) -> tuple[int, ...]:
+    """Returns the labels that the reviewed table says are right for a scene of these meshes.
+
+    Empty if a mesh is not in the table, or if two meshes differ in their labels: of a chair at a table either answer
+    may be right, and nobody has said which.
+    """
+    found = {truth_labels(target, mesh) for mesh in meshes}
+    names = found.pop() if len(found) == 1 else ()
+    return tuple(labels.index(name) for name in names if name in labels)
+
+
+def settle(asked: Asked, table: Iterable[int], logits: Tensor) -> Settled:
+    """Settles a goal, given the table's truth and the network's scores [K] of the original image.
+
+    Raises InvalidRequest if the answer is not among the labels to leave, if it is the label to reach, if reaching that
+    label would not be wrong, or if no other label is left.
+    """
+    labels, leave, reach = asked.labels, asked.leave, asked.reach
+    first = int(logits.argmax())
+    confidence = float(probability(logits, first))
+    said = f"{labels[first]!r} ({confidence:.2f})"
+    if leave and first not in leave:
+        raise InvalidRequest(
+            "goal.leave",
+            f"the network already gets this scene wrong: it says {said}, not {_words(leave, labels)}; "
+            "choose a view it gets right, or leave this field out to attack its own first answer",
+        )
+    if first == reach:
+        raise InvalidRequest("goal.reach", f"the network already says {said}; there is nothing to attack")
+    # stated, reviewed, or implied by the label to leave
+    truth = asked.truth if asked.truth is not None else _with_same(frozenset(table), asked.same) or leave
+    right = first in truth
+    if right and reach in truth:
+        raise InvalidRequest("goal.reach", f"is as right as the network's answer {said}; name a label that is wrong")
+    if right:
+        leave |= truth
+    elif reach is None:
+        leave |= _with_same(frozenset([first]), asked.same)
+    if len(leave) == len(labels):
+        field = "goal.leave" if asked.leave else "goal.truth"
+        raise InvalidRequest(field, "these are all labels of the network; there is no other answer")
+    return Settled(
+        _filled_in(asked, truth, leave),
+        ResolvedGoal(tuple(sorted(leave)), reach, asked.goal.least_confidence),
+        tuple(sorted(truth)),
+        warnings(labels[first], confidence, tuple(labels[i] for i in sorted(truth)), right),
+    )
+
+
+def _filled_in(asked: Asked, truth: frozenset[int], leave: frozenset[int]) -> Goal:
+    labels = asked.labels
+    names = tuple(labels[i] for i in sorted(leave))
+    return asked.goal.model_copy(
+        update={
+            "truth": tuple(labels[i] for i in sorted(truth)),
+            "leave": names[0] if len(names) == 1 else names or None,
+            "reach": None if asked.reach is None else labels[asked.reach],
+        }
+    )
+
+
+def _with_same(labels: frozenset[int], groups: Iterable[frozenset[int]]) -> frozenset[int]:
+    """The labels, and those that mean the same as one of them."""
+    return labels.union(*(group for group in groups if group & labels))
+
+
+def _words(indices: frozenset[int], labels: tuple[str, ...]) -> str:
+    return " or ".join(repr(labels[i]) for i in sorted(indices))
+
+
+def _index(wanted: str | int, labels: tuple[str, ...], field: str, target: str) -> int:
+    if isinstance(wanted, int):
+        if wanted >= len(labels):
+            raise InvalidRequest(field, f"{target} has labels 0 to {len(labels) - 1}, not {wanted}")
+        return wanted
+    if wanted not in labels:
+        raise InvalidRequest(field, f"{target} has no label {wanted!r}{did_you_mean(wanted, labels)}")
+    return labels.index(wanted)

@@ -1,0 +1,47 @@
+"""The re-rendering defence of one image of a known scene."""
+
+from io import BytesIO
+
+from PIL import Image
+from torch import Tensor
+
+from services.analysis.attribution import Tick
+from services.analysis.images import pixels
+from services.analysis.records import Rerendering
+from services.analysis.requests import RerenderingRequest
+from services.errors import InvalidRequest
+from services.pipeline.analyse import fitting_verifier, rerendered
+from services.pipeline.prepare import resolved_scene
+from services.pipeline.spec import JobSpec
+from services.scenes.library import Library
+
+
+def rerender_image(
+    image: Tensor, spec: JobSpec, request: RerenderingRequest, library: Library, tick: Tick
+) -> tuple[Rerendering, Tensor]:
+    """Fits the scene of a spec to an image, uint8 [H, W, 3], and asks the spec's target about image and rendering.
+
+    Returns the record and the rendering, uint8 [H, W, 3]. Raises InvalidRequest("image") for an image that is not of
+    the camera's size, and as `resolve` and the target's registry do.
+    """
+    _check_size((image.shape[0], image.shape[1]), spec.scene.camera.size)
+    return rerendered(fitting_verifier(resolved_scene(spec, library), spec), image, request, tick)
+
+
+def decode_image(data: bytes, size: tuple[int, int]) -> Tensor:
+    """Reads a PNG or JPEG file as uint8 [H, W, 3], whose height and width must be `size`.
+
+    Raises InvalidRequest("image"). The size is checked before the pixels are read.
+    """
+    try:
+        with Image.open(BytesIO(data), formats=("PNG", "JPEG")) as image:
+            _check_size((image.height, image.width), size)
+            return pixels(image)
+    except (OSError, SyntaxError, Image.DecompressionBombError) as error:
+        raise InvalidRequest("image", "it is not a PNG or JPEG file, or it is damaged") from error
+
+
+def _check_size(found: tuple[int, int], size: tuple[int, int]) -> None:
+    if found != tuple(size):
+        camera = f"{size[1]}×{size[0]} (scene.camera.size)"
+        raise InvalidRequest("image", f"it has {found[1]}×{found[0]} pixels; the camera of the scene has {camera}")

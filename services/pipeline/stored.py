@@ -1,0 +1,38 @@
+"""Reads the output directory of a finished job."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from safetensors import SafetensorError
+from safetensors.torch import load_file
+from torch import Tensor
+
+from services.analysis.images import load_png
+from services.errors import InvalidRequest
+from services.pipeline.execute import PERTURBATION
+from services.pipeline.result import Result
+from services.rendering.protocol import Parameters
+
+
+@dataclass(frozen=True)
+class Stored:
+    """A result, its perturbation and its attacked image, uint8 [H, W, 3]."""
+
+    result: Result
+    perturbation: Parameters
+    attacked: Tensor
+
+
+def read_stored(directory: Path) -> Stored:
+    """Reads the directory that `run --out` wrote, or into which `jobs download` put a job's files.
+
+    Raises InvalidRequest("directory") if a file is missing or damaged.
+    """
+    try:
+        return Stored(
+            Result.model_validate_json((directory / "result.json").read_bytes()),
+            load_file(directory / PERTURBATION),
+            load_png(directory / "attacked.png"),
+        )
+    except (OSError, ValueError, SafetensorError) as error:
+        raise InvalidRequest("directory", f"{directory} is not the output of a finished job: {error}") from error

@@ -1,0 +1,65 @@
+"""Checks the factory or the address that a card names against the operator's lists. It needs no torch."""
+
+import socket
+from ipaddress import IPv4Address, IPv6Address, ip_address
+from urllib.parse import urlsplit
+
+from services.settings import settings
+
+Address = IPv4Address | IPv6Address
+
+
+def factory_refusal(factory: str) -> str | None:
+    """Returns the reason for which a card may not name this factory; None if it may."""
+    if factory in settings().allowed_factories:
+        return None
+    return f"the factory {factory!r} is not allowed; the operator lists it in SCENE_ATTACK_TARGET_FACTORIES"
+
+
+def endpoint_refusal(endpoint: str) -> str | None:
+    """Returns the reason for which a card may not name this URL; None if it may. Asks no name server."""
+    if endpoint not in settings().allowed_endpoints:
+        return f"the endpoint {endpoint!r} is not allowed; the operator lists it in SCENE_ATTACK_TARGET_ENDPOINTS"
+    try:
+        url = urlsplit(endpoint)
+        host = url.hostname or ""
+    except ValueError as error:
+        return f"the endpoint {endpoint!r} is no URL: {error}"
+    if url.username or url.password or url.fragment:
+        return "the endpoint has a user name, a password or a fragment; leave them out"
+    if url.scheme == "https" and host:
+        return None
+    if url.scheme == "http" and _is_loopback(host):
+        return None
+    return f"the endpoint {endpoint!r} is neither https nor on this machine"
+
+
+def resolve(host: str, port: int) -> str:
+    """Returns an IP address of the host of a URL that may be connected to.
+
+    An address that is not public is allowed if the URL names it itself, or the operator's list does. Connect to what is
+    returned, not to the name: another look-up may give another address. Raises OSError if there is none.
+    """
+    for *_, place in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM):
+        if _allowed(host, _plain(str(place[0]))):
+            return str(place[0])
+    raise OSError(f"{host} has no address that is public or listed in SCENE_ATTACK_TARGET_ENDPOINTS")
+
+
+def _allowed(host: str, address: Address) -> bool:
+    named = host == str(address) or (host == "localhost" and address.is_loopback)
+    return address.is_global or named or str(address) in settings().allowed_endpoints
+
+
+def _plain(text: str) -> Address:
+    """The address; an IPv4 address written as IPv6 is the former."""
+    address = ip_address(text.partition("%")[0])
+    mapped = getattr(address, "ipv4_mapped", None)
+    return address if mapped is None else mapped
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return host == "localhost" or ip_address(host).is_loopback
+    except ValueError:
+        return False

@@ -1,0 +1,150 @@
+"""A target that answers over HTTP: it gets images as PNG and returns scores. docs/targets.md describes the protocol."""
+
+import base64
+import hashlib
+import io
+import json
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import httpx
+import torch
+from PIL import Image
+from torch import Tensor
+from torch.nn import functional as F
+
+from services.errors import JobFailure
+from services.targets.custom.allow_list import endpoint_refusal, resolve
+from services.targets.custom.graph import Unreadable
+
+MOST_IMAGES = 32
+"""Images of a request."""
+MOST_SCORE_BYTES = 64
+"""Bytes of a score in an answer: a number as JSON, with what is around it."""
+_OTHER_BYTES = 2**16
+_CONNECT_SECONDS, _READ_SECONDS, _TOTAL_SECONDS = 5.0, 30.0, 60.0
+_AGAIN = (429, 502, 503, 504)
+
+
+class _Refused(Exception):
+    """The endpoint could not be asked this time; it may answer if it is asked again."""
+
+
+@dataclass
+class Endpoint:
+    """A network behind a URL; implements `Target`. It has no gradients, and sees images of 8 bits."""
+
+    name: str
+    url: str
+    labels: tuple[str, ...]
+    input_size: tuple[int, int]
+    probabilities: bool
+    """Whether it returns probabilities, of which the logarithm is taken."""
+    weights_sha256: str
+    """SHA-256 (hex) of its card: what it computes cannot be seen."""
+    waits: tuple[float, ...] = (0.5, 2.0)
+    """Seconds before each further try."""
+    differentiable: bool = field(default=False, init=False)
+    takes_question: bool = field(default=False, init=False)
+
+    def __post_init__(self) -> None:
+        reason = endpoint_refusal(self.url)
+        if reason is not None:
+            raise Unreadable(reason)
+        self._client = httpx.Client(
+            timeout=httpx.Timeout(_READ_SECONDS, connect=_CONNECT_SECONDS), trust_env=False, follow_redirects=False
+        )
+
+    @property
+    def backend(self) -> str:
+        """The address."""
+        return f"endpoint {self.url}"
+
+    @torch.no_grad()
+    def logits(self, images: Tensor, question: str | None = None) -> Tensor:
+        """Returns scores [B, K] of images [B, H, W, 3] in [0,1], which are resized and rounded to 8 bits.
+
+        Raises JobFailure("target-unreachable") if it does not answer, and JobFailure("internal") for an answer that is
+        none of the protocol.
+        """
+        if question is not None:
+            raise ValueError(f"{self.name} takes no question")
+        x = images.detach().to("cpu", torch.float32).permute(0, 3, 1, 2)
+        if tuple(x.shape[-2:]) != self.input_size:
+            x = F.interpolate(x, self.input_size, mode="bilinear", antialias=True)
+        pixels = (x.permute(0, 2, 3, 1) * 255).round().clamp(0, 255).to(torch.uint8)
+        portions: tuple[Tensor, ...] = pixels.split(MOST_IMAGES)  # type: ignore[no-untyped-call]
+        scores = torch.cat([self._ask(portion) for portion in portions])
+        if self.probabilities:
+            scores = scores.clamp_min(torch.finfo(torch.float32).tiny).log()
+        return scores.to(images.device)
+
+    def _ask(self, pixels: Tensor) -> Tensor:
+        body = json.dumps({"images": [_png(image) for image in pixels]}).encode()
+        for wait in (*self.waits, None):
+            try:
+                return self._scores(self._answer(body, len(pixels)), len(pixels))
+            except (_Refused, OSError, httpx.TransportError) as error:
+                if wait is None:
+                    tries = len(self.waits) + 1
+                    reason = str(error) or type(error).__name__
+                    detail = f"{self.url} did not answer in {tries} tries: {reason}"
+                    raise JobFailure("target-unreachable", detail) from error
+                time.sleep(wait)
+        raise AssertionError
+
+    def _answer(self, body: bytes, count: int) -> bytes:
+        """The body of the answer to one request."""
+        url = httpx.URL(self.url)
+        headers = {
+            "Host": url.netloc.decode(),
+            "Content-Type": "application/json",
+            "Accept": "application/json",
+            "Accept-Encoding": "identity",
+            "Idempotency-Key": hashlib.sha256(body).hexdigest(),  # a repeated request is the same request
+        }
+        place = url.copy_with(host=resolve(url.host, url.port or (443 if url.scheme == "https" else 80)))
+        with self._client.stream(
+            "POST", place, content=body, headers=headers, extensions={"sni_hostname": url.host}
+        ) as response:
+            if response.status_code in _AGAIN:
+                raise _Refused(f"status {response.status_code}")
+            if response.status_code != httpx.codes.OK:
+                kind = "a redirect, which is not followed" if response.is_redirect else "not 200"
+                raise self._broken(f"status {response.status_code}, {kind}")
+            if response.headers.get("Content-Encoding", "identity") != "identity":
+                raise self._broken("a compressed body, which it was not asked for")
+            most = _OTHER_BYTES + MOST_SCORE_BYTES * count * len(self.labels)
+            return b"".join(self._portions(response, most))
+
+    def _portions(self, response: httpx.Response, most: int) -> Iterator[bytes]:
+        total, deadline = 0, time.monotonic() + _TOTAL_SECONDS
+        for portion in response.iter_raw():
+            total += len(portion)
+            if total > most:
+                raise self._broken(f"more than {most:,} bytes")
+            if time.monotonic() > deadline:
+                raise _Refused(f"no whole answer in {_TOTAL_SECONDS:g} s")
+            yield portion
+
+    def _scores(self, data: bytes, count: int) -> Tensor:
+        try:
+            given: Any = json.loads(data)["scores"]
+            scores = torch.tensor(given, dtype=torch.float32)
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
+            raise self._broken('no JSON {"scores": [[…], …]} of numbers') from error
+        if scores.shape != (count, len(self.labels)):
+            wanted = f"{count} lists of {len(self.labels)}"
+            raise self._broken(f"scores of shape {list(scores.shape)} for {count} images; {wanted} are due")
+        return scores
+
+    def _broken(self, what: str) -> JobFailure:
+        return JobFailure("internal", f"{self.url} answered with {what}")
+
+
+def _png(pixels: Tensor) -> str:
+    buffer = io.BytesIO()
+    Image.fromarray(pixels.numpy()).save(buffer, "PNG", compress_level=1)
+    return base64.b64encode(buffer.getvalue()).decode()

@@ -1,0 +1,218 @@
+"""Reads a program that `torch.export.save` wrote (.pt2), without unpickling anything.
+
+`torch.export.load` must not be used on files from outside. In torch 2.13 it unpickles the example inputs, without
+restrictions if the restricted way fails; unpickles weights and constants that say so; looks up operators as attributes
+of `torch`, which has `torch.os.system`; evaluates shape expressions; compiles guards; and loads machine code. This
+module reads the archive itself: the graph is JSON, the weights are plain bytes. The example inputs are never read.
+"""
+
+import json
+import zipfile
+from collections.abc import Mapping
+from math import prod
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from services.targets.custom.exported_operators import changes_its_input, operator_of
+from services.targets.custom.graph import FixedBatch, GraphNetwork, InputDevice, Step, Unreadable, Value, check_input
+
+MAX_BYTES = 8 * 2**30
+"""Largest sum of the archive's members."""
+_MAJOR = 8
+"""Major version of the schema that this module reads; torch raises it with a change that breaks readers."""
+_DTYPES = {
+    1: torch.uint8, 2: torch.int8, 3: torch.int16, 4: torch.int32, 5: torch.int64, 6: torch.float16, 7: torch.float32,
+    8: torch.float64, 12: torch.bool, 13: torch.bfloat16,
+}  # fmt: skip
+_FORMATS = {
+    1: torch.contiguous_format, 2: torch.channels_last, 3: torch.channels_last_3d, 4: torch.preserve_format
+}  # fmt: skip
+_STRIDED = 7
+_PLAIN = ("as_int", "as_ints", "as_bool", "as_bools", "as_string")
+_POSITIONAL, _KEYWORD = 1, 2
+
+
+def read(path: Path, size: tuple[int, int]) -> nn.Module:
+    """Returns the network of a .pt2 file: inputs [B, 3, *size] to what the program returns.
+
+    Raises Unreadable for what is no such program, needs unpickling, holds compiled code, or uses an operator that is
+    not allowed. A program that was exported for a fixed number of images is run in portions of that number.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = _members(archive)
+            program = _document(archive, members, "models/model.json")
+            weights = _tensors(archive, members, "weights", "weight_")
+            weights |= _tensors(archive, members, "constants", "tensor_")
+        return _network(program, weights, size)
+    except zipfile.BadZipFile as error:
+        raise Unreadable(f"it is no archive of torch.export.save: {error}") from error
+    except (KeyError, IndexError, TypeError, AttributeError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise Unreadable(f"its program is damaged: {type(error).__name__}: {error}") from error
+
+
+def _members(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
+    """The archive's members by name, without the folder that all are in."""
+    found = {info.filename.partition("/")[2]: info for info in archive.infolist()}
+    if any(info.compress_type != zipfile.ZIP_STORED for info in found.values()):
+        raise Unreadable("its members are compressed, which torch.export.save never does")
+    if sum(info.file_size for info in found.values()) > MAX_BYTES:
+        raise Unreadable(f"it is larger than {MAX_BYTES // 2**30} GiB")
+    if "archive_format" not in found or archive.read(found["archive_format"]) != b"pt2":
+        raise Unreadable(
+            "it was not written by torch.export.save (torch 2.8 or newer); "
+            "neither TorchScript nor what torch.save wrote is read"
+        )
+    if any(name.startswith("data/aotinductor/") for name in found):
+        raise Unreadable("it holds compiled machine code, which is never loaded; save the exported program instead")
+    return found
+
+
+def _document(archive: zipfile.ZipFile, members: Mapping[str, zipfile.ZipInfo], name: str) -> dict[str, Any]:
+    if name not in members:
+        raise Unreadable(f"it has no {name}; write it with torch.export.save")
+    found: dict[str, Any] = json.loads(archive.read(members[name]))
+    return found
+
+
+def _tensors(
+    archive: zipfile.ZipFile, members: Mapping[str, zipfile.ZipInfo], kind: str, prefix: str
+) -> dict[str, Tensor]:
+    found: dict[str, Tensor] = {}
+    for name, meta in _document(archive, members, f"data/{kind}/model_{kind}_config.json")["config"].items():
+        file = meta["path_name"]
+        if meta["use_pickle"] or not file.startswith(prefix):
+            raise Unreadable(f"its tensor {name!r:.80} is stored as a pickle, which can run any code and is never read")
+        found[name] = _tensor(archive.read(members[f"data/{kind}/{file}"]), meta["tensor_meta"])
+    return found
+
+
+def _tensor(data: bytes, meta: Mapping[str, Any]) -> Tensor:
+    dtype = _dtype(meta["dtype"])
+    shape = [length["as_int"] for length in meta["sizes"]]
+    if not prod(shape):
+        return torch.empty(shape, dtype=dtype)
+    stride = [length["as_int"] for length in meta["strides"]]
+    try:
+        flat = torch.frombuffer(bytearray(data), dtype=dtype)
+        return flat.as_strided(shape, stride, meta["storage_offset"]["as_int"]).clone()
+    except (RuntimeError, ValueError) as error:
+        raise Unreadable(f"a weight of shape {shape} does not fit its {len(data)} bytes") from error
+
+
+def _dtype(number: int) -> torch.dtype:
+    if number not in _DTYPES:
+        raise Unreadable(f"it uses the data type {number} of torch's schema, which is not read here")
+    return _DTYPES[number]
+
+
+def _network(program: Mapping[str, Any], weights: Mapping[str, Tensor], size: tuple[int, int]) -> nn.Module:
+    major = program["schema_version"]["major"]
+    if major != _MAJOR:
+        raise Unreadable(f"its schema has the version {major}, not {_MAJOR}; export it with torch 2.8 or newer")
+    module = program["graph_module"]
+    graph, signature = module["graph"], module["signature"]
+    bound, source = _inputs(signature["input_specs"], weights)
+    result = _result(signature["output_specs"])
+    steps = [_step(index, node, bound) for index, node in enumerate(graph["nodes"])]
+    network = GraphNetwork(source, result, steps, bound)
+    about = graph["tensor_values"][source]
+    count = check_input([length.get("as_int") for length in about["sizes"]], size)
+    if not _dtype(about["dtype"]).is_floating_point:
+        raise Unreadable("its input is not floating-point; let it take images as normalised values")
+    return network if count is None else FixedBatch(network, count)
+
+
+def _inputs(specs: list[dict[str, Any]], weights: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], str]:
+    """The weights by their names in the graph, and the name of the input."""
+    bound, given = {}, []
+    for spec in specs:
+        ((kind, about),) = spec.items()
+        if kind == "user_input":
+            given.append(about["arg"])
+        elif kind in ("parameter", "buffer", "tensor_constant"):
+            name = about[f"{kind}_name"]
+            if name not in weights:
+                raise Unreadable(f"its weight {name!r:.80} is missing")
+            bound[about["arg"]["name"]] = weights[name]
+        else:
+            raise Unreadable(f"its input {kind!r:.40} is not supported; the program takes images alone")
+    if len(given) != 1 or "as_tensor" not in given[0]:
+        raise Unreadable(f"it has {len(given)} inputs; one is due, images [B, 3, height, width]")
+    return bound, given[0]["as_tensor"]["name"]
+
+
+def _result(specs: list[dict[str, Any]]) -> str:
+    if len(specs) != 1 or "user_output" not in specs[0] or "as_tensor" not in specs[0]["user_output"]["arg"]:
+        kinds = ", ".join(kind for spec in specs for kind in spec)
+        raise Unreadable(f"it returns {len(specs)} values ({kinds}); one tensor of scores [B, K] is due")
+    name: str = specs[0]["user_output"]["arg"]["as_tensor"]["name"]
+    return name
+
+
+def _step(index: int, node: Mapping[str, Any], weights: Mapping[str, Tensor]) -> Step:
+    target = node["target"]
+    run = operator_of(target)
+    inputs = [_argument(one["arg"]) for one in node["inputs"] if one["kind"] == _POSITIONAL]
+    keywords = {one["name"]: _argument(one["arg"]) for one in node["inputs"] if one["kind"] == _KEYWORD}
+    if len(inputs) + len(keywords) != len(node["inputs"]):
+        raise Unreadable("it was exported by an old version of torch; export it with torch 2.8 or newer")
+    first = inputs[0] if inputs else None
+    if changes_its_input(target) and isinstance(first, Value) and first.name in weights:
+        raise Unreadable(f"{target} changes its weight {first.name!r:.80}; export the network in evaluation mode")
+    return Step(f"node {index} ({target})", run, tuple(inputs), tuple(_outputs(node["outputs"])), keywords)
+
+
+def _outputs(given: list[dict[str, Any]]) -> list[str]:
+    names: list[str] = []
+    for output in given:
+        ((kind, value),) = output.items()
+        if kind == "as_tensors":
+            names += [one["name"] for one in value]
+            # a list of one tensor is a list too
+            names += [""] if len(value) == 1 else []
+        else:
+            names.append(value["as_name"] if "as_name" in value else value["name"])
+    return names
+
+
+def _argument(given: Mapping[str, Any]) -> Any:
+    """The value of an argument in the schema's form, a dictionary with one key that says its kind."""
+    ((kind, value),) = given.items()
+    if kind in _PLAIN:
+        return value
+    if kind == "as_none":
+        return None
+    if kind == "as_float":
+        return float(value)  # infinities are written as strings
+    if kind == "as_floats":
+        return [float(one) for one in value]
+    if kind in ("as_tensor", "as_sym_int", "as_sym_float", "as_sym_bool", "as_optional_tensor"):
+        return _named(value)
+    if kind in ("as_tensors", "as_sym_ints", "as_optional_tensors"):
+        return [_named(one) for one in value]
+    if kind == "as_scalar_type":
+        return _dtype(value)
+    if kind == "as_memory_format" and value in _FORMATS:
+        return _FORMATS[value]
+    if kind == "as_layout" and value == _STRIDED:
+        return torch.strided
+    if kind == "as_device":
+        return InputDevice()
+    raise Unreadable(f"it has an argument of the kind {kind!r:.40}, which is not supported")
+
+
+def _named(value: Mapping[str, Any]) -> Any:
+    """A tensor or a length: {"name": …}, {"as_name": …}, {"as_int": …}, {"as_tensor": {"name": …}} or none."""
+    for key in ("name", "as_name"):
+        if key in value:
+            return Value(value[key])
+    if "as_tensor" in value:
+        return Value(value["as_tensor"]["name"])
+    if "as_none" in value:
+        return None
+    ((_, number),) = value.items()
+    return number

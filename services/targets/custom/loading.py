@@ -1,0 +1,126 @@
+"""Loads a network that a user brings, by its card and what its folder holds."""
+
+import hashlib
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from services.errors import InvalidRequest
+from services.targets.classifier import Classifier
+from services.targets.custom import exported, factory, weights
+from services.targets.custom.card import Card
+from services.targets.custom.endpoint import Endpoint
+from services.targets.custom.graph import Unreadable
+from services.targets.preprocessing import Preprocessing
+from services.targets.protocol import Target
+
+
+class Bgr(nn.Module):
+    """Passes the channels in the opposite order."""
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Maps [B, 3, h, w] to the same with channels reversed."""
+        return x.flip(1)
+
+
+class LogProbabilities(nn.Module):
+    """Returns the logarithm of probabilities, which are scores: they differ by a constant from those before softmax."""
+
+    def __init__(self, network: nn.Module) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Maps inputs to scores [B, K]. A probability of 0 counts as the smallest normal float."""
+        found: Tensor = self.network(x)
+        return found.clamp_min(torch.finfo(torch.float32).tiny).log()
+
+
+def classifier(
+    name: str,
+    network: nn.Module,
+    labels: tuple[str, ...],
+    preprocessing: Preprocessing,
+    weights_sha256: str,
+    dtype: torch.dtype = torch.float32,
+    *,
+    probabilities: bool = False,
+    scores_only: str | None = None,
+) -> Classifier:
+    """Returns a torch module as a target. It is changed: frozen, and its convolutions are packed."""
+    if preprocessing.channels == "bgr":
+        network = nn.Sequential(Bgr(), network)
+    return Classifier(
+        name=name,
+        network=LogProbabilities(network) if probabilities else network,
+        labels=labels,
+        input_size=preprocessing.input_size,
+        mean=preprocessing.mean,
+        scale=preprocessing.scale,
+        weights_sha256=weights_sha256,
+        dtype=dtype,
+        resize=preprocessing.resize,
+        scores_only=scores_only,
+    )
+
+
+def load(
+    name: str, file: Path | None, card: Card, labels: tuple[str, ...], card_sha256: str, dtype: torch.dtype
+) -> Target:
+    """Returns the target. `file` is the model file; None for a factory or an endpoint.
+
+    Raises InvalidRequest("target.name"), which says why and what is missing, if it cannot be loaded.
+    """
+    try:
+        return _load(name, file, card, labels, card_sha256, dtype)
+    except (Unreadable, OSError) as error:
+        what = card.factory or card.endpoint if file is None else file.name
+        raise InvalidRequest("target.name", f"target {name!r} cannot be loaded: {what}: {error}") from error
+
+
+def _load(
+    name: str, file: Path | None, card: Card, labels: tuple[str, ...], card_sha256: str, dtype: torch.dtype
+) -> Target:
+    size, probabilities = card.preprocessing.input_size, card.output == "probabilities"
+    if card.endpoint is not None:
+        return Endpoint(name, card.endpoint, labels, size, probabilities, card_sha256)
+    scores_only: str | None = None
+    if file is None:
+        assert card.factory is not None
+        made = factory.make(card.factory)
+        digest = factory.digest(made)
+        if factory.is_maite(made):
+            factory.check_labels(made, labels)
+            maite = factory.MaiteNetwork(made, size)
+            network: nn.Module = maite
+            scores_only = maite.scores_only
+        elif isinstance(made, nn.Module):
+            network = made
+        elif hasattr(made, "logits") and hasattr(made, "labels"):
+            target: Target = made
+            return target
+        else:
+            kind = type(made).__name__
+            raise Unreadable(f"it returned a {kind}, which is no torch module, MAITE image classifier or target")
+    else:
+        with file.open("rb") as opened:
+            digest = hashlib.file_digest(opened, "sha256").hexdigest()
+        network, scores_only = _network(file, card, len(labels), dtype)
+    of = (name, network, labels, card.preprocessing, digest, dtype)
+    return classifier(*of, probabilities=probabilities, scores_only=scores_only)
+
+
+def _network(file: Path, card: Card, classes: int, dtype: torch.dtype) -> tuple[nn.Module, str | None]:
+    """The network of a model file, and the reason for which it has no gradients."""
+    size = card.preprocessing.input_size
+    if file.suffix == ".pt2":
+        return exported.read(file, size), None
+    if file.suffix == ".safetensors":
+        assert card.architecture is not None
+        return weights.read(file, card.architecture, classes), None
+    try:
+        from services.targets.custom import onnx_file
+    except ImportError as error:
+        raise Unreadable(f"it needs the packages of the extra `onnx`: {error}") from error
+    return onnx_file.read(file, size, dtype)

@@ -1,0 +1,30 @@
+"""Reads a .safetensors file into a registered architecture."""
+
+from pathlib import Path
+
+from safetensors import SafetensorError
+from safetensors.torch import load_file
+from torch import nn
+
+from services.targets.architectures import ARCHITECTURES
+from services.targets.custom.graph import Unreadable
+
+
+def read(path: Path, architecture: str, classes: int) -> nn.Module:
+    """Returns the network with the weights of the file.
+
+    Raises Unreadable if the file is no safetensors file, or does not fit; names what is missing or left over.
+    """
+    known = ARCHITECTURES[architecture]
+    try:
+        state = load_file(path)
+    except SafetensorError as error:
+        raise Unreadable(f"it is no safetensors file: {error}") from error
+    network = known.build(classes)
+    try:
+        known.fill(network, state)
+    except KeyError as error:
+        raise Unreadable(f"it does not fit {architecture} with {classes} classes: it lacks {error.args[0]}") from error
+    except (ValueError, RuntimeError) as error:
+        raise Unreadable(f"it does not fit {architecture} with {classes} classes: {error}") from error
+    return network

@@ -1,0 +1,1 @@
+"""The architectures of published and of trained networks, as plain torch modules."""

@@ -1,0 +1,68 @@
+"""Weights in 8 bits: symmetric, one scale for each output channel, in a safetensors file.
+
+A tensor `<name>` of two or more dimensions is stored as int8 [outputs, …] with `<name>.scale` float32 [outputs]; its
+value is their product. A matrix may be a product of two, `<name>.left` and `<name>.right`, each stored so. Vectors
+(biases, normalisation) are float32.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import torch
+from safetensors.torch import load_file, save
+from torch import Tensor, nn
+
+LARGEST = 127
+"""Largest magnitude of a stored integer."""
+FACTORS = (".left", ".right")
+SCALE = ".scale"
+
+
+def quantize(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Returns the tensors to store for float32 weights."""
+    stored = {}
+    for name, value in state.items():
+        if value.dim() < 2:
+            stored[name] = value.float().contiguous()
+            continue
+        scale = value.detach().flatten(1).abs().amax(1).clamp_min(torch.finfo(torch.float32).tiny) / LARGEST
+        shaped = scale.view(-1, *[1] * (value.dim() - 1))
+        stored[name] = (value / shaped).round().clamp(-LARGEST, LARGEST).to(torch.int8).contiguous()
+        stored[name + SCALE] = scale.float()
+    return stored
+
+
+def dequantize(stored: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Returns float32 weights of stored tensors, products multiplied out."""
+    values = {}
+    for name, value in stored.items():
+        if name.endswith(SCALE):
+            continue
+        scale = stored.get(name + SCALE)
+        values[name] = value if scale is None else value.float() * scale.view(-1, *[1] * (value.dim() - 1))
+    left, right = FACTORS
+    for name in [name for name in values if name.endswith(left)]:
+        whole = name.removesuffix(left)
+        values[whole] = values.pop(name) @ values.pop(whole + right)
+    return values
+
+
+def load_into(network: nn.Module, state: Mapping[str, Tensor]) -> None:
+    """Loads weights into a network of their names; the counts of batches of batch normalisation are not among them.
+
+    Raises ValueError, with the names, for weights that are missing or too many.
+    """
+    missing, unexpected = network.load_state_dict(state, strict=False)
+    missing = [name for name in missing if not name.endswith("num_batches_tracked")]
+    if missing or unexpected:
+        raise ValueError(f"weights that are missing: {missing}; that the network does not have: {unexpected}")
+
+
+def to_bytes(state: Mapping[str, Tensor]) -> bytes:
+    """Returns the safetensors file of float32 weights."""
+    return save(quantize(state))
+
+
+def read(path: Path) -> dict[str, Tensor]:
+    """Returns the float32 weights of a file."""
+    return dequantize(load_file(path))

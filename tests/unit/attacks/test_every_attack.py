@@ -1,0 +1,84 @@
+"""Every registered attack lowers its own objective through the loop, and ends in the same bits when it is resumed."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from services.attacks.loop import Budget, run
+from services.attacks.problem import AttackProblem
+from services.attacks.spec import ATTACKS, AttackSettings
+from services.attacks.state import AttackState
+from services.attacks.verifier import Verifier
+from services.errors import Cancelled
+from tests.unit.attacks.small import Ahead, Pixels, problem
+
+LIMIT = {"image": 6 / 255}
+BUILT_IN = sorted(name for name, one in ATTACKS.items() if one.settings.__module__.startswith("services."))
+STEPS = 25
+
+
+def settings(name: str) -> AttackSettings:
+    rate = {"learning_rate": {"image": 2e-3}} if name in ("fgsm", "mi-fgsm", "zoo") else {}
+    given: dict[str, Any] = {"method": name, "renderer": "image", "epsilon": LIMIT, "steps": STEPS} | rate
+    return ATTACKS[name].settings.model_validate(given)
+
+
+def build(name: str) -> AttackProblem:
+    renderer = Pixels(dtype=torch.float32)
+    return problem(renderer, Ahead(renderer), loss=settings(name).objective, epsilon=LIMIT)
+
+
+def attack(name: str, case: AttackProblem, path: Path | None = None) -> AttackState:
+    method = ATTACKS[name].method(settings(name), case)
+    return run(case, method, Verifier(case.renderer, case.target), Budget(STEPS), checkpoint_path=path)
+
+
+def test_all_are_here() -> None:
+    assert {"apgd", "cma-es", "fgsm", "mi-fgsm", "spsa", "square", "zoo"} <= set(BUILT_IN)
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_it_lowers_its_objective(name: str) -> None:
+    """By at least a third of all that the limit allows, which for a linear network is known."""
+    case = build(name)
+    found = attack(name, case)
+    assert found.stopped == "steps"
+    rows = case.target.weights  # type: ignore[attr-defined]
+    towards = [
+        0.02 * (rows[:, case.goal.leave[0]] - rows[:, k]).abs().sum() for k in range(4) if k != case.goal.leave[0]
+    ]
+    most = LIMIT["image"] * float(max(towards))
+    fall = found.trace[0].advantage - found.trace[found.stored_step].advantage
+    assert fall > most / 3
+    assert found.trace[found.stored_step].advantage == min(row.advantage for row in found.trace)
+    assert float(found.stored["image"].abs().max()) <= LIMIT["image"] + 1e-6
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_resumed_it_ends_in_the_same_bits(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.attacks.checkpoint.EVERY", -1.0)  # after every step
+    case, path, calls = build(name), tmp_path / "checkpoint", 0
+
+    def count() -> None:
+        nonlocal calls
+        calls += 1
+
+    case.interrupt = count
+    whole, case = attack(name, case), build(name)
+    left = iter(range(calls // 2))
+
+    def die() -> None:
+        if next(left, None) is None:
+            raise Cancelled
+
+    case.interrupt = die
+    with pytest.raises(Cancelled):
+        attack(name, case, path)
+    assert path.exists()
+    resumed = attack(name, build(name), path)
+    assert torch.equal(whole.stored["image"], resumed.stored["image"])
+    assert [row.model_copy(update={"seconds": 0}) for row in whole.trace] == [
+        row.model_copy(update={"seconds": 0}) for row in resumed.trace
+    ]

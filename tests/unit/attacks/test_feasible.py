@@ -1,0 +1,74 @@
+"""The box of a perturbation, random starts in it, and backtracking to U."""
+
+import pytest
+import torch
+
+from services.attacks.feasible import BACKTRACK_MARGIN, HALVINGS, perturbation_bounds, pulled_back, random_start
+from services.attacks.fgsm import Fgsm, FgsmMethod
+from services.attacks.loop import Budget, run
+from services.attacks.verifier import Verifier
+from services.errors import InvalidRequest
+from tests.unit.attacks.small import Ahead, FreeRenderer, LinearRenderer, problem
+
+INITIAL = {"a": torch.tensor([0.5, 0.9], dtype=torch.float64), "b": torch.tensor([0.0], dtype=torch.float64)}
+FREE = (torch.tensor(-torch.inf), torch.tensor(torch.inf))
+PHYSICAL = {"a": (torch.tensor(0.0), torch.tensor(1.0)), "b": FREE}
+
+
+def test_the_box_is_what_all_limits_allow() -> None:
+    assert set(perturbation_bounds(INITIAL, PHYSICAL, {}, {})) == {"a"}  # b has no limit
+    both = perturbation_bounds(INITIAL, PHYSICAL, {"a": (0.45, 2.0), "b": (-1.0, 3.0)}, {"a": 0.3, "b": 2.0})
+    low, high = both["a"]
+    torch.testing.assert_close(low, torch.tensor([-0.05, -0.3], dtype=torch.float64))  # the request's, then ε
+    torch.testing.assert_close(high, torch.tensor([0.3, 0.1], dtype=torch.float64))  # ε, then the physical bound
+    assert [side.tolist() for side in both["b"]] == [[-1.0], [2.0]]
+
+
+def test_bounds_that_exclude_the_start_are_refused_by_the_field() -> None:
+    with pytest.raises(InvalidRequest, match=r"exclude the start: .* value of 0.9, not within 0.2 to 0.8") as error:
+        perturbation_bounds(INITIAL, PHYSICAL, {"a": (0.2, 0.8)}, {})
+    assert error.value.field == "attack.bounds.a"
+
+
+def test_a_random_start_fills_the_box_and_is_the_seeds() -> None:
+    initial = {"a": torch.zeros(2000, dtype=torch.float64)}
+    bounds = {"a": (torch.full((2000,), -0.1, dtype=torch.float64), torch.full((2000,), 0.3, dtype=torch.float64))}
+    start = random_start(initial, bounds, seed=3, restart=1)["a"]
+    assert -0.1 <= float(start.min()) < -0.09
+    assert 0.29 < float(start.max()) <= 0.3
+    assert float(start.mean()) == pytest.approx(0.1, abs=4 * 0.4 / (12 * 2000) ** 0.5)  # four standard errors
+    assert torch.equal(start, random_start(initial, bounds, seed=3, restart=1)["a"])
+    assert not torch.equal(start, random_start(initial, bounds, seed=3, restart=2)["a"])
+
+
+def test_backtracking_finds_the_largest_scale_that_fits() -> None:
+    vectors = torch.tensor([[3.0, 4.0], [0.3, 0.4], [0.0, 0.0], [300.0, 0.0]], dtype=torch.float64)
+    found = pulled_back(lambda v: v.norm(dim=1) <= 1, vectors)
+    assert torch.equal(found[1:3], vectors[1:3])  # fits as it is
+    for row, scale in ((0, 0.2), (3, 1 / 300)):
+        kept = float(found[row].norm() / vectors[row].norm())
+        assert scale - 2.0**-HALVINGS <= kept <= scale
+
+
+def test_an_attack_that_backtracks_keeps_image_and_scene_one() -> None:
+    """The stored scene itself is within U; by truncation only the loop's image is."""
+    limit = 12 / 255
+    rates = Fgsm.model_construct(learning_rate={"a": 0.05, "b": 0.05}, momentum=0.9, weight_decay=0.0)
+    hard = Ahead(FreeRenderer())
+    beyond = {}
+    for name in ("truncation", "backtrack"):
+        case = problem(FreeRenderer(), hard, **{name: limit})
+        found = run(case, FgsmMethod(rates, case), Verifier(case.renderer, hard), Budget(12))
+        moved = {group: (case.initial[group] + value)[None] for group, value in found.stored.items()}
+        beyond[name] = float((case.renderer.render(moved) - case.original).abs().max()) - limit
+        assert found.trace[-1].truncated > 0 if name == "truncation" else not found.ever.any()
+    assert beyond["truncation"] > limit
+    assert -2 * BACKTRACK_MARGIN - 0.1 * limit < beyond["backtrack"] <= -BACKTRACK_MARGIN + 1e-6
+
+
+def test_every_method_stays_within_epsilon() -> None:
+    case = problem(LinearRenderer(), Ahead(LinearRenderer()), epsilon={"a": 0.015, "b": 0.01})
+    rates = Fgsm.model_construct(learning_rate={"a": 0.01, "b": 0.01}, momentum=0.0, weight_decay=0.0)
+    found = run(case, FgsmMethod(rates, case), Verifier(case.renderer, case.target), Budget(4))
+    assert float(found.stored["a"].abs().max()) == pytest.approx(0.015)
+    assert float(found.stored["b"].abs().max()) <= 0.01

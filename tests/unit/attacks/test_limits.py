@@ -1,0 +1,50 @@
+"""The limits of a request: which belong together, which groups they name, and what a method fills in."""
+
+import pytest
+from pydantic import ValidationError
+
+from services.attacks.apgd import Apgd
+from services.attacks.fgsm import Fgsm
+from services.attacks.mi_fgsm import MiFgsm
+from services.attacks.square import Square
+from services.attacks.zoo import Zoo
+
+
+@pytest.mark.parametrize(
+    ("settings", "given", "message"),
+    [
+        (Zoo, {"constraint": "backtrack"}, "truncation: `backtrack` keeps"),
+        (Fgsm, {"constraint": "epsilon"}, "epsilon: group 'normals' has no value"),
+        (Fgsm, {"constraint": "epsilon", "truncation": 18}, "truncation: with the constraint `epsilon` there is no U"),
+        (Fgsm, {"restarts": 1}, "epsilon: group 'normals' has no value"),
+        (Fgsm, {"epsilon": {"image": 0.1}}, "epsilon: 'image' is not an attacked group"),
+        (Fgsm, {"bounds": {"image": [0, 1]}}, "bounds: 'image' is not an attacked group"),
+        (Fgsm, {"bounds": {"normals": [1, 1]}}, "bounds: those of group 'normals' are 1 and 1"),
+        (Fgsm, {"epsilon": {"normals": 0}}, "greater than 0"),
+        (Square, {"renderer": "torch", "groups": ["material"]}, "groups: 'material' is no image"),
+        (Apgd, {"loss": "hinge"}, "'log-odds', 'margin' or 'dlr'"),
+    ],
+)
+def test_limits_that_do_not_agree_are_refused(settings: type[Fgsm], given: dict[str, object], message: str) -> None:
+    with pytest.raises(ValidationError) as error:
+        settings.model_validate(given)
+    assert message in str(error.value)
+
+
+def test_only_the_limit_that_the_constraint_has_is_in_force() -> None:
+    limits = {"normals": 0.1, "illumination": 1.0, "material": 2.0}
+    settings = MiFgsm.model_validate({"constraint": "epsilon", "epsilon": limits})
+    assert (settings.truncation, settings.epsilon) == (None, limits)
+    assert MiFgsm.model_validate({"constraint": "backtrack"}).truncation == 18
+    assert MiFgsm().constraint == "truncate"
+    assert MiFgsm().epsilon == {}
+
+
+def test_methods_that_need_a_limit_take_the_one_that_the_renderer_suggests() -> None:
+    suggested = Apgd()
+    assert set(suggested.epsilon) == {"normals", "illumination", "material"}
+    chosen = Apgd.model_validate({"epsilon": {"normals": 0.01}}).epsilon
+    assert chosen == suggested.epsilon | {"normals": 0.01}
+    assert Square().renderer == "image"
+    assert Square().base_renderer == "torch"
+    assert Square().epsilon == {"image": 8 / 255}

@@ -1,0 +1,106 @@
+import pytest
+import torch
+
+from services.attacks.apgd import Apgd, ApgdMethod
+from services.attacks.loop import Budget, run
+from services.attacks.problem import AttackProblem
+from services.attacks.square import Square, SquareMethod, square_side
+from services.attacks.state import AttackState
+from services.attacks.verifier import Verifier
+from tests.unit.attacks.small import Ahead, LinearTarget, Pixels, guided, problem
+
+EPSILON = 4 / 255
+STEPS = 60
+
+
+def held(seed: int) -> tuple[AttackState, AttackProblem]:
+    """An attack that takes all its steps."""
+    renderer = Pixels()
+    target = Ahead(renderer)
+    case = problem(renderer, target, loss="margin", epsilon={"image": EPSILON}, seed=seed)
+    settings = Square.model_construct(epsilon={"image": EPSILON}, steps=STEPS, share=0.8)
+    return run(case, SquareMethod(settings, case), Verifier(renderer, target), Budget(STEPS)), case
+
+
+def test_a_step_is_one_query() -> None:
+    found, case = held(0)
+    assert found.stopped == "steps"
+    assert [row.queries for row in found.trace] == list(range(1, STEPS + 2))
+    assert case.queries == STEPS + 1
+
+
+def test_it_keeps_what_lowers_the_objective_and_every_pixel_is_at_a_limit() -> None:
+    found, case = held(1)
+    least = min(row.advantage for row in found.trace[1:])
+    assert found.trace[found.stored_step].advantage == least < found.trace[1].advantage
+    moved = found.stored["image"]
+    at_limit = (moved.abs() - EPSILON).abs() < 1e-9
+    at_edge = (case.original[0] + moved <= 1e-9) | (case.original[0] + moved >= 1 - 1e-9)
+    assert bool((at_limit | at_edge).all())
+
+
+def test_the_first_image_has_vertical_stripes() -> None:
+    renderer, target = Pixels(), LinearTarget()
+    case = problem(renderer, target, epsilon={"image": EPSILON})
+    method = SquareMethod(Square.model_construct(epsilon={"image": EPSILON}, steps=10, share=0.8), case)
+    method.advance(case, case.view(method.perturbation), 0)
+    stripes = method.perturbation["image"]
+    assert bool((stripes == stripes[:1]).all())
+    assert len(stripes.sign().unique()) == 2
+
+
+def test_a_proposal_is_the_best_but_for_one_square_of_one_sign_a_channel() -> None:
+    again = problem(Pixels(), LinearTarget(), loss="margin", epsilon={"image": EPSILON})
+    method = SquareMethod(Square.model_construct(epsilon={"image": EPSILON}, steps=10_000, share=0.1), again)
+    for step in range(40):
+        method.advance(again, guided(again, method.perturbation), step)
+        if step == 0:
+            continue
+        changed = (method.tried["image"] != method.best["image"]).any(-1).nonzero()
+        if len(changed):  # a square may find its pixels at that sign already
+            low, high = changed.amin(0), changed.amax(0)
+            assert int((high - low).max()) < square_side(0.1, step - 1, 10_000, (4, 5))
+
+
+@pytest.mark.parametrize(
+    ("step", "side"),
+    [(0, 200), (10, 200), (11, 142), (51, 100), (201, 71), (501, 50), (1001, 35), (9999, 9)],
+)
+def test_squares_shrink_as_in_the_authors_code(step: int, side: int) -> None:
+    """Sides √(0.8/2ᵏ·224²) of a run of 10,000 steps, and of a shorter one at the same share of its steps."""
+    assert square_side(0.8, step, 10_000, (224, 224)) == side
+    assert square_side(0.8, 0, 10, (4, 5)) == 4
+    assert square_side(1e-9, 0, 10, (4, 5)) == 1
+
+
+def test_the_same_seed_gives_the_same_attack_and_state_continues() -> None:
+    assert torch.equal(held(3)[0].stored["image"], held(3)[0].stored["image"])
+    assert not torch.equal(held(3)[0].stored["image"], held(4)[0].stored["image"])
+    _, case = held(0)
+    settings = Square.model_construct(epsilon={"image": EPSILON}, steps=30, share=0.8)
+    whole, rest = SquareMethod(settings, case), SquareMethod(settings, case)
+    for step in range(20):
+        if step == 9:
+            rest.load({name: value.clone() for name, value in whole.state().items()})
+        for method in (whole, rest) if step >= 9 else (whole,):
+            method.advance(case, guided(case, method.perturbation), step)
+    assert torch.equal(whole.tried["image"], rest.tried["image"])
+
+
+def test_it_fools_a_network_whose_gradient_is_zero() -> None:
+    """Its use as an alarm: scores rounded to steps, through which no gradient passes."""
+
+    class Stairs(LinearTarget):
+        def logits(self, images: torch.Tensor, question: str | None = None) -> torch.Tensor:
+            return (20 * super().logits(images, question)).round() / 20
+
+    renderer, target, limits = Pixels(), Stairs(scale=3.0), {"image": EPSILON}
+    found = {}
+    for name, method in (("apgd", ApgdMethod), ("square", SquareMethod)):
+        case = problem(renderer, target, loss="margin", epsilon=limits)
+        settings = Square if name == "square" else Apgd
+        chosen = settings.model_construct(epsilon=limits, steps=STEPS)
+        found[name] = run(case, method(chosen, case), Verifier(renderer, target), Budget(STEPS))  # type: ignore[arg-type]
+    assert not found["apgd"].fooled
+    assert found["apgd"].trace[-1].below_noise == 1
+    assert found["square"].verified

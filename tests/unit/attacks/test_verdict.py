@@ -1,0 +1,48 @@
+"""Every combination of truth, first answer, attacked answer and goal."""
+
+from itertools import product
+
+import pytest
+
+from services.attacks.verdict import SUCCESS, Verdict, judge, with_outcome
+
+TRUTH, RIGHT, ALSO_RIGHT, WRONG, ALSO_WRONG = (0, 1), 0, 1, 2, 3
+
+TABLE: list[tuple[tuple[int, ...], int, int, bool, Verdict]] = [
+    # truth, first answer, attacked answer, goal met
+    (TRUTH, RIGHT, WRONG, True, "fooled"),
+    (TRUTH, RIGHT, WRONG, False, "held"),  # below the least confidence, or not the label to reach
+    (TRUTH, RIGHT, RIGHT, True, "held"),
+    (TRUTH, RIGHT, RIGHT, False, "held"),
+    (TRUTH, RIGHT, ALSO_RIGHT, True, "held"),  # another right answer is none that is wrong
+    (TRUTH, RIGHT, ALSO_RIGHT, False, "held"),
+    (TRUTH, WRONG, RIGHT, True, "became-right"),
+    (TRUTH, WRONG, RIGHT, False, "became-right"),
+    (TRUTH, WRONG, WRONG, True, "still-wrong"),
+    (TRUTH, WRONG, WRONG, False, "still-wrong"),
+    (TRUTH, WRONG, ALSO_WRONG, True, "still-wrong"),
+    (TRUTH, WRONG, ALSO_WRONG, False, "still-wrong"),
+    ((), WRONG, ALSO_WRONG, True, "changed"),
+    ((), WRONG, ALSO_WRONG, False, "held"),
+    ((), WRONG, WRONG, True, "changed"),
+    ((), WRONG, WRONG, False, "held"),
+]
+
+
+@pytest.mark.parametrize(("truth", "first", "attacked", "met", "outcome"), TABLE)
+def test_the_outcome(truth: tuple[int, ...], first: int, attacked: int, met: bool, outcome: Verdict) -> None:
+    assert judge(truth, first, attacked, met) == outcome
+
+
+def test_a_success_was_right_is_wrong_and_met_the_goal() -> None:
+    """Over all combinations, those that are not in the table included."""
+    for truth, first, attacked, met in product(((), (0,), TRUTH), range(4), range(4), (False, True)):
+        success = judge(truth, first, attacked, met) == SUCCESS
+        assert success == (first in truth and attacked not in truth and met)
+
+
+def test_a_record_without_an_outcome_does_not_become_a_success() -> None:
+    assert with_outcome({"verified": True})["outcome"] == "changed"
+    assert with_outcome({"verified": False, "fooled": True})["outcome"] == "held"
+    assert with_outcome({"verified": True, "outcome": "fooled"})["outcome"] == "fooled"
+    assert with_outcome(None) is None

@@ -1,0 +1,42 @@
+from typing import Any
+
+import pytest
+
+from client.outcomes import successes, verdict, warn
+
+
+def line(outcome: str | None, right_before: bool | None, verified: bool = True) -> dict[str, Any]:
+    said = {} if outcome is None else {"outcome": outcome}
+    return {"fooled": True, "verified": verified, "right_before": right_before} | said
+
+
+def test_a_rate_counts_only_scenes_that_were_right_before() -> None:
+    jobs = [
+        line("fooled", True),
+        line("held", True),
+        line("held", True, verified=False),
+        line("became-right", False),
+        line("still-wrong", False),
+        line("changed", None),
+        line("held", None),
+        {"fooled": True, "verified": True},  # of an earlier version
+    ]
+    assert successes(jobs).startswith("Fooled and verified: 1 of 3 attacks")
+    assert successes([]).startswith("Fooled and verified: 0 of 0 attacks")
+
+
+@pytest.mark.parametrize("word", ["fooled", "changed", "became-right", "still-wrong", "held"])
+def test_the_word_of_a_job_is_its_outcome(word: str) -> None:
+    assert verdict(line(word, None)).plain == word
+
+
+def test_the_word_of_a_job_of_an_earlier_version() -> None:
+    assert verdict(line(None, None)).plain == "changed"
+    assert verdict(line(None, None, verified=False)).plain == "held"
+
+
+def test_warnings_are_for_people_and_name_their_field(capsys: pytest.CaptureFixture[str]) -> None:
+    warn([{"code": "truth-unknown", "field": "goal.truth", "text": "nobody has said [bold]what[/bold]"}])
+    shown = capsys.readouterr()
+    assert shown.err == "warning: goal.truth: nobody has said [bold]what[/bold]\n"
+    assert shown.out == ""

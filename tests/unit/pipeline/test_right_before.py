@@ -1,0 +1,48 @@
+"""Whatever the project shows as an attack is on a scene that the network has right before."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks.views import VIEWS
+from client.demo_jobs import specs
+from services.accuracy.work_precision.attack_runs import NETWORK, SCENES
+from services.pipeline.prepare import preflight
+from services.pipeline.result import Result
+from services.pipeline.spec import parse
+from services.scenes.library import Library
+from services.settings import settings
+from services.targets.registry import card
+from services.targets.truth import truth_labels
+
+ROOT = Path(__file__).parents[3]
+CHECKED = ("already-wrong", "truth-unknown")
+REQUESTS: dict[str, dict[str, Any]] = {
+    path.name: json.loads(path.read_text()) for path in sorted((ROOT / "examples").glob("*.json"))
+} | {f"demo {number}": spec for number, spec in enumerate(specs())}
+
+
+@pytest.mark.parametrize("name", REQUESTS)
+def test_a_job_of_the_demonstration_or_an_example_is_right_before(name: str) -> None:
+    found = preflight(parse(REQUESTS[name]), Library(settings().cache_dir, settings().data_dir))
+    assert [warning.text for warning in found.warnings if warning.code in CHECKED] == []
+    asked = REQUESTS[name].get("goal", {}).get("leave")
+    assert asked is None or asked in (found.spec.goal.truth or ())
+
+
+VIEWS_USED = [*json.loads(VIEWS.read_text())["views"], *SCENES]
+
+
+@pytest.mark.parametrize(("mesh", "label"), VIEWS_USED)
+def test_the_label_of_a_view_that_a_report_counts_is_its_truth(mesh: str, label: str) -> None:
+    """A report attacks only views to which the network answers this label."""
+    assert label in truth_labels(card(NETWORK), mesh)
+
+
+def test_the_result_that_is_shown_first_is_a_success_that_was_right_before() -> None:
+    result = Result.model_validate_json((ROOT / "docs/results/combined.json").read_text())
+    assert (result.outcome, result.verified, result.right_before) == ("fooled", True, True)
+    assert result.original.label in result.truth
+    assert result.attacked.label not in result.truth

@@ -1,0 +1,38 @@
+"""Degrees and percent of the torch renderer's groups against closed forms."""
+
+from math import radians
+
+import pytest
+import torch
+
+from services.rendering.torch_renderer.physical import map_changes, material_changes, normal_changes
+
+
+def test_angles_between_normals_are_not_those_of_their_parameters() -> None:
+    """Near the pole a change of the azimuth hardly turns the normal: by sin θ times as much."""
+    initial = torch.tensor([[[0.3, radians(90)], [0.3, radians(30)], [0.0, 0.0]]])
+    change = torch.zeros(1, 3, 2)
+    change[..., 0] = 1e-3
+    rms, largest = normal_changes(initial, change, torch.tensor([[True, True, False]]))
+    assert (rms.unit, largest.unit) == ("degrees", "degrees")
+    whole = 1e-3 * 180 / torch.pi
+    assert largest.value == pytest.approx(whole, rel=1e-3)
+    assert rms.value == pytest.approx(whole * ((1 + 0.25) / 2) ** 0.5, rel=1e-3)
+
+
+def test_texels_are_relative_to_the_mean() -> None:
+    change = torch.zeros(4, 8)
+    change[1, 2], change[3, 3] = -2.0, 1.0
+    rms, largest = map_changes(change)
+    assert largest.value == pytest.approx(-20)  # the mean is 10
+    assert rms.value == pytest.approx(10 * (5 / 32) ** 0.5)
+
+
+def test_coefficients_are_logarithms() -> None:
+    change = torch.zeros(1, 3, 3, 2, 6)
+    change[0, 1, 2, 0, 3] = 30 * torch.tensor(1.1).log()
+    change[0, 0, 0, 1, 5] = -30 * torch.tensor(2.0).log()
+    kappa, gamma = material_changes(change)
+    assert (kappa.subject, gamma.subject) == ("object 0 κ", "object 0 γ")
+    assert kappa.value == pytest.approx(10, rel=1e-5)
+    assert gamma.value == pytest.approx(-50, rel=1e-5)

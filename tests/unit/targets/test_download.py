@@ -1,0 +1,100 @@
+import hashlib
+import threading
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+import pytest
+
+from services.errors import InvalidRequest
+from services.targets.download import ATTEMPTS, Published, fetch
+
+DATA = bytes(range(256)) * 4096
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """Serves DATA with ranges; ends each connection after `server.most` bytes."""
+
+    def do_GET(self):
+        server = self.server
+        asked = self.headers.get("Range")
+        start = int(asked.removeprefix("bytes=").rstrip("-")) if asked and server.ranges else 0
+        server.starts.append(start)
+        self.send_response(206 if asked and server.ranges else server.status)
+        self.send_header("Content-Length", str(len(server.data) - start))
+        self.end_headers()
+        self.wfile.write(server.data[start : start + server.most])
+
+    def log_message(self, *args):
+        pass
+
+
+@pytest.fixture
+def server():
+    made = ThreadingHTTPServer(("127.0.0.1", 0), _Handler)
+    made.data, made.most, made.ranges, made.status, made.starts = DATA, len(DATA), True, 200, []
+    thread = threading.Thread(target=made.serve_forever)
+    thread.start()
+    yield made
+    made.shutdown()
+    thread.join()
+    made.server_close()
+
+
+def _published(server, data=DATA):
+    return Published(f"http://127.0.0.1:{server.server_port}/net-1.pth", hashlib.sha256(data).hexdigest()[:8])
+
+
+def test_a_file_is_fetched_once(server, tmp_path):
+    path = fetch(_published(server), tmp_path)
+    assert path.read_bytes() == DATA
+    assert fetch(_published(server), tmp_path) == path
+    assert server.starts == [0]
+
+
+def test_a_connection_that_is_cut_is_continued(server, tmp_path):
+    server.most = 300_000
+    assert fetch(_published(server), tmp_path).read_bytes() == DATA
+    assert server.starts == [0, 300_000, 600_000, 900_000]
+
+
+def test_a_later_call_goes_on_where_an_earlier_one_gave_up(server, tmp_path):
+    server.most = 100_000
+    with pytest.raises(InvalidRequest) as caught:
+        fetch(_published(server), tmp_path)
+    assert caught.value.field == "target.name"
+    assert str(tmp_path / "net-1.pth") in caught.value.detail
+    server.most = len(DATA)
+    assert fetch(_published(server), tmp_path).read_bytes() == DATA
+    assert server.starts == [*(100_000 * k for k in range(ATTEMPTS)), 100_000 * ATTEMPTS]
+
+
+def test_a_server_without_ranges_sends_all_again(server, tmp_path):
+    (tmp_path / "net-1.pth.part").write_bytes(DATA[:1000])
+    server.ranges = False
+    assert fetch(_published(server), tmp_path).read_bytes() == DATA
+
+
+def test_a_complete_part_is_taken(server, tmp_path):
+    (tmp_path / "net-1.pth.part").write_bytes(DATA)
+    assert fetch(_published(server), tmp_path).read_bytes() == DATA
+
+
+def test_another_file_is_refused_and_not_kept(server, tmp_path):
+    server.data = b"no weights"
+    with pytest.raises(InvalidRequest, match="does not begin with"):
+        fetch(_published(server), tmp_path)
+    assert not (tmp_path / "net-1.pth").exists()
+    assert not (tmp_path / "net-1.pth.part").exists()
+
+
+def test_a_file_put_there_by_hand_is_checked(server, tmp_path):
+    (tmp_path / "net-1.pth").write_bytes(b"another")
+    with pytest.raises(InvalidRequest, match="is not the file of"):
+        fetch(_published(server), tmp_path)
+    assert server.starts == []
+
+
+def test_without_a_network_the_error_says_where_to_put_the_file(tmp_path):
+    with pytest.raises(InvalidRequest) as caught:
+        fetch(Published("http://127.0.0.1:9/net-1.pth", "00"), tmp_path)
+    assert caught.value.field == "target.name"
+    assert f"put the file at {tmp_path / 'net-1.pth'}" in caught.value.detail

@@ -1,0 +1,16 @@
+from pathlib import Path
+
+import pytest
+
+from services.scenes.library import Library
+from services.settings import settings
+
+
+@pytest.fixture(scope="session")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Library:
+    return Library(settings().cache_dir, tmp_path_factory.mktemp("data"))
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("views")
