@@ -32,7 +32,6 @@ from services.jobs.child import ALLOCATOR
 from services.pipeline.prepare import prepare
 from services.pipeline.spec import parse
 from services.rendering.opengl import context
-from services.rendering.opengl.camera import CameraMatrices
 from services.rendering.pyrender_renderer.parameters import SceneParameters
 from services.rendering.pyrender_renderer.planner import both_sides
 from services.rendering.pyrender_renderer.rasteriser import SAMPLES
@@ -68,11 +67,11 @@ def _measure(library: Library, mesh: str, label: str, repeats: int) -> dict[str,
     spec = parse({"scene": {"objects": [{"mesh": mesh}]}, "goal": {"leave": label}, "attack": attack, "seed": SEED})
     ready = prepare(spec, library)
     renderer = ready.renderer
-    problem = AttackProblem(renderer, ready.target, ready.goal, renderer.groups, seed=SEED, weight=0.001)
+    problem = AttackProblem(renderer, ready.target, ready.goal, spec.attack.groups, seed=SEED, weight=0.001)
     method = ZooMethod(spec.attack, problem)  # type: ignore[arg-type]
     method.start(problem)
     view = problem.view(method.perturbation)
-    sides = both_sides(renderer.initial(), renderer.groups)
+    sides = both_sides(renderer.initial(), spec.attack.groups)
     start = {group: value[None] for group, value in renderer.initial().items()}
     images = renderer.render(sides)
     exact, plain = renderer.exact(), Lite0(torch.channels_last)
@@ -131,14 +130,15 @@ def _ratio(ones: list[tuple[float, float]], others: list[tuple[float, float]], k
 
 def _bare(renderer: PyrenderRenderer, scene: ResolvedScene) -> Callable[[], object]:
     """The pass over the geometry of the start, all faces, of which one pixel is read so that it has happened."""
-    values, camera = SceneParameters(scene.description), CameraMatrices.of(scene.view, scene.projection)
+    values = SceneParameters(scene)
     start = values.checked({})
+    view = values.view(start["camera"][0])
     poses = values.poses(start["translation"][0], start["rotation"][0])
-    lit = values.lit(start["illumination"], start["color"], poses, (0, 1, 0, 1))
+    lit = values.lit(start["illumination"], start["color"], view, poses, (0, 1, 0, 1))
     return lambda: context.current().renderer.draw(
         renderer.drawing,
         "radiance.frag",
-        camera,
+        lit.view,
         lit.poses,
         lit.colors,
         lit.uniforms,

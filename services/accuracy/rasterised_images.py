@@ -24,6 +24,7 @@ from torch import Tensor
 from services.accuracy.provenance import PACKAGES
 from services.rendering.image_error import ImageError, image_error
 from services.rendering.opengl import context
+from services.rendering.pyrender_renderer.declaration import PYRENDER
 from services.rendering.pyrender_renderer.errors import REACH
 from services.rendering.pyrender_renderer.planner import both_sides
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
@@ -71,7 +72,7 @@ def compare(scene: Scene, library: Library, images: int) -> dict[str, Any]:
     the plan's estimates of both, and the gradients' error: the largest difference relative to the largest gradient of
     the group.
     """
-    renderer = PyrenderRenderer(resolve(scene, library))
+    renderer = PyrenderRenderer(resolve(scene, library), PYRENDER.group_names)
     stage = next((stage for stage in renderer.plan.stages if stage.name == "rasterise"), None)
     random = torch.Generator().manual_seed(SEED)
     ground = torch.tensor(scene.ground)

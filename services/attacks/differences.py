@@ -11,9 +11,12 @@ from torch import Tensor
 
 from services.attacks.problem import AttackProblem, distances, truncate
 from services.attacks.seeds import generator
+from services.rendering.protocol import InactiveCoordinate, Parameters
 
 CHUNK_VALUES = 8_000_000
 """Largest number of values (pixels × channels) rendered in one batch; with the network's activations about 100 MB."""
+MAX_BATCH = 28
+"""Largest number of images rendered in one batch: both sides of the paper's 14 coordinates."""
 NEARLY = 1.5
 """A half-step counts as steady if its gradients change by at most this factor more than the steadiest half-step's."""
 CANDIDATES = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4)
@@ -31,17 +34,21 @@ def objective(problem: AttackProblem, images: Tensor) -> Tensor:
     return advantage + problem.weight * distances(images, problem.original).square()
 
 
+def per_batch(problem: AttackProblem) -> int:
+    """The number of images rendered in one batch: at most `MAX_BATCH`, of at most `CHUNK_VALUES` values, at least 1."""
+    height, width = problem.renderer.size
+    return max(1, min(MAX_BATCH, CHUNK_VALUES // (height * width * 3)))
+
+
 @torch.no_grad()
 def evaluate(problem: AttackProblem, vectors: Tensor) -> Tensor:
     """The objective at the perturbations `vectors` [B, total]: [B] float64 on the CPU.
 
     Images are rendered in chunks of at most `CHUNK_VALUES` values. Raises as `AttackProblem.render` and `logits` do.
     """
-    height, width = problem.renderer.size
-    size = max(1, min(28, CHUNK_VALUES // (height * width * 3)))
     start = problem.layout.flatten(problem.initial)
     scores = []
-    for chunk in torch.split(vectors, size):
+    for chunk in torch.split(vectors, per_batch(problem)):
         images = problem.render(problem.layout.unflatten(start + chunk))
         if problem.truncation is not None:
             images = torch.cat([truncate(image[None], problem.original, problem.truncation)[0] for image in images])
@@ -124,11 +131,22 @@ def measure_half_steps(problem: AttackProblem, reach: Tensor, noise: float, prob
         coordinates = (order + layout.starts[group]).repeat_interleave(len(CANDIDATES))
         steps = torch.tensor(CANDIDATES, dtype=torch.float64).repeat(len(order))
         gradients = estimate(problem, at, coordinates, steps, noise).gradients
-        chosen[group] = CANDIDATES[_steadiest(gradients.reshape(len(order), len(CANDIDATES)))]
+        chosen[group] = CANDIDATES[steadiest(gradients.reshape(len(order), len(CANDIDATES)))]
     return chosen
 
 
-def _steadiest(gradients: Tensor) -> int:
+def inactive(problem: AttackProblem, perturbation: Parameters, half_steps: Tensor) -> list[InactiveCoordinate]:
+    """The attacked coordinates that change no pixel at `perturbation` when moved by their group's half-step.
+
+    `half_steps` [total] has one value per group, in the groups' units.
+    """
+    layout = problem.layout
+    reach = {group: float(half_steps[layout.starts[group]]) for group in layout.groups}
+    at = {group: problem.initial[group] + value for group, value in perturbation.items()}
+    return [one for one in problem.renderer.inactive(at, reach) if one.group in layout.groups]
+
+
+def steadiest(gradients: Tensor) -> int:
     """Index of a candidate, given gradients [probes, candidates], largest step first; 0 if all are below the noise.
 
     A candidate is compared with both neighbours, so only inner candidates can be chosen. The largest step is taken

@@ -49,7 +49,7 @@ class Layout:
 
     def spread(self, by_group: Mapping[str, float]) -> Tensor:
         """A vector, float64 [total], in which every coordinate has its group's value."""
-        return torch.cat([torch.full((self.shapes[g].numel(),), by_group[g]) for g in self.groups]).double()
+        return torch.cat([torch.full((self.shapes[g].numel(),), by_group[g], dtype=torch.float64) for g in self.groups])
 
     def mask(self, coordinates: Iterable[tuple[str, int]]) -> Tensor:
         """A mask, bool [total], that is true at the given (group, flat index within the group)."""

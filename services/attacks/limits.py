@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from services.rendering.declaration import MAX_STEP
+from services.rendering.declaration import MAX_STEP, RENDERERS
 from services.scenes.description import Model
 
 Limit = Annotated[float, Field(gt=0, le=MAX_STEP, allow_inf_nan=False)]
@@ -45,11 +45,15 @@ class Limits(Model):
 
     @model_validator(mode="before")
     @classmethod
-    def _no_truncation_by_epsilon(cls, data: Any) -> Any:
-        """Leaves out a default U where the request says that ε alone limits."""
-        if isinstance(data, dict) and data.get("constraint") == "epsilon" and "truncation" not in data:
-            return data | {"truncation": None}
-        return data
+    def _no_truncation_by_default(cls, data: Any) -> Any:
+        """Leaves out a default U where the request says that ε alone limits, and through a renderer without gradients:
+        there objects move, and pixels at silhouettes exceed any U at once.
+        """
+        if not isinstance(data, dict) or "truncation" in data:
+            return data
+        renderer = RENDERERS.get(str(data.get("renderer")))
+        moving = renderer is not None and not renderer.differentiable and data.get("constraint") != "backtrack"
+        return data | {"truncation": None} if moving or data.get("constraint") == "epsilon" else data
 
     @model_validator(mode="after")
     def _limits_agree(self) -> Self:

@@ -5,12 +5,14 @@ from dataclasses import dataclass, replace
 from math import sqrt
 from pathlib import Path
 from time import monotonic
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from services.attacks import checkpoint
 from services.attacks.contract import check_count, check_settings, check_state
+from services.attacks.image_differences import ImageDifferences
 from services.attacks.method import Method
 from services.attacks.problem import AttackProblem, Evaluation, ask, distances, gradients, quantize
 from services.attacks.state import AttackState
@@ -19,6 +21,9 @@ from services.attacks.verifier import Verifier
 from services.errors import named
 from services.rendering.protocol import Parameters
 from services.targets.scores import probability
+
+DIFFERENCES = "image_differences"
+"""Name among a result's settings of those of `ImageDifferences`."""
 
 
 @dataclass(frozen=True)
@@ -106,8 +111,25 @@ class _Running:
         for number in range(1, self.run.restart + 1):
             attack.problem.restart(number)
         self.began, self.last_saved = monotonic() - self.run.seconds, monotonic()
-        if not self.run.settings and not self.run.trace:
-            self.run.settings = self.start()
+        resumed = bool(self.run.settings or self.run.trace)
+        measured = self._differences(resumed)
+        if not resumed:
+            self.run.settings = self.start() | measured
+
+    def _differences(self, resumed: bool) -> dict[str, object]:
+        """Prepares differences of images if the method needs gradients through a renderer that has none. Returns their
+        settings as `image_differences`, from which a resumed attack takes them.
+        """
+        problem = self.attack.problem
+        if problem.renderer.differentiable or not self.attack.method.needs_gradient:
+            return {}
+        if resumed:
+            settings: Any = self.run.settings[DIFFERENCES]
+            differences = ImageDifferences.load(problem, settings)
+        else:
+            differences = ImageDifferences.measure(problem)
+        problem.differences = differences
+        return {DIFFERENCES: differences.settings(problem)}
 
     @property
     def seconds(self) -> float:
@@ -146,7 +168,7 @@ class _Running:
         """Records an evaluation, its image as saved (uint8 [H, W, 3]) and the scores [K]; verifies; may stop."""
         attack, state = self.attack, self.run
         problem, verifier = attack.problem, attack.verifier
-        row = _row(problem, verifier, view, logits, state, self.seconds)
+        row = _row(attack, view, logits, state, self.seconds)
         fooled = bool(problem.goal.fooled(logits))
         state.ever |= view.truncated.cpu()
         best = not state.trace or row.advantage <= state.trace[state.stored_step].advantage
@@ -195,9 +217,9 @@ def _step(active: list[_Running]) -> None:
         one.save()
 
 
-def _row(
-    problem: AttackProblem, verifier: Verifier, view: Evaluation, logits: Tensor, state: AttackState, seconds: float
-) -> TraceRow:
+def _row(attack: AttackRun, view: Evaluation, logits: Tensor, state: AttackState, seconds: float) -> TraceRow:
+    problem, verifier = attack.problem, attack.verifier
+    minimised = problem.objective if attack.method.needs_gradient else problem.goal.advantage
     height, width = problem.renderer.size
     distance = float(distances(view.images.detach(), problem.original)[0])
     label = int(logits.argmax())
@@ -208,6 +230,7 @@ def _row(
         label=problem.target.labels[label],
         confidence=float(probability(logits, label)),
         advantage=float(problem.goal.advantage(logits)),
+        objective=float(minimised(logits)) + problem.weight * distance**2,
         distance=distance,
         perceptibility=distance / sqrt(height * width),
         truncated=int(view.truncated.sum()),

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import nan
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
@@ -40,6 +40,14 @@ class Evaluation:
     """The objective of the image rounded to 8 bits, without an own query of the network; see `AttackProblem.loss`."""
 
 
+class Differences(Protocol):
+    """Derivatives of images for a renderer that has none (`image_differences`)."""
+
+    def render(self, problem: "AttackProblem", perturbation: Parameters) -> Tensor:
+        """The image [1, H, W, 3] of a perturbation, with a graph to the perturbation's tensors."""
+        ...
+
+
 @dataclass
 class AttackProblem:
     """Renders perturbations and classifies images, and counts both (`renders`, `queries`).
@@ -64,6 +72,8 @@ class AttackProblem:
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     interrupt: Callable[[], None] = lambda: None
     """Called before every rendering; raises Cancelled to stop."""
+    differences: Differences | None = None
+    """Differences of the image, by which `view` differentiates it if the renderer cannot; None if it can."""
     queries: int = 0
     renders: int = 0
     initial: Parameters = field(init=False)
@@ -115,7 +125,8 @@ class AttackProblem:
     def view(self, perturbation: Mapping[str, Tensor], gradient: bool = False) -> Evaluation:
         """The image of one perturbation, truncated to U around the original; with a graph if `gradient`.
 
-        With `backtrack`, of the perturbation pulled back until its image is within U, which the view then names.
+        With `backtrack`, of the perturbation pulled back until its image is within U, which the view then names. The
+        graph is the renderer's own, or that of `differences` if the renderer has none.
 
         Raises JobFailure for a perturbation of other groups or shapes, or with values that are not finite or beyond the
         renderer's bounds.
@@ -125,7 +136,10 @@ class AttackProblem:
             perturbation = self.layout.unflatten(self.feasible(self.layout.flatten(perturbation)[None])[0])
         leaves = {g: value.detach().requires_grad_(gradient) for g, value in perturbation.items()}
         with torch.set_grad_enabled(gradient):
-            images = self.render({g: (self.initial[g] + value)[None] for g, value in leaves.items()})
+            if gradient and self.differences is not None:
+                images = self.differences.render(self, leaves)
+            else:
+                images = self.render({g: (self.initial[g] + value)[None] for g, value in leaves.items()})
             return Evaluation(leaves, *truncate(images, self.original, self.truncation))
 
     def feasible(self, vectors: Tensor) -> Tensor:
@@ -187,11 +201,15 @@ class _Quantize(torch.autograd.Function):
 def gradients(problems: Sequence[AttackProblem], views: Sequence[Evaluation], logits: Tensor) -> list[Parameters]:
     """∂objective/∂perturbation of each problem at its view, by group, in one backward pass.
 
-    `logits` [B, K] has one row for each problem, and a graph that leads to the views. Raises JobFailure("non-finite")
-    naming the group, and JobFailure("internal") if there is no graph.
+    The objective is the goal's, plus λ·‖ΔY‖² if the problem has a `weight`. `logits` [B, K] has one row for each
+    problem, and a graph that leads to the views. Raises JobFailure("non-finite") naming the group, and
+    JobFailure("internal") if there is no graph.
     """
     check_graph(problems[0].renderer, problems[0].target, views[0].images, logits)
     objective = torch.stack([p.objective(of) for p, of in zip(problems, logits, strict=True)]).sum()
+    for p, view in zip(problems, views, strict=True):
+        if p.weight:
+            objective = objective + p.weight * (view.images - p.original).square().sum().to(objective.device)
     leaves = [view.perturbation[group] for p, view in zip(problems, views, strict=True) for group in p.groups]
     # zeros where every pixel is truncated, or does not depend on the parameter
     by_leaf = iter(torch.autograd.grad(objective, leaves, materialize_grads=True))

@@ -91,7 +91,9 @@ class AttackSettings(Limits):
         "torch", description="the renderer whose parameters are attacked", json_schema_extra=renderer_names
     )
     groups: tuple[str, ...] = Field(
-        (), max_length=8, description="the parameter groups to attack; empty means all groups of the renderer"
+        (),
+        max_length=8,
+        description="the parameter groups to attack; empty means the renderer's default groups",
     )
     base_renderer: str | None = Field(
         None,
@@ -158,10 +160,6 @@ class AttackSettings(Limits):
             self.check_known(field, given)
         if self.needs_epsilon:
             self.check_groups("epsilon", self.epsilon)
-        if ATTACKS[self.method].needs_gradient and not has.differentiable:
-            raise ValueError(
-                f"method: {self.method} needs a differentiable renderer, {self.renderer} is not; use {has.method}"
-            )
         return self
 
     def check_known(self, field: str, given: Iterable[str]) -> None:
@@ -197,7 +195,7 @@ def _completed(settings: type[AttackSettings], given: dict[str, Any]) -> dict[st
         return data
     asked = data.get("groups")
     if not asked:
-        data["groups"] = renderer.group_names
+        data["groups"] = renderer.default_groups
     elif isinstance(asked, (list, tuple)) and all(group in renderer.group_names for group in asked):
         # the same request, whatever order it was written in
         data["groups"] = sorted(asked, key=renderer.group_names.index)
@@ -215,7 +213,7 @@ class Attack:
     method: type[Any]
     """The class of its method (services.attacks.method.Method), called with the settings and an AttackProblem."""
     needs_gradient: bool
-    """Whether the method needs a differentiable renderer."""
+    """Whether the method needs gradients, and so a network whose scores have them. The renderer may have none."""
 
 
 ATTACKS: Registry[Attack] = Registry("method", "services.attacks")

@@ -18,6 +18,11 @@ class TraceRow(BaseModel):
         "p_reach; with a least confidence c the larger of that and log(c / (1 − c)) − the new answer's log-odds; below "
         "0: the goal is met"
     )
+    objective: float | None = Field(
+        None,
+        description="what the method minimises: the advantage, or for a method with gradients the log-odds of the "
+        "label to leave or minus those of the label to reach, plus λ·distance²; null in traces of earlier versions",
+    )
     distance: float = Field(description="‖ΔY‖₂ of the float image over all pixels and channels, RGB in [0,1]")
     perceptibility: float = Field(description="p(ΔY) of the float image")
     truncated: int = Field(description="pixels with a value truncated to U in this step")

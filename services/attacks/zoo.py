@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from services.attacks.spec import AttackSettings, Rate, register
+from services.attacks.suggested import suggested
 from services.errors import JobFailure
+from services.rendering.declaration import RENDERERS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,7 +24,17 @@ PRESETS: dict[str, dict[str, Any]] = {
     "paper-vqa": {"delta": 1e-3, "learning_rate": 1e-2, "weight": 0.5, "steps": 500},
     "measured": {"delta": "measured", "learning_rate": 2e-3, "weight": 0.1, "steps": 500},
 }
-"""The paper's settings (sections 4.1 and 4.2), and the same with difference steps chosen from the measured noise."""
+"""The paper's settings (sections 4.1 and 4.2), and settings of which the difference steps are chosen from the measured
+noise. Through a renderer without gradients `measured` has a λ and learning rates of its own."""
+WEIGHT = 1e-3
+"""λ of `measured` through a renderer without gradients. There objects move, and with the paper's 0.1 the objective is
+lowest before the first step: Adam moves every coordinate by its rate, silhouettes with it, and λ times the sum of
+squares outweighs what that gains (benchmarks/image_differences.py)."""
+RATE = 2e-3
+"""Adam's learning rate there for a group whose renderer suggests no step: the paper's."""
+SPEED = 10
+"""Adam's learning rate there, in the steps that the renderer suggests for a group. Adam moves by about its rate in a
+step, and FGSM by ten of its steps once its momentum of 0.9 has built up."""
 BETAS = (0.9, 0.999)
 EPSILON = 1e-8
 REACH = 10
@@ -48,10 +60,14 @@ class Zoo(AttackSettings):
         description="half-step of the central difference, in the group's units: one value, or one for each group",
     )
     learning_rate: Rate | dict[str, Rate] = Field(
-        2e-3, description="Adam's learning rate, in the group's units: one value, or one for each group"
+        2e-3,
+        description="Adam's learning rate, in the group's units: one value, or one for each group; default through a "
+        "renderer without gradients: 10 times the step that it suggests for each group",
     )
     weight: Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)] = Field(
-        0.1, description="λ: weight of the summed squares of the image's change"
+        0.1,
+        description="λ: weight of the summed squares of the image's change; default through a renderer without "
+        "gradients: 0.001",
     )
     truncation: Annotated[int, Field(ge=1, le=255)] | None = Field(
         None, description="U, as for fgsm; null: no limit, as in the paper, which keeps changes small by λ alone"
@@ -65,7 +81,13 @@ class Zoo(AttackSettings):
     @classmethod
     def complete(cls, data: dict[str, Any]) -> dict[str, Any]:
         """Fills in the settings of the preset where they were left out."""
-        return PRESETS.get(str(data.get("preset", "measured")), {}) | data
+        preset = str(data.get("preset", "measured"))
+        renderer = RENDERERS.get(str(data.get("renderer", "torch")))
+        if preset == "measured" and renderer is not None and not renderer.differentiable:
+            data = {"weight": WEIGHT} | data
+            if "learning_rate" not in data:
+                data = suggested(data, "learning_rate", lambda group: SPEED * (group.suggested_step or RATE / SPEED))
+        return PRESETS.get(preset, {}) | data
 
     @model_validator(mode="after")
     def _a_value_for_each_group(self) -> Self:
@@ -107,7 +129,7 @@ class ZooMethod:
         """Measures the objective's noise floor and, for `delta: "measured"`, each group's half-step; finds inactive
         coordinates. Returns them as `noise`, `delta` and `skipped`.
         """
-        from services.attacks.differences import measure_half_steps, measure_noise
+        from services.attacks.differences import inactive, measure_half_steps, measure_noise
 
         self.noise = measure_noise(problem, self.delta)
         asked = self.settings.delta
@@ -116,7 +138,7 @@ class ZooMethod:
         else:
             chosen = asked if isinstance(asked, dict) else dict.fromkeys(self.layout.groups, asked)
         self.half_steps = self.layout.spread(chosen)
-        found = self._find_inactive(problem)
+        found = inactive(problem, self.perturbation, self.half_steps)
         self.inactive = self._mask(found)
         skipped = [{"coordinate": one.name, "why": one.why} for one in found]
         return {"delta": chosen, "noise": self.noise, "skipped": skipped}
@@ -163,18 +185,16 @@ class ZooMethod:
         self.moves, self.half_steps, self.noise = state["moves"], state["half_steps"], float(state["noise"])
         self.inactive = state["inactive"]
 
-    def _find_inactive(self, problem: AttackProblem) -> list[InactiveCoordinate]:
-        """The attacked coordinates that change no pixel of the present image when moved by their half-step."""
-        reach = {g: float(self.half_steps[self.layout.starts[g]]) for g in self.layout.groups}
-        at = {g: problem.initial[g] + value for g, value in self.perturbation.items()}
-        return [one for one in problem.renderer.inactive(at, reach) if one.group in self.layout.groups]
-
     def _mask(self, found: Sequence[InactiveCoordinate]) -> Tensor:
         return self.layout.mask((one.group, one.index) for one in found)
 
     def _active(self, problem: AttackProblem) -> Tensor:
         """The coordinates to draw from: all but those inactive at the start that still are. Most scenes have none."""
-        still = self.inactive & self._mask(self._find_inactive(problem)) if self.inactive.any() else self.inactive
+        from services.attacks.differences import inactive
+
+        still = self.inactive
+        if still.any():
+            still = still & self._mask(inactive(problem, self.perturbation, self.half_steps))
         return (~still).nonzero()[:, 0]
 
     def _rates(self) -> Tensor:

@@ -24,12 +24,13 @@ def group_words(spec: Mapping[str, Any], group: str) -> str:
 def attack_name(spec: Mapping[str, Any]) -> str:
     """Renderer, groups and method of a full spec, e.g. "image fgsm", "torch combined fgsm" or "pyrender color zoo".
 
-    "combined" stands for all groups of a renderer with several groups. The only group of a renderer is not named. If
-    the renderer is not installed, as an extension removed since the job ran, all its attacked groups are named.
+    "combined" stands for the default groups of a renderer with several of them. The only group of a renderer is not
+    named. If the renderer is not installed, as an extension removed since the job ran, all its attacked groups are
+    named.
     """
     attack = spec["attack"]
     renderer, groups, known = attack["renderer"], tuple(attack["groups"]), RENDERERS.get(attack["renderer"])
-    if known is not None and set(groups) == set(known.group_names):
+    if known is not None and set(groups) == set(known.default_groups):
         groups = () if len(groups) == 1 else ("combined",)
     targeted = " targeted" if spec.get("goal", {}).get("reach") is not None else ""
     return " ".join([renderer, *(["+".join(groups)] if groups else []), attack["method"]]) + targeted

@@ -66,6 +66,8 @@ class Group:
     suggested_step: float | None = None
     """Learning rate of a method that steps by the sign of the gradient, in the group's unit (paper, section 4.1); above
     0, at most 1000."""
+    by_default: bool = True
+    """Whether the group is attacked if a request names no groups."""
     suggested_limit: float | None = None
     """Largest change of a value from the scene's own for methods that need one, in the group's unit; above 0, at most
     1000."""
@@ -90,7 +92,8 @@ class Group:
 class Declaration:
     """Metadata of a renderer.
 
-    Raises ValueError if there is no group, a group's name is repeated, or the location is not "module:class".
+    Raises ValueError if there is no group or none by default, a group's name is repeated, or the location is not
+    "module:class".
     """
 
     name: str
@@ -110,6 +113,8 @@ class Declaration:
     def __post_init__(self) -> None:
         if not self.groups:
             raise ValueError(f"renderer {self.name!r} declares no parameter group")
+        if not self.default_groups:
+            raise ValueError(f"renderer {self.name!r} declares no group that is attacked by default")
         if len(set(self.group_names)) != len(self.groups):
             raise ValueError(f"renderer {self.name!r} declares a group twice")
         if isinstance(self.renderer, str) and not LOCATION.fullmatch(self.renderer):
@@ -119,6 +124,11 @@ class Declaration:
     def group_names(self) -> tuple[str, ...]:
         """The names of the groups."""
         return tuple(group.name for group in self.groups)
+
+    @property
+    def default_groups(self) -> tuple[str, ...]:
+        """The names of the groups that are attacked if a request names none."""
+        return tuple(group.name for group in self.groups if group.by_default)
 
     def group(self, name: str) -> Group:
         """Returns a group by its name. Raises KeyError for an unknown name."""

@@ -19,7 +19,7 @@ def build(
     groups: Sequence[str] | None = None,
     tolerance: Tolerance = DEFAULT_TOLERANCE,
 ) -> Renderer:
-    """Builds a registered renderer for attacks on `groups` (None: all) within `tolerance`.
+    """Builds a registered renderer for attacks on `groups` (None: its default groups) within `tolerance`.
 
     `base_renderer` names the renderer that makes the image to be attacked, for a renderer that declares a base renderer
     (None: the declared name).
@@ -35,7 +35,7 @@ def build(
         base = build(scene, base_renderer or declaration.base_renderer, tolerance="exact")
     with named(f"renderer {renderer!r}"):
         made: Renderer = _class(declaration).build(
-            BuildRequest(scene, tuple(groups or declaration.group_names), tolerance, base)
+            BuildRequest(scene, tuple(groups or declaration.default_groups), tolerance, base)
         )
         if broken := _broken(declaration, made):
             raise JobFailure("internal", f"renderer {renderer!r} {broken}")

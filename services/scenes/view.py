@@ -13,18 +13,24 @@ NEAR = 0.01
 
 
 def camera_to_world(camera: Camera) -> Doubles:
-    """Returns the camera's pose, float64 [4,4], camera to world.
+    """Returns the pose of the camera of a scene's description, as `camera_pose` does."""
+    return camera_pose(camera.azimuth, camera.elevation, camera.distance)
+
+
+def camera_pose(azimuth: float, elevation: float, distance: float, roll: float = 0.0) -> Doubles:
+    """Returns a camera's pose, float64 [4,4], camera to world; angles in radians, `distance` in scene units.
 
     The camera looks along its −z at the origin, with its +y upwards. Its position is distance · (sin az · cos el, sin
     el, cos az · cos el). Straight above or below the origin, its +y has the direction that lower elevations tend to at
-    the same azimuth.
+    the same azimuth. `roll` then turns the camera about its own +z, to its left: what was upright in its image leans to
+    the right.
     """
-    azimuth, elevation = camera.azimuth, camera.elevation
     back = np.array([sin(azimuth) * cos(elevation), sin(elevation), cos(azimuth) * cos(elevation)])
     right = np.array([cos(azimuth), 0.0, -sin(azimuth)])
+    up = np.cross(back, right)
     pose = np.eye(4)
-    pose[:3, 0], pose[:3, 1], pose[:3, 2] = right, np.cross(back, right), back
-    pose[:3, 3] = camera.distance * back
+    pose[:3, 0], pose[:3, 1] = cos(roll) * right + sin(roll) * up, cos(roll) * up - sin(roll) * right
+    pose[:3, 2], pose[:3, 3] = back, distance * back
     return pose
 
 

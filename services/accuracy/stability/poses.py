@@ -1,6 +1,6 @@
 """Where an object lands in the image after turns and moves, and how much of the ground it covers."""
 
-from math import pi, tan
+from math import cos, pi, sin, tan
 
 import numpy as np
 import torch
@@ -80,6 +80,41 @@ def _moved_away(distance: float) -> Measured:
     return Measured(float((images - ground).abs().max()), 0.0, "largest difference from the ground")
 
 
+def _looked_at() -> Measured:
+    """An attack moves the camera, and a small cube beside the origin lands where the closed form of its view has it.
+
+    Around, up to the bounds of the elevation, farther and nearer, and rolled over.
+    """
+    place, size = (0.25, 0.35, 0.0), 48
+    dark = {"ambient": 0.0, "points": []}
+    start = {"azimuth": 0.0, "elevation": 0.0}
+    scene = placed(
+        box(place, 0.1), size=(size, size), camera=start, thing={"color": (0, 0, 0)}, lights=dark, ground=(1, 1, 1)
+    )
+    focal = size / 2 / tan(scene.description.camera.field_of_view / 2)
+    worst = 0.0
+    for renderer in drawn_by(scene, "pyrender"):
+        low, high = (float(bound[1]) for bound in renderer.bounds()["camera"])
+        for azimuth, elevation, distance, roll in (
+            (0.9, 0.0, 1.8, 0.0),
+            (-2.5, low, 1.8, 0.0),
+            (0.4, high, 2.4, 0.5),
+            (0.0, 0.3, 1.5, -pi / 2),
+        ):
+            camera = torch.tensor([[azimuth, elevation, distance, roll]], dtype=torch.float64)
+            share = 1 - renderer.render({"camera": camera})[0].double().mean(dim=2).numpy()
+            need(share.sum() > 4, "it is not seen")
+            rows, columns = np.mgrid[:size, :size] + 0.5
+            x, y, _ = place
+            right = x * cos(azimuth)
+            up = y * cos(elevation) - x * sin(azimuth) * sin(elevation)
+            depth = distance - x * sin(azimuth) * cos(elevation) - y * sin(elevation)
+            wanted = right * cos(roll) + up * sin(roll), up * cos(roll) - right * sin(roll)
+            middle = (share * columns).sum() / share.sum() - size / 2, size / 2 - (share * rows).sum() / share.sum()
+            worst = max(worst, *(abs(m - focal * w / depth) for m, w in zip(middle, wanted, strict=True)))
+    return Measured(worst, 0.25, "distance of its middle from where it must be, in pixels")
+
+
 def cases() -> list[Case]:
     """The cases of this family."""
     family = "poses"
@@ -93,6 +128,7 @@ def cases() -> list[Case]:
             "lands where it must",
             lambda: _turned(True),
         ),
+        Case("camera moved by an attack", family, "to the poles, rolled over", "lands where it must", _looked_at),
         Case(
             "moved out of view",
             family,

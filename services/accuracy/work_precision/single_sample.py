@@ -6,7 +6,6 @@ import torch
 from torch import Tensor
 
 from services.rendering.opengl import context
-from services.rendering.opengl.camera import CameraMatrices
 from services.rendering.pyrender_renderer.parameters import SceneParameters
 from services.scenes.resolve import ResolvedScene
 
@@ -19,8 +18,7 @@ class Sampled:
         from services.rendering.opengl.mesh_upload import Drawing
 
         self._drawing = Drawing(scene.meshes, watertight=True)
-        self._view = CameraMatrices.of(scene.view, scene.projection)
-        self._numbers = SceneParameters(scene.description)
+        self._numbers = SceneParameters(scene)
         self._size, self._samples = scene.description.camera.size, samples
 
     def radiance(self, parameters: Mapping[str, Tensor]) -> Tensor:
@@ -28,13 +26,14 @@ class Sampled:
         batch = self._numbers.checked(parameters)
         images = []
         for row in range(len(batch["color"])):
+            view = self._numbers.view(batch["camera"][row])
             poses = self._numbers.poses(batch["translation"][row], batch["rotation"][row])
-            whole = (0, self._size[0], 0, self._size[1])
-            lit = self._numbers.lit(batch["illumination"][row : row + 1], batch["color"][row : row + 1], poses, whole)
+            light, color = batch["illumination"][row : row + 1], batch["color"][row : row + 1]
+            lit = self._numbers.lit(light, color, view, poses, (0, self._size[0], 0, self._size[1]))
             [image] = context.current().renderer.draw(
                 self._drawing,
                 "radiance.frag",
-                self._view,
+                lit.view,
                 lit.poses,
                 lit.colors,
                 lit.uniforms,

@@ -35,10 +35,10 @@ struct Frame {
     int64_t width, height, pieces;
     const Piece *piece;
     float x[SAMPLES], y[SAMPLES];  // where in a pixel its samples are, from the lower left
-    float eye[3];
 };
 
 struct Pass {
+    float eye[3];  // the camera's position
     const float *clip, *world, *normal;  // [pieces, 16], [pieces, 16], [pieces, 9], from the object
     const int64_t *order, *n_watertight_faces;  // [pieces], as drawn; backfaces of so many first faces are culled
     int64_t part[4];  // rows from the bottom from, to, columns from, to

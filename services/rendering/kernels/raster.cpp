@@ -139,7 +139,7 @@ struct Drawing {
                     flat[k][i] = surface.flat[k], texels[k][i] = texel[k];
                 }
             }
-            const Vector p = vector(position), v = unit(all(frame.eye) - p);
+            const Vector p = vector(position), v = unit(all(pass.eye) - p);
             const Vector n = surface_normal(vector(normal), vector(flat), v);
             for (int64_t k = 0; k < pass.n_images; ++k) {
                 const BrdfTerms terms = radiance(pass, k, p, v, n);
@@ -175,9 +175,9 @@ STRUCTURE(Piece, Piece, "Piece",
           FIELD(Piece, triangles) FIELD(Piece, holes) FIELD(Piece, opacity) FIELD(Piece, texture))
 STRUCTURE(Frame, Frame, "Frame",
           FIELD(Frame, width) FIELD(Frame, height) FIELD(Frame, pieces) FIELD(Frame, piece) FIELD(Frame, x)
-          FIELD(Frame, y) FIELD(Frame, eye))
+          FIELD(Frame, y))
 STRUCTURE(Pass, Pass, "Pass",
-          FIELD(Pass, clip) FIELD(Pass, world) FIELD(Pass, normal) FIELD(Pass, order) FIELD(Pass, n_watertight_faces)
+          FIELD(Pass, eye) FIELD(Pass, clip) FIELD(Pass, world) FIELD(Pass, normal) FIELD(Pass, order) FIELD(Pass, n_watertight_faces)
           FIELD(Pass, part) FIELD(Pass, n_images) FIELD(Pass, lights) FIELD(Pass, ambients) FIELD(Pass, points)
           FIELD(Pass, colors) FIELD(Pass, images))
 FUNCTION(raster_float)

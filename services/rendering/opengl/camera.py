@@ -48,15 +48,16 @@ LightCounts = tuple[int, int, int]
 
 @dataclass(frozen=True)
 class RenderPass:
-    """A pass over the geometry: poses [objects, 4, 4] (world from object); the part of the image that is drawn; and
-    for each image its ambient light, its lights and the linear factors on the objects' colours [images, objects,
-    3].
+    """A pass over the geometry: the camera; poses [objects, 4, 4] (world from object); the part of the image that is
+    drawn; and for each image its ambient light, its lights and the linear factors on the objects' colours [images,
+    objects, 3].
 
     points [images, lights, 4]: intensity, then x, y, z. directionals [images, lights, 4]: irradiance, then the unit
     vector towards the light. spots [images, lights, 9]: intensity, position, unit vector along the axis, and the
     scale and offset of the fall-off (`radiance.frag`).
     """
 
+    view: CameraMatrices
     poses: Array
     part: Rectangle
     ambients: Array

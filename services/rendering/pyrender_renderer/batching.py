@@ -1,5 +1,6 @@
 """Which images of a batch share a pass over the geometry, and which share their channels."""
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
@@ -8,15 +9,20 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+GEOMETRY = ("camera", "translation", "rotation")
+"""The groups that say where things are in the image."""
+
 
 @dataclass(frozen=True)
 class SharedPass:
-    """Images of the same poses, to be drawn at once; and which of their channels make which image of the batch.
+    """Images of the same poses and camera, to be drawn at once; and which of their channels make which image of the
+    batch.
 
-    translation, rotation [objects, 3]; illuminations [images, 1 + 4 points]; colors [images, objects, 3];
+    camera [4]; translation, rotation [objects, 3]; illuminations [images, 1 + 4 points]; colors [images, objects, 3];
     users: (row of the batch, channel, image here).
     """
 
+    camera: Array
     translation: Array
     rotation: Array
     illuminations: Array
@@ -27,14 +33,14 @@ class SharedPass:
 def shared(batch: Mapping[str, Array], most: int) -> Iterator[SharedPass]:
     """Passes of at most `most` images that draw a batch {group: [B, ...]}.
 
-    A colour factor touches one channel of light. So images of the same poses and lights are drawn with the first
-    red, the first green and the first blue that any of them has, then with the second of each, and so on: the six
+    A colour factor touches one channel of light. So images of the same camera, poses and lights are drawn with the
+    first red, the first green and the first blue that any of them has, then with the second of each, and so on: the six
     sides of the differences of one object's colour, and the image they are around, take three images.
     """
     count = len(batch["color"])
     poses: dict[bytes, list[int]] = {}
     for row in range(count):
-        poses.setdefault(_key(batch["translation"][row], batch["rotation"][row]), []).append(row)
+        poses.setdefault(_key(*(batch[group][row] for group in GEOMETRY)), []).append(row)
     for rows in poses.values():
         lit: dict[bytes, list[int]] = {}
         for row in rows:
@@ -57,6 +63,7 @@ def shared(batch: Mapping[str, Array], most: int) -> Iterator[SharedPass]:
         for start in range(0, len(colors), most):
             stop = min(start + most, len(colors))
             yield SharedPass(
+                batch["camera"][rows[0]],
                 batch["translation"][rows[0]],
                 batch["rotation"][rows[0]],
                 np.stack(illuminations[start:stop]),
@@ -70,7 +77,23 @@ def alone(batch: Mapping[str, Array]) -> Iterator[SharedPass]:
     for row in range(len(batch["color"])):
         one = {group: values[row : row + 1] for group, values in batch.items()}
         users = [(row, channel, 0) for channel in range(3)]
-        yield SharedPass(one["translation"][0], one["rotation"][0], one["illumination"], one["color"], users)
+        camera, translation, rotation = one["camera"][0], one["translation"][0], one["rotation"][0]
+        yield SharedPass(camera, translation, rotation, one["illumination"], one["color"], users)
+
+
+def fill(images: NDArray[np.float32], drawn: SharedPass, shown: NDArray[np.float32]) -> None:
+    """Writes what a pass has drawn, `shown` [images of the pass, rows, columns, C], to the images of the batch that use
+    it: `images` [B, rows, columns, C], of which the pass may fill some channels only.
+    """
+    channels = Counter((row, slot) for row, _, slot in drawn.users)
+    for row, channel, slot in drawn.users:
+        if channels[row, slot] == 3:
+            if channel == 0:  # all at once
+                images[row] = shown[slot]
+        else:  # the others may be of another pass
+            images[row, ..., channel] = shown[slot, ..., channel]
+            if channel == 0:  # coverage is the same in all
+                images[row, ..., 3:] = shown[slot, ..., 3:]
 
 
 def _key(*values: Array) -> bytes:

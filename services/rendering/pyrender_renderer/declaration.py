@@ -1,6 +1,11 @@
-"""The pyrender renderer's groups: lights, colours and poses.
+"""The pyrender renderer's groups: lights, colours and poses, and on request the camera.
 
-With one object and one point light they are the paper's 14 numbers.
+With one object and one point light, those that are attacked by default are the paper's 14 numbers.
+
+The suggested steps are 0.005 of a light or a colour, 0.0005 scene units and 0.001 radians. A step of all coordinates
+of a group at random signs changes an image of 224² by a perceptibility p of about 1e-3 (illumination), 2e-4 (color) and
+6e-3 to 1e-2 (translation, rotation, camera), as benchmarks/image_differences.py measures. Light and colour change an
+image smoothly and may take longer steps than what moves silhouettes, whose p grows with the root of the step.
 """
 
 from services.rendering.declaration import Declaration, Group, labelled, register
@@ -17,6 +22,7 @@ PYRENDER = Declaration(
             words="illumination",
             suggested_limit=0.1,
             # The labels depend on the kinds of the lights, not on their number alone: see `PyrenderRenderer.names`.
+            suggested_step=0.005,
         ),
         Group(
             name="color",
@@ -25,6 +31,7 @@ PYRENDER = Declaration(
             words="colour",
             suggested_limit=0.1,
             labels=labelled("object {} color", ("red", "green", "blue")),
+            suggested_step=0.005,
         ),
         Group(
             name="translation",
@@ -33,6 +40,7 @@ PYRENDER = Declaration(
             words="position",
             suggested_limit=0.02,
             labels=labelled("object {} translation", ("x", "y", "z")),
+            suggested_step=0.0005,
         ),
         Group(
             name="rotation",
@@ -41,6 +49,17 @@ PYRENDER = Declaration(
             words="rotation",
             suggested_limit=0.1,
             labels=labelled("object {} rotation", ("x", "y", "z")),
+            suggested_step=0.001,
+        ),
+        Group(
+            name="camera",
+            shape=("4",),
+            unit="azimuth and elevation in radians, distance in scene units, and roll in radians",
+            words="camera",
+            labels=labelled(("camera azimuth", "camera elevation", "camera distance", "camera roll")),
+            suggested_limit=0.1,
+            by_default=False,
+            suggested_step=0.001,
         ),
     ),
     differentiable=False,

@@ -12,7 +12,7 @@ from services.rendering.protocol import Parameters, Renderer
 
 DRAWS = 5
 """Images at random places around the start, beside the start's own, that are drawn both ways for the plan."""
-REACH = {"illumination": 0.3, "color": 0.3, "translation": 0.1, "rotation": 0.3}
+REACH = {"illumination": 0.3, "color": 0.3, "translation": 0.1, "rotation": 0.3, "camera": 0.3}
 """How far from the start these are in each attacked coordinate, at most: as far as attacks move."""
 MARGIN = 2.0
 """By how much the largest error found is multiplied, to estimate that of any other image."""

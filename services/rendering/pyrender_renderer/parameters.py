@@ -1,4 +1,4 @@
-"""The numbers of a scene that the pyrender renderer is a function of: lights, colours, poses."""
+"""The numbers of a scene that the pyrender renderer is a function of: lights, colours, poses, the camera."""
 
 from collections.abc import Mapping
 from math import cos, inf
@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from services.errors import JobFailure
-from services.rendering.opengl.camera import LightCounts, RenderPass
+from services.rendering.opengl.camera import CameraMatrices, LightCounts, RenderPass
 from services.rendering.opengl.screen_bounds import Rectangle
 from services.rendering.protocol import Parameters
-from services.scenes.description import Scene
+from services.rendering.pyrender_renderer.camera import MovingCamera
+from services.scenes.resolve import ResolvedScene
 from services.scenes.view import model_matrices
 
 ENERGY = 30.0
@@ -31,8 +32,10 @@ _LIGHTS = (
 class SceneParameters:
     """Values, bounds and meaning of the groups; `PyrenderRenderer` has their shapes and units."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, resolved: ResolvedScene) -> None:
+        scene = resolved.description
         self._scales = np.array([o.scale for o in scene.objects])
+        self._camera = MovingCamera(resolved)
         given = scene.lights
         self._counts: LightCounts = (len(given.points), len(given.directional), len(given.spots))
         lights = [given.ambient]
@@ -48,6 +51,7 @@ class SceneParameters:
             "color": torch.tensor([o.color for o in scene.objects], dtype=torch.float64),
             "translation": torch.tensor([o.translation for o in scene.objects], dtype=torch.float64),
             "rotation": torch.tensor([o.rotation for o in scene.objects], dtype=torch.float64),
+            "camera": self._camera.initial,
         }
 
     def initial(self) -> Parameters:
@@ -55,7 +59,9 @@ class SceneParameters:
         return {group: value.clone() for group, value in self._initial.items()}
 
     def bounds(self) -> Mapping[str, tuple[Tensor, Tensor]]:
-        """Light is not negative, colours lie in [0,1]; positions, directions and rotations are free."""
+        """Light is not negative, colours lie in [0,1]; positions, directions and rotations are free. For those of the
+        camera see `MovingCamera`.
+        """
         dark = torch.tensor([0.0 if name in ("ambient", "energy") else -inf for _, name in self._lights()])
         free = torch.tensor(inf, dtype=torch.float64)
         return {
@@ -63,6 +69,7 @@ class SceneParameters:
             "color": (torch.tensor(0.0, dtype=torch.float64), torch.tensor(1.0, dtype=torch.float64)),
             "translation": (-free, free),
             "rotation": (-free, free),
+            "camera": self._camera.bounds,
         }
 
     def light_names(self) -> list[str]:
@@ -97,6 +104,7 @@ class SceneParameters:
         self,
         illuminations: NDArray[np.float64],
         colors: NDArray[np.float64],
+        view: CameraMatrices,
         poses: NDArray[np.float64],
         part: Rectangle,
     ) -> RenderPass:
@@ -112,7 +120,7 @@ class SceneParameters:
         directionals[..., 1:] = -_unit(directionals[..., 1:])
         cones = np.broadcast_to(self._cones, (*spots.shape[:2], 2))
         spots = np.concatenate([spots[..., :4], _unit(spots[..., 4:]), cones], axis=-1)
-        return RenderPass(poses, part, illuminations[:, 0], points, colors, directionals, spots)
+        return RenderPass(view, poses, part, illuminations[:, 0], points, colors, directionals, spots)
 
     def _lights(self) -> list[tuple[str, str]]:
         """For each coordinate of the group `illumination` its light and its name there."""
@@ -120,6 +128,10 @@ class SceneParameters:
         for count, (kind, words, _) in zip(self._counts, _LIGHTS, strict=True):
             named += [(f"{kind} {i}", word) for i in range(count) for word in words]
         return named
+
+    def view(self, camera: NDArray[np.float64]) -> CameraMatrices:
+        """The camera at coordinates [4] of the group `camera`."""
+        return self._camera.matrices(camera)
 
     def poses(self, translations: NDArray[np.float64], rotations: NDArray[np.float64]) -> NDArray[np.float64]:
         """World from object [objects, 4, 4]: scaled, turned, moved; of translations and rotations [objects, 3]."""

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from services.rendering.opengl.mesh_upload import Drawing
     from services.rendering.protocol import Renderer
 
-STAGES = {"redraw": ("translation", "rotation"), "relight": ("illumination",), "recolour": ("color",)}
+STAGES = {"redraw": ("translation", "rotation", "camera"), "relight": ("illumination",), "recolour": ("color",)}
 WHY = {
-    "redraw": "each side of a difference has a pose of its own",
+    "redraw": "each side of a difference has a pose or a camera of its own",
     "relight": "other lights on the same surfaces: the sides share one pass over the geometry, an image to an output",
     "recolour": "a colour factor touches one channel: red, green and blue sides share an image, and the pass above",
 }

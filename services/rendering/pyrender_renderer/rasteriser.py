@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 
 from services.rendering.kernels import compiled
-from services.rendering.opengl.camera import CameraMatrices, RenderPass, n_watertight_faces, ordered
+from services.rendering.opengl.camera import RenderPass, n_watertight_faces, ordered
 
 if TYPE_CHECKING:
     from services.rendering.opengl.mesh_upload import Drawing, Piece
@@ -39,7 +39,6 @@ def refusal(drawing: "Drawing", lit: RenderPass) -> str | None:
 
 def draw(
     drawing: "Drawing",
-    view: CameraMatrices,
     passes: Sequence[RenderPass],
     size: tuple[int, int],
     samples: NDArray[np.float64],
@@ -54,8 +53,8 @@ def draw(
     """
     pieces = [_piece(piece) for piece in drawing.pieces]
     sizes = {"height": size[0], "width": size[1], "pieces": len(pieces)}
-    frame = compiled.structure("Frame", piece=pieces, x=samples[:, 0], y=samples[:, 1], eye=view.eye, **sizes)
-    made = [_pass(drawing, view, lit, size[0], watertight) for lit in passes]
+    frame = compiled.structure("Frame", piece=pieces, x=samples[:, 0], y=samples[:, 1], **sizes)
+    made = [_pass(drawing, lit, size[0], watertight) for lit in passes]
     n_seen = np.empty(len(made), np.int64)
     compiled.call("raster", torch.float32, frame, len(made), [one for one, _ in made], n_seen, compiled.threads())
     return [(images, int(faces)) if faces >= 0 else None for (_, images), faces in zip(made, n_seen, strict=True)]
@@ -78,10 +77,9 @@ def _piece(piece: "Piece") -> ctypes.Structure:
     )
 
 
-def _pass(
-    drawing: "Drawing", view: CameraMatrices, lit: RenderPass, height: int, watertight: bool
-) -> tuple[ctypes.Structure, Image]:
+def _pass(drawing: "Drawing", lit: RenderPass, height: int, watertight: bool) -> tuple[ctypes.Structure, Image]:
     """A pass for the kernel, and the images it draws."""
+    view = lit.view
     top, bottom, left, right = lit.part
     images = np.zeros((len(lit.points), bottom - top, right - left, 4), np.float32)
     owners = [piece.index for piece in drawing.pieces]
@@ -94,6 +92,7 @@ def _pass(
     with np.errstate(over="ignore"):  # becomes infinite, and the image is refused for it
         return compiled.structure(
             "Pass",
+            eye=view.eye,
             part=(height - bottom, height - top, left, right),
             order=np.array(ordered(drawing, view, lit.poses), np.int64),
             n_watertight_faces=np.array(outsides, np.int64),

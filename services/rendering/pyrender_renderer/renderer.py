@@ -1,9 +1,9 @@
-"""Point lights, colours and poses, rendered by pyrender: the non-differentiable renderer (paper, section 4.1)."""
+"""Lights, colours, poses and a camera, rendered by pyrender: the non-differentiable renderer (paper, section 4.1)."""
 
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import torch
@@ -20,8 +20,8 @@ from services.rendering.opengl.camera import CameraMatrices, RenderPass
 from services.rendering.opengl.screen_bounds import Rectangle, beyond, rectangle
 from services.rendering.plan import DEFAULT_TOLERANCE, Plan, Tolerance
 from services.rendering.protocol import InactiveCoordinate, Parameters
-from services.rendering.pyrender_renderer import rasteriser
-from services.rendering.pyrender_renderer.batching import SharedPass, alone, shared
+from services.rendering.pyrender_renderer import opengl_pass, rasteriser
+from services.rendering.pyrender_renderer.batching import SharedPass, alone, fill, shared
 from services.rendering.pyrender_renderer.declaration import PYRENDER
 from services.rendering.pyrender_renderer.errors import MARGIN, is_sampled, measure
 from services.rendering.pyrender_renderer.inactive import inactive_coordinates
@@ -48,10 +48,10 @@ ROUNDING = 1e-3
 
 
 class PyrenderRenderer(DeclaredRenderer):
-    """Images of a scene as a function of its lights, colours and poses.
+    """Images of a scene as a function of its lights, colours, poses and camera.
 
-    Groups, all float tensors, are declared in `declaration`: `illumination`, `color`, `translation` and `rotation`.
-    With one object and one point light these are the paper's 14 numbers.
+    Groups, all float tensors, are declared in `declaration`: `illumination`, `color`, `translation`, `rotation` and
+    `camera`. With one object and one point light the first four are the paper's 14 numbers.
 
     A Lambertian body under a thin glossy coat, or the metallic-roughness material of a glTF file, lit without shadows
     or bounces: `shaders/radiance.frag` has the formulas. Silhouettes are multisampled; the ground is composited as
@@ -68,19 +68,18 @@ class PyrenderRenderer(DeclaredRenderer):
     def __init__(
         self, scene: ResolvedScene, groups: Sequence[str] | None = None, tolerance: Tolerance = DEFAULT_TOLERANCE
     ) -> None:
-        """For attacks on `groups` (None: all). For the meaning of a tolerance see `errors`."""
+        """For attacks on `groups` (None: the default groups). For the meaning of a tolerance see `errors`."""
         self.backend = context.current().backend
         from services.rendering.opengl.mesh_upload import Drawing  # imports OpenGL, so after the context
 
         description = scene.description
         self.size = description.camera.size
         self.drawing = Drawing(scene.meshes, watertight=True)  # public, for passes of one's own over it
-        self._view = CameraMatrices.of(scene.view, scene.projection)
         self._ground = torch.tensor(description.ground, dtype=torch.float32)
-        self._numbers = SceneParameters(description)
+        self._numbers = SceneParameters(scene)
         samples = rasteriser.SAMPLES * self.size[0] * self.size[1]
         self._most = max(1, min(MAX_IMAGES_PER_PASS, MAX_SAMPLE_BYTES // (16 * samples)))
-        groups = tuple(groups or self.groups)
+        groups = tuple(groups or self.declaration.default_groups)
         self._tolerance: Tolerance = "exact"
         self._rasterises = False
         self._sampled: ImageError | None = None
@@ -155,7 +154,7 @@ class PyrenderRenderer(DeclaredRenderer):
         return self._numbers.light_names() if group == "illumination" else super().names(group)
 
     def bounds(self) -> Mapping[str, tuple[Tensor, Tensor]]:
-        """Light is not negative, colours lie in [0,1]; positions, directions and rotations are free."""
+        """See `SceneParameters.bounds`."""
         return self._numbers.bounds()
 
     def exact(self) -> "PyrenderRenderer":
@@ -197,7 +196,8 @@ class PyrenderRenderer(DeclaredRenderer):
     def extent(self, parameters: Mapping[str, Tensor]) -> Rectangle:
         """Rows from and to, columns from and to, within which the objects are at `parameters` {group: [...]}."""
         batch = self._numbers.checked({group: value[None] for group, value in parameters.items()})
-        return self._extent(self._numbers.poses(batch["translation"][0], batch["rotation"][0]))
+        view = self._numbers.view(batch["camera"][0])
+        return self._extent(view, self._numbers.poses(batch["translation"][0], batch["rotation"][0]))
 
     def out_of_frame(self, parameters: Mapping[str, Tensor], index: int, margin: float, turned: bool) -> bool:
         """Whether an object at `parameters` {group: [...]} covers nothing wherever it is moved by at most `margin`
@@ -210,7 +210,8 @@ class PyrenderRenderer(DeclaredRenderer):
             centre = np.append(pose[:3, 3], 1.0)
             margin += float(np.linalg.norm(corners[:3] - centre[:3, None], axis=0).max())
             corners = centre[:, None]
-        return beyond(corners, self._view.clip_from_world, margin * (1 + ROUNDING) + ROUNDING)
+        view = self._numbers.view(batch["camera"][0])
+        return beyond(corners, view.clip_from_world, margin * (1 + ROUNDING) + ROUNDING)
 
     def inactive(self, parameters: Mapping[str, Tensor], reach: Mapping[str, float]) -> list[InactiveCoordinate]:
         """See `inactive_coordinates`."""
@@ -232,26 +233,17 @@ class PyrenderRenderer(DeclaredRenderer):
                 why = "the image has values that are not finite: light or colour is too strong"
                 raise JobFailure("non-finite", why)
             shown = finish(radiance).numpy()[:, ::-1]  # OpenGL's first row is the bottom one
-            channels = Counter((row, slot) for row, _, slot in drawn.users)
-            for row, channel, slot in drawn.users:
-                part = batch_images[row, top:bottom, left:right]
-                if channels[row, slot] == 3:
-                    if channel == 0:  # all at once
-                        part[:] = shown[slot]
-                else:  # the others may be of another pass
-                    part[..., channel] = shown[slot, ..., channel]
-                    if channel == 0:  # coverage is the same in all
-                        part[..., 3:] = shown[slot, ..., 3:]
+            fill(batch_images[:, top:bottom, left:right], drawn, shown)
         return torch.from_numpy(batch_images)
 
-    def _extent(self, poses: NDArray[np.float64]) -> Rectangle:
-        return rectangle(self.drawing.points, list(self._view.clip_from_world @ poses), self.size)
+    def _extent(self, view: CameraMatrices, poses: NDArray[np.float64]) -> Rectangle:
+        return rectangle(self.drawing.points, list(view.clip_from_world @ poses), self.size)
 
     def _lit(self, drawn: SharedPass) -> RenderPass:
         """The render pass of a shared pass: of the part of the image where objects are, or of all of it to be exact."""
-        poses = self._numbers.poses(drawn.translation, drawn.rotation)
-        part = (0, self.size[0], 0, self.size[1]) if self._plain else self._extent(poses)
-        return self._numbers.lit(drawn.illuminations, drawn.colors, poses, part)
+        view, poses = self._numbers.view(drawn.camera), self._numbers.poses(drawn.translation, drawn.rotation)
+        part = (0, self.size[0], 0, self.size[1]) if self._plain else self._extent(view, poses)
+        return self._numbers.lit(drawn.illuminations, drawn.colors, view, poses, part)
 
     def _frames(self, passes: Sequence[RenderPass]) -> list[NDArray[np.float32]]:
         """Radiance [images, rows, columns, 4] of each pass's part, the bottom row first."""
@@ -262,27 +254,12 @@ class PyrenderRenderer(DeclaredRenderer):
 
     def _by_rasteriser(self, passes: Sequence[RenderPass]) -> list[tuple[NDArray[np.float32], int] | None]:
         positions = context.current().renderer.sample_positions
-        return rasteriser.draw(self.drawing, self._view, passes, self.size, positions, self._watertight)
+        return rasteriser.draw(self.drawing, passes, self.size, positions, self._watertight)
 
     def _by_opengl(self, lit: RenderPass) -> NDArray[np.float32]:
         """The radiance of one pass as `_frames` has it, drawn by OpenGL."""
-        images: NDArray[np.float32] = context.current().renderer.draw(
-            self.drawing,
-            "radiance.frag",
-            self._view,
-            lit.poses,
-            lit.colors,
-            lit.uniforms,
-            {},
-            size=self.size,
-            samples=rasteriser.SAMPLES,
-            outputs=len(lit.colors),
-            blend=True,
-            lights=lit.light_counts,
-            rectangle=lit.part,
-            backfaces="draw" if not self._watertight else "behind" if self._plain else "cull",
-        )
-        return images
+        hidden: Literal["behind", "cull"] = "behind" if self._plain else "cull"
+        return opengl_pass.draw(self.drawing, lit, self.size, hidden if self._watertight else "draw")
 
     def _at_start(self) -> RenderPass:
         """The scene's own image as a pass."""

@@ -8,7 +8,7 @@ from services.accuracy.stability import environments, plans, precision
 from services.accuracy.stability.shading import Shading
 from services.rendering import compositing
 from services.rendering.compositing import Canvas
-from services.rendering.pyrender_renderer import parameters
+from services.rendering.pyrender_renderer import camera, parameters
 from services.rendering.pyrender_renderer import renderer as pyrender_renderer
 from services.rendering.torch_renderer import environment_light, shader
 from services.rendering.torch_renderer import renderer as torch_renderer
@@ -148,12 +148,18 @@ def mirrored_camera(patch) -> None:
     """The camera's right is its left."""
     true = resolve.camera_to_world
 
-    def camera_to_world(camera):
-        pose = true(camera)
+    def camera_to_world(given):
+        pose = true(given)
         pose[:3, 0] *= -1
         return pose
 
     patch.setattr(resolve, "camera_to_world", camera_to_world)
+
+
+def rolled_back_camera(patch) -> None:
+    """The roll of an attacked camera turns it the other way."""
+    true = camera.MovingCamera.matrices
+    patch.setattr(camera.MovingCamera, "matrices", lambda self, given: true(self, given * (1, 1, 1, -1)))
 
 
 def files_upside_down(patch) -> None:

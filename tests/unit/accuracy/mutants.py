@@ -90,6 +90,7 @@ MUTANTS = [
     (scenes.squared_coverage_over_ground, {"poses": ["silhouette of a square"]}),
     (scenes.turned_back, {"poses": ["turned object", "object turned by an attack"]}),
     (scenes.mirrored_camera, {"poses": ["turned object"]}),
+    (scenes.rolled_back_camera, {"poses": ["camera moved by an attack"]}),
     # attacks
     (steps.one_sided_differences, {"recurrences": [*DIFFERENCES, "ZOO, 8 steps, λ 0.5"], "differences": ["δ = 1"]}),
     (steps.differences_over_one_step, {"recurrences": DIFFERENCES, "differences": ["δ = 1", "δ from 1e-1 to 1e-12"]}),

@@ -94,7 +94,6 @@ BAD = {
     "momentum not a number": ({"attack": FGSM | {"momentum": math.nan}}, "attack.momentum"),
     "rate not a number": ({"attack": FGSM | {"learning_rate": {"image": math.nan}}}, "attack.learning_rate.image"),
     "steps not a number": ({"attack__steps": math.nan}, "attack.steps"),
-    "fgsm on pyrender": ({"attack__method": "fgsm"}, "attack.method"),
     "label out of range": ({"goal": {"leave": 1000}}, "goal.leave"),
     "a truth that is no label": ({"goal": {"truth": "grand pino"}}, "goal.truth"),
     "a truth that is no label, among others": ({"goal": {"truth": ["tench", "grand pino"]}}, "goal.truth.1"),

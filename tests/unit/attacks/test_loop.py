@@ -1,3 +1,4 @@
+import math
 from pathlib import Path
 
 import pytest
@@ -42,6 +43,16 @@ def test_the_trace_counts_every_query_and_rendering() -> None:
     assert found.trace[-1].queries == found.step + 1
     assert found.trace[-1].renders == found.step + 2
     assert case.queries == found.trace[-1].queries
+
+
+@pytest.mark.parametrize("zoo", [False, True])
+def test_the_trace_has_what_the_method_minimises(zoo: bool) -> None:
+    case = problem(target=LinearTarget(scale=1e-3), weight=0.3)
+    for row in attack(case, Budget(3), zoo=zoo).trace:
+        assert row.objective is not None
+        # the advantage, or the log-odds log p / (1 − p), by definition from the trace's own numbers
+        gained = row.advantage if zoo else math.log(row.loss / (1 - row.loss))
+        assert row.objective == pytest.approx(gained + 0.3 * row.distance**2, abs=1e-6)
 
 
 def test_success_is_judged_on_the_image_as_saved() -> None:

@@ -45,6 +45,28 @@ def test_learning_rates_are_those_that_the_groups_suggest() -> None:
     assert Fgsm.model_validate({"renderer": "image"}).learning_rate == {"image": 0.002}
 
 
+def test_through_a_renderer_without_gradients_defaults_are_those_that_succeed_there() -> None:
+    """What moves silhouettes exceeds any U at once, and the paper's λ outweighs what ZOO may gain."""
+    fgsm = Fgsm.model_validate({"renderer": "pyrender"})
+    steps = {"illumination": 0.005, "color": 0.005, "translation": 0.0005, "rotation": 0.001}
+    assert (fgsm.learning_rate, fgsm.truncation) == (steps, None)
+    assert Fgsm.model_validate({"renderer": "pyrender", "truncation": 9}).truncation == 9
+    assert Fgsm().truncation == 18
+    zoo = Zoo.model_validate({"renderer": "pyrender"})
+    assert (zoo.learning_rate, zoo.weight) == ({group: 10 * step for group, step in steps.items()}, 1e-3)
+    assert Zoo.model_validate({"renderer": "pyrender", "learning_rate": 0.1, "weight": 0.5}).learning_rate == 0.1
+    for renderer, preset in (("pyrender", "paper-classification"), ("torch", "measured"), ("image", "measured")):
+        papers = Zoo.model_validate({"renderer": renderer, "preset": preset})
+        assert (papers.learning_rate, papers.weight) == (2e-3, 0.1)
+
+
+def test_groups_on_request_have_a_rate_when_they_are_named() -> None:
+    asked = {"renderer": "pyrender", "groups": ["camera", "color"]}
+    assert Fgsm.model_validate(asked).learning_rate == {"color": 0.005, "camera": 0.001}
+    assert Zoo.model_validate(asked).groups == ("color", "camera")
+    assert "camera" not in Zoo.model_validate({"renderer": "pyrender"}).groups
+
+
 def test_the_weight_of_the_distance_is_the_methods_own() -> None:
     assert Fgsm().distance_weight == 0
     assert Zoo.model_validate({"weight": 0.25}).distance_weight == 0.25

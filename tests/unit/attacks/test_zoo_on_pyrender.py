@@ -19,7 +19,8 @@ SKIPPED = {"point 1 energy", "point 1 x", "point 1 y", "point 1 z"}
 def problem(*lights: PointLight) -> AttackProblem:
     description = scene((4, 5), lights=Lights(ambient=0.3, points=lights))
     renderer = PyrenderRenderer(placed(description, mesh(quad(0.5, color=(0.4, 0.5, 0.6, 1)))))
-    return AttackProblem(renderer, LinearTarget(), ResolvedGoal((0,), None), renderer.groups)  # type: ignore[arg-type]
+    groups = renderer.plan.groups
+    return AttackProblem(renderer, LinearTarget(), ResolvedGoal((0,), None), groups)  # type: ignore[arg-type]
 
 
 def settings(**changes: object) -> Zoo:

@@ -23,10 +23,11 @@ ATTACKS: list[dict[str, Any]] = [
     {"renderer": "image"},
     {"renderer": "torch"},
     {"renderer": "pyrender", "delta": 1e-2, "steps": 2},
+    {"renderer": "pyrender", "method": "fgsm", "groups": ["rotation", "camera"], "steps": 2},
 ]
 
 
-@pytest.mark.parametrize("attack", ATTACKS, ids=lambda attack: attack["renderer"])
+@pytest.mark.parametrize("attack", ATTACKS, ids=lambda attack: " ".join(map(str, attack.values())))
 def test_twice_the_same_bytes_and_again_in_another_process(attack: dict[str, Any], tmp_path: Path) -> None:
     results = [execute(spec(attack), tmp_path / name, LIBRARY) for name in ("one", "two")]
     for name in ("perturbation.safetensors", "original.png", "attacked.png", "perturbation.png"):

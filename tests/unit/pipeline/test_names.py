@@ -3,6 +3,7 @@ import pytest
 from services.pipeline.names import attack_name, group_words
 
 TORCH = ("normals", "illumination", "material")
+PAPERS = ["illumination", "color", "translation", "rotation"]
 
 
 @pytest.mark.parametrize(
@@ -12,6 +13,8 @@ TORCH = ("normals", "illumination", "material")
         ({"renderer": "torch", "groups": TORCH[::-1], "method": "fgsm"}, "torch combined fgsm"),
         ({"renderer": "torch", "groups": ["normals", "material"], "method": "zoo"}, "torch normals+material zoo"),
         ({"renderer": "pyrender", "groups": ["color"], "method": "zoo"}, "pyrender color zoo"),
+        ({"renderer": "pyrender", "groups": PAPERS, "method": "zoo"}, "pyrender combined zoo"),
+        ({"renderer": "pyrender", "groups": ["rotation", "camera"], "method": "zoo"}, "pyrender rotation+camera zoo"),
         ({"renderer": "not-installed", "groups": ["fog"], "method": "hill"}, "not-installed fog hill"),
     ],
 )

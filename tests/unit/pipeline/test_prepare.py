@@ -34,7 +34,6 @@ REFUSED: list[tuple[str, dict[str, Any]]] = [
     ("goal.reach", {"goal": {"reach": 1000}}),
     ("goal.reach", {"goal": {"reach": 3, "leave": 3}}),
     ("attack.groups", {"attack": {"renderer": "torch", "groups": ["color"]}}),
-    ("attack.method", {"attack": {"renderer": "pyrender", "method": "fgsm"}}),
     ("attack.renderer", {"attack": {"renderer": "blender"}}),
     ("attack.steps", {"attack": {"steps": 0}}),
     ("attack.steps", {"attack": {"steps": 10**9}}),

@@ -13,7 +13,9 @@ FOG = Group(name="fog", shape=("H", "W"), unit="1/m", words="fog")
 
 def test_the_built_in_renderers_are_found() -> None:
     assert RENDERERS["image"].group_names == ("image",)
-    assert RENDERERS["pyrender"].group_names == ("illumination", "color", "translation", "rotation")
+    papers = ("illumination", "color", "translation", "rotation")
+    assert RENDERERS["pyrender"].default_groups == papers
+    assert RENDERERS["pyrender"].group_names == (*papers, "camera")
     assert RENDERERS["torch"].group_names == ("normals", "illumination", "material")
 
 
@@ -56,6 +58,14 @@ def test_a_group_that_cannot_be(changes: dict[str, object], why: str) -> None:
 def test_a_renderer_that_cannot_be(groups: tuple[Group, ...], why: str) -> None:
     with pytest.raises(ValueError, match=why):
         Declaration(name="foggy", groups=groups, differentiable=True, method="fgsm")
+
+
+def test_groups_on_request_are_not_attacked_by_default() -> None:
+    rain = Group(name="rain", shape=("H",), unit="mm", words="rain", by_default=False)
+    declared = Declaration(name="foggy", groups=(FOG, rain), differentiable=True, method="fgsm")
+    assert (declared.group_names, declared.default_groups) == (("fog", "rain"), ("fog",))
+    with pytest.raises(ValueError, match="no group that is attacked by default"):
+        Declaration(name="rainy", groups=(rain,), differentiable=True, method="fgsm")
 
 
 def test_a_location_that_is_none_is_refused() -> None:

@@ -80,7 +80,7 @@ def moved(renderer: PyrenderRenderer, seed: int, count: int = 4) -> dict[str, to
     random = torch.Generator().manual_seed(seed)
     start = renderer.initial()
     sides = both_sides(start, renderer.groups)
-    for group, reach in (("translation", 0.05), ("rotation", 1.0)):
+    for group, reach in (("translation", 0.05), ("rotation", 1.0), ("camera", 0.1)):
         some = reach * torch.randn(count, *start[group].shape, generator=random, dtype=torch.float64)
         sides[group] = torch.cat([sides[group], start[group] + some])
     for group in ("illumination", "color"):

@@ -1,3 +1,5 @@
+from collections.abc import Mapping
+
 import numpy as np
 import pytest
 import torch
@@ -13,9 +15,14 @@ from tests.unit.rendering.shapes import PLATFORMS, mesh, on_platform, placed, sc
 
 
 def sides(objects: int = 1) -> dict[str, Array]:
-    """Both sides of the differences of all coordinates."""
+    """Both sides of the differences of all coordinates, the camera's last."""
     renderer = PyrenderRenderer(placed(scene((8, 8), objects), *[mesh(sphere(0.3, 8))] * objects))
     return {g: v.numpy() for g, v in both_sides(renderer.initial(), renderer.groups).items()}
+
+
+def pose_of(one: Mapping[str, Array]) -> bytes:
+    """What decides where things are in an image."""
+    return b"".join(one[group].tobytes() for group in ("camera", "translation", "rotation"))
 
 
 def drawn(batch: dict[str, Array], most: int) -> list[dict[tuple[int, int], bytes]]:
@@ -23,13 +30,13 @@ def drawn(batch: dict[str, Array], most: int) -> list[dict[tuple[int, int], byte
     asked = {}
     for row in range(len(batch["color"])):
         for channel in range(3):
-            pose = batch["translation"][row].tobytes() + batch["rotation"][row].tobytes()
+            pose = pose_of({group: values[row] for group, values in batch.items()})
             asked[row, channel] = (
                 pose + batch["illumination"][row].tobytes() + batch["color"][row, :, channel].tobytes()
             )
     given = {}
     for one in shared(batch, most):
-        pose = one.translation.tobytes() + one.rotation.tobytes()
+        pose = pose_of(vars(one))
         for row, channel, slot in one.users:
             assert (row, channel) not in given
             light = one.illuminations[slot].tobytes()
@@ -46,10 +53,16 @@ def test_every_channel_of_every_image_is_drawn_with_its_own_parameters(objects: 
 
 def test_the_fourteen_differences_take_fourteen_passes_and_twenty_five_images() -> None:
     """12 poses by themselves; 10 sides of light and 3 for the 6 sides of colour and the image they are around."""
-    passes = list(shared(sides(), 8))
+    fourteen = {group: values[:28] for group, values in sides().items()}
+    passes = list(shared(fourteen, 8))
     assert len(passes) == 14
     assert sorted(len(one.colors) for one in passes) == [1] * 12 + [5, 8]
-    assert len(list(alone(sides()))) == 28
+    assert len(list(alone(fourteen))) == 28
+
+
+def test_every_camera_has_a_pass_of_its_own() -> None:
+    camera = {group: values[28:] for group, values in sides().items()}
+    assert [len(one.colors) for one in shared(camera, 8)] == [1] * 8
 
 
 def test_channels_are_not_shared_between_lights() -> None:
@@ -84,7 +97,7 @@ print(torch.equal(together, alone), torch.equal(together, whole), float(together
 @pytest.mark.parametrize("platform", PLATFORMS)
 def test_images_that_share_have_the_bits_they_have_alone_and_whole(platform: str) -> None:
     """No tolerance: the same instructions on the same numbers. Two lights, two objects, one of them of glass."""
-    assert on_platform(platform, _BITS).split() == ["True", "True", "True", "54"]
+    assert on_platform(platform, _BITS).split() == ["True", "True", "True", "62"]
 
 
 def colored(seed: int, objects: int, lamps: int) -> PyrenderRenderer:

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from services.errors import JobFailure
 from services.rendering.opengl.gbuffer import rasterise
+from services.rendering.pyrender_renderer.declaration import PYRENDER
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.scenes.description import GROUND, Lights, PointLight, SceneObject
 from tests.unit.rendering import shapes
@@ -28,8 +29,8 @@ def test_initial_parameters_are_those_of_the_scene() -> None:
     renderer = PyrenderRenderer(resolved)
     initial = renderer.initial()
     assert initial["illumination"].tolist() == [0.25, 0.5, 1, 2, 3, 0.2, 1.2, 2.0, 1.5]
-    assert [list(initial[g].shape) for g in renderer.groups] == [[9], [2, 3], [2, 3], [2, 3]]
-    assert [len(renderer.names(g) or []) for g in renderer.groups] == [9, 6, 6, 6]
+    assert [list(initial[g].shape) for g in renderer.groups] == [[9], [2, 3], [2, 3], [2, 3], [4]]
+    assert [len(renderer.names(g) or []) for g in renderer.groups] == [9, 6, 6, 6, 4]
     assert torch.equal(renderer.render({}), renderer.render(batch_of_one(renderer)))
     # The same poses as the model matrices, through the G-buffer: both sample silhouettes, 4 and 16 times a pixel.
     difference = renderer.radiance({})[0, ..., 3] - rasterise(resolved).coverage
@@ -59,7 +60,7 @@ def test_a_posed_object_looks_like_a_mesh_with_the_pose_baked_in() -> None:
 
 def test_one_object_and_one_light_have_the_papers_fourteen_parameters() -> None:
     renderer = PyrenderRenderer(placed(scene(), mesh(sphere(0.5))))
-    assert sum(value.numel() for value in renderer.initial().values()) == 14
+    assert sum(renderer.initial()[group].numel() for group in PYRENDER.default_groups) == 14
     assert renderer.names("illumination") == ["ambient", "point 0 energy", "point 0 x", "point 0 y", "point 0 z"]
     bounds = renderer.bounds()
     assert bounds["illumination"][0].tolist() == [0, 0, -inf, -inf, -inf]

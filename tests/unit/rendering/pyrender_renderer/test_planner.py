@@ -97,7 +97,8 @@ def test_every_coordinate_that_is_kept_changes_the_image_and_no_other_does() -> 
     renderer = subject()
     [item] = [item for item in renderer.plan.items if item.what == "coordinates"]
     start, still, changed = image(renderer), set(), 0
-    for group, value in renderer.initial().items():
+    for group in renderer.plan.groups:
+        value = renderer.initial()[group]
         for index, name in enumerate(renderer.names(group) or []):
             sides = torch.stack([value, value])
             for row, sign in enumerate((1, -1)):

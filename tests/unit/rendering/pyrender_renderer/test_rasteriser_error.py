@@ -111,7 +111,7 @@ def test_catalogue_models_are_within_the_default_tolerance(model: str, tmp_path:
     renderer = PyrenderRenderer(resolve(found, Library(settings().cache_dir, tmp_path)))
     assert renderer.rasterises
     [stage] = [stage for stage in renderer.plan.stages if stage.name == "rasterise"]
-    here = error(renderer, both_sides(renderer.initial(), renderer.groups))
+    here = error(renderer, both_sides(renderer.initial(), renderer.plan.groups))
     assert here.mean <= stage.error <= 2e-3
     assert here.share <= stage.share <= 0.02
 

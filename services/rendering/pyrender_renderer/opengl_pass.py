@@ -1,0 +1,38 @@
+"""Radiance of a pass over the geometry, drawn by OpenGL."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.rendering.opengl import context
+from services.rendering.opengl.camera import RenderPass
+from services.rendering.pyrender_renderer.rasteriser import SAMPLES
+
+if TYPE_CHECKING:
+    from services.rendering.opengl.mesh_upload import Drawing
+    from services.rendering.opengl.render_pass import Backfaces
+
+
+def draw(drawing: "Drawing", lit: RenderPass, size: tuple[int, int], backfaces: "Backfaces") -> NDArray[np.float32]:
+    """The radiance [images, rows, columns, 4] of the pass's part, the bottom row first.
+
+    `size` is the height and width of the whole image; `backfaces` says what is done with those of watertight surfaces.
+    """
+    images: NDArray[np.float32] = context.current().renderer.draw(
+        drawing,
+        "radiance.frag",
+        lit.view,
+        lit.poses,
+        lit.colors,
+        lit.uniforms,
+        {},
+        size=size,
+        samples=SAMPLES,
+        outputs=len(lit.colors),
+        blend=True,
+        lights=lit.light_counts,
+        rectangle=lit.part,
+        backfaces=backfaces,
+    )
+    return images

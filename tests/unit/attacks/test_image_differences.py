@@ -1,0 +1,285 @@
+"""The network's gradient times differences of the image, against autograd through the same renderer.
+
+An estimator may be wrong in scale, in direction, by what else is in its batch, or in what it counts, and attacks still
+succeed with it. Each of these is compared with a reference that shares no code with it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from services.attacks.fgsm import Fgsm, FgsmMethod
+from services.attacks.image_differences import (
+    CANDIDATES,
+    PLACES,
+    PROBES,
+    ImageDifferences,
+    measure_half_steps,
+    projected,
+)
+from services.attacks.loop import AttackRun, Budget, run, run_together
+from services.attacks.problem import AttackProblem, ask, gradients
+from services.attacks.state import AttackState
+from services.attacks.verifier import Verifier
+from services.errors import Cancelled, JobFailure
+from services.rendering.protocol import Parameters
+from tests.unit.attacks.small import LinearRenderer, LinearTarget, problem
+
+FGSM = Fgsm.model_construct(learning_rate={"a": 0.01, "b": 0.01}, momentum=0.9, weight_decay=1e-4)
+BATCHES = [1, 8, 64]
+
+
+class CurvedRenderer(LinearRenderer):
+    """A smooth, curved function of its parameters, within [0,1] wherever they are."""
+
+    def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
+        value = self.base.to(self.dtype).flatten()[None]
+        for group, moved in parameters.items():
+            value = value + moved.flatten(1) @ self.weights[group].to(self.dtype).T
+        return (0.5 + 0.4 * torch.sin(3 * value)).reshape(-1, 4, 5, 3)
+
+
+class OpaqueCurvedRenderer(CurvedRenderer):
+    """The same without gradients."""
+
+    differentiable = False
+
+    def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
+        return super().render({group: value.detach() for group, value in parameters.items()}).detach()
+
+
+@dataclass
+class CountingTarget(LinearTarget):
+    """Counts the images that it classifies, whoever asks."""
+
+    images: int = 0
+
+    def logits(self, images: Tensor, question: str | None = None) -> Tensor:
+        self.images += len(images)
+        return super().logits(images)
+
+
+HALF_STEPS = {"a": 1e-4, "b": 1e-4}
+
+
+def opaque(seed: int = 0, **settings: object) -> AttackProblem:
+    case = problem(OpaqueCurvedRenderer(seed=seed), **settings)
+    case.differences = ImageDifferences(case, HALF_STEPS)
+    return case
+
+
+def place(seed: int) -> Parameters:
+    """A perturbation well within the bounds."""
+    random = torch.Generator().manual_seed(100 + seed)
+    return {
+        "a": 0.2 * torch.randn(2, 3, generator=random, dtype=torch.float64),
+        "b": 0.2 + 0.3 * torch.rand(3, generator=random, dtype=torch.float64),
+    }
+
+
+def found(cases: list[AttackProblem], places: list[Parameters]) -> list[Parameters]:
+    """Gradients by one backward pass for all, on float images."""
+    views = [case.view(at, gradient=True) for case, at in zip(cases, places, strict=True)]
+    return gradients(cases, views, ask(cases, torch.cat([view.images for view in views])))
+
+
+def autograd(seed: int, at: Parameters, truncation: float | None = None, weight: float = 0.0) -> Parameters:
+    """∂/∂perturbation of log-odds + λ‖ΔY‖² of the truncated image, through the renderer that has gradients."""
+    renderer, target = CurvedRenderer(seed=seed), LinearTarget()
+    start = renderer.initial()
+    with torch.no_grad():
+        original = renderer.render({g: v[None] for g, v in start.items()})
+        first = int(target.logits(original).argmax())
+    leaves = {g: v.clone().requires_grad_() for g, v in at.items()}
+    change = renderer.render({g: (start[g] + v)[None] for g, v in leaves.items()}) - original
+    if truncation is not None:
+        change = change.clamp(-truncation, truncation)
+    p = torch.softmax(target.logits(original + change), -1)[0, first]
+    (torch.log(p / (1 - p)) + weight * change.square().sum()).backward()
+    return {g: v.grad for g, v in leaves.items()}  # type: ignore[misc]
+
+
+def assert_same(ours: Parameters, true: Parameters, rtol: float = 1e-6) -> None:
+    assert ours.keys() == true.keys()
+    for group, value in true.items():
+        assert float(value.abs().max()) > 1e-2
+        torch.testing.assert_close(ours[group], value, rtol=rtol, atol=rtol * float(value.abs().max()))
+
+
+@pytest.mark.parametrize("batch", BATCHES)
+def test_every_gradient_of_a_batch_has_the_scale_and_direction_of_autograd(batch: int) -> None:
+    """Foolbox's estimator is 0.24 times as long as the gradient, and at a batch of 64 its cosine to it is 0.67."""
+    places = [place(seed) for seed in range(batch)]
+    ours = found([opaque(seed) for seed in range(batch)], places)
+    for seed in range(batch):
+        assert_same(ours[seed], autograd(seed, places[seed]))
+
+
+@pytest.mark.parametrize("batch", BATCHES[1:])
+def test_no_other_problem_of_the_batch_matters(batch: int) -> None:
+    """Problems of very different scale: the sum of a batch's losses inside one loss would mix them."""
+    scaled = [opaque(seed, weight=10.0**k) for k, seed in enumerate(range(3))] + [opaque(k) for k in range(3, batch)]
+    places = [place(seed) for seed in range(batch)]
+    together = found(scaled, places)
+    for k in (0, 1, 2, batch - 1):
+        [alone] = found([scaled[k]], [places[k]])
+        assert_same(together[k], alone, 1e-9)
+
+
+@pytest.mark.parametrize("weight", [0.0, 0.3])
+@pytest.mark.parametrize("truncation", [None, 0.05])
+def test_truncated_values_pass_no_gradient_and_the_weight_is_part_of_it(
+    truncation: float | None, weight: float
+) -> None:
+    case, at = opaque(truncation=truncation, weight=weight), place(0)
+    assert (int(case.view(at).truncated.sum()) > 3) == (truncation is not None)
+    assert_same(found([case], [at])[0], autograd(0, at, truncation, weight))
+
+
+def test_a_difference_at_a_bound_is_divided_by_what_remains_of_it() -> None:
+    """Group b starts at its lower bound: one side is clamped there, and the estimate is of first order in δ."""
+    case, at = opaque(), place(0)
+    at["b"] = torch.zeros(3, dtype=torch.float64)
+    ours, true = found([case], [at])[0], autograd(0, at)
+    assert_same({"a": ours["a"]}, {"a": true["a"]})
+    assert_same({"b": ours["b"]}, {"b": true["b"]}, 1e-3)
+
+
+@pytest.mark.parametrize("chunk", [1, 2, 5, 28])
+def test_batches_of_images_of_any_size_give_the_same(chunk: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.attacks.differences.MAX_BATCH", chunk)
+    case, at = opaque(), place(0)
+    sizes, true = [], case.renderer.render
+
+    def render(parameters: Mapping[str, Tensor]) -> Tensor:
+        sizes.append(len(parameters["a"]))
+        return true(parameters)
+
+    case.renderer.render = render  # type: ignore[method-assign]
+    assert_same(found([case], [at])[0], autograd(0, at))
+    assert max(sizes) <= max(2, chunk)
+    assert sum(sizes) == 1 + 2 * 9
+
+
+def test_a_step_takes_one_query_and_two_images_per_coordinate() -> None:
+    """Counted by the network itself; cleverhans' SPSA takes about twice the queries that it is said to take."""
+    target = CountingTarget(scale=1e-3)
+    case = problem(OpaqueCurvedRenderer(), target)
+    before = target.images
+    state = run(case, FgsmMethod(FGSM, case), Verifier(case.renderer, target), Budget(5))
+    assert state.stopped == "steps"
+    assert target.images - before == state.trace[-1].queries == case.queries
+    first, second = state.trace[0], state.trace[1]
+    assert second.queries - first.queries == 1
+    assert second.renders - first.renders == 1 + 2 * 9
+    assert first.queries == 2  # the half-steps are measured with one gradient of the network
+    probes = PLACES * (PROBES + 3)  # of group a, which has more, and of all 3 of b
+    assert first.renders == 2 + 2 * len(CANDIDATES) * probes
+
+
+def test_it_fools_as_autograd_does() -> None:
+    """The same attack through the renderer with and without gradients takes the same steps."""
+    states = []
+    for renderer in (CurvedRenderer(), OpaqueCurvedRenderer()):
+        case = problem(renderer)
+        states.append(run(case, FgsmMethod(FGSM, case), Verifier(renderer, case.target), Budget(60)))
+    assert [state.stopped for state in states] == ["verified", "verified"]
+    assert states[0].step == states[1].step
+    for group, value in states[0].stored.items():
+        torch.testing.assert_close(states[1].stored[group], value)
+
+
+def test_attacks_together_through_renderers_with_and_without_gradients_end_as_alone() -> None:
+    target = LinearTarget()
+    cases = [problem(kind(seed=k), target) for k in range(2) for kind in (OpaqueCurvedRenderer, CurvedRenderer)]
+    alone = [run(c, FgsmMethod(FGSM, c), Verifier(c.renderer, target), Budget(40)) for c in map(fresh, cases)]
+    together = run_together(
+        [AttackRun(c, FgsmMethod(FGSM, c), Verifier(c.renderer, target), Budget(40)) for c in map(fresh, cases)]
+    )
+    assert len({state.step for state in alone}) > 1
+    for one, other in zip(alone, together, strict=True):
+        assert one.step == other.step
+        assert one.trace[-1].queries == other.trace[-1].queries
+        for group, value in one.stored.items():
+            torch.testing.assert_close(other.stored[group], value)
+
+
+def fresh(case: AttackProblem) -> AttackProblem:
+    """The same problem with nothing counted."""
+    return replace(case, queries=0, renders=0)
+
+
+def test_differences_below_the_rounding_of_the_image_are_zero() -> None:
+    """A step of 1e-12 moves a float32 image by nothing, or by one rounding: no gradient is made of it."""
+    case = problem(OpaqueCurvedRenderer(torch.float32))
+    towards = torch.randn(4, 5, 3, generator=torch.Generator().manual_seed(0))
+    here, all_of_it = torch.full((9,), 0.1), torch.arange(9)
+    tiny = projected(case, here, all_of_it, torch.full((9,), 1e-8, dtype=torch.float64), towards)
+    assert (tiny == 0).all()
+    seen = projected(case, here, all_of_it, torch.full((9,), 1e-3, dtype=torch.float64), towards)
+    assert (seen != 0).all()
+
+
+def test_half_steps_are_measured_and_recorded() -> None:
+    """Too small a step drowns in float32's rounding, too large a one in the curve of the sine."""
+    case = problem(OpaqueCurvedRenderer(torch.float32), LinearTarget(dtype=torch.float32))
+    chosen = measure_half_steps(case)
+    assert set(chosen) == {"a", "b"}
+    assert all(1e-4 < value < 1e-1 for value in chosen.values())
+    assert case.queries == 1
+    case.differences = ImageDifferences(case, chosen)
+    ours = found([case], [{g: v.float() for g, v in place(0).items()}])[0]
+    assert_same({g: v.double() for g, v in ours.items()}, autograd(0, place(0)), 5e-3)
+    state = run(case, FgsmMethod(FGSM, case), Verifier(case.renderer, case.target), Budget(1))
+    assert state.settings == {"image_differences": {"delta": chosen, "skipped": []}}
+
+
+def test_a_resumed_attack_ends_in_the_same_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.attacks.checkpoint.EVERY", -1.0)  # after every step
+    hard = LinearTarget(scale=1e-3)
+
+    def attack(path: Path | None, interrupt: object = lambda: None) -> AttackState:
+        case = problem(OpaqueCurvedRenderer(), hard, truncation=0.01, interrupt=interrupt)
+        return run(case, FgsmMethod(FGSM, case), Verifier(case.renderer, hard), Budget(6), checkpoint_path=path)
+
+    whole, seen = attack(None), 0
+
+    def die() -> None:
+        nonlocal seen
+        seen += 1
+        if seen > 15:  # a rendering of the differences, inside the backward pass
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        attack(tmp_path / "checkpoint", die)
+    assert (tmp_path / "checkpoint").exists()
+    resumed = attack(tmp_path / "checkpoint")
+    assert whole.settings == resumed.settings
+    assert [row.model_copy(update={"seconds": 0}) for row in whole.trace] == [
+        row.model_copy(update={"seconds": 0}) for row in resumed.trace
+    ]
+    for group, value in whole.stored.items():
+        assert torch.equal(value, resumed.stored[group])
+
+
+def test_an_image_that_is_not_finite_ends_the_job_from_inside_the_backward_pass() -> None:
+    case, at = opaque(), place(0)
+    view = case.view(at, gradient=True)
+    logits = ask([case], view.images)
+    case.renderer.base[0, 0, 0] = torch.nan  # type: ignore[attr-defined]
+    with pytest.raises(JobFailure, match="non-finite: the renderer"):
+        gradients([case], [view], logits)
+
+
+def test_a_network_without_gradients_is_named() -> None:
+    class Detached(LinearTarget):
+        def logits(self, images: Tensor, question: str | None = None) -> Tensor:
+            return super().logits(images).detach()
+
+    case = problem(OpaqueCurvedRenderer(), Detached())
+    with pytest.raises(JobFailure, match="target 'linear' returned scores without a graph"):
+        run(case, FgsmMethod(FGSM, case), Verifier(case.renderer, case.target), Budget(1))

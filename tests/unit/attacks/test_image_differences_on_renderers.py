@@ -1,0 +1,182 @@
+"""Gradients by differences of the image through the real renderers and the real network, in float64."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import pytest
+import torch
+from torch import Tensor
+from torch.nn.functional import cosine_similarity
+
+from services.attacks.goal import ResolvedGoal
+from services.attacks.image_differences import ImageDifferences, measure_half_steps
+from services.attacks.problem import AttackProblem, ask, gradients
+from services.rendering.opengl.gbuffer import rasterise
+from services.rendering.protocol import Parameters, Renderer
+from services.rendering.pyrender_renderer.declaration import PYRENDER
+from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
+from services.rendering.torch_renderer.renderer import TorchRenderer
+from services.scenes.description import Scene
+from services.scenes.resolve import ResolvedScene, resolve
+from services.targets import registry
+from services.targets.classifier import Classifier
+from services.targets.protocol import Target
+from tests.unit.jobs.small import LIBRARY
+
+SIZE = (32, 32)
+GROUPS = {"illumination": 3, "material": 5}
+"""Coordinates of each group of the torch renderer that are attacked: a few, spread over the group."""
+
+
+def ball() -> ResolvedScene:
+    return resolve(
+        Scene.model_validate(
+            {
+                "objects": [{"mesh": "furniture/soccer-ball", "material": "plastic"}],
+                "camera": {"size": SIZE},
+                "lights": {"environment": {"size": [8, 16]}},
+            }
+        ),
+        LIBRARY,
+    )
+
+
+def network() -> Classifier:
+    target = registry.load("efficientnet-lite0", torch.float64)
+    assert isinstance(target, Classifier)
+    return replace(target, input_size=SIZE)  # the network takes any size, and float64 is slow
+
+
+@dataclass
+class Few:
+    """A renderer of some of another's coordinates, which passes on its gradients only if `differentiable`."""
+
+    whole: Renderer
+    differentiable: bool
+
+    name = "few"
+    groups = tuple(GROUPS)
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self.whole, name)
+
+    def chosen(self, group: str) -> Tensor:
+        """Flat indices: of the texels those that are bright, so that a step down stays within bounds."""
+        values = self.whole.initial()[group].flatten()
+        order = values.argsort(descending=True) if group == "illumination" else torch.arange(len(values))
+        return order[:: len(order) // GROUPS[group] // (4 if group == "illumination" else 1)][: GROUPS[group]]
+
+    def initial(self) -> Parameters:
+        return {group: self.whole.initial()[group].flatten()[self.chosen(group)] for group in GROUPS}
+
+    def bounds(self) -> Mapping[str, tuple[Tensor, Tensor]]:
+        def of(bound: Tensor, group: str) -> Tensor:
+            return bound.expand_as(self.whole.initial()[group]).flatten()[self.chosen(group)]
+
+        bounds = self.whole.bounds()
+        return {group: (of(bounds[group][0], group), of(bounds[group][1], group)) for group in GROUPS}
+
+    def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
+        given = {}
+        for group, values in parameters.items():
+            start = self.whole.initial()[group]
+            flat = start.flatten().expand(len(values), -1).index_copy(1, self.chosen(group), values)
+            given[group] = flat.reshape(-1, *start.shape)
+        images = self.whole.render(given)
+        return images if self.differentiable else images.detach()
+
+
+def problem(renderer: Renderer, target: Target, groups: tuple[str, ...] = ()) -> AttackProblem:
+    with torch.no_grad():
+        first = int(target.logits(renderer.render({g: v[None] for g, v in renderer.initial().items()})).argmax())
+    return AttackProblem(renderer, target, ResolvedGoal((first,), None), groups or renderer.groups)
+
+
+def place(case: AttackProblem, seed: int, size: float) -> Parameters:
+    random = torch.Generator().manual_seed(seed)
+    return {
+        group: size * (torch.rand(value.shape, generator=random, dtype=value.dtype) - 0.5)
+        for group, value in case.nothing().items()
+    }
+
+
+def found(cases: list[AttackProblem], places: list[Parameters]) -> list[Tensor]:
+    """Gradients as vectors, by one pass over the network and back for all problems, on float images."""
+    views = [case.view(at, gradient=True) for case, at in zip(cases, places, strict=True)]
+    by_group = gradients(cases, views, ask(cases, torch.cat([view.images for view in views])))
+    return [case.layout.flatten(of).double() for case, of in zip(cases, by_group, strict=True)]
+
+
+@pytest.mark.parametrize("batch", [1, 8, 64])
+def test_through_the_torch_renderer_they_are_those_of_autograd(batch: int) -> None:
+    """In scale, in direction, and whatever else is in the batch; of images of one scene and one network."""
+    scene, target = ball(), network()
+    whole = TorchRenderer(scene, rasterise(scene), tolerance="exact")
+    smooth, opaque = (problem(Few(whole, has), target) for has in (True, False))
+    opaque.differences = ImageDifferences(opaque, dict.fromkeys(GROUPS, 1e-3))
+    assert torch.equal(smooth.original, opaque.original)
+    places = [place(opaque, seed, 0.5) for seed in range(batch)]
+    # the network's pass is shared by all; of a large batch only some are compared with autograd, one at a time
+    ours = found([opaque] * batch, places)
+    for k in {0, batch // 2, batch - 1}:
+        [true] = found([smooth], [places[k]])
+        torch.testing.assert_close(ours[k], true, rtol=1e-6, atol=1e-6 * float(true.abs().max()))
+    if batch > 1:
+        assert float(cosine_similarity(ours[0], ours[1], dim=0)) < 0.9999  # the places differ, and can be told
+
+
+class Straight:
+    """Two labels, whose log-odds are linear in the image. Over the steps of a difference nothing bends."""
+
+    name, labels = "straight", ("one", "other")
+
+    def __init__(self) -> None:
+        random = torch.Generator().manual_seed(0)
+        self.weights = torch.randn(3 * SIZE[0] * SIZE[1], 2, generator=random, dtype=torch.float64) / 50
+
+    def logits(self, images: Tensor, question: str | None = None) -> Tensor:
+        return images.double().flatten(1) @ self.weights
+
+
+def differences_of_the_objective(case: AttackProblem, at: Parameters, half_steps: dict[str, float]) -> Tensor:
+    """One image after the other, each shown to the network."""
+    layout = case.layout
+    steps, found = layout.spread(half_steps), torch.zeros(layout.total, dtype=torch.float64)
+    for k in range(layout.total):
+        values, places = [], []
+        for sign in (1, -1):
+            moved = layout.flatten(at)
+            moved[k] += sign * steps[k]
+            inside = case.clamp(layout.unflatten(moved))
+            images = case.renderer.render({g: (case.initial[g] + v)[None] for g, v in inside.items()})
+            values.append(case.goal.objective(case.target.logits(images.double()))[0])
+            places.append(layout.flatten(inside)[k])
+        found[k] = (values[0] - values[1]) / (places[0] - places[1])
+    return found
+
+
+def test_through_pyrender_they_are_differences_of_the_objective() -> None:
+    """Of float images, at the measured steps. The object is white, so that its colour is at a bound."""
+    case = problem(PyrenderRenderer(ball(), PYRENDER.group_names), Straight())  # type: ignore[arg-type]
+    chosen = measure_half_steps(case)
+    case.differences = ImageDifferences(case, chosen)
+    at = case.clamp(place(case, 0, 0.05))
+    at["color"] = torch.zeros_like(at["color"])
+    [ours] = found([case], [at])
+    wanted = differences_of_the_objective(case, at, chosen)
+    assert len(wanted) == 18
+    assert bool((wanted.abs() > 1e-3).all())
+    torch.testing.assert_close(ours, wanted, rtol=1e-4, atol=1e-4)
+
+
+def test_through_pyrender_and_the_real_network_they_are_near_differences_of_the_objective() -> None:
+    """The network bends between the two images of a difference: little, as light and colour change them little."""
+    case = problem(PyrenderRenderer(ball(), ("illumination", "color")), network(), ("illumination", "color"))
+    small = dict.fromkeys(case.groups, 1e-3)
+    case.differences = ImageDifferences(case, small)
+    at = place(case, 0, 0.05)
+    at["color"] = -at["color"].abs() - 0.01
+    [ours] = found([case], [at])
+    wanted = differences_of_the_objective(case, at, small)
+    assert float(cosine_similarity(ours, wanted, dim=0)) > 0.999
+    assert float(ours.norm() / wanted.norm()) == pytest.approx(1, abs=0.03)
