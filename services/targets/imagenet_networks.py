@@ -52,7 +52,7 @@ def alexnet(dtype: torch.dtype) -> Target:
     """Loads AlexNet, frozen. Raises InvalidRequest("target.name") if its weights cannot be fetched."""
     from services.targets.networks.alexnet import AlexNet
 
-    return _loaded(ALEXNET, AlexNet(), dtype)
+    return load_published(ALEXNET, AlexNet(), dtype)
 
 
 @register(RESNET34, imagenet_labels)
@@ -60,10 +60,15 @@ def resnet34(dtype: torch.dtype) -> Target:
     """Loads ResNet-34, frozen. Raises InvalidRequest("target.name") if its weights cannot be fetched."""
     from services.targets.networks.resnet import ResNet
 
-    return _loaded(RESNET34, ResNet(), dtype)
+    return load_published(RESNET34, ResNet(), dtype)
 
 
-def _loaded(card: TargetInfo, network: nn.Module, dtype: torch.dtype) -> Target:
+def load_published(card: TargetInfo, network: nn.Module, dtype: torch.dtype) -> Target:
+    """Returns the target of a card whose `source` is the address of the weights; its name ends in their SHA-256.
+
+    Raises InvalidRequest("target.name") if they cannot be fetched, and torch's errors for a file that is no state dict
+    of the network.
+    """
     import torch
 
     from services.settings import settings

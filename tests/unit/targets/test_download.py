@@ -1,6 +1,4 @@
 import hashlib
-import threading
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 
@@ -10,37 +8,8 @@ from services.targets.download import ATTEMPTS, Published, fetch
 DATA = bytes(range(256)) * 4096
 
 
-class _Handler(BaseHTTPRequestHandler):
-    """Serves DATA with ranges; ends each connection after `server.most` bytes."""
-
-    def do_GET(self):
-        server = self.server
-        asked = self.headers.get("Range")
-        start = int(asked.removeprefix("bytes=").rstrip("-")) if asked and server.ranges else 0
-        server.starts.append(start)
-        self.send_response(206 if asked and server.ranges else server.status)
-        self.send_header("Content-Length", str(len(server.data) - start))
-        self.end_headers()
-        self.wfile.write(server.data[start : start + server.most])
-
-    def log_message(self, *args):
-        pass
-
-
-@pytest.fixture
-def server():
-    made = ThreadingHTTPServer(("127.0.0.1", 0), _Handler)
-    made.data, made.most, made.ranges, made.status, made.starts = DATA, len(DATA), True, 200, []
-    thread = threading.Thread(target=made.serve_forever)
-    thread.start()
-    yield made
-    made.shutdown()
-    thread.join()
-    made.server_close()
-
-
-def _published(server, data=DATA):
-    return Published(f"http://127.0.0.1:{server.server_port}/net-1.pth", hashlib.sha256(data).hexdigest()[:8])
+def _published(server):
+    return Published(f"{server.address}net-1.pth", hashlib.sha256(DATA).hexdigest()[:8])
 
 
 def test_a_file_is_fetched_once(server, tmp_path):

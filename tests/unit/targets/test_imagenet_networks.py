@@ -1,0 +1,83 @@
+"""Published weights, from a local server in the place of the published address."""
+
+import hashlib
+import io
+import pickle
+from pathlib import Path
+
+import pytest
+import torch
+from torch import nn
+
+from services.errors import InvalidRequest
+from services.settings import settings
+from services.targets import registry
+from services.targets.imagenet import imagenet_labels
+from services.targets.imagenet_networks import ALEXNET, RESNET34, load_published
+
+
+def _network() -> nn.Module:
+    return nn.Sequential(nn.AdaptiveAvgPool2d(1), nn.Flatten(), nn.Linear(3, 1000))
+
+
+@pytest.fixture
+def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("SCENE_ATTACK_CACHE", str(tmp_path))
+    settings.cache_clear()
+    yield
+    settings.cache_clear()
+
+
+def _card(server, data: bytes):
+    server.data, server.most = data, len(data)
+    digest = hashlib.sha256(data).hexdigest()
+    return RESNET34.model_copy(update={"source": f"{server.address}tiny-{digest[:8]}.pth"})
+
+
+@pytest.mark.usefixtures("_cache")
+def test_published_weights_are_loaded_and_normalised_as_torchvision_does(server, tmp_path):
+    network = _network()
+    buffer = io.BytesIO()
+    torch.save(network.state_dict(), buffer)
+    card = _card(server, buffer.getvalue())
+    target = load_published(card, _network(), torch.float32)
+    assert target.labels == imagenet_labels()
+    assert target.weights_sha256 == hashlib.sha256(buffer.getvalue()).hexdigest()
+    image = torch.rand(1, 224, 224, 3)
+    mean, scale = torch.tensor([0.485, 0.456, 0.406]), torch.tensor([0.229, 0.224, 0.225])
+    with torch.no_grad():
+        wanted = network(((image - mean) / scale).permute(0, 3, 1, 2))
+    assert torch.allclose(target.logits(image), wanted, atol=1e-5)
+    load_published(card, _network(), torch.float32)
+    assert server.starts == [0]
+    assert (tmp_path / "weights" / card.source.rpartition("/")[2]).exists()
+
+
+class _Runs:
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def __reduce__(self):
+        return Path.touch, (self._path,)
+
+
+@pytest.mark.usefixtures("_cache")
+def test_a_file_that_runs_code_is_refused_and_does_not_run(server, tmp_path):
+    trace = tmp_path / "ran"
+    card = _card(server, pickle.dumps(_Runs(trace), protocol=2))
+    with pytest.raises(pickle.UnpicklingError):
+        load_published(card, _network(), torch.float32)
+    assert not trace.exists()
+
+
+@pytest.mark.usefixtures("_cache")
+def test_without_a_network_the_request_is_refused_with_the_place_of_the_file(monkeypatch, tmp_path):
+    monkeypatch.setattr(
+        "services.targets.imagenet_networks.ALEXNET",
+        ALEXNET.model_copy(update={"source": f"http://127.0.0.1:9/{ALEXNET.source.rpartition('/')[2]}"}),
+    )
+    registry.load.cache_clear()
+    with pytest.raises(InvalidRequest) as caught:
+        registry.load("alexnet")
+    assert caught.value.field == "target.name"
+    assert str(tmp_path / "weights" / "alexnet-owt-7be5be79.pth") in caught.value.detail
