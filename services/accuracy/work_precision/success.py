@@ -1,7 +1,7 @@
 """Work to a verified adversary: rates and medians of attacks, with confidence intervals and censored failures."""
 
 from collections.abc import Iterator, Sequence
-from math import inf, isfinite, sqrt
+from math import inf, isfinite
 from typing import Literal
 
 import numpy as np
@@ -9,9 +9,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from services.accuracy.work_precision.attack_runs import AttackRow
 from services.rendering.plan import Tolerance
+from services.statistics import wilson
 
-NORMAL_95 = 1.959964
-"""Two-sided 95 % quantile of the normal distribution."""
 RESAMPLES = 4000
 SEED = 0
 
@@ -46,14 +45,6 @@ class SuccessRow(BaseModel):
     queries_per_success: float | None = Field(description="all queries, failures included, by the number of successes")
     seconds_per_success: float | None
     seconds_per_step: float
-
-
-def wilson(successes: int, trials: int) -> tuple[float, float]:
-    """The 95 % score interval of a rate (Wilson 1927). `trials` is at least 1."""
-    z2, rate = NORMAL_95**2, successes / trials
-    centre = (rate + z2 / (2 * trials)) / (1 + z2 / trials)
-    half = NORMAL_95 / (1 + z2 / trials) * sqrt(rate * (1 - rate) / trials + z2 / (4 * trials**2))
-    return max(0.0, centre - half), min(1.0, centre + half)
 
 
 def median_interval(values: Sequence[float]) -> Interval:

@@ -4,11 +4,10 @@ import dataclasses
 from math import inf
 
 import numpy as np
-import pytest
 
 from services.accuracy.work_precision import attack_runs
 from services.accuracy.work_precision.attack_runs import SCENES, AttackRow
-from services.accuracy.work_precision.success import curve, median_interval, success_rows, wilson
+from services.accuracy.work_precision.success import curve, median_interval, success_rows
 
 
 def attacked(outcome: str, queries: int) -> AttackRow:
@@ -45,19 +44,6 @@ def test_a_scene_that_the_network_gets_wrong_is_a_row() -> None:
     found = attack_runs.attack(dataclasses.replace(case, label="grand piano"))
     assert found.outcome == "wrong to begin with"
     assert found.queries == 0
-
-
-@pytest.mark.parametrize(
-    ("successes", "trials", "low", "high"),
-    [(8, 10, 0.490162, 0.943318), (0, 24, 0.0, 0.137976), (24, 24, 0.862024, 1.0), (5, 10, 0.236593, 0.763407)],
-)
-def test_rates_have_wilsons_interval(successes: int, trials: int, low: float, high: float) -> None:
-    """Roots of (p̂ − p)² = z² p (1 − p) / n, as the score test defines the interval."""
-    found = wilson(successes, trials)
-    assert found == pytest.approx((low, high), abs=1e-5)
-    z2, rate = 1.959964**2, successes / trials
-    for p in found:
-        assert (rate - p) ** 2 == pytest.approx(z2 * p * (1 - p) / trials, abs=1e-12)
 
 
 def test_medians_of_censored_values() -> None:
