@@ -1,0 +1,60 @@
+"""The curves of a campaign as a PNG, drawn with matplotlib."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from services.analysis.campaign_curves import MeanCurves
+from services.analysis.campaign_table import Cell, Corners, Table
+
+LABELS = {"loss": "mean loss", "advantage": "mean log-probability advantage", "distance": "mean distance ‖ΔY‖₂"}
+COLOURS = ("#4a2fd6", "#0a5a94", "#0b6b3a", "#b26a00", "#a3182f", "#8b1a86", "#5d5875", "#1c1930")
+"""Of the attacks, in the order of the table; the dashboard's, as they stand on white paper."""
+PANEL = (4.2, 3.2)
+"""Width and height of one panel, inches."""
+
+
+def draw(table: Table, curves: Sequence[MeanCurves], path: Path) -> None:
+    """Writes a PNG with a row for each target: success against queries and seconds, and the mean curves by step."""
+    with mpl.rc_context({"font.size": 8, "axes.grid": True, "grid.alpha": 0.3}):
+        rows, columns = max(1, len(table.targets)), 2 + len(LABELS)
+        figure = Figure(figsize=(PANEL[0] * columns, PANEL[1] * rows), layout="constrained")
+        axes = figure.subplots(rows, columns, squeeze=False)
+        for target, row in zip(table.targets, axes, strict=True):
+            _success(row[0], target, "queries", list(_own(table, target, "by_queries")))
+            _success(row[1], target, "seconds", list(_own(table, target, "by_seconds")))
+            for panel, (measure, label) in zip(row[2:], LABELS.items(), strict=True):
+                own = [one for one in curves if one.target == target]
+                _mean(panel, target, label, [(one.attack, one.cases, getattr(one, measure)) for one in own])
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path, dpi=110, metadata={"Software": None})  # the same bytes with every version's name
+
+
+def _own(table: Table, target: str, curve: str) -> Iterator[tuple[Cell, Corners]]:
+    for cell in table.cells:
+        if cell.target == target and cell.success.of:
+            yield cell, getattr(cell, curve)
+
+
+def _success(axes: Axes, target: str, along: str, cells: Sequence[tuple[Cell, Corners]]) -> None:
+    end = max((at for _, curve in cells for at, _ in curve), default=1.0) * 1.05
+    axes.set_prop_cycle(color=COLOURS)
+    for cell, curve in cells:
+        steps = [(0.0, 0), *curve, (end, curve[-1][1] if curve else 0)]
+        shares = [100 * count / cell.success.of for _, count in steps]
+        axes.step([at for at, _ in steps], shares, where="post", label=f"{cell.attack} (n = {cell.success.of})")
+    axes.set(title=target, xlabel=along, ylabel="verified successes, % of all cases", ylim=(-2, 102), xlim=(0, end))
+    if cells:
+        axes.legend()
+
+
+def _mean(axes: Axes, target: str, label: str, curves: Sequence[tuple[str, int, Sequence[float]]]) -> None:
+    axes.set_prop_cycle(color=COLOURS)
+    for attack, cases, values in curves:
+        axes.plot(range(len(values)), values, label=f"{attack} (n = {cases})")
+    axes.set(title=target, xlabel="step", ylabel=label)
+    if curves:
+        axes.legend()
