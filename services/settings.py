@@ -58,6 +58,10 @@ class Settings(BaseSettings):
     max_upload_bytes: int = Field(32 * 2**20, ge=1, description="largest mesh upload")
     max_faces: int = Field(300_000, ge=1, description="largest mesh, in triangles")
     max_queued: int = Field(1000, ge=1, description="queued jobs beyond which new ones get 503")
+    max_campaign_jobs: int = Field(10_000, ge=1, description="largest campaign, in jobs and in views")
+    max_campaign_queued: int = Field(
+        8, ge=1, le=1000, description="queued jobs of all campaigns; more workers than that need more"
+    )
     lease_seconds: float = Field(20.0, gt=0, description="a running job whose worker is silent so long is taken back")
     max_attempts: int = Field(3, ge=1, description="times a job is started before it fails as worker-lost")
     job_seconds: float = Field(3600.0, gt=0, description="longest run of one job before it fails as timeout")

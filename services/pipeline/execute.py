@@ -177,7 +177,7 @@ def _write(
         truncated=int(found.ever.sum()),
         seconds=found.seconds,
         trace=found.trace,
-        provenance=_provenance(prepared),
+        provenance=provenance(prepared),
     )
     images.save_png(original, out / "original.png")
     images.save_png(attacked, out / "attacked.png")
@@ -196,7 +196,8 @@ def _image_error(problem: AttackProblem, found: AttackState, exact: Tensor) -> f
     return float((problem.renderer.render(moved)[0].double() - exact.double()).abs().max())
 
 
-def _provenance(prepared: Prepared) -> Provenance:
+def provenance(prepared: Prepared) -> Provenance:
+    """The inputs and versions on which the bits of a job's result depend, besides its spec."""
     return Provenance(
         seed=prepared.spec.seed,
         backend=prepared.backend,

@@ -64,12 +64,14 @@ class Prepared:
 
 
 def preflight(spec: JobSpec, library: Library) -> Checked:
-    """Returns the spec as it would run, with warnings. Raises InvalidRequest if it cannot run, as `prepare` does.
-
-    Only the exact renderer is built, without a plan for the job's tolerance: the check needs no other image.
-    """
-    found = _prepare(spec, library, "exact")
+    """Returns the spec as it would run, with warnings. Raises InvalidRequest if it cannot run, as `prepare` does."""
+    found = prepare_exactly(spec, library)
     return Checked(found.spec, found.warnings)
+
+
+def prepare_exactly(spec: JobSpec, library: Library) -> Prepared:
+    """As `prepare`, with the exact renderer alone and no plan for the job's tolerance: for the first answer only."""
+    return _prepare(spec, library, "exact")
 
 
 def plan(spec: JobSpec, library: Library) -> Plan:

@@ -5,6 +5,7 @@ The union of attacks in a request consists of all registered attacks, the operat
 
 from collections.abc import Iterable, Mapping
 from functools import cache
+from hashlib import sha256
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
 from pydantic import Field, ValidationError, model_validator
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 else:
     AnyAttack = Annotated[Union[tuple(one.settings for one in ATTACKS.values())], Field(discriminator="method")]  # noqa: UP007
 
+AnyTolerance = Annotated[float, Field(ge=1e-6, le=0.1, allow_inf_nan=False)] | Literal["exact"]
 DEFAULT_TARGET = "efficientnet-lite0"
 
 
@@ -39,7 +41,7 @@ class JobSpec(Model):
     target: TargetChoice = TargetChoice()
     goal: Goal = Goal()
     attack: AnyAttack = Field(default_factory=lambda: ATTACKS[_method_for({})].settings.model_validate({}))
-    tolerance: Annotated[float, Field(ge=1e-6, le=0.1, allow_inf_nan=False)] | Literal["exact"] = Field(
+    tolerance: AnyTolerance = Field(
         DEFAULT_TOLERANCE,
         description="largest error of a displayed value, in [0,1], of images inside the attack; `exact` for no "
         "approximation; the verdict is always on the exact image",
@@ -52,10 +54,16 @@ class JobSpec(Model):
     @model_validator(mode="before")
     @classmethod
     def _default_method(cls, data: Any) -> Any:
-        """Fills in the method that the renderer declares if the request leaves `method` out."""
-        if isinstance(data, dict) and isinstance(data.get("attack"), dict) and "method" not in data["attack"]:
-            data = data | {"attack": data["attack"] | {"method": _method_for(data["attack"])}}
+        if isinstance(data, dict) and "attack" in data:
+            data = data | {"attack": with_method(data["attack"])}
         return data
+
+
+def with_method(attack: Any) -> Any:
+    """Fills in the method that the renderer declares if the data of an attack leave `method` out."""
+    if isinstance(attack, dict) and "method" not in attack:
+        return attack | {"method": _method_for(attack)}
+    return attack
 
 
 def _method_for(attack: Mapping[str, Any]) -> str:
@@ -73,6 +81,11 @@ def parse(data: object) -> JobSpec:
     except ValidationError as error:
         first, *others = problems(error)
         raise InvalidRequest(first.field, "; ".join([first.detail, *map(str, others)])) from error
+
+
+def digest(spec: JobSpec) -> str:
+    """Hex SHA-256 of a request with its defaults filled in, by which the same request is recognised."""
+    return sha256(spec.model_dump_json().encode()).hexdigest()
 
 
 def problems(error: ValidationError) -> list[InvalidRequest]:

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 MAX_STEP = 1000
 """Largest suggested step; requests accept no larger learning rate."""
+IMAGE_OF = "image of "
+"""Beginning of a backend string of pixels that another renderer drew, before that renderer's own."""
 LOCATION = re.compile(r"[\w.]+:\w+")
 
 Labels = Callable[[tuple[int, ...]], list[str]]

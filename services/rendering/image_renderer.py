@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from services.rendering.declaration import BuildRequest, Declaration, DeclaredRenderer, Group, register
+from services.rendering.declaration import IMAGE_OF, BuildRequest, Declaration, DeclaredRenderer, Group, register
 from services.rendering.plan import Item, Plan
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ class ImageRenderer(DeclaredRenderer):
     def __init__(self, image: "Tensor", drawn_by: str) -> None:
         self._image = image.float()
         self.size = (int(image.shape[0]), int(image.shape[1]))
-        self.backend = f"image of {drawn_by}"
+        self.backend = f"{IMAGE_OF}{drawn_by}"
         height, width = self.size
         pixels = Item(what="pixels", kept=height * width, of=height * width, why="each is a parameter")
         self.plan = Plan.of(self.name, self.groups, self.size, "exact", [pixels])

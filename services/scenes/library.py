@@ -73,6 +73,16 @@ class Library:
                 self._meshes.popitem(last=False)
         return mesh
 
+    def check_mesh(self, name: str) -> None:
+        """Raises InvalidRequest("mesh", …) as `mesh` does for an unknown name, without reading a known one's file."""
+        kind, _, rest = name.partition("/")
+        upload = re.fullmatch(r"sha256:([0-9a-f]{64})", name)
+        known = (kind == "furniture" and rest in self._catalogue()) or (
+            upload is not None and self._uploads.record(upload[1]) is not None
+        )
+        if not known:
+            self.mesh(name)
+
     def entries(
         self,
         category: str | None = None,

@@ -1,0 +1,134 @@
+"""Checks a campaign before it is accepted: its size, the meshes that it names, and one job of each kind."""
+
+from collections.abc import Callable, Iterator, Mapping
+
+from services.errors import InvalidRequest
+from services.pipeline.campaign_expand import job_of
+from services.pipeline.campaign_spec import CampaignSpec, Grid, SceneGrid
+from services.pipeline.spec import JobSpec
+
+Places = Mapping[str, str]
+"""The path in the campaign of each part of a job, e.g. {"attack": "grids.0.attacks.2.attack"}; "" is the rest."""
+
+
+def most_jobs(campaign: CampaignSpec) -> int:
+    """The largest number of jobs that the campaign may have; `selection.most` limits it, other rules do not."""
+    total = len(campaign.jobs)
+    for grid in campaign.grids:
+        scenes = _scenes(grid)
+        if grid.selection.most is not None:
+            scenes = min(scenes, grid.selection.most)
+        total += scenes * len(grid.targets) * len(grid.attacks) * len(grid.seeds)
+    return total
+
+
+def check_size(campaign: CampaignSpec, limit: int) -> None:
+    """Raises InvalidRequest if the campaign may have more than `limit` jobs, or has more than `limit` views.
+
+    Counts without making the scenes.
+    """
+    count = most_jobs(campaign)
+    if count > limit:
+        raise InvalidRequest(
+            "grids" if campaign.grids else "jobs",
+            f"the campaign may have {count:,} jobs, and the limit is {limit:,}; list fewer scenes, attacks or "
+            "seeds, or set selection.most",
+        )
+    asked = sum(_scenes(grid) * len(grid.targets) * _renderers(grid) for grid in campaign.grids) + len(campaign.jobs)
+    if asked > limit:
+        raise InvalidRequest(
+            "grids",
+            f"the campaign asks the networks for {asked:,} views, and the limit is {limit:,}; list fewer scenes",
+        )
+
+
+def _scenes(grid: Grid) -> int:
+    if not isinstance(grid.scenes, SceneGrid):
+        return len(grid.scenes)
+    names = grid.scenes.mesh_names()
+    return len(names) * len(grid.scenes.azimuths(names[0]))
+
+
+def _renderers(grid: Grid) -> int:
+    return len({column.attack.base_renderer or column.attack.renderer for column in grid.attacks})
+
+
+def check_meshes(campaign: CampaignSpec, check: Callable[[str], None]) -> None:
+    """Calls `check` with the name of every mesh. It raises InvalidRequest("mesh") for an unknown one, which is raised
+    again with the path of the mesh in the campaign.
+    """
+    checked = set()
+    for name, field in _meshes(campaign):
+        if name not in checked:
+            checked.add(name)
+            try:
+                check(name)
+            except InvalidRequest as error:
+                raise InvalidRequest(field, error.detail) from error
+
+
+def _meshes(campaign: CampaignSpec) -> Iterator[tuple[str, str]]:
+    for g, grid in enumerate(campaign.grids):
+        if isinstance(grid.scenes, SceneGrid):
+            listed = {name: f"meshes.{m}" for m, name in reversed(list(enumerate(grid.scenes.meshes)))}
+            for name in grid.scenes.mesh_names():
+                yield name, f"grids.{g}.scenes.{listed.get(name, 'kinds')}"
+            continue
+        for s, scene in enumerate(grid.scenes):
+            for k, thing in enumerate(scene.objects):
+                yield thing.mesh, f"grids.{g}.scenes.{s}.objects.{k}.mesh"
+    for j, job in enumerate(campaign.jobs):
+        for k, thing in enumerate(job.scene.objects):
+            yield thing.mesh, f"jobs.{j}.scene.objects.{k}.mesh"
+
+
+def samples(campaign: CampaignSpec) -> Iterator[tuple[JobSpec, Places]]:
+    """A job for each target, renderer and method of a grid, on its first scene, and every kind of single job once.
+
+    With each come the places of its parts in the campaign, for `placed`.
+    """
+    for g, grid in enumerate(campaign.grids):
+        generated = isinstance(grid.scenes, SceneGrid)
+        scene = grid.scene_list()[0]
+        seen = set()
+        for t, target in enumerate(grid.targets):
+            for c, column in enumerate(grid.attacks):
+                job = job_of(grid, scene, target, column.attack)
+                if _kind(job) not in seen:
+                    seen.add(_kind(job))
+                    yield job, _places(f"grids.{g}", generated, t, c)
+    seen = set()
+    for j, job in enumerate(campaign.jobs):
+        if _kind(job) not in seen:
+            seen.add(_kind(job))
+            yield job, {"": f"jobs.{j}"}
+
+
+def _kind(job: JobSpec) -> tuple[str, str, str | None, str]:
+    return job.target.name, job.attack.renderer, job.attack.base_renderer, job.attack.method
+
+
+def _places(grid: str, generated: bool, target: int, column: int) -> dict[str, str]:
+    scenes = f"{grid}.scenes"
+    of_scene = {
+        "scene.objects.0.mesh": f"{scenes}.meshes",
+        "scene.objects.0.material": f"{scenes}.material",
+        "scene.objects.0": f"{scenes}.camera",
+        "scene": scenes,
+    }
+    return {
+        **(of_scene if generated else {"scene": f"{scenes}.0"}),
+        "target": f"{grid}.targets.{target}",
+        "attack": f"{grid}.attacks.{column}.attack",
+        "": grid,
+    }
+
+
+def placed(error: InvalidRequest, places: Places) -> InvalidRequest:
+    """The error of a job with the path that its field has in the campaign."""
+    field = error.field
+    for part, place in places.items():
+        if part == "" or field == part or field.startswith(f"{part}."):
+            rest = field.removeprefix(part).removeprefix(".")
+            return InvalidRequest(f"{place}.{rest}" if rest else place, error.detail)
+    return error

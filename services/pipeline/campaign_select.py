@@ -1,0 +1,130 @@
+"""Chooses the views of a campaign that are attacked, from the networks' first answers; says why others are not."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from services.pipeline.campaign_expand import View
+from services.pipeline.names import scene_name
+from services.pipeline.spec import JobSpec
+
+
+class FirstAnswer(BaseModel):
+    """The network's answer to the exact image of a view, as a worker found it."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    view: int
+    label: str | None = None
+    confidence: float | None = None
+    truth: list[str] = Field([], description="the labels that are right; empty if nobody knows them")
+    refused: str | None = Field(None, description="why the view cannot be attacked at all")
+    spec: JobSpec | None = Field(None, description="the probe as it would run, with scene and goal filled in")
+    identity: str | None = Field(None, description="digest of scene, weights, backend and versions, for reuse")
+
+    @property
+    def right(self) -> bool:
+        """Whether the truth is known and the answer is right."""
+        return self.label in self.truth
+
+
+class ChosenView(BaseModel):
+    """A view of a campaign, and whether it is attacked."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    number: int
+    scene: str = Field(description="short name of the scene's meshes")
+    azimuth: float = Field(description="of the camera, radians")
+    target: str
+    renderer: str = Field(description="the renderer of the image")
+    label: str | None = Field(description="the network's first answer")
+    confidence: float | None
+    truth: list[str]
+    right: bool
+    chosen: bool
+    why: str = Field(description="why the view is not attacked; empty for a chosen one")
+
+
+def choose(views: Sequence[View], answers: Mapping[int, FirstAnswer]) -> list[ChosenView]:
+    """Applies each grid's rules to the views of each target and renderer, and returns all views in their order.
+
+    Of equally confident views the earlier one is taken. A view without an answer is not chosen.
+    """
+    why = {view.number: _unfit(view, answers.get(view.number)) for view in views}
+    for group in dict.fromkeys(view.group for view in views):
+        own = [view for view in views if view.group == group and not why[view.number]]
+        if own and own[0].selection is not None:
+            why |= _not_among_the_most_confident(own, answers)
+    return [_record(view, answers.get(view.number), why[view.number]) for view in views]
+
+
+def _unfit(view: View, answer: FirstAnswer | None) -> str:
+    if answer is None:
+        return "its first answer could not be found"
+    if answer.refused is not None:
+        return answer.refused
+    rules = view.selection
+    if rules is None:
+        return ""
+    if rules.right and not answer.truth:
+        return "nobody knows its truth"
+    if rules.right and not answer.right:
+        return f"the network says {answer.label}, which is wrong"
+    if _confidence(answer) < rules.least_confidence:
+        return f"the network is less sure than {rules.least_confidence:g}"
+    return ""
+
+
+def _not_among_the_most_confident(own: Sequence[View], answers: Mapping[int, FirstAnswer]) -> dict[int, str]:
+    rules = own[0].selection
+    assert rules is not None
+    ranked = sorted(own, key=lambda view: (-_confidence(answers[view.number]), view.number))
+    meshes: Counter[str] = Counter()
+    classes: Counter[tuple[str, ...]] = Counter()
+    taken = 0
+    why: dict[int, str] = {}
+    for view in ranked:
+        mesh = _mesh(view)
+        # the class of a view whose truth is not known is the network's answer
+        truth = tuple(answers[view.number].truth) or (str(answers[view.number].label),)
+        if rules.per_mesh is not None and meshes[mesh] >= rules.per_mesh:
+            why[view.number] = _more(rules.per_mesh, " of its mesh")
+        elif rules.per_class is not None and classes[truth] >= rules.per_class:
+            why[view.number] = _more(rules.per_class, " of its class")
+        elif rules.most is not None and taken >= rules.most:
+            why[view.number] = _more(rules.most, "")
+        else:
+            meshes[mesh] += 1
+            classes[truth] += 1
+            taken += 1
+    return why
+
+
+def _more(count: int, whose: str) -> str:
+    return f"there is a more confident view{whose}" if count == 1 else f"there are {count} more confident views{whose}"
+
+
+def _mesh(view: View) -> str:
+    return ",".join(thing.mesh for thing in view.probe.scene.objects)
+
+
+def _confidence(answer: FirstAnswer) -> float:
+    return 0.0 if answer.confidence is None else answer.confidence
+
+
+def _record(view: View, answer: FirstAnswer | None, why: str) -> ChosenView:
+    return ChosenView(
+        number=view.number,
+        scene=scene_name({"scene": {"objects": [{"mesh": thing.mesh} for thing in view.probe.scene.objects]}}),
+        azimuth=view.probe.scene.camera.azimuth,
+        target=view.probe.target.name,
+        renderer=view.image_renderer,
+        label=None if answer is None else answer.label,
+        confidence=None if answer is None else answer.confidence,
+        truth=[] if answer is None else answer.truth,
+        right=answer is not None and answer.right,
+        chosen=not why,
+        why=why,
+    )

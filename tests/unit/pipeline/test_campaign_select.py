@@ -1,0 +1,96 @@
+"""Which views of a campaign are attacked, and why others are not."""
+
+from typing import Any
+
+from services.pipeline.campaign_expand import views
+from services.pipeline.campaign_select import ChosenView, FirstAnswer, choose
+from services.pipeline.campaign_spec import parse
+
+MESHES = ["primitive/sphere", "primitive/cube", "primitive/cone"]
+TRUTH = {"primitive/sphere": ["ball"], "primitive/cube": ["ball"], "primitive/cone": ["cone", "hat"]}
+SAID = [
+    ("ball", 0.9),
+    ("ball", 0.7),
+    ("hat", 0.6),
+    ("ball", 0.8),
+    ("box", 0.99),
+    ("cone", 0.6),
+]
+"""Answers to the sphere, the cube and the cone, then to the three again."""
+
+
+def chosen(selection: dict[str, Any], **changed: Any) -> list[ChosenView]:
+    """The choice among the six views, with these rules."""
+    grid = {
+        "scenes": {"meshes": MESHES, "views": [0.1, 0.2]},
+        "attacks": [{"name": "image", "attack": {"renderer": "image"}}],
+        "selection": selection,
+    }
+    found = views(parse({"grids": [grid]}))
+    answers = {}
+    for view, (label, confidence) in zip(found, SAID, strict=True):
+        truth = TRUTH[view.probe.scene.objects[0].mesh]
+        answers[view.number] = FirstAnswer(view=view.number, label=label, confidence=confidence, truth=truth)
+    for number, answer in changed.get("answers", {}).items():
+        answers[number] = answer
+    return choose(found, answers)
+
+
+def numbers(found: list[ChosenView]) -> list[int]:
+    return [view.number for view in found if view.chosen]
+
+
+def test_only_right_views_are_attacked() -> None:
+    found = chosen({})
+    assert numbers(found) == [0, 1, 2, 3, 5]
+    assert found[4].why == "the network says box, which is wrong"
+    assert not found[4].right
+    assert numbers(chosen({"right": False})) == [0, 1, 2, 3, 4, 5]
+
+
+def test_the_most_confident_are_taken() -> None:
+    found = chosen({"most": 2})
+    assert numbers(found) == [0, 3]
+    assert found[1].why == "there are 2 more confident views"
+    assert numbers(chosen({"most": 3, "right": False})) == [0, 3, 4]
+
+
+def test_of_each_class_and_of_each_mesh() -> None:
+    # the sphere and the cube are of one class; of equally confident views the earlier one is taken
+    assert numbers(chosen({"per_class": 1})) == [0, 2]
+    assert numbers(chosen({"per_class": 2})) == [0, 2, 3, 5]
+    assert numbers(chosen({"per_mesh": 1})) == [0, 1, 2]
+    # a view that its mesh has no place for takes none of its class's
+    assert numbers(chosen({"per_mesh": 1, "per_class": 2})) == [0, 1, 2]
+    assert numbers(chosen({"per_mesh": 1, "per_class": 2, "most": 2})) == [0, 1]
+    assert chosen({"per_mesh": 1})[3].why == "there is a more confident view of its mesh"
+
+
+def test_the_network_must_be_sure() -> None:
+    assert numbers(chosen({"least_confidence": 0.75})) == [0, 3]
+
+
+def test_views_that_cannot_be_judged_are_not_attacked() -> None:
+    refused = FirstAnswer(view=0, refused="scene.objects.0: it is out of view")
+    unknown = FirstAnswer(view=1, label="ball", confidence=1.0)
+    found = chosen({}, answers={0: refused, 1: unknown})
+    assert numbers(found) == [2, 3, 5]
+    assert [view.why for view in found[:2]] == ["scene.objects.0: it is out of view", "nobody knows its truth"]
+    assert numbers(chosen({"right": False}, answers={0: refused, 1: unknown})) == [1, 2, 3, 4, 5]
+
+
+def test_targets_are_chosen_for_each_on_its_own() -> None:
+    grid = {
+        "scenes": {"meshes": MESHES[:1], "views": [0.1, 0.2]},
+        "targets": ["one", "two"],
+        "attacks": [{"name": "image", "attack": {"renderer": "image"}}],
+        "selection": {"most": 1},
+    }
+    found = views(parse({"grids": [grid, grid]}))
+    answers = {
+        view.number: FirstAnswer(view=view.number, label="ball", confidence=0.1 * view.number, truth=["ball"])
+        for view in found
+    }
+    # the views of grid 0 are 0 to 3, of target "one" the even ones
+    assert numbers(choose(found, answers)) == [2, 3, 6, 7]
+    assert not choose(found, {})[0].chosen

@@ -1,0 +1,183 @@
+"""Requests for campaigns: what is refused and by which name, and the views and jobs of what is not."""
+
+import json
+from copy import deepcopy
+from math import pi
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from services.errors import InvalidRequest
+from services.pipeline.campaign_check import check_meshes, check_size, most_jobs, placed, samples
+from services.pipeline.campaign_expand import jobs, views
+from services.pipeline.campaign_spec import CampaignSpec, RandomViews, SceneGrid, parse
+from services.scenes import furniture_kinds
+from services.settings import Settings
+
+IMAGE = {"name": "image", "attack": {"renderer": "image"}}
+NORMALS = {"name": "normals", "attack": {"renderer": "torch", "groups": ["normals"]}}
+POSE = {"name": "pose", "attack": {"renderer": "pyrender", "groups": ["rotation"]}}
+SPEC: dict[str, Any] = {
+    "name": "c",
+    "grids": [
+        {
+            "scenes": {"meshes": ["primitive/sphere", "primitive/cube"], "views": [0.1, 0.2]},
+            "targets": ["efficientnet-lite0"],
+            "attacks": [IMAGE, NORMALS, POSE],
+            "seeds": [0, 1],
+        }
+    ],
+}
+
+
+def changed(**values: Any) -> dict[str, Any]:
+    spec = deepcopy(SPEC)
+    spec["grids"][0] |= values
+    return spec
+
+
+@pytest.mark.parametrize(
+    ("data", "field", "words"),
+    [
+        ({}, "grids", "needs a grid, or jobs"),
+        ({"grids": [{"attacks": [IMAGE]}]}, "grids.0.scenes", "but is missing"),
+        (changed(scenes={}), "grids.0.scenes.meshes", "name at least one mesh"),
+        (changed(scenes={"kinds": ["chairs"]}), "grids.0.scenes.kinds", "did you mean 'chair'"),
+        (changed(scenes={"meshes": ["a"], "views": {"random": 0}}), "grids.0.scenes.views.random", "from 1 to 1000"),
+        (changed(scenes={"meshes": ["a"], "views": [7.0]}), "grids.0.scenes.views.0", "from -2π to 2π"),
+        (changed(attacks=[]), "grids.0.attacks", "a list of 1 to 64"),
+        (changed(attacks=[IMAGE, IMAGE]), "grids.0.attacks.1.name", "already"),
+        (changed(attacks=[{"name": "a", "attack": {"method": "fgsmm"}}]), "grids.0.attacks.0.attack.method", "fgsm"),
+        (changed(targets=[3]), "grids.0.targets.0", "an object"),
+        (changed(selection={"per_class": 0}), "grids.0.selection.per_class", "at least 1"),
+        (changed(seeds=[-1]), "grids.0.seeds.0", "from 0"),
+        (changed(sceness=[]), "grids.0.sceness", "no such field"),
+        ({"jobs": [{"scene": {"objects": []}}]}, "jobs.0.scene.objects", "a list of 1 to 16"),
+    ],
+)
+def test_a_bad_request_names_its_field(data: dict[str, Any], field: str, words: str) -> None:
+    with pytest.raises(InvalidRequest) as refused:
+        parse(data)
+    assert refused.value.field == field
+    assert words in refused.value.detail
+
+
+def test_the_stored_request_is_the_same_request() -> None:
+    spec = parse(SPEC)
+    assert CampaignSpec.model_validate(spec.model_dump(mode="json")) == spec
+
+
+def test_views_are_scenes_by_target_and_renderer_of_the_image() -> None:
+    found = views(parse(SPEC))
+    assert [view.number for view in found] == list(range(8))
+    about = [(v.probe.scene.objects[0].mesh, v.probe.scene.camera.azimuth, v.image_renderer) for v in found]
+    # the first view of every mesh comes before the second of any
+    assert about[:4] == [
+        ("primitive/sphere", 0.1, "torch"),
+        ("primitive/sphere", 0.1, "pyrender"),
+        ("primitive/cube", 0.1, "torch"),
+        ("primitive/cube", 0.1, "pyrender"),
+    ]
+    assert about[4][:2] == ("primitive/sphere", 0.2)
+
+
+def test_jobs_are_those_of_the_chosen_views_only() -> None:
+    spec = parse(SPEC)
+    found = views(spec)
+    planned = list(jobs(spec, [found[3], found[4]]))
+    assert [(job.view, job.attack, job.spec.seed) for job in planned] == [
+        (3, "pose", 0),
+        (3, "pose", 1),
+        (4, "image", 0),
+        (4, "image", 1),
+        (4, "normals", 0),
+        (4, "normals", 1),
+    ]
+    assert planned[2].spec.scene == found[4].probe.scene
+    assert planned[2].spec.attack.renderer == "image"
+
+
+def test_single_jobs_are_run_as_they_are() -> None:
+    job = {"scene": {"objects": [{"mesh": "primitive/cube"}]}, "attack": {"renderer": "image"}, "seed": 3}
+    spec = parse({"jobs": [job]})
+    [view] = views(spec)
+    assert view.selection is None
+    [planned] = jobs(spec, [view])
+    assert (planned.attack, planned.target, planned.spec) == ("image fgsm", "efficientnet-lite0", spec.jobs[0])
+
+
+def test_random_views_are_a_meshs_own() -> None:
+    few = SceneGrid(meshes=("a", "b"), views=RandomViews(random=400, seed=1))
+    many = SceneGrid(meshes=("c", "b", "a"), views=RandomViews(random=400, seed=1))
+    assert few.azimuths("a") == many.azimuths("a") != few.azimuths("b")
+    assert SceneGrid(meshes=("a",), views=RandomViews(random=400, seed=2)).azimuths("a") != few.azimuths("a")
+    drawn = sorted(few.azimuths("a"))
+    assert drawn[0] >= 0
+    assert drawn[-1] < pi
+    # Kolmogorov's statistic against the uniform distribution; 1.63/√n is its 1 % point
+    assert max(abs((i + 0.5) / 400 - a / pi) for i, a in enumerate(drawn)) < 1.63 / 20
+
+
+def test_the_azimuths_are_the_same_on_every_machine() -> None:
+    grid = SceneGrid(meshes=("furniture/couch",), views=RandomViews(random=2, seed=0))
+    assert grid.azimuths("furniture/couch") == (0.2011730819025787, 2.67593349673745)
+
+
+def test_kinds_take_turns() -> None:
+    grid = SceneGrid(meshes=("primitive/cube",), kinds=("chair", "sofa"), per_kind=2)
+    chairs, sofas = (furniture_kinds.kinds()[kind] for kind in ("chair", "sofa"))
+    assert grid.mesh_names() == ("primitive/cube", chairs[0], sofas[0], chairs[1], sofas[1])
+
+
+def test_a_campaign_over_the_limit_is_refused() -> None:
+    check_size(parse(SPEC), 24)  # 4 scenes × 3 attacks × 2 seeds
+    with pytest.raises(InvalidRequest, match="grids: the campaign may have 24 jobs, and the limit is 23"):
+        check_size(parse(SPEC), 23)
+    check_size(parse(changed(selection={"most": 1})), 8)
+    with pytest.raises(InvalidRequest, match="asks the networks for 8 views, and the limit is 7"):
+        check_size(parse(changed(selection={"most": 1})), 7)
+    huge = {"kinds": list(furniture_kinds.kinds()), "views": {"random": 1000}}
+    with pytest.raises(InvalidRequest, match="limit is 10,000"):
+        check_size(parse(changed(scenes=huge)), 10_000)
+
+
+def test_every_mesh_is_checked_and_named_by_its_place() -> None:
+    def none(name: str) -> None:
+        if "sphere" not in name:
+            raise InvalidRequest("mesh", f"there is no mesh {name!r}")
+
+    with pytest.raises(InvalidRequest, match=r"^grids.0.scenes.meshes.1: there is no mesh 'primitive/cube'"):
+        check_meshes(parse(SPEC), none)
+    scenes = [{"objects": [{"mesh": "primitive/sphere"}]}, {"objects": [{"mesh": "primitive/cone"}]}]
+    with pytest.raises(InvalidRequest, match=r"^grids.0.scenes.1.objects.0.mesh"):
+        check_meshes(parse(changed(scenes=scenes)), none)
+    with pytest.raises(InvalidRequest, match=r"^grids.0.scenes.kinds"):
+        check_meshes(parse(changed(scenes={"kinds": ["chair"]})), none)
+    with pytest.raises(InvalidRequest, match=r"^jobs.1.scene.objects.0.mesh"):
+        check_meshes(parse({"jobs": [{"scene": scene} for scene in scenes]}), none)
+
+
+@pytest.mark.parametrize(
+    ("field", "place"),
+    [
+        ("attack.method", "grids.0.attacks.1.attack.method"),
+        ("target.name", "grids.0.targets.0.name"),
+        ("scene.objects.0.material", "grids.0.scenes.material"),
+        ("scene.objects.0", "grids.0.scenes.camera"),
+        ("scene.lights.environment.map", "grids.0.scenes.lights.environment.map"),
+        ("goal.reach", "grids.0.goal.reach"),
+    ],
+)
+def test_an_error_of_a_sample_is_named_by_its_place(field: str, place: str) -> None:
+    kinds = list(samples(parse(SPEC)))
+    assert [job.attack.renderer for job, _ in kinds] == ["image", "torch", "pyrender"]
+    assert placed(InvalidRequest(field, "d"), kinds[1][1]).field == place
+
+
+@pytest.mark.parametrize(("name", "most"), [("small", 27), ("differentiable", 1200), ("nondifferentiable", 140)])
+def test_the_examples_are_requests_within_the_limit(name: str, most: int) -> None:
+    [file] = (Path(__file__).parents[3] / "examples").glob(f"*-{name}.json")
+    campaign = parse(json.loads(file.read_text("utf-8")))
+    check_size(campaign, Settings.model_fields["max_campaign_jobs"].default)
+    assert most_jobs(campaign) == most
