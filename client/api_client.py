@@ -127,6 +127,30 @@ class ApiClient:
                 self._http.post("/v1/assets", files={"file": (path.name, file)}, data={"kind": kind}, timeout=_CHECK)
             )
 
+    def submit_campaign(self, spec: Mapping[str, Any]) -> dict[str, Any]:
+        """Starts a campaign and returns it."""
+        return self._json(self._http.post("/v1/campaigns", json=spec, timeout=_CHECK))
+
+    def campaign(self, campaign_id: str) -> dict[str, Any]:
+        """One campaign, with its request, progress and outcomes."""
+        return self._json(self._http.get(f"/v1/campaigns/{campaign_id}"))
+
+    def campaigns(self, limit: int = 20) -> dict[str, Any]:
+        """A page of campaigns, newest first."""
+        return self._json(self._http.get("/v1/campaigns", params={"limit": limit}))
+
+    def move_campaign(self, campaign_id: str, how: str) -> dict[str, Any]:
+        """Changes a campaign's state and returns it; `how` is pause, resume or cancel."""
+        return self._json(self._http.post(f"/v1/campaigns/{campaign_id}/{how}"))
+
+    def campaign_table(self, campaign_id: str) -> dict[str, Any]:
+        """The table, the mean curves and the views of a campaign."""
+        return self._json(self._http.get(f"/v1/campaigns/{campaign_id}/table.json"))
+
+    def campaign_jobs(self, campaign_id: str, after: int = -1) -> dict[str, Any]:
+        """A page of a campaign's planned jobs, with numbers above `after`."""
+        return self._json(self._http.get(f"/v1/campaigns/{campaign_id}/jobs", params={"after": after}))
+
     def ready(self) -> bool:
         """Whether the service has a database, a queue and a worker."""
         try:

@@ -5,7 +5,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from client.commands import accuracy, analyse, assets, demo, jobs, plan, run, serve, submit, targets, train
+from client.commands import accuracy, analyse, assets, campaign, demo, jobs, plan, run, serve, submit, targets, train
 from services.errors import InvalidRequest, JobFailure
 
 app = typer.Typer(
@@ -41,6 +41,7 @@ analyse.register(app)
 plan.register(app)
 submit.register(app)
 app.add_typer(jobs.app, name="jobs")
+app.add_typer(campaign.app, name="campaign")
 app.add_typer(assets.app, name="assets")
 app.add_typer(targets.app, name="targets")
 app.add_typer(accuracy.app, name="accuracy")

@@ -48,11 +48,11 @@ def run(
     from services.pipeline.spec import parse
 
     check_device()
-    _keep_memory()
+    keep_memory()
     report_extensions()
     data = spec_input.read(spec, seed)
     job = parse(data)
-    _prepare_folder(out)
+    prepare_folder(out)
     words = job.model_dump(mode="json")
     name, attack = scene_name(words), attack_name(words)
     with JobLine(f"{name}, {attack}") as line:
@@ -105,7 +105,7 @@ def replay(
         raise typer.Exit(1)
 
 
-def _keep_memory() -> None:
+def keep_memory() -> None:
     """Starts this process again with the allocator settings of a worker; they are read at start only."""
     import os
     import sys
@@ -116,7 +116,8 @@ def _keep_memory() -> None:
         os.execve(sys.executable, [sys.executable, "-m", "client", *sys.argv[1:]], os.environ | ALLOCATOR)
 
 
-def _prepare_folder(out: Path) -> None:
+def prepare_folder(out: Path) -> None:
+    """Makes the directory. Raises InvalidRequest("--out") if it cannot be made."""
     from services.errors import InvalidRequest
 
     try:

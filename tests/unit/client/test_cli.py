@@ -28,6 +28,8 @@ COMMANDS = [
     ["targets"],
     ["targets", "check"],
     *(["jobs", *rest] for rest in ([], ["list"], ["show"], ["watch"], ["cancel"], ["download"])),
+    *(["campaign", *rest] for rest in ([], ["run"], ["submit"], ["list"], ["show"], ["pause"], ["resume"], ["cancel"])),
+    *(["campaign", *rest] for rest in (["table"], ["export"])),
     *(["assets", *rest] for rest in ([], ["list"], ["show"], ["add"], ["environments"])),
     *(["accuracy", *rest] for rest in ([], ["stability"], ["work-precision"])),
     *(["train", *rest] for rest in ([], ["split"], ["alexnet"], ["resnet34"])),
@@ -50,7 +52,8 @@ def cli(*arguments: str, stdin: str = "", **environ: str) -> subprocess.Complete
 def test_every_command_has_help_with_an_example(command: list[str]) -> None:
     done = CliRunner().invoke(app, [*command, "--help"])
     assert done.exit_code == 0
-    assert ("Example" in done.stdout) == (command not in ([], ["jobs"], ["assets"], ["accuracy"], ["train"]))
+    groups = ([], ["jobs"], ["assets"], ["accuracy"], ["train"], ["campaign"])
+    assert ("Example" in done.stdout) == (command not in groups)
 
 
 NETWORKS_AND_RENDERERS = {"torch", "scipy", "trimesh", "OpenGL", "pyrender"}

@@ -1,0 +1,179 @@
+"""The commands `campaign`: many attacks that belong together, in this process or at a service."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from client.commands import campaign_run
+from client.commands.options import DEFAULT_URL, JsonOption, UrlOption
+
+if TYPE_CHECKING:
+    pass
+
+app = typer.Typer(
+    help="Run many attacks that belong together, and make the paper's table of them.", no_args_is_help=True
+)
+campaign_run.register(app)
+
+CampaignId = Annotated[str, typer.Argument(metavar="ID", help="The id that `campaign submit` printed.")]
+
+
+@app.command(epilog="Example: [bold]scene-attack campaign submit examples/campaign-small.json[/bold]")
+def submit(spec: campaign_run.SpecArgument, url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
+    """Start a campaign at a running service."""
+    from client import spec_input
+    from client.api_client import ApiClient
+    from client.console import out, print_json
+
+    data = spec_input.read(spec)
+    with ApiClient(url) as client:
+        found = client.submit_campaign(data)
+        if as_json:
+            print_json(found)
+        else:
+            out().print(f"{found['id']}  {client.url}/campaigns/{found['id']}", markup=False, highlight=False)
+
+
+@app.command("list", epilog="Example: [bold]scene-attack campaign list[/bold]")
+def list_campaigns(
+    url: UrlOption = DEFAULT_URL,
+    limit: Annotated[int, typer.Option(min=1, max=100, help="Largest number of campaigns to list.")] = 20,
+    as_json: JsonOption = False,
+) -> None:
+    """List campaigns, newest first."""
+    from client.api_client import ApiClient
+    from client.campaign_tables import campaign_state
+    from client.console import out, print_json, table
+
+    with ApiClient(url) as client:
+        page = client.campaigns(limit)
+    if as_json:
+        print_json(page)
+        return
+    rows = []
+    for one in page["items"]:
+        far = one["progress"]
+        rows.append(
+            [
+                one["id"],
+                one["name"],
+                campaign_state(one["state"]),
+                f"{far['answered']}/{far['views']}",
+                f"{far['ended']}/{far['jobs']}",
+                one["created"][:19].replace("T", " "),
+            ]
+        )
+    out().print(table(("id", "name", "state", "views>", "jobs>", "created (UTC)"), rows))
+
+
+@app.command(epilog="Example: [bold]scene-attack campaign show 0f3c…[/bold]")
+def show(campaign_id: CampaignId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
+    """Show one campaign: its progress, its outcomes so far and the time left."""
+    from client.api_client import ApiClient
+
+    with ApiClient(url) as client:
+        _print(client.campaign(campaign_id), as_json)
+
+
+@app.command(epilog="Example: [bold]scene-attack campaign pause 0f3c…[/bold]")
+def pause(campaign_id: CampaignId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
+    """Hold a campaign's queued jobs back. Jobs that run go on to their end."""
+    _move(campaign_id, "pause", url, as_json)
+
+
+@app.command(epilog="Example: [bold]scene-attack campaign resume 0f3c…[/bold]")
+def resume(campaign_id: CampaignId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
+    """Let a paused campaign go on."""
+    _move(campaign_id, "resume", url, as_json)
+
+
+@app.command(epilog="Example: [bold]scene-attack campaign cancel 0f3c…[/bold]")
+def cancel(campaign_id: CampaignId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
+    """End a campaign and its jobs; the results so far stay."""
+    _move(campaign_id, "cancel", url, as_json)
+
+
+@app.command(
+    epilog="Examples: [bold]scene-attack campaign table 0f3c…[/bold]\n\n"
+    "[bold]scene-attack campaign table 0f3c… --out out/table[/bold]"
+)
+def table(
+    campaign_id: CampaignId,
+    url: UrlOption = DEFAULT_URL,
+    to: Annotated[
+        Path | None, typer.Option("--out", help="Directory for table.json, table.csv, table.tex and curves.png.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Print the table of a campaign, of the jobs that have ended, or write it with its curves."""
+    from client.api_client import ApiClient
+    from client.campaign_tables import results
+    from client.console import err, out, print_json
+
+    with ApiClient(url) as client:
+        found = client.campaign_table(campaign_id)
+    if as_json:
+        print_json(found)
+    else:
+        out().print(results(found["table"]))
+    if to is not None:
+        from services.pipeline.campaign_result import CampaignResult, write
+
+        for path in write(CampaignResult.model_validate(found), to):
+            err().print(str(path), markup=False, highlight=False)
+
+
+@app.command(
+    epilog="Examples: [bold]scene-attack campaign export out/small --maite out/adversaries[/bold]\n\n"
+    "[bold]scene-attack campaign export 0f3c… --maite out/adversaries[/bold]"
+)
+def export(
+    source: Annotated[str, typer.Argument(help="The folder of `campaign run`, or the id of a service's campaign.")],
+    maite: Annotated[Path, typer.Option(help="Directory of the dataset.")],
+    url: UrlOption = DEFAULT_URL,
+) -> None:
+    """Export the adversaries of a campaign as a MAITE dataset: images, labels and metadata."""
+    from client.campaign_results import folder_results, service_results
+    from client.console import out
+    from services.pipeline.adversary_dataset import export as write
+
+    if Path(source).is_dir():
+        count = write(folder_results(Path(source)), maite, name=Path(source).resolve().name)
+    else:
+        from client.api_client import ApiClient
+
+        with ApiClient(url) as client:
+            count = write(service_results(client, source), maite, name=source)
+    out().print(f"{maite}  {count} adversaries", markup=False, highlight=False)
+
+
+def _move(campaign_id: str, how: str, url: str, as_json: bool) -> None:
+    from client.api_client import ApiClient
+
+    with ApiClient(url) as client:
+        _print(client.move_campaign(campaign_id, how), as_json)
+
+
+def _print(found: dict[str, Any], as_json: bool) -> None:
+    from client.campaign_tables import campaign_state, duration
+    from client.console import out, print_json
+    from client.console import table as text_table
+
+    if as_json:
+        print_json(found)
+        return
+    far = found["progress"]
+    row = [
+        found["id"],
+        found["name"],
+        campaign_state(found["state"]),
+        f"{far['answered']}/{far['views']}",
+        str(found["chosen"]),
+        f"{far['ended']}/{far['jobs']}",
+        ", ".join(f"{count} {outcome}" for outcome, count in found["outcomes"].items()),
+        str(found["reused"] or ""),
+        "" if found["ended"] else duration(found["seconds_left"]),
+    ]
+    columns = ("id", "name", "state", "views>", "chosen>", "jobs>", "outcomes", "reused>", "time left>")
+    out().print(text_table(columns, [row]))

@@ -1,0 +1,171 @@
+"""Runs a campaign in this process, without a service. A run that was interrupted goes on where it was."""
+
+import json
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from time import monotonic
+
+from services import atomic_write
+from services.analysis.campaign_curves import Curves, mean_curves
+from services.analysis.campaign_table import Case, table
+from services.analysis.time_left import time_left
+from services.errors import InvalidRequest, JobFailure
+from services.pipeline.campaign_case import case_of, curves_of, reusable, unfinished
+from services.pipeline.campaign_expand import PlannedJob, View, filled, jobs, views
+from services.pipeline.campaign_result import CampaignResult
+from services.pipeline.campaign_select import FirstAnswer, choose
+from services.pipeline.campaign_spec import CampaignSpec
+from services.pipeline.campaign_views import first_answer, first_answers
+from services.pipeline.execute import execute
+from services.pipeline.result import Result
+from services.pipeline.spec import digest
+from services.scenes.library import Library
+
+RESULT = "result.json"
+DONE = "done.json"
+"""Beside the result of a job: its run time and the digest of the campaign that ran it. It is written last."""
+
+
+@dataclass(frozen=True)
+class CampaignProgress:
+    """How far a campaign is: in the phase "selecting" in views, in the phase "attacking" in jobs."""
+
+    phase: str
+    done: int
+    total: int
+    cases: Sequence[Case] = ()
+    seconds_left: float | None = None
+    now: str = ""
+
+
+def run_campaign(
+    campaign: CampaignSpec,
+    out: Path,
+    library: Library,
+    *,
+    progress: Callable[[CampaignProgress], None] = lambda _: None,
+    cancelled: Callable[[], bool] = lambda: False,
+) -> CampaignResult:
+    """Runs all jobs of a campaign, one after another, and returns its table.
+
+    Files in `out`: campaign.json, first_answers.jsonl, jobs.json (the digests of the requests of all jobs, in order),
+    and a folder jobs/<digest> with the files of each job. A result that is there is taken if it is of the same request,
+    assets, weights, backend and versions.
+    Raises Cancelled as soon as `cancelled()` is true; what was done stays.
+    """
+    found = views(campaign)
+    answers = _answers(campaign, found, out, library, progress, cancelled)
+    chosen = choose(found, answers)
+    picked = [filled(view, answers[view.number].spec) for view, one in zip(found, chosen, strict=True) if one.chosen]
+    planned = list(jobs(campaign, picked))
+    cells = [(job.target, job.attack) for job in planned]
+    atomic_write.write(out / "jobs.json", json.dumps([digest(job.spec) for job in planned], indent=1).encode())
+    cases: list[Case] = []
+    traced: list[tuple[str, str, Curves]] = []
+    runner = _Runner(campaign, out / "jobs", library, cancelled)
+    for job in planned:
+        name = f"{job.target}, {job.attack}: {chosen[job.view].scene}"
+        progress(CampaignProgress("attacking", len(cases), len(planned), cases, time_left(cells, cases), name))
+        case, curves = runner.run(job, answers[job.view])
+        cases.append(case)
+        if curves is not None and case.right:
+            traced.append((job.target, job.attack, curves))
+    progress(CampaignProgress("attacking", len(cases), len(planned), cases, 0.0))
+    return CampaignResult(table=table(campaign.name, cells, cases), curves=mean_curves(traced), views=chosen)
+
+
+def _answers(
+    campaign: CampaignSpec,
+    found: Sequence[View],
+    out: Path,
+    library: Library,
+    progress: Callable[[CampaignProgress], None],
+    cancelled: Callable[[], bool],
+) -> dict[int, FirstAnswer]:
+    out.mkdir(parents=True, exist_ok=True)
+    words, begun, kept = campaign.model_dump_json(indent=1), out / "campaign.json", out / "first_answers.jsonl"
+    answers: dict[int, FirstAnswer] = {}
+    if kept.exists() and begun.exists() and begun.read_text("utf-8") == words:
+        answers = _kept(kept, found, library)
+    if not answers:
+        kept.unlink(missing_ok=True)
+        atomic_write.write(begun, words.encode())
+    with kept.open("a", encoding="utf-8") as file:
+        for answer in first_answers([v for v in found if v.number not in answers], library, cancelled):
+            file.write(answer.model_dump_json() + "\n")
+            file.flush()
+            answers[answer.view] = answer
+            progress(CampaignProgress("selecting", len(answers), len(found)))
+    return answers
+
+
+def _kept(file: Path, found: Sequence[View], library: Library) -> dict[int, FirstAnswer]:
+    """The first answers of an earlier run; none if this machine would now answer otherwise to the first of them."""
+    answers: dict[int, FirstAnswer] = {}
+    for line in file.read_text("utf-8").splitlines():
+        try:
+            answer = FirstAnswer.model_validate_json(line)
+        except ValueError:  # the line that was being written when the run was killed
+            break
+        answers[answer.view] = answer
+    sample = next((answer for answer in answers.values() if answer.refused is None), None)
+    if sample is not None and first_answer(found[sample.view], library) != sample:
+        return {}
+    # written again, so that an incomplete line is gone
+    atomic_write.write(file, "".join(a.model_dump_json() + "\n" for a in answers.values()).encode())
+    return answers
+
+
+class _Runner:
+    """Runs the jobs of a campaign into a folder, or takes their results from it."""
+
+    def __init__(self, campaign: CampaignSpec, folder: Path, library: Library, cancelled: Callable[[], bool]) -> None:
+        self._folder, self._library, self._cancelled = folder, library, cancelled
+        self._reuse = campaign.reuse
+        self._campaign = sha256(campaign.model_dump_json().encode()).hexdigest()
+
+    def run(self, job: PlannedJob, answer: FirstAnswer) -> tuple[Case, Curves | None]:
+        request = digest(job.spec)
+        place = self._folder / request
+        if (kept := _finished(place)) is not None:
+            result, seconds, campaign = kept
+            own = campaign == self._campaign
+            if (own or self._reuse) and reusable(result, request, answer.identity):
+                return case_of(result, job.target, job.attack, run_seconds=seconds, reused=not own), curves_of(result)
+        started = monotonic()
+        try:
+            result = self._execute(job, place)
+        except (JobFailure, InvalidRequest) as error:
+            (_part(place) / "failure.txt").write_text(f"{error}\n", "utf-8")
+            return unfinished(job.target, job.attack, "failed", right=answer.right), None
+        seconds = monotonic() - started
+        (_part(place) / DONE).write_text(json.dumps({"seconds": seconds, "campaign": self._campaign}) + "\n", "utf-8")
+        shutil.rmtree(place, ignore_errors=True)
+        _part(place).rename(place)
+        return case_of(result, job.target, job.attack, run_seconds=seconds, reused=False), curves_of(result)
+
+    def _execute(self, job: PlannedJob, place: Path) -> Result:
+        part = _part(place)
+        part.mkdir(parents=True, exist_ok=True)
+        result = execute(job.spec, part, self._library, cancelled=self._cancelled, checkpoint=part / "checkpoint")
+        for file in part.glob("checkpoint*"):
+            file.unlink()
+        return result
+
+
+def _part(place: Path) -> Path:
+    """The folder of a job that has not ended, with its checkpoint."""
+    return place.with_name(f"{place.name}.part")
+
+
+def _finished(place: Path) -> tuple[Result, float, str] | None:
+    """The result of a job, the seconds that it took, and the digest of its campaign."""
+    try:
+        done = json.loads((place / DONE).read_text("utf-8"))
+        result = Result.model_validate_json((place / RESULT).read_bytes())
+        return result, float(done["seconds"]), str(done["campaign"])
+    except (OSError, ValueError, KeyError):
+        return None
