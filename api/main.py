@@ -16,11 +16,13 @@ from api.limits import BodyLimit, SameSite, is_loopback
 from api.preflight import Preflight
 from api.problems import Answers, install
 from api.rerenderer import Rerenderer
-from api.routes import artifacts, assets, events, health, jobs, library, rerenderings
+from api.routes import artifacts, assets, campaigns, events, health, jobs, library, rerenderings
 from api.state import Services
 from services.device import check_device
 from services.errors import JobFailure
 from services.jobs.artifacts import ArtifactStore
+from services.jobs.campaign_service import CampaignService
+from services.jobs.campaigns import Campaigns
 from services.jobs.database import connect as connect_database
 from services.jobs.database import migrate
 from services.jobs.queue import Queue
@@ -62,6 +64,8 @@ def create_app(values: Settings | None = None) -> FastAPI:
             library=Library(chosen.cache_dir, chosen.data_dir),
             preflight=preflight,
             rerenderer=rerenderer,
+            campaigns=CampaignService(Campaigns(engine), queue),
+            max_campaign_jobs=chosen.max_campaign_jobs,
         )
         try:
             yield
@@ -82,7 +86,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
             Middleware(BodyLimit, uploads={assets.PATH: chosen.max_upload_bytes}),
         ],
     )
-    for part in (jobs, events, artifacts, rerenderings, assets, library, health, dashboard):
+    for part in (jobs, campaigns, events, artifacts, rerenderings, assets, library, health, dashboard):
         app.include_router(part.router)
     install(app)
     describe(app)

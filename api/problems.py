@@ -16,6 +16,7 @@ from api.preflight import Unavailable
 from services.errors import InvalidRequest
 from services.jobs.repository import KeyReused, QueueFull
 from services.logs import logger
+from services.pipeline.campaign_spec import named as campaign_fields
 from services.pipeline.spec import named
 
 MEDIA_TYPE = "application/problem+json"
@@ -79,12 +80,13 @@ def install(app: FastAPI) -> None:
         return invalid([error])
 
     @app.exception_handler(RequestValidationError)
-    def _unparsed(_: Request, error: RequestValidationError) -> Response:
+    def _unparsed(request: Request, error: RequestValidationError) -> Response:
         items = error.errors()
         if items and items[0]["type"] == "json_invalid":
             return problem(400, f"the body is not JSON: {items[0]['ctx']['error']} at character {items[0]['loc'][-1]}")
+        fields = campaign_fields if request.url.path == "/v1/campaigns" and request.method == "POST" else named
         # pydantic's paths begin with "body", "query" or "header"; clients know fields without that part.
-        return invalid(named([item | {"loc": item["loc"][1:]} for item in items]))
+        return invalid(fields([item | {"loc": item["loc"][1:]} for item in items]))
 
     @app.exception_handler(HTTPException)
     def _http(_: Request, error: HTTPException) -> Response:

@@ -9,7 +9,7 @@ from pydantic import BaseModel, Field
 
 from services.errors import InvalidRequest
 from services.extensions import Extension
-from services.jobs.models import Artifact, Job, State
+from services.jobs.models import Artifact, Campaign, Job, State
 from services.pipeline.outcome import Outcome
 from services.pipeline.result import Result
 from services.pipeline.spec import JobSpec
@@ -184,13 +184,13 @@ class Readiness(BaseModel):
     )
 
 
-def cursor_after(job: Job) -> str:
-    """The cursor of the page that begins after this job."""
+def cursor_after(job: Job | Campaign) -> str:
+    """The cursor of the page that begins after this job or campaign."""
     return base64.urlsafe_b64encode(f"{job.created_at.isoformat()} {job.id}".encode()).decode().rstrip("=")
 
 
 def read_cursor(cursor: str) -> tuple[datetime, str]:
-    """The (created_at, id) of the job after which the cursor's page begins. Raises InvalidRequest("cursor")."""
+    """The (created_at, id) after which the cursor's page begins. Raises InvalidRequest("cursor")."""
     try:
         time, job_id = base64.urlsafe_b64decode(cursor + "=" * (-len(cursor) % 4)).decode().split(" ")
         place = datetime.fromisoformat(time)

@@ -8,6 +8,7 @@ from fastapi import Depends, HTTPException, Request
 from api.preflight import Preflight
 from api.rerenderer import Rerenderer
 from services.jobs.artifacts import ArtifactStore
+from services.jobs.campaign_service import CampaignService
 from services.jobs.models import Job
 from services.jobs.queue import Queue
 from services.jobs.repository import Repository
@@ -17,7 +18,7 @@ from services.scenes.library import Library
 
 @dataclass(frozen=True)
 class Services:
-    """The record, the queue, the files, and the processes that check requests and re-render images."""
+    """The record of jobs and campaigns, the queue, the files, and the processes that check and re-render."""
 
     repository: Repository
     queue: Queue
@@ -26,6 +27,8 @@ class Services:
     library: Library
     preflight: Preflight
     rerenderer: Rerenderer
+    campaigns: CampaignService
+    max_campaign_jobs: int
 
 
 def services(request: Request) -> Services:

@@ -16,11 +16,13 @@ from services.jobs.artifacts import ArtifactStore, media_type
 from services.jobs.attempts import Attempt, Standing
 from services.jobs.child import connect, reply, requests
 from services.jobs.database import connect as connect_database
-from services.jobs.models import Artifact
+from services.jobs.models import Artifact, Job, JobKind
 from services.jobs.repository import Repository
 from services.jobs.warm_up import warm_up
 from services.jobs.working_files import WorkingFiles
 from services.logs import configure, logger
+from services.pipeline.campaign_expand import View
+from services.pipeline.campaign_views import first_answers
 from services.pipeline.execute import Progress, execute
 from services.pipeline.outcome import outcome
 from services.pipeline.result import Result
@@ -89,21 +91,15 @@ class Jobs:
     def run(self, attempt: Attempt) -> None:
         """Runs one attempt and records its outcome."""
         repository = self._repository
-        job = repository.get(attempt.job_id)
+        job = repository.work(attempt.job_id)
         if job is None:
             return
         reporter = Reporter(repository, attempt)
         try:
-            with self._working_files.attempt_directory(attempt) as out:
-                result = execute(
-                    parse(job.spec),
-                    out,
-                    self._library,
-                    progress=reporter.progress,
-                    cancelled=reporter.stop,
-                    checkpoint=self._working_files.checkpoint(attempt.job_id),
-                )
-                self._keep(attempt, result, out)
+            if job.kind is JobKind.SELECTION:
+                self._select(attempt, job, reporter)
+            else:
+                self._attack(attempt, job, reporter)
         except Cancelled:
             repository.cancelled(attempt)
         except (Exception, SystemExit) as error:  # an extension's code may end the process it is run in
@@ -111,6 +107,27 @@ class Jobs:
             log.warning("job failed", job=attempt.job_id, kind=failure.kind, exc_info=error)
             repository.fail(attempt, failure.kind, failure.detail)
         self._working_files.forget(repository, attempt.job_id)
+
+    def _attack(self, attempt: Attempt, job: Job, reporter: Reporter) -> None:
+        with self._working_files.attempt_directory(attempt) as out:
+            result = execute(
+                parse(job.spec),
+                out,
+                self._library,
+                progress=reporter.progress,
+                cancelled=reporter.stop,
+                checkpoint=self._working_files.checkpoint(attempt.job_id),
+            )
+            self._keep(attempt, result, out)
+
+    def _select(self, attempt: Attempt, job: Job, reporter: Reporter) -> None:
+        """Finds the first answers to some views of a campaign."""
+        asked = [View(one["number"], None, 0, parse(one["probe"]), None) for one in job.spec["views"]]
+        answers = []
+        for answer in first_answers(asked, self._library, reporter.stop):
+            answers.append(finite(answer.model_dump(mode="json")))
+            self._repository.progress(attempt, "selecting", len(answers), len(asked), [])
+        self._repository.succeed(attempt, {"answers": answers}, {}, [])
 
     def _keep(self, attempt: Attempt, result: Result, out: Path) -> None:
         record = finite(result.model_dump(mode="json"))

@@ -11,6 +11,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from services.device import check_device
 from services.errors import JobFailure
+from services.jobs.campaign_feed import Feeder
 from services.jobs.database import connect as connect_database
 from services.jobs.database import migrate
 from services.jobs.queue import Queue, reconcile
@@ -41,7 +42,8 @@ def run() -> int:
     engine = connect_database(values)
     migrate(engine, values)
     repository = Repository(engine)
-    Supervisor(workers(values, repository), housekeeping(values, repository)).run()
+    feeder = Feeder(engine, values.max_campaign_queued)
+    Supervisor(workers(values, repository), housekeeping(values, repository, feeder)).run()
     return 0
 
 
@@ -71,9 +73,9 @@ def _worker(index: int, values: Settings, repository: Repository) -> Program:
     return Program(f"worker-{index}", command, values.environ(), ended=ended)
 
 
-def housekeeping(values: Settings, repository: Repository) -> Callable[[], None]:
-    """Returns the function that a supervisor calls once a second. It takes lapsed leases back and sends queued jobs
-    that the queue has lost.
+def housekeeping(values: Settings, repository: Repository, feeder: Feeder) -> Callable[[], None]:
+    """Returns the function that a supervisor calls once a second. It takes lapsed leases back, moves campaigns on, and
+    sends queued jobs that are not on the queue.
 
     Several supervisors may do so at once; each step is a transaction that changes a job at most once.
     """
@@ -90,6 +92,7 @@ def housekeeping(values: Settings, repository: Repository) -> Callable[[], None]
             if time.monotonic() - swept > SWEEP_SECONDS:
                 swept = time.monotonic()
                 working_files.sweep(repository)
+            feeder.tick()
             reconcile(repository, queue)
         except (SQLAlchemyError, RedisError) as error:
             log.warning("housekeeping put off", error=str(error))

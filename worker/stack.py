@@ -6,6 +6,7 @@ import sys
 import httpx
 
 from services.device import check_device
+from services.jobs.campaign_feed import Feeder
 from services.jobs.database import connect as connect_database
 from services.jobs.database import migrate
 from services.jobs.repository import Repository
@@ -36,7 +37,7 @@ def serve(values: Settings) -> int:
             values = values.model_copy(update={"port": port, "redis_url": url})
             programs = [] if redis is None else [redis.program()]
             programs += [_api(values, listener), *workers(values, repository)]
-            tidy = housekeeping(values, repository)
+            tidy = housekeeping(values, repository, Feeder(engine, values.max_campaign_queued))
             announce = _Announcement(f"http://{_reachable(values.host)}:{port}")
 
             def duty() -> None:

@@ -1,5 +1,11 @@
 """The dashboard: HTML pages made from the same record as the API, which load nothing from other sites."""
 
-from api.dashboard.routes import router
+from fastapi import APIRouter
+
+from api.dashboard import campaigns, routes
 
 __all__ = ["router"]
+
+router = APIRouter()
+router.include_router(routes.router)
+router.include_router(campaigns.router)

@@ -1,45 +1,24 @@
 """Routes of the dashboard's pages. A script keeps the pages up to date; they also work without it."""
 
 from collections.abc import Iterator
-from datetime import UTC, datetime
-from hashlib import sha256
-from importlib.resources import files
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
-from fastapi.responses import HTMLResponse, RedirectResponse
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from fastapi.responses import RedirectResponse
 
-from api.dashboard import views, words
+from api.dashboard import views
+from api.dashboard.pages import HEADERS, STATIC, VERSION, html, missing
 from api.schemas import cursor_after, read_cursor
 from api.state import Services, ServicesDependency
 from services.errors import InvalidRequest
 from services.jobs.models import Event, State
-from services.pipeline.names import group_words
 
 PAGE = 30
 """Number of jobs on one page of the list."""
 
-HEADERS = {
-    "Content-Security-Policy": (
-        "default-src 'none'; img-src 'self'; style-src 'self'; script-src 'self'; connect-src 'self'; "
-        "form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
-    ),
-    "X-Content-Type-Options": "nosniff",
-    "Referrer-Policy": "same-origin",
-    "Cache-Control": "no-store",
-}
-
 _KINDS = {"css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
-_STATIC = {file.name: file.read_bytes() for file in files(__package__).joinpath("static").iterdir()}
-_VERSION = sha256(b"".join(_STATIC[name] for name in sorted(_STATIC))).hexdigest()[:12]
 
 router = APIRouter(include_in_schema=False)
-
-_templates = Environment(
-    loader=PackageLoader(__package__), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-)
-_templates.globals |= {"version": _VERSION, "words": words, "group_words": group_words, "states": list(State)}
 
 
 @router.get("/")
@@ -78,17 +57,17 @@ def job_part(job_id: str, services: ServicesDependency) -> Response:
 def cancel(job_id: str, services: ServicesDependency) -> Response:
     """Cancels a job, as the button on its page asks, and redirects to the page."""
     if services.repository.request_cancel(job_id) is None:
-        return _missing()
+        return missing()
     return RedirectResponse(f"/jobs/{job_id}", 303, HEADERS)
 
 
 @router.get("/static/{name}")
 def static(name: str, request: Request) -> Response:
     """Style, script and icon. Their address contains a version, so that browsers may cache them."""
-    data = _STATIC.get(name)
+    data = STATIC.get(name)
     if data is None:
-        return _missing()
-    kept = "max-age=31536000, immutable" if request.query_params.get("v") == _VERSION else "no-cache"
+        return missing()
+    kept = "max-age=31536000, immutable" if request.query_params.get("v") == VERSION else "no-cache"
     return Response(data, headers=HEADERS | {"Cache-Control": kept}, media_type=_KINDS[name.rpartition(".")[2]])
 
 
@@ -100,15 +79,15 @@ def _list(template: str, services: Services, state: State | None, cursor: str | 
     found = services.repository.page(state, PAGE + 1, before)
     older = cursor_after(found[PAGE - 1]) if len(found) > PAGE else None
     lines = [views.line(one) for one in found[:PAGE]]
-    return _html(template, lines=lines, state=state, cursor=cursor, older=older)
+    return html(template, lines=lines, state=state, cursor=cursor, older=older)
 
 
 def _job(template: str, job_id: str, services: Services) -> Response:
     found = services.repository.get(job_id, with_result=True)
     if found is None:
-        return _missing()
+        return missing()
     events = [] if found.result else _all_events(services, job_id)
-    return _html(template, page=views.page(found, events, services.repository.artifacts(job_id)))
+    return html(template, page=views.page(found, events, services.repository.artifacts(job_id)))
 
 
 def _all_events(services: Services, job_id: str) -> Iterator[Event]:
@@ -116,12 +95,3 @@ def _all_events(services: Services, job_id: str) -> Iterator[Event]:
     while page := services.repository.events(job_id, after):
         yield from page
         after = page[-1].number
-
-
-def _missing() -> Response:
-    return _html("missing.html", 404)
-
-
-def _html(template: str, status: int = 200, **values: Any) -> Response:
-    text = _templates.get_template(template).render(now=datetime.now(UTC), **values)
-    return HTMLResponse(text, status, HEADERS)

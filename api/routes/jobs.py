@@ -11,8 +11,7 @@ from api.schemas import JobPage, JobSummary, JobView, cursor_after, read_cursor
 from api.state import KnownJob, ServicesDependency, no_such
 from services.jobs.models import Job, State
 from services.jobs.repository import Key
-from services.jobs.service import digest
-from services.pipeline.spec import JobSpec
+from services.pipeline.spec import JobSpec, digest
 
 LONGEST_WAIT = 30.0
 """Largest N of `Prefer: wait=N`, in seconds; larger values are reduced to it."""
@@ -74,12 +73,13 @@ def _answer(job: Job) -> dict[str, Any]:
 def page(
     services: ServicesDependency,
     state: State | None = None,
+    campaign: Annotated[str | None, Query(max_length=32, description="id of the campaign that queued the jobs")] = None,
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
     cursor: Annotated[str | None, Query(max_length=200, description="`next` of the page before")] = None,
 ) -> JobPage:
     """Lists jobs, newest first."""
     before = None if cursor is None else read_cursor(cursor)
-    jobs = services.repository.page(state, limit + 1, before)
+    jobs = services.repository.page(state, limit + 1, before, campaign)
     more = cursor_after(jobs[limit - 1]) if len(jobs) > limit else None
     return JobPage(items=[JobSummary.of(job) for job in jobs[:limit]], next=more)
 

@@ -15,7 +15,7 @@ from sqlalchemy.orm import Session
 from sqlalchemy.sql.elements import ColumnElement
 
 from services.jobs.models import Artifact, Event, Job, State
-from services.jobs.transactions import Transactions
+from services.jobs.transactions import Transactions, not_held
 
 ACTIVE = (State.RUNNING, State.CANCELLING)
 
@@ -41,14 +41,14 @@ class Attempts(Transactions):
 
     def lease(self, job_id: str, owner: str, seconds: float) -> Attempt | None:
         """Leases a queued job to `owner` for `seconds`. Returns None if the job is not queued any more, e.g. because
-        its id was delivered twice.
+        its id was delivered twice, or if its campaign is paused.
         """
         with self._write() as session:
             job = self._move(
                 session,
                 job_id,
                 State.RUNNING,
-                [Job.state == State.QUEUED],
+                [Job.state == State.QUEUED, not_held()],
                 attempt=Job.attempt + 1,
                 lease_owner=owner,
                 lease_until=self._clock() + timedelta(seconds=seconds),

@@ -24,6 +24,29 @@ class State(StrEnum):
         return self in (State.SUCCEEDED, State.FAILED, State.CANCELLED)
 
 
+class CampaignState(StrEnum):
+    """The state of a campaign. Finished means that all its jobs have ended, however they did."""
+
+    SELECTING = "selecting"
+    RUNNING = "running"
+    PAUSED = "paused"
+    FINISHED = "finished"
+    FAILED = "failed"
+    CANCELLED = "cancelled"
+
+    @property
+    def terminal(self) -> bool:
+        """Whether the campaign has ended, so that its state cannot change any more."""
+        return self in (CampaignState.FINISHED, CampaignState.FAILED, CampaignState.CANCELLED)
+
+
+class JobKind(StrEnum):
+    """The work that a job is. Lists of jobs show attacks only."""
+
+    ATTACK = "attack"
+    SELECTION = "selection"
+
+
 class UtcTime(TypeDecorator[datetime]):
     """A column of aware UTC datetimes. SQLite stores no time zone, so it is removed on writing and added on reading."""
 
@@ -39,26 +62,45 @@ class UtcTime(TypeDecorator[datetime]):
         return None if value is None else value.replace(tzinfo=UTC)
 
 
-_STATE = Enum(State, native_enum=False, length=16, values_callable=lambda states: [state.value for state in states])
+def _words(kind: type[StrEnum]) -> Enum:
+    return Enum(kind, native_enum=False, length=16, values_callable=lambda members: [one.value for one in members])
 
 
 class Base(DeclarativeBase):
     """Base of the tables."""
 
-    type_annotation_map = {datetime: UtcTime, dict[str, Any]: JSON, list[Any]: JSON, State: _STATE}  # noqa: RUF012
+    type_annotation_map = {  # noqa: RUF012
+        datetime: UtcTime,
+        dict[str, Any]: JSON,
+        list[Any]: JSON,
+        list[dict[str, Any]]: JSON,
+        State: _words(State),
+        CampaignState: _words(CampaignState),
+        JobKind: _words(JobKind),
+    }
 
 
 class Job(Base):
     """One attack on one scene, from request to result."""
 
     __tablename__ = "jobs"
-    __table_args__ = (Index("jobs_by_state", "state", "created_at"), Index("jobs_by_age", "created_at", "id"))
+    __table_args__ = (
+        Index("jobs_by_state", "state", "created_at"),
+        Index("jobs_by_age", "created_at", "id"),
+        Index("jobs_by_digest", "digest"),
+        Index("jobs_by_campaign", "campaign_id"),
+    )
 
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
     state: Mapped[State]
     spec: Mapped[dict[str, Any]]
     seed: Mapped[int] = mapped_column(BigInteger)
     created_at: Mapped[datetime]
+    kind: Mapped[JobKind] = mapped_column(default=JobKind.ATTACK, server_default="attack")
+    digest: Mapped[str | None] = mapped_column(String(64))
+    """Digest of the spec (services.pipeline.campaign_case), by which a campaign finds earlier results."""
+    campaign_id: Mapped[str | None] = mapped_column(String(32))
+    """The campaign that queued the job."""
 
     queued_at: Mapped[datetime | None]
     running_at: Mapped[datetime | None]
@@ -130,3 +172,55 @@ class IdempotencyKey(Base):
     job_id: Mapped[str] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"))
     answer: Mapped[dict[str, Any]]
     created_at: Mapped[datetime]
+
+
+class Campaign(Base):
+    """Many attacks that belong together (services.pipeline.campaign_spec)."""
+
+    __tablename__ = "campaigns"
+    __table_args__ = (Index("campaigns_by_age", "created_at", "id"),)
+
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+    name: Mapped[str] = mapped_column(String(100))
+    state: Mapped[CampaignState]
+    spec: Mapped[dict[str, Any]] = mapped_column(deferred=True)
+    created_at: Mapped[datetime]
+    selected_at: Mapped[datetime | None]
+    """The time at which the views were chosen and the jobs were made."""
+    paused_at: Mapped[datetime | None]
+    ended_at: Mapped[datetime | None]
+    failure: Mapped[str | None] = mapped_column(Text)
+    """Why the campaign cannot go on."""
+    view_count: Mapped[int]
+    views: Mapped[list[dict[str, Any]] | None] = mapped_column(deferred=True)
+    """Every view, with the first answer and why it is not attacked (services.pipeline.campaign_select.ChosenView)."""
+    key: Mapped[str | None] = mapped_column(String(255), unique=True)
+    """The client's idempotency key."""
+    request_digest: Mapped[str] = mapped_column(String(64))
+
+
+class CampaignJob(Base):
+    """A job that a campaign has planned. It gets a row in `jobs` when its turn comes, or takes an earlier one's."""
+
+    __tablename__ = "campaign_jobs"
+    __table_args__ = (Index("campaign_jobs_by_job", "job_id"), Index("campaign_jobs_by_end", "ended"))
+
+    campaign_id: Mapped[str] = mapped_column(ForeignKey("campaigns.id", ondelete="CASCADE"), primary_key=True)
+    number: Mapped[int] = mapped_column(primary_key=True)
+    target: Mapped[str] = mapped_column(String(100))
+    attack: Mapped[str] = mapped_column(String(200))
+    view: Mapped[int]
+    right: Mapped[bool]
+    """Whether the network's first answer to the view was right."""
+    identity: Mapped[str | None] = mapped_column(String(64))
+    """Digest of assets, weights, backend and versions at the selection, which an earlier result must share."""
+    digest: Mapped[str] = mapped_column(String(64))
+    spec: Mapped[dict[str, Any]] = mapped_column(deferred=True)
+    job_id: Mapped[str | None] = mapped_column(ForeignKey("jobs.id", ondelete="SET NULL"))
+    reused: Mapped[bool] = mapped_column(default=False)
+    ended: Mapped[bool] = mapped_column(default=False)
+    """Whether the job has ended and `case` says how."""
+    case: Mapped[dict[str, Any] | None]
+    """What the table needs to know (services.analysis.campaign_table.Case)."""
+    curves: Mapped[dict[str, Any] | None] = mapped_column(deferred=True)
+    """The curves of the trace (services.analysis.campaign_curves.Curves)."""

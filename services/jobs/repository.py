@@ -7,15 +7,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
-from uuid import uuid4
 
 from sqlalchemy import func, select, text, tuple_, update
 from sqlalchemy.orm import Session, undefer
 
 from services.jobs.attempts import Attempts
-from services.jobs.models import Artifact, Event, IdempotencyKey, Job, State
-from services.jobs.transactions import story
-from services.pipeline.spec import JobSpec
+from services.jobs.models import Artifact, Event, IdempotencyKey, Job, JobKind, State
+from services.jobs.transactions import not_held
+from services.pipeline.spec import JobSpec, digest
 from services.pipeline.warning import JobWarning
 
 
@@ -69,30 +68,16 @@ class Repository(Attempts):
         with self._write() as session:
             if key is not None and (first := _first_answer(session, key)) is not None:
                 return None, first
-            queued = session.scalar(select(func.count()).select_from(Job).where(Job.state == State.QUEUED)) or 0
-            if queued >= max_queued:
+            single = (Job.state == State.QUEUED, Job.campaign_id.is_(None))  # campaigns have a limit of their own
+            if (session.scalar(select(func.count()).select_from(Job).where(*single)) or 0) >= max_queued:
                 raise QueueFull
-            now = self._clock()
-            job = Job(
-                id=uuid4().hex,
-                state=State.QUEUED,
-                spec=spec.model_dump(mode="json"),
-                seed=spec.seed,
-                created_at=now,
-                queued_at=now,
-                attempt=0,
-                lost=0,
-                warnings=[one.model_dump(mode="json") for one in warnings],
-                events=1,
+            job = self._add_job(
+                session, spec.model_dump(mode="json"), seed=spec.seed, digest=digest(spec), warnings=warnings
             )
-            session.add(job)
-            session.flush()
-            session.add(Event(job_id=job.id, number=1, kind="state", data=story(job), created_at=now))
             said = answer(job)
             if key is not None:
-                session.add(
-                    IdempotencyKey(key=key.value, digest=key.digest, job_id=job.id, answer=said, created_at=now)
-                )
+                values = {"key": key.value, "digest": key.digest, "answer": said, "created_at": job.created_at}
+                session.add(IdempotencyKey(job_id=job.id, **values))
             return job, said
 
     def first_answer(self, key: Key) -> dict[str, Any] | None:
@@ -101,13 +86,27 @@ class Repository(Attempts):
             return _first_answer(session, key)
 
     def get(self, job_id: str, *, with_result: bool = False) -> Job | None:
-        """A job, or None if the id is unknown. The result, which may be large, is read only if `with_result`."""
+        """An attack, or None if the id is unknown. The result, which may be large, is read only if `with_result`."""
         with self._read() as session:
-            return session.get(Job, job_id, options=[undefer(Job.result)] if with_result else [])
+            job = session.get(Job, job_id, options=[undefer(Job.result)] if with_result else [])
+            return None if job is None or job.kind is not JobKind.ATTACK else job
 
-    def page(self, state: State | None, limit: int, before: tuple[datetime, str] | None) -> list[Job]:
-        """At most `limit` jobs, newest first, in `state` if given, older than `before`, a job's (created_at, id)."""
-        query = select(Job).order_by(Job.created_at.desc(), Job.id.desc()).limit(limit)
+    def work(self, job_id: str) -> Job | None:
+        """A job of any kind, without its result, or None if the id is unknown."""
+        with self._read() as session:
+            return session.get(Job, job_id)
+
+    def page(
+        self, state: State | None, limit: int, before: tuple[datetime, str] | None, campaign: str | None = None
+    ) -> list[Job]:
+        """At most `limit` attacks, newest first, older than `before`, a job's (created_at, id).
+
+        If given, only those in `state`, and only those that a campaign queued.
+        """
+        query = select(Job).where(Job.kind == JobKind.ATTACK)
+        query = query.order_by(Job.created_at.desc(), Job.id.desc()).limit(limit)
+        if campaign is not None:
+            query = query.where(Job.campaign_id == campaign)
         if state is not None:
             query = query.where(Job.state == state)
         if before is not None:
@@ -144,10 +143,11 @@ class Repository(Attempts):
     # Operations of the queue
 
     def queued(self) -> list[Waiting]:
-        """All queued jobs, oldest first."""
+        """All queued jobs but those of paused campaigns, oldest first."""
         columns = select(Job.id, Job.attempt, Job.sent_at)
         with self._read() as session:
-            found = session.execute(columns.where(Job.state == State.QUEUED).order_by(Job.queued_at, Job.id))
+            waiting = columns.where(Job.state == State.QUEUED, not_held())
+            found = session.execute(waiting.order_by(Job.queued_at, Job.id))
             return [Waiting(*row) for row in found]
 
     def sent(self, job_id: str, attempt: int) -> None:

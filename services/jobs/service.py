@@ -1,6 +1,5 @@
 """Submission of jobs: the part of the API's `POST /v1/jobs` that does not depend on HTTP."""
 
-import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -54,8 +53,3 @@ class Submissions:
             return
         self.repository.sent(job.id, job.attempt)
         log.info("job queued", job=job.id)
-
-
-def digest(spec: JobSpec) -> str:
-    """Hex SHA-256 of a request with its defaults filled in, by which an idempotency key recognises it."""
-    return hashlib.sha256(spec.model_dump_json().encode()).hexdigest()

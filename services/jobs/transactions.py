@@ -4,12 +4,14 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from typing import Any
+from uuid import uuid4
 
-from sqlalchemy import Engine, update
+from sqlalchemy import Engine, or_, select, update
 from sqlalchemy.orm import Session
 from sqlalchemy.sql.elements import ColumnElement
 
-from services.jobs.models import Event, Job, State
+from services.jobs.models import Campaign, CampaignState, Event, Job, JobKind, State
+from services.pipeline.warning import JobWarning
 
 
 class Transactions:
@@ -29,6 +31,39 @@ class Transactions:
     def _write(self) -> Iterator[Session]:
         with Session(self._writes, expire_on_commit=False) as session, session.begin():
             yield session
+
+    def _add_job(
+        self,
+        session: Session,
+        spec: dict[str, Any],
+        *,
+        seed: int = 0,
+        kind: JobKind = JobKind.ATTACK,
+        digest: str | None = None,
+        campaign_id: str | None = None,
+        warnings: Sequence[JobWarning] = (),
+    ) -> Job:
+        """Records a new queued job and its first event."""
+        now = self._clock()
+        job = Job(
+            id=uuid4().hex,
+            state=State.QUEUED,
+            spec=spec,
+            seed=seed,
+            created_at=now,
+            queued_at=now,
+            kind=kind,
+            digest=digest,
+            campaign_id=campaign_id,
+            attempt=0,
+            lost=0,
+            warnings=[one.model_dump(mode="json") for one in warnings],
+            events=1,
+        )
+        session.add(job)
+        session.flush()
+        session.add(Event(job_id=job.id, number=1, kind="state", data=story(job), created_at=now))
+        return job
 
     def _move(
         self, session: Session, job_id: str, to: State, where: Sequence[ColumnElement[bool]], **values: Any
@@ -56,3 +91,9 @@ def story(job: Job) -> dict[str, Any]:
     if job.state == State.FAILED:
         data["failure"] = {"kind": job.failure_kind, "detail": job.failure_detail}
     return data
+
+
+def not_held() -> ColumnElement[bool]:
+    """The condition that a queued job may run: it belongs to no campaign, or to one that is not paused."""
+    paused = select(Campaign.id).where(Campaign.state == CampaignState.PAUSED)
+    return or_(Job.campaign_id.is_(None), Job.campaign_id.not_in(paused))

@@ -191,6 +191,14 @@ def app(repository: Repository) -> FastAPI:
     made.include_router(dashboard.router)
     none = cast(Any, None)
     made.state.services = Services(
-        repository=repository, queue=none, submissions=none, store=none, library=none, preflight=none, rerenderer=none
+        repository=repository,
+        queue=none,
+        submissions=none,
+        store=none,
+        library=none,
+        preflight=none,
+        rerenderer=none,
+        campaigns=none,
+        max_campaign_jobs=0,
     )
     return made

@@ -1,0 +1,125 @@
+"""Routes of the dashboard's pages about campaigns."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Response
+from fastapi.responses import RedirectResponse
+
+from api.dashboard.charts import Chart, chart
+from api.dashboard.pages import HEADERS, html, missing
+from api.schemas import cursor_after, read_cursor
+from api.state import Services, ServicesDependency
+from services.analysis.campaign_table import Cell, Corners, Table
+from services.errors import InvalidRequest
+from services.jobs.campaign_service import Counts
+from services.jobs.campaigns import Progress
+from services.jobs.models import Campaign, CampaignState
+from services.pipeline.campaign_select import ChosenView
+
+PAGE = 30
+"""Number of campaigns on one page of the list."""
+SHOWN = 200
+"""Largest number of views that a page lists."""
+
+router = APIRouter(include_in_schema=False)
+
+
+@dataclass(frozen=True)
+class Page:
+    """The data of a campaign's page."""
+
+    campaign: Campaign
+    progress: Progress
+    counts: Counts
+    table: Table
+    by_queries: list[Chart]
+    by_seconds: list[Chart]
+    views: list[ChosenView]
+    chosen: int
+
+
+@router.get("/campaigns")
+def campaigns(
+    services: ServicesDependency,
+    state: CampaignState | None = None,
+    cursor: Annotated[str | None, Query(max_length=200)] = None,
+) -> Response:
+    """The list of campaigns, newest first."""
+    return _list("campaigns.html", services, state, cursor)
+
+
+@router.get("/parts/campaigns")
+def campaigns_part(
+    services: ServicesDependency,
+    state: CampaignState | None = None,
+    cursor: Annotated[str | None, Query(max_length=200)] = None,
+) -> Response:
+    """The part of the list that the script reloads."""
+    return _list("_campaigns.html", services, state, cursor)
+
+
+@router.get("/campaigns/{campaign_id}")
+def campaign(campaign_id: str, services: ServicesDependency) -> Response:
+    """The page of one campaign."""
+    return _campaign("campaign.html", campaign_id, services)
+
+
+@router.get("/parts/campaigns/{campaign_id}")
+def campaign_part(campaign_id: str, services: ServicesDependency) -> Response:
+    """The part of a campaign's page that the script reloads."""
+    return _campaign("_campaign.html", campaign_id, services)
+
+
+@router.post("/campaigns/{campaign_id}/{move}")
+def move(campaign_id: str, move: str, services: ServicesDependency) -> Response:
+    """Pauses, resumes or cancels a campaign, as the buttons on its page ask, and redirects to the page."""
+    record = services.campaigns.record
+    moves = {"pause": record.pause, "resume": record.resume, "cancel": record.cancel}
+    if move not in moves or moves[move](campaign_id) is None:
+        return missing()
+    return RedirectResponse(f"/campaigns/{campaign_id}", 303, HEADERS)
+
+
+def _list(template: str, services: Services, state: CampaignState | None, cursor: str | None) -> Response:
+    try:
+        before = None if cursor is None else read_cursor(cursor)
+    except InvalidRequest:
+        before = None
+    record = services.campaigns.record
+    found = record.page(state, PAGE + 1, before)
+    older = cursor_after(found[PAGE - 1]) if len(found) > PAGE else None
+    progress = record.progress([one.id for one in found])
+    lines = [(one, progress[one.id]) for one in found[:PAGE]]
+    return html(template, lines=lines, state=state, cursor=cursor, older=older)
+
+
+def _campaign(template: str, campaign_id: str, services: Services) -> Response:
+    found = services.campaigns.record.get(campaign_id, whole=True)
+    if found is None:
+        return missing()
+    result = services.campaigns.result(found, curves=False)
+    attacked = sorted(result.views, key=lambda view: not view.chosen)
+    page = Page(
+        campaign=found,
+        progress=services.campaigns.progress(found),
+        counts=services.campaigns.counts(found.id),
+        table=result.table,
+        by_queries=[_chart(cell, "queries", cell.by_queries) for cell in result.table.cells if cell.success.of],
+        by_seconds=[_chart(cell, "seconds", cell.by_seconds) for cell in result.table.cells if cell.success.of],
+        views=attacked[:SHOWN],
+        chosen=sum(view.chosen for view in result.views),
+    )
+    return html(template, page=page)
+
+
+def _chart(cell: Cell, along: str, corners: Corners) -> Chart:
+    """The step curve of a cell's verified successes, in per cent of all its cases."""
+    end = corners[-1][0] * 1.05 if corners else 1.0
+    points, share = [(0.0, 0.0)], 0.0
+    for at, count in corners:
+        points.append((at, share))
+        share = 100 * count / cell.success.of
+        points.append((at, share))
+    title = f"{cell.attack}, {cell.target}: verified successes, % of {cell.success.of}"
+    return chart(title, along, [*points, (end, share)], low=0, high=100)

@@ -1,0 +1,44 @@
+"""Renders the dashboard's pages from its templates, with headers that let them load nothing from other sites."""
+
+from datetime import UTC, datetime
+from hashlib import sha256
+from importlib.resources import files
+from typing import Any
+
+from fastapi import Response
+from fastapi.responses import HTMLResponse
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from api.dashboard import words
+from services.jobs.models import CampaignState, State
+from services.pipeline.names import group_words
+
+HEADERS = {
+    "Content-Security-Policy": (
+        "default-src 'none'; img-src 'self'; style-src 'self'; script-src 'self'; connect-src 'self'; "
+        "form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
+    ),
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+
+STATIC = {file.name: file.read_bytes() for file in files(__package__).joinpath("static").iterdir()}
+VERSION = sha256(b"".join(STATIC[name] for name in sorted(STATIC))).hexdigest()[:12]
+
+_templates = Environment(
+    loader=PackageLoader(__package__), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+)
+_templates.globals |= {"version": VERSION, "words": words, "group_words": group_words, "states": list(State)}
+_templates.globals["campaign_states"] = list(CampaignState)
+
+
+def html(template: str, status: int = 200, **values: Any) -> Response:
+    """A page made of a template and values."""
+    text = _templates.get_template(template).render(now=datetime.now(UTC), **values)
+    return HTMLResponse(text, status, HEADERS)
+
+
+def missing() -> Response:
+    """The page of an address that leads nowhere."""
+    return html("missing.html", 404)

@@ -1,0 +1,166 @@
+"""Routes that submit, list, read, pause, resume and cancel campaigns, and give their tables."""
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Header, Query, Response
+from starlette.concurrency import run_in_threadpool
+
+from api.campaign_schemas import (
+    CampaignJobPage,
+    CampaignJobView,
+    CampaignPage,
+    CampaignSummary,
+    CampaignView,
+    ViewList,
+)
+from api.routes.jobs import json_body
+from api.schemas import cursor_after, read_cursor
+from api.state import Services, ServicesDependency, no_such
+from services.analysis.campaign_text import to_csv, to_latex
+from services.errors import InvalidRequest
+from services.jobs.campaign_service import request_digest
+from services.jobs.models import Campaign, CampaignState
+from services.jobs.repository import Key
+from services.pipeline.campaign_check import check_meshes, check_size, placed, samples
+from services.pipeline.campaign_result import CampaignResult
+from services.pipeline.campaign_spec import CampaignSpec
+
+router = APIRouter(prefix="/v1/campaigns", tags=["campaigns"])
+
+
+def whole_campaign(campaign_id: str, services: ServicesDependency) -> Campaign:
+    """The campaign with the id in the path, with its request and views. Answers 404 if there is none."""
+    campaign = services.campaigns.record.get(campaign_id, whole=True)
+    if campaign is None:
+        raise no_such("campaign")
+    return campaign
+
+
+WholeCampaign = Annotated[Campaign, Depends(whole_campaign)]
+
+
+@router.post("", status_code=202, response_model=CampaignView, dependencies=[Depends(json_body)])
+async def submit(
+    spec: CampaignSpec,
+    services: ServicesDependency,
+    response: Response,
+    idempotency_key: Annotated[
+        str | None,
+        Header(min_length=1, max_length=255, description="a repeated key gets the first answer again, and no new job"),
+    ] = None,
+) -> Any:
+    """Starts a campaign.
+
+    The request, its size and the names in it are checked before the answer, and one job for each target, renderer and
+    method as a whole. What is wrong with a single view shows when the views are selected: it is then not attacked.
+    """
+    key = None if idempotency_key is None else Key(idempotency_key, request_digest(spec))
+    campaign = None if key is None else await run_in_threadpool(services.campaigns.record.of_key, key)
+    if campaign is None:
+        await _check(spec, services)
+        campaign = await run_in_threadpool(services.campaigns.submit, spec, idempotency_key)
+    response.headers["Location"] = f"/v1/campaigns/{campaign.id}"
+    return CampaignView.accepted(campaign, spec)
+
+
+async def _check(spec: CampaignSpec, services: Services) -> None:
+    check_size(spec, services.max_campaign_jobs)
+    await run_in_threadpool(check_meshes, spec, services.library.check_mesh)
+    for job, places in await run_in_threadpool(lambda: list(samples(spec))):
+        try:
+            await services.preflight.check(job)
+        except InvalidRequest as error:
+            raise placed(error, places) from error
+
+
+@router.get("")
+def page(
+    services: ServicesDependency,
+    state: CampaignState | None = None,
+    limit: Annotated[int, Query(ge=1, le=200)] = 50,
+    cursor: Annotated[str | None, Query(max_length=200, description="`next` of the page before")] = None,
+) -> CampaignPage:
+    """Lists campaigns, newest first."""
+    record = services.campaigns.record
+    found = record.page(state, limit + 1, None if cursor is None else read_cursor(cursor))
+    progress = record.progress([campaign.id for campaign in found])
+    return CampaignPage(
+        items=[CampaignSummary.of(campaign, progress[campaign.id]) for campaign in found[:limit]],
+        next=cursor_after(found[limit - 1]) if len(found) > limit else None,
+    )
+
+
+@router.get("/{campaign_id}")
+def get(campaign: WholeCampaign, services: ServicesDependency) -> CampaignView:
+    """Returns one campaign, with its progress, its outcomes so far and the time left."""
+    return _view(campaign, services)
+
+
+@router.post("/{campaign_id}/pause", status_code=202)
+def pause(campaign: WholeCampaign, services: ServicesDependency) -> CampaignView:
+    """Holds a campaign's queued jobs back, also over restarts; jobs that run go on to their end.
+
+    A campaign that is paused or has ended stays as it is.
+    """
+    services.campaigns.record.pause(campaign.id)
+    return _view(whole_campaign(campaign.id, services), services)
+
+
+@router.post("/{campaign_id}/resume", status_code=202)
+def resume(campaign: WholeCampaign, services: ServicesDependency) -> CampaignView:
+    """Lets a paused campaign go on. A campaign that is not paused stays as it is."""
+    services.campaigns.record.resume(campaign.id)
+    return _view(whole_campaign(campaign.id, services), services)
+
+
+@router.post("/{campaign_id}/cancel", status_code=202)
+def cancel(campaign: WholeCampaign, services: ServicesDependency) -> CampaignView:
+    """Ends a campaign: queued jobs are cancelled at once, running ones stop within a step. Results so far stay.
+
+    A campaign that has ended stays as it is.
+    """
+    services.campaigns.record.cancel(campaign.id)
+    return _view(whole_campaign(campaign.id, services), services)
+
+
+@router.get("/{campaign_id}/views")
+def views(campaign: WholeCampaign) -> ViewList:
+    """Lists all views with the networks' first answers, and says of those that are not attacked why."""
+    return ViewList.model_validate({"items": campaign.views or []})
+
+
+@router.get("/{campaign_id}/jobs")
+def jobs(
+    campaign: WholeCampaign,
+    services: ServicesDependency,
+    limit: Annotated[int, Query(ge=1, le=500)] = 100,
+    after: Annotated[int, Query(ge=-1, description="number of a job; the page begins after it")] = -1,
+) -> CampaignJobPage:
+    """Lists the planned jobs in the order in which they are queued."""
+    found = services.campaigns.record.jobs(campaign.id, limit + 1, after)
+    items = [CampaignJobView.of(planned, job) for planned, job in found[:limit]]
+    return CampaignJobPage(items=items, next=items[-1].number if len(found) > limit else None)
+
+
+@router.get("/{campaign_id}/table.json")
+def table_json(campaign: WholeCampaign, services: ServicesDependency) -> CampaignResult:
+    """Returns the table of the jobs that have ended, the mean curves of their traces, and all views."""
+    return services.campaigns.result(campaign)
+
+
+@router.get("/{campaign_id}/table.csv", response_class=Response, responses={200: {"content": {"text/csv": {}}}})
+def table_csv(campaign: WholeCampaign, services: ServicesDependency) -> Response:
+    """Returns the table as CSV, one line for each target and attack."""
+    return Response(to_csv(services.campaigns.result(campaign, curves=False).table), media_type="text/csv")
+
+
+@router.get("/{campaign_id}/table.tex", response_class=Response, responses={200: {"content": {"text/x-tex": {}}}})
+def table_tex(campaign: WholeCampaign, services: ServicesDependency) -> Response:
+    """Returns the table as LaTeX, in the paper's layout, for the package booktabs."""
+    return Response(to_latex(services.campaigns.result(campaign, curves=False).table), media_type="text/x-tex")
+
+
+def _view(campaign: Campaign, services: Services) -> CampaignView:
+    return CampaignView.of_whole(
+        campaign, services.campaigns.progress(campaign), services.campaigns.counts(campaign.id)
+    )

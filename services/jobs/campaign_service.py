@@ -1,0 +1,80 @@
+"""Campaigns for the API and the dashboard: submission, and results from the record, without HTTP."""
+
+from collections import Counter
+from dataclasses import dataclass
+from hashlib import sha256
+
+from redis.exceptions import RedisError
+from sqlalchemy.exc import IntegrityError
+
+from services.analysis.campaign_curves import mean_curves
+from services.analysis.campaign_table import table
+from services.analysis.time_left import time_left
+from services.jobs.campaigns import Campaigns, Progress
+from services.jobs.models import Campaign
+from services.jobs.queue import Queue
+from services.pipeline.campaign_expand import views
+from services.pipeline.campaign_result import CampaignResult
+from services.pipeline.campaign_select import ChosenView
+from services.pipeline.campaign_spec import CampaignSpec
+
+
+@dataclass(frozen=True)
+class Counts:
+    """The results of a campaign so far, in numbers."""
+
+    outcomes: dict[str, int]
+    successes: int
+    reused: int
+    seconds_left: float | None
+
+
+@dataclass(frozen=True)
+class CampaignService:
+    """What doors do with campaigns."""
+
+    record: Campaigns
+    queue: Queue
+
+    def submit(self, spec: CampaignSpec, key: str | None) -> Campaign:
+        """Records a checked campaign; the supervisor queues its jobs. Returns it, or the first one of the key.
+
+        Raises KeyReused if the key came with another request.
+        """
+        count = len(views(spec))
+        try:
+            return self.record.create(spec, count, request_digest(spec), key)
+        except IntegrityError:  # another process recorded the same key at the same moment
+            return self.record.create(spec, count, request_digest(spec), key)
+
+    def counts(self, campaign_id: str) -> Counts:
+        """The results so far, and the time left with as many workers as there are now."""
+        planned, cases = self.record.cases(campaign_id)
+        try:
+            workers = self.queue.live_workers()
+        except RedisError:
+            workers = 1
+        return Counts(
+            outcomes=dict(sorted(Counter(case.outcome for case in cases if case.outcome is not None).items())),
+            successes=sum(case.success for case in cases),
+            reused=sum(case.reused for case in cases),
+            seconds_left=time_left(planned, cases, workers) if planned else None,
+        )
+
+    def result(self, campaign: Campaign, *, curves: bool = True) -> CampaignResult:
+        """The table so far; the campaign must have been read whole. `curves` reads the curves of all traces, too."""
+        planned, cases = self.record.cases(campaign.id)
+        return CampaignResult(
+            table=table(campaign.name, planned, cases),
+            curves=mean_curves(self.record.curves(campaign.id)) if curves else [],
+            views=[ChosenView.model_validate(view) for view in campaign.views or []],
+        )
+
+    def progress(self, campaign: Campaign) -> Progress:
+        """How far the campaign is."""
+        return self.record.progress([campaign.id])[campaign.id]
+
+
+def request_digest(spec: CampaignSpec) -> str:
+    """Hex SHA-256 of a request with its defaults filled in, by which an idempotency key recognises it."""
+    return sha256(spec.model_dump_json().encode()).hexdigest()

@@ -1,0 +1,101 @@
+"""A record with a feeder, and a worker that is played by the test: it renders nothing."""
+
+from typing import Any
+
+from sqlalchemy import Engine
+
+from services.jobs.campaign_feed import Feeder
+from services.jobs.campaign_service import request_digest
+from services.jobs.campaigns import Campaigns
+from services.jobs.models import Campaign, CampaignState, Job
+from services.jobs.repository import Repository
+from services.pipeline.campaign_case import identity
+from services.pipeline.campaign_expand import views
+from services.pipeline.campaign_spec import CampaignSpec, parse
+from services.pipeline.outcome import outcome
+from services.pipeline.result import Provenance, Result
+from services.pipeline.spec import JobSpec
+from services.pipeline.spec import parse as parse_job
+from tests.unit.api.dashboard_records import result
+
+QUEUED = 3
+"""Jobs of campaigns that the feeder of these tests queues at a time."""
+
+
+def spec(count: int = 4, seed: int = 0, **values: Any) -> CampaignSpec:
+    """Views of a sphere, one attack, one target."""
+    grid = {
+        "scenes": {"meshes": ["primitive/sphere"], "views": [0.01 * i for i in range(count)]},
+        "attacks": [{"name": "normals", "attack": {"renderer": "torch", "groups": ["normals"]}}],
+        "seeds": [seed],
+    }
+    return parse({"name": "c", "grids": [grid]} | values)
+
+
+class Stage:
+    """A record with a feeder, and a worker without a renderer."""
+
+    def __init__(self, engine: Engine, repository: Repository) -> None:
+        self.repository = repository
+        self.campaigns = Campaigns(engine)
+        self.feeder = Feeder(engine, QUEUED)
+
+    def begin(self, campaign: CampaignSpec) -> str:
+        return self.campaigns.create(campaign, len(views(campaign)), request_digest(campaign), None).id
+
+    def state(self, campaign_id: str) -> CampaignState:
+        return self.campaign(campaign_id).state
+
+    def campaign(self, campaign_id: str) -> Campaign:
+        found = self.campaigns.get(campaign_id, whole=True)
+        assert found is not None
+        return found
+
+    def queued(self) -> list[Job]:
+        found = [self.repository.work(one.job_id) for one in self.repository.queued()]
+        return [job for job in found if job is not None]
+
+    def work(self, job: Job, right: bool = True) -> None:
+        """Runs one job as a worker would."""
+        attempt = self.repository.lease(job.id, "w", 20)
+        assert attempt is not None
+        if "views" in job.spec:
+            answers = [self.answer(one, right) for one in job.spec["views"]]
+            self.repository.progress(attempt, "selecting", len(answers), len(answers), [])
+            self.repository.succeed(attempt, {"answers": answers}, {}, [])
+        else:
+            made = self.result(parse_job(job.spec))
+            self.repository.succeed(attempt, made, outcome(Result.model_validate(made)), [])
+
+    @staticmethod
+    def result(job: JobSpec, **changed: Any) -> dict[str, Any]:
+        about: dict[str, Any] = {"outcome": "fooled", "right_before": True, "truth": ["balloon"]}
+        made = result(job, **(about | changed))
+        made["provenance"]["extensions"] = {}
+        return made
+
+    def answer(self, asked: dict[str, Any], right: bool) -> dict[str, Any]:
+        provenance = Provenance.model_validate(self.result(parse_job(asked["probe"]))["provenance"])
+        return {
+            "view": asked["number"],
+            "label": "balloon" if right else "teapot",
+            "confidence": 0.5,
+            "truth": ["balloon"],
+            "refused": None,
+            "spec": asked["probe"],
+            "identity": identity(provenance),
+        }
+
+    def selected(self, campaign_id: str) -> None:
+        """Brings a campaign to the point at which its jobs are queued."""
+        while self.state(campaign_id) is CampaignState.SELECTING:
+            self.feeder.tick()
+            for job in self.queued():
+                if "views" in job.spec:
+                    self.work(job)
+
+    def finish(self, campaign_id: str) -> None:
+        while not self.state(campaign_id).terminal:
+            for job in self.queued():
+                self.work(job)
+            self.feeder.tick()
