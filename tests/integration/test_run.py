@@ -19,7 +19,12 @@ from services.settings import settings
 
 pytestmark = pytest.mark.integration
 
-EXAMPLES = {path.stem: path for path in sorted((Path(__file__).parents[2] / "examples").glob("*.json"))}
+EXAMPLES = {
+    path.stem: path
+    for path in sorted((Path(__file__).parents[2] / "examples").glob("*.json"))
+    if "scene" in json.loads(path.read_text())
+}
+"""Requests of one job, not of a campaign."""
 SIZE = 96
 FILES = ["attacked.png", "original.png", "perturbation.png", "perturbation.safetensors", "result.json", "trace.json"]
 

@@ -61,12 +61,13 @@ def test_a_job_makes_the_analyses_that_it_names_and_a_stored_result_gives_the_sa
 
 
 def test_p_before_rounding_is_that_of_the_stored_pixels(tmp_path: Path) -> None:
-    result = execute(spec({"renderer": "image", "steps": 1}), tmp_path, LIBRARY)
+    result = execute(spec({"renderer": "image", "steps": 2}), tmp_path, LIBRARY)
     change = load_file(tmp_path / "perturbation.safetensors")["image"].double()
     assert float(change.abs().max()) > 0
     # float32 holds a pixel of 0.5 + 0.002 to 3e-8, 1.5e-5 of the step
     assert result.float_perceptibility == pytest.approx(float(change.square().sum(-1).mean().sqrt()), rel=5e-5)
-    assert result.float_perceptibility < 0.6 * result.perceptibility  # steps of 0.51/255 are saved as 1/255
+    # changes of 0.51/255 and 1.48/255 are saved as 1/255
+    assert abs(result.float_perceptibility / result.perceptibility - 1) > 0.05
 
 
 def test_shapley_values_of_a_job_sum_to_its_effect(tmp_path: Path) -> None:
