@@ -12,6 +12,7 @@ from __future__ import annotations
 import hashlib
 from typing import TYPE_CHECKING
 
+from services.targets.architectures import register_architecture
 from services.targets.imagenet import imagenet_labels
 from services.targets.info import TargetInfo, register
 
@@ -45,6 +46,22 @@ def _card(name: str, title: str, file: str) -> TargetInfo:
 
 ALEXNET = _card("alexnet", "AlexNet", ALEXNET_FILE)
 RESNET34 = _card("resnet34", "ResNet-34", RESNET34_FILE)
+
+
+@register_architecture("alexnet")
+def build_alexnet(classes: int) -> nn.Module:
+    """Builds AlexNet without its weights, which have torchvision's names."""
+    from services.targets.networks.alexnet import AlexNet
+
+    return AlexNet(classes)
+
+
+@register_architecture("resnet34")
+def build_resnet34(classes: int) -> nn.Module:
+    """Builds ResNet-34 without its weights, which have torchvision's names."""
+    from services.targets.networks.resnet import ResNet
+
+    return ResNet(classes)
 
 
 @register(ALEXNET, imagenet_labels)
