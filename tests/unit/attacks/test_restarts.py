@@ -8,7 +8,7 @@ import torch
 
 from services.attacks.fgsm import Fgsm, FgsmMethod
 from services.attacks.loop import Budget, run
-from services.attacks.problem import AttackProblem
+from services.attacks.problem import AttackProblem, Evaluation
 from services.attacks.state import AttackState
 from services.attacks.verifier import Verifier
 from services.errors import Cancelled
@@ -45,6 +45,24 @@ def test_each_start_takes_its_steps_and_the_best_is_stored() -> None:
     assert len({row.distance for row in starts}) == 5
     for group, limit in EPSILON.items():
         assert float(found.stored[group].abs().max()) <= limit
+
+
+def test_a_method_sees_the_steps_of_its_own_start_and_another_seed() -> None:
+    """Its schedule is over `steps`, and equal random numbers would waste the start."""
+    case, seen = case_of(), []
+
+    class Recording(FgsmMethod):
+        def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:
+            seen.append((step, problem.seed))
+            return super().advance(problem, view, step)
+
+    def fresh() -> Recording:
+        return Recording(RATES, case)
+
+    run(case, fresh(), Verifier(case.renderer, case.target), Budget(STEPS), restarts=2, fresh=fresh)
+    assert [step for step, _ in seen] == 3 * list(range(STEPS))
+    assert [len({seed for _, seed in seen[n : n + STEPS]}) for n in (0, STEPS, 2 * STEPS)] == [1, 1, 1]
+    assert len({seed for _, seed in seen}) == 3
 
 
 def test_a_success_ends_the_restarts() -> None:
