@@ -27,11 +27,8 @@ def tables() -> str:
             ("field", "default", "meaning"), ([f"`{f}`", _default(i), i.description or ""] for f, i in fields)
         )
     lines += ["## Renderers and their parameter groups", ""]
-    lines += [
-        "If a request leaves `method` out, it is the method that this table gives for the renderer. If it leaves "
-        "`groups` out, all groups are attacked but those marked with “if it is named”.",
-        "",
-    ]
+    lines += ["If a request leaves `method` out, it is the method that this table gives for the renderer. *limit* is"]
+    lines += ["the `epsilon` of methods that need one, where the request gives none.", ""]
     columns = ("renderer", "method", "group", "shape", "unit", "step of fgsm", "limit")
     return "\n".join(lines + list(_table(columns, _groups()))).rstrip()
 
@@ -48,8 +45,7 @@ def _groups() -> Iterator[list[str]]:
             step = "" if group.suggested_step is None else f"{group.suggested_step:g}"
             limit = "" if group.suggested_limit is None else f"{group.suggested_limit:.2g}"
             shape = "×".join(group.shape)
-            named = f"`{group.name}`" + ("" if group.by_default else ", if it is named")
-            yield [f"`{name}`", f"`{renderer.method}`", named, shape, group.unit, step, limit]
+            yield [f"`{name}`", f"`{renderer.method}`", f"`{group.name}`", shape, group.unit, step, limit]
 
 
 def _table(columns: Iterable[str], rows: Iterable[list[str]]) -> Iterator[str]:
