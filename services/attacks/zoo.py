@@ -27,9 +27,9 @@ PRESETS: dict[str, dict[str, Any]] = {
 """The paper's settings (sections 4.1 and 4.2), and settings of which the difference steps are chosen from the measured
 noise. Through a renderer without gradients `measured` has a λ and learning rates of its own."""
 WEIGHT = 1e-3
-"""λ of `measured` through a renderer without gradients. There objects move, and with the paper's 0.1 the objective rises:
-Adam moves every coordinate by its rate, silhouettes with it, and λ times the sum of squares outweighs what that gains.
-Of three views it was above its start after 40 steps on all (benchmarks/image_differences.py)."""
+"""λ of `measured` through a renderer without gradients. There objects move, and with the paper's 0.1 the objective
+rises: Adam moves every coordinate by its rate, silhouettes with it, and λ times the sum of squares outweighs what that
+gains. Of three views it was above its start after 40 steps on all (benchmarks/image_differences.py)."""
 RATE = 2e-3
 """Adam's learning rate there for a group whose renderer suggests no step: the paper's."""
 SPEED = 10
