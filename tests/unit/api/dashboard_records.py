@@ -10,6 +10,7 @@ from fastapi import FastAPI
 from api import dashboard
 from api.state import Services
 from services.jobs.attempts import Attempt
+from services.jobs.campaign_service import CampaignService
 from services.jobs.database import connect, migrate
 from services.jobs.models import Artifact, Job
 from services.jobs.repository import Repository
@@ -185,7 +186,7 @@ def record(folder: Path) -> Iterator[Repository]:
     engine.dispose()
 
 
-def app(repository: Repository) -> FastAPI:
+def app(repository: Repository, campaigns: CampaignService | None = None) -> FastAPI:
     """The dashboard alone, on this record. It uses nothing else of the services."""
     made = FastAPI()
     made.include_router(dashboard.router)
@@ -198,7 +199,7 @@ def app(repository: Repository) -> FastAPI:
         library=none,
         preflight=none,
         rerenderer=none,
-        campaigns=none,
+        campaigns=cast(Any, campaigns),
         max_campaign_jobs=0,
     )
     return made
