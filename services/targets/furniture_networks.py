@@ -1,0 +1,71 @@
+"""What the networks that were trained on views of the furniture library have in common; see docs/training.md."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from services.targets.info import TargetInfo
+
+if TYPE_CHECKING:
+    import torch
+    from torch import nn
+
+    from services.targets.protocol import Target
+
+
+@cache
+def facts(name: str) -> dict[str, Any]:
+    """Returns what was written beside a network's weights: labels, input, how it was trained, held-out accuracy."""
+    found: dict[str, Any] = json.loads(_path(name, "json").read_text("utf-8"))
+    return found
+
+
+def labels(name: str) -> tuple[str, ...]:
+    """Returns a network's labels, which are kinds of furniture."""
+    return tuple(facts(name)["labels"])
+
+
+def card(name: str, title: str) -> TargetInfo:
+    """Returns a network's card."""
+    found = facts(name)
+    height, width = found["input_size"]
+    return TargetInfo(
+        name=name,
+        title=f"{title}, {len(found['labels'])} kinds of furniture",
+        task="classification",
+        input_size=(height, width),
+        classes=len(found["labels"]),
+        differentiable=True,
+        takes_question=False,
+        source=f"trained by this project: {found['command']}",
+        licence="Apache-2.0",
+        vocabulary="furniture-14",
+    )
+
+
+def load(info: TargetInfo, network: nn.Module, dtype: torch.dtype) -> Target:
+    """Returns the target of a card, with the weights that ship with the project in `network`, frozen."""
+    from services.targets.classifier import Classifier
+    from services.targets.quantized import load_into, read
+
+    path, found = _path(info.name, "safetensors"), facts(info.name)
+    load_into(network, read(path))
+    return Classifier(
+        name=info.name,
+        network=network,
+        labels=labels(info.name),
+        input_size=info.input_size,
+        mean=tuple(found["mean"]),
+        scale=tuple(found["scale"]),
+        weights_sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
+        dtype=dtype,
+    )
+
+
+def _path(name: str, ending: str) -> Path:
+    return Path(str(files("services.targets").joinpath("weights"))) / f"{name}.{ending}"

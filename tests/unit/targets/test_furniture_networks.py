@@ -1,0 +1,76 @@
+"""The networks that ship with the project, with their weights and what their files say of them."""
+
+import hashlib
+from importlib.resources import files
+from pathlib import Path
+
+import pytest
+import torch
+
+from services.rendering.factory import build
+from services.scenes.description import Scene, SceneObject
+from services.scenes.furniture_kinds import PREFIX, kind_of
+from services.scenes.library import Library
+from services.scenes.resolve import resolve
+from services.settings import settings
+from services.targets import registry
+from services.targets.furniture_networks import facts
+from services.targets.info import available
+from services.training.split import committed
+
+WEIGHTS = Path(str(files("services.targets").joinpath("weights")))
+CARDS = {info.name: info for info in available() if info.vocabulary == "furniture-14"}
+
+
+@pytest.fixture(scope="module")
+def views(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[str, torch.Tensor]]:
+    """Kind and default view of the first held-out model of every other class."""
+    library = Library(settings().cache_dir, tmp_path_factory.mktemp("data"))
+    names = [PREFIX + committed().held_out[kind][0] for kind in committed().classes[::2]]
+    scenes = [resolve(Scene(objects=(SceneObject(mesh=name),)), library) for name in names]
+    return [
+        (kind_of(name) or "", build(scene, "pyrender", tolerance="exact").exact().render({}))
+        for name, scene in zip(names, scenes, strict=True)
+    ]
+
+
+def test_every_weights_file_belongs_to_a_target() -> None:
+    assert {path.stem for path in WEIGHTS.glob("*.safetensors")} == set(CARDS)
+
+
+@pytest.mark.parametrize("name", CARDS)
+def test_the_file_is_the_one_that_was_measured(name: str) -> None:
+    data = (WEIGHTS / f"{name}.safetensors").read_bytes()
+    assert hashlib.sha256(data).hexdigest() == facts(name)["sha256"]
+    assert registry.load(name).weights_sha256 == facts(name)["sha256"]
+
+
+@pytest.mark.parametrize("name", CARDS)
+def test_labels_are_the_classes_of_the_split(name: str) -> None:
+    assert registry.labels(name) == committed().classes == registry.load(name).labels
+    assert len(registry.labels(name)) == 14
+
+
+@pytest.mark.parametrize("name", CARDS)
+def test_eight_bits_cost_less_than_half_a_point(name: str) -> None:
+    """Or the card has to say so: held-out views are answered by both forms of the weights when they are written."""
+    found = facts(name)
+    assert found["held_out_before_quantisation"] - found["held_out"]["accuracy"]["share"] < 0.005
+
+
+@pytest.mark.parametrize("name", CARDS)
+def test_the_counts_of_the_card_add_up(name: str) -> None:
+    found = facts(name)["held_out"]
+    total, confusion = found["accuracy"], torch.tensor(found["confusion"])
+    assert int(confusion.sum()) == total["views"] == found["models"] * found["views_per_model"]
+    assert int(confusion.diagonal().sum()) == total["right"]
+    assert found["models"] == len(committed().models("held_out"))
+    for kind, row in zip(facts(name)["labels"], confusion, strict=True):
+        assert int(row.sum()) == found["by_class"][kind]["views"]
+
+
+@pytest.mark.parametrize("name", CARDS)
+def test_most_default_views_of_held_out_models_are_right(name: str, views: list[tuple[str, torch.Tensor]]) -> None:
+    target = registry.load(name)
+    right = [target.labels[int(target.logits(image).argmax())] == kind for kind, image in views]
+    assert sum(right) >= len(right) // 2
