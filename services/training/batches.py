@@ -16,6 +16,8 @@ MEAN, SCALE = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 """torchvision's normalisation of images for networks trained on ImageNet."""
 CURVE = 4096
 """Entries of the table of the sRGB curve."""
+TINTED, PAINTED = 0.35, 0.3
+"""Shares of the views whose base colour is tinted, and whose object has one random colour all over."""
 DEFAULT_GROUND = 0.25
 """Share of the views that stand on the default ground."""
 
@@ -25,13 +27,15 @@ class Choices:
     """What varies between the images of a batch.
 
     views, looks: int64 [B]. grounds: float32 [B, 3], displayed, multiples of 1/255. tints: float32 [B, 3], factors on
-    the linear base colour. shifts: int64 [B, 2], rows and columns from the middle. mirrored: bool [B].
+    the linear base colour. painted: bool [B], whether the tint is the base colour, in the place of the model's own.
+    shifts: int64 [B, 2], rows and columns from the middle. mirrored: bool [B].
     """
 
     views: NDArray[np.int64]
     looks: NDArray[np.int64]
     grounds: NDArray[np.float32]
     tints: NDArray[np.float32]
+    painted: NDArray[np.bool_]
     shifts: NDArray[np.int64]
     mirrored: NDArray[np.bool_]
 
@@ -44,6 +48,7 @@ def plain(views: NDArray[np.int64], looks: NDArray[np.int64]) -> Choices:
         looks,
         np.full((count, 3), GROUND, np.float32),
         np.ones((count, 3), np.float32),
+        np.zeros(count, np.bool_),
         np.zeros((count, 2), np.int64),
         np.zeros(count, np.bool_),
     )
@@ -56,14 +61,17 @@ def augmented(views: Views, chosen: NDArray[np.int64], n_looks: int, random: np.
     coloured = random.integers(30, 226, (count, 3))
     kind = random.random((count, 1))
     grounds = np.where(kind < DEFAULT_GROUND, round(GROUND * 255), np.where(kind < 0.75, gray, coloured))
-    tinted = random.random((count, 1)) < 0.35
-    tints = np.where(tinted, random.uniform(0.35, 1.0, (count, 3)), 1.0)
+    painted = random.random(count) < PAINTED
+    tinted = (random.random(count) < TINTED) | painted
+    bright, hue = random.uniform(0.1, 1.0, (count, 1)), random.uniform(0.3, 1.0, (count, 3))
+    tints = np.where(tinted[:, None], np.where(painted[:, None], bright, 1.0) * hue, 1.0)
     furthest = (views.side - views.size) // 2
     return Choices(
         chosen,
         random.integers(0, n_looks, count),
         (grounds / 255).astype(np.float32),
         tints.astype(np.float32),
+        painted,
         random.integers(-furthest, furthest + 1, (count, 2)),
         random.random(count) < 0.5,
     )
@@ -86,7 +94,9 @@ def shade(views: Views, tables: Tensor, choices: Choices) -> Tensor:
     owner = torch.from_numpy(image)
     look = torch.from_numpy(choices.looks)[owner]
     light = tables.flatten(0, 1)[look * GRID**2 + torch.from_numpy(views.normals[at].astype(np.int64))]
-    base = (torch.from_numpy(views.colors[at]).float() / 255).square() * torch.from_numpy(choices.tints)[owner]
+    base = (torch.from_numpy(views.colors[at]).float() / 255).square_()
+    base[torch.from_numpy(choices.painted)[owner]] = 1.0
+    base *= torch.from_numpy(choices.tints)[owner]
     linear = torch.addcmul(light[:, 3:], base, light[:, :3])
     shown = _curve()[(linear.clamp_(0, 1) * (CURVE - 1)).round_().long()]
     coverage = torch.from_numpy(views.coverage[at]).float()[:, None] / 255

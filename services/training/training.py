@@ -23,6 +23,7 @@ from services import atomic_write
 from services.errors import InvalidRequest
 from services.targets.networks.resnet import ResNet
 from services.training.batches import augmented, normalised, shade
+from services.training.distortions import distort
 from services.training.recipe import Budget, Recipe
 from services.training.trainable_alexnet import TrainableAlexNet
 from services.training.views import Views
@@ -157,7 +158,7 @@ class Training:
         chosen = self._chosen()
         labels = self.data.labels[torch.from_numpy(chosen)]
         choices = augmented(self.data.views, chosen, len(self.data.looks), random)
-        images = normalised(shade(self.data.views, self.data.looks, choices))
+        images = normalised(distort(shade(self.data.views, self.data.looks, choices), random))
         for group in self._optimiser.param_groups:
             group["lr"] = recipe.rate_at(progress)
         self._optimiser.zero_grad()
