@@ -38,5 +38,5 @@ def test_outside_is_the_ground_and_a_seed_gives_the_same_image(monkeypatch):
 def test_some_images_are_partly_hidden():
     images = torch.full((200, 3, 32, 32), 0.5)
     found = distort(images, np.random.default_rng(0))
-    share = float((found != 0.5).flatten(1).any(1).double().mean())
+    share = float(((found - 0.5).abs() > 1e-3).flatten(1).any(1).double().mean())
     assert abs(share - distortions.ERASED) < 0.1
