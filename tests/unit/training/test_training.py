@@ -74,12 +74,13 @@ def test_a_checkpoint_of_another_training_is_refused(data, tmp_path):
         _training(data, tmp_path / "a", rate=1.0)
 
 
-def test_it_learns_its_views(data, tmp_path):
-    training = _training(data, tmp_path / "a", dropout=0.0, warm_up=0.1)
+def test_it_learns_its_views(data, tmp_path, monkeypatch):
+    monkeypatch.setattr("services.training.training.distort", lambda images, _: images)
+    training = _training(data, tmp_path / "a", dropout=0.0, warm_up=0.1, smoothing=0.0)
     reports = []
     training.run(Budget(epochs=30), reports.append)
     assert reports[-1].accuracy > 0.75  # 0.5 by chance
-    assert reports[-1].loss < reports[0].loss
+    assert reports[-1].loss < 0.6  # log 2 by chance
 
 
 def test_rates_and_hints_follow_the_progress():
