@@ -1,5 +1,6 @@
 """Routes of the dashboard's pages about campaigns."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -105,17 +106,26 @@ def _campaign(template: str, campaign_id: str, services: Services) -> Response:
         progress=services.campaigns.progress(found),
         counts=services.campaigns.counts(found.id),
         table=result.table,
-        by_queries=[_chart(cell, "queries", cell.by_queries) for cell in result.table.cells if cell.success.of],
-        by_seconds=[_chart(cell, "seconds", cell.by_seconds) for cell in result.table.cells if cell.success.of],
+        by_queries=_charts(result.table, "queries", [cell.by_queries for cell in result.table.cells]),
+        by_seconds=_charts(result.table, "seconds", [cell.by_seconds for cell in result.table.cells]),
         views=attacked[:SHOWN],
         chosen=sum(view.chosen for view in result.views),
     )
     return html(template, page=page)
 
 
-def _chart(cell: Cell, along: str, corners: Corners) -> Chart:
-    """The step curve of a cell's verified successes, in per cent of all its cases."""
-    end = corners[-1][0] * 1.05 if corners else 1.0
+def _charts(table: Table, along: str, curves: Sequence[Corners]) -> list[Chart]:
+    """The step curves of the verified successes of each cell that has cases, all over the same range of work."""
+    most = max((corners[-1][0] for corners in curves if corners), default=1.0)
+    return [
+        _chart(cell, along, corners, 1.05 * most)
+        for cell, corners in zip(table.cells, curves, strict=True)
+        if cell.success.of
+    ]
+
+
+def _chart(cell: Cell, along: str, corners: Corners, end: float) -> Chart:
+    """The step curve of a cell's verified successes up to the work `end`, in per cent of all its cases."""
     points, share = [(0.0, 0.0)], 0.0
     for at, count in corners:
         points.append((at, share))

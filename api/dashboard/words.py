@@ -61,10 +61,11 @@ def milli(value: float) -> str:
 def both_p(record: Mapping[str, Any]) -> str:
     """The two p of a result, an outcome or a subset in thousandths, the paper's first: "3.46 (6.80 as saved)".
 
-    Results of version 0.1 have that of the saved image only.
+    Results of version 0.1 have that of the saved image only. A line may break before the parenthesis, nowhere else.
     """
-    paper, saved = record.get("float_perceptibility"), milli(record["perceptibility"])
-    return f"{saved} as saved" if paper is None else f"{milli(paper)} ({saved} as saved)"
+    paper = record.get("float_perceptibility")
+    saved = f"{milli(record['perceptibility'])} as saved".replace(" ", "\N{NO-BREAK SPACE}")
+    return saved if paper is None else f"{milli(paper)} ({saved})"
 
 
 def strongest_interaction(attribution: Mapping[str, Any], part: int) -> str:
