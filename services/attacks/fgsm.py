@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from services.attacks.spec import AttackSettings, Rate, register
-from services.attacks.suggested import suggested
+from services.attacks.spec import Rate, register
+from services.attacks.suggested import SuggestedRates
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from services.rendering.protocol import Parameters
 
 
-class Fgsm(AttackSettings):
+class Fgsm(SuggestedRates):
     """Iterative FGSM: steps along the gradient's sign, with momentum and weight decay of the perturbation (paper,
     section 3.2).
     """
@@ -37,16 +37,6 @@ class Fgsm(AttackSettings):
         description="U: largest change of an RGB value from the original inside the loop, in 1/255; null: no limit, "
         "which is the default for a renderer without gradients: silhouettes that move exceed any U at once",
     )
-
-    @classmethod
-    def complete(cls, data: dict[str, Any]) -> dict[str, Any]:
-        """Fills in the learning rates that the renderer suggests for its groups."""
-        return suggested(data, "learning_rate", lambda group: group.suggested_step)
-
-    @model_validator(mode="after")
-    def _a_rate_for_each_group(self) -> Self:
-        self.check_groups("learning_rate", self.learning_rate)
-        return self
 
 
 @register(Fgsm)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from services.attacks.losses import DESCRIPTION, Loss
-from services.attacks.spec import AttackSettings, Rate, register
-from services.attacks.suggested import suggested
+from services.attacks.spec import Rate, register
+from services.attacks.suggested import SuggestedRates
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from services.rendering.protocol import Parameters
 
 
-class MiFgsm(AttackSettings):
+class MiFgsm(SuggestedRates):
     """Momentum iterative FGSM (Dong et al. 2018): gradients divided by their ℓ1 norm are accumulated, and each step is
     along the sign of the sum.
     """
@@ -40,16 +40,6 @@ class MiFgsm(AttackSettings):
     def objective(self) -> Loss:
         """The loss whose gradient the loop computes."""
         return self.loss
-
-    @classmethod
-    def complete(cls, data: dict[str, Any]) -> dict[str, Any]:
-        """Fills in the learning rates that the renderer suggests for its groups."""
-        return suggested(data, "learning_rate", lambda group: group.suggested_step)
-
-    @model_validator(mode="after")
-    def _a_rate_for_each_group(self) -> Self:
-        self.check_groups("learning_rate", self.learning_rate)
-        return self
 
 
 @register(MiFgsm)

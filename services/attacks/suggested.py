@@ -1,8 +1,11 @@
 """Settings that a request leaves out and the renderer suggests for its groups. This module does not import torch."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Self
 
+from pydantic import Field, model_validator
+
+from services.attacks.spec import AttackSettings, Rate
 from services.rendering.declaration import RENDERERS, Group
 
 
@@ -22,3 +25,19 @@ def suggested(data: dict[str, Any], field: str, suggestion: Callable[[Group], fl
 def suggested_limits(data: dict[str, Any]) -> dict[str, Any]:
     """Request data with each attacked group's `epsilon`, by default the limit that the renderer suggests."""
     return suggested(data, "epsilon", lambda group: group.suggested_limit)
+
+
+class SuggestedRates(AttackSettings):
+    """Settings of a method with a learning rate for each attacked group, by default the step its renderer suggests."""
+
+    learning_rate: dict[str, Rate] = Field(default_factory=dict)
+
+    @classmethod
+    def complete(cls, data: dict[str, Any]) -> dict[str, Any]:
+        """Fills in the learning rates that the renderer suggests for its groups."""
+        return suggested(data, "learning_rate", lambda group: group.suggested_step)
+
+    @model_validator(mode="after")
+    def _a_rate_for_each_group(self) -> Self:
+        self.check_groups("learning_rate", self.learning_rate)
+        return self
