@@ -18,8 +18,8 @@ from services.settings import settings
 from services.targets import registry
 from services.targets.architectures import ARCHITECTURES
 from services.targets.custom.card import Card
-from services.targets.info import TARGETS, UNAVAILABLE
 from services.targets.preprocessing import Preprocessing
+from tests.unit.targets.custom.registries import restored
 
 ROOT = Path(__file__).parents[3]
 PAGE = (ROOT / "docs" / "targets.md").read_text("utf-8")
@@ -63,25 +63,18 @@ def folder(server: HTTPServer, tmp_path_factory: pytest.TempPathFactory) -> Path
 @pytest.fixture
 def registered(folder: Path, server: HTTPServer, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """The page's folders as targets, its extension and its server."""
-    before, architectures = TARGETS.snapshot(), ARCHITECTURES.snapshot()
-    for variable, name in re.findall(r"^export SCENE_ATTACK_TARGET_(\w+)=(.*)$", PAGE, re.M):
-        monkeypatch.setenv(f"SCENE_ATTACK_TARGET_{variable}", at(server, name))
-    settings.cache_clear()
-    monkeypatch.syspath_prepend(folder)
-    names: dict[str, type[BaseHTTPRequestHandler]] = {}
-    exec(compile(BLOCKS["serve.py"], "serve.py", "exec"), names)
-    server.RequestHandlerClass = names["Handler"]
-    (extension,) = load([folder / "architecture.py"], (ARCHITECTURES,))
-    assert extension.error is None
-    assert {one.name: one.error for one in register_folders(folder / "mine")} == dict.fromkeys(TARGET_NAMES)
-    yield
-    monkeypatch.undo()
-    settings.cache_clear()
-    TARGETS.restore(before)
-    ARCHITECTURES.restore(architectures)
-    UNAVAILABLE.clear()
-    registry.load.cache_clear()
-    registry.has_gradient.cache_clear()
+    with restored(monkeypatch):
+        for variable, name in re.findall(r"^export SCENE_ATTACK_TARGET_(\w+)=(.*)$", PAGE, re.M):
+            monkeypatch.setenv(f"SCENE_ATTACK_TARGET_{variable}", at(server, name))
+        settings.cache_clear()
+        monkeypatch.syspath_prepend(folder)
+        names: dict[str, type[BaseHTTPRequestHandler]] = {}
+        exec(compile(BLOCKS["serve.py"], "serve.py", "exec"), names)
+        server.RequestHandlerClass = names["Handler"]
+        (extension,) = load([folder / "architecture.py"], (ARCHITECTURES,))
+        assert extension.error is None
+        assert {one.name: one.error for one in register_folders(folder / "mine")} == dict.fromkeys(TARGET_NAMES)
+        yield
     for name in ("small", "maite_model"):
         sys.modules.pop(name, None)
 

@@ -5,9 +5,8 @@ import pytest
 
 from services.pipeline.target_folders import TargetFolder, register_folders
 from services.settings import settings
-from services.targets import registry
-from services.targets.architectures import ARCHITECTURES, register_architecture
-from services.targets.info import TARGETS, UNAVAILABLE
+from services.targets.architectures import register_architecture
+from tests.unit.targets.custom.registries import restored
 from tests.unit.targets.custom.small_network import SmallNetwork
 
 Scan = Callable[..., tuple[TargetFolder, ...]]
@@ -19,8 +18,6 @@ def scan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scan]:
 
     The small network is a registered architecture then.
     """
-    before, architectures = TARGETS.snapshot(), ARCHITECTURES.snapshot()
-    register_architecture("small")(SmallNetwork)
 
     def run(root: Path = tmp_path, **values: str) -> tuple[TargetFolder, ...]:
         for name, value in values.items():
@@ -28,11 +25,6 @@ def scan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scan]:
         settings.cache_clear()
         return register_folders(root)
 
-    yield run
-    monkeypatch.undo()
-    settings.cache_clear()
-    TARGETS.restore(before)
-    ARCHITECTURES.restore(architectures)
-    UNAVAILABLE.clear()
-    registry.load.cache_clear()
-    registry.has_gradient.cache_clear()
+    with restored(monkeypatch):
+        register_architecture("small")(SmallNetwork)
+        yield run

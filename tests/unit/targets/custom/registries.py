@@ -1,0 +1,25 @@
+"""What registering targets changes in this process, undone."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from services.settings import settings
+from services.targets import registry
+from services.targets.architectures import ARCHITECTURES
+from services.targets.info import TARGETS, UNAVAILABLE
+
+
+@contextmanager
+def restored(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Undoes, at the end, `monkeypatch` and what was registered, and empties the caches of settings and targets."""
+    before, architectures = TARGETS.snapshot(), ARCHITECTURES.snapshot()
+    yield
+    monkeypatch.undo()
+    settings.cache_clear()
+    TARGETS.restore(before)
+    ARCHITECTURES.restore(architectures)
+    UNAVAILABLE.clear()
+    registry.load.cache_clear()
+    registry.has_gradient.cache_clear()
