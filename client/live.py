@@ -13,14 +13,12 @@ LOG_EVERY = 5.0
 """Seconds between two lines of a log."""
 
 
-class JobLine:
-    """Shows the progress of one job."""
+class ProgressLine:
+    """Base class of progress lines: a bar on a terminal; without one, `_log` is where lines go."""
 
     def __init__(self, name: str) -> None:
         console = err()
-        self._name = name
         self._log = None if console.is_terminal else console
-        self._logged: tuple[str, float] = ("", 0.0)
         self._bar = Progress(
             SpinnerColumn(),
             TextColumn("{task.description}"),
@@ -41,6 +39,15 @@ class JobLine:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._bar.stop()
+
+
+class JobLine(ProgressLine):
+    """Shows the progress of one job."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self._name = name
+        self._logged: tuple[str, float] = ("", 0.0)
 
     def update(self, phase: str, step: int, steps: int, row: Mapping[str, Any] | None) -> None:
         """Shows how far the job is; `row` is the newest row of its trace, while attacking."""

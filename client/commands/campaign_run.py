@@ -1,15 +1,11 @@
 """The command `campaign run`: a campaign in this process, without a service."""
 
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Annotated, Self
+from typing import Annotated
 
 import typer
 
 from client.commands.options import JsonOption
-
-if TYPE_CHECKING:
-    from services.pipeline.campaign_run import CampaignProgress
 
 SpecArgument = Annotated[str, typer.Argument(metavar="SPEC", help="A campaign as JSON; - reads it from stdin.")]
 
@@ -34,6 +30,7 @@ def run(
     If it is interrupted, the same command goes on with what is left.
     """
     from client import spec_input
+    from client.campaign_live import CampaignLine
     from client.campaign_tables import results
     from client.commands.run import keep_memory, library, prepare_folder
     from client.console import err, print_json, report_extensions
@@ -69,48 +66,3 @@ def run(
         stdout().print(results(found.table.model_dump(mode="json")))
     chosen = sum(view.chosen for view in found.views)
     err().print(f"{chosen} of {len(found.views)} views attacked. Files in {folder}", markup=False, highlight=False)
-
-
-class CampaignLine:
-    """Shows the progress of a campaign: a bar with the time left or, without a terminal, a line every few seconds."""
-
-    def __init__(self, name: str) -> None:
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-        from client.console import err
-
-        console = err()
-        self._log = None if console.is_terminal else console
-        self._logged = float("-inf")
-        columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(bar_width=24), MofNCompleteColumn())
-        rest = (TimeElapsedColumn(), TextColumn("{task.fields[now]}"))
-        self._bar = Progress(*columns, *rest, console=console, disable=self._log is not None)
-        self._task = self._bar.add_task(name, total=None, now="")
-
-    def __enter__(self) -> Self:
-        self._bar.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._bar.stop()
-
-    def update(self, progress: "CampaignProgress") -> None:
-        """Shows how far the campaign is."""
-        from time import monotonic
-
-        from client.campaign_tables import duration
-        from client.live import LOG_EVERY
-
-        things = "views" if progress.phase == "selecting" else "jobs"
-        won = sum(case.success for case in progress.cases)
-        left = duration(progress.seconds_left)
-        parts = [f"{won} successes" if progress.cases else "", f"{left} left" if left else "", progress.now]
-        now = "  ".join(part for part in parts if part)
-        self._bar.update(self._task, description=progress.phase, completed=progress.done, total=progress.total, now=now)
-        last = progress.done == progress.total
-        if self._log is not None and (last or monotonic() - self._logged > LOG_EVERY):
-            self._logged = monotonic()
-            line = f"{progress.phase} {progress.done}/{progress.total} {things}  {now}"
-            self._log.print(line, markup=False, highlight=False)
