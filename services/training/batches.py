@@ -1,6 +1,6 @@
 """Shades batches of views: each with a look, a ground, a tint and a crop of its own."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -54,6 +54,12 @@ def plain(views: NDArray[np.int64], looks: NDArray[np.int64]) -> Choices:
     )
 
 
+def as_in_default_scene(views: Views, chosen: NDArray[np.int64], n_looks: int, random: np.random.Generator) -> Choices:
+    """Returns random choices of look, place and mirror image; ground and colours are the default scene's."""
+    look = random.integers(0, n_looks, len(chosen))
+    return replace(plain(chosen, look), shifts=_shifts(views, len(chosen), random), mirrored=_coins(chosen, random))
+
+
 def augmented(views: Views, chosen: NDArray[np.int64], n_looks: int, random: np.random.Generator) -> Choices:
     """Returns random choices for the `chosen` of some views."""
     count = len(chosen)
@@ -65,15 +71,14 @@ def augmented(views: Views, chosen: NDArray[np.int64], n_looks: int, random: np.
     tinted = (random.random(count) < TINTED) | painted
     bright, hue = random.uniform(0.1, 1.0, (count, 1)), random.uniform(0.3, 1.0, (count, 3))
     tints = np.where(tinted[:, None], np.where(painted[:, None], bright, 1.0) * hue, 1.0)
-    furthest = (views.side - views.size) // 2
     return Choices(
         chosen,
         random.integers(0, n_looks, count),
         (grounds / 255).astype(np.float32),
         tints.astype(np.float32),
         painted,
-        random.integers(-furthest, furthest + 1, (count, 2)),
-        random.random(count) < 0.5,
+        _shifts(views, count, random),
+        _coins(chosen, random),
     )
 
 
@@ -119,6 +124,15 @@ def _gathered(views: Views, chosen: NDArray[np.int64]) -> tuple[NDArray[np.int64
     image = np.repeat(np.arange(len(chosen)), ends - starts)
     at = np.concatenate([np.arange(a, b) for a, b in zip(starts, ends, strict=True)])
     return at, image
+
+
+def _shifts(views: Views, count: int, random: np.random.Generator) -> NDArray[np.int64]:
+    furthest = (views.side - views.size) // 2
+    return random.integers(-furthest, furthest + 1, (count, 2))
+
+
+def _coins(chosen: NDArray[np.int64], random: np.random.Generator) -> NDArray[np.bool_]:
+    return random.random(len(chosen)) < 0.5
 
 
 @cache

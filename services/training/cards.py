@@ -3,7 +3,7 @@
 from typing import Any
 
 from services.training.evaluation import RENDERERS, VIEWS
-from services.training.recipe import Recipe
+from services.training.recipe import DEFAULT_SCENES, Recipe
 from services.training.split import AT_MOST, HELD_OUT, MIN_FAMILIES, MIN_HELD_OUT, MIN_MODELS, Split
 
 TITLES = {"alexnet": "AlexNet", "resnet34": "ResNet-34"}
@@ -111,7 +111,10 @@ def data_card(split: Split, recipe: Recipe) -> str:
         f"**Training views.** {recipe.views} cameras a model, all around it, elevation π/9 ± 0.17, distance 1.8 × 0.9 "
         f"to 1.2; each time a view is used it is shaded anew with one of {recipe.looks} looks (half the torch "
         "renderer's environment maps and materials, half the pyrender renderer's lights), a ground of k/255, sometimes "
-        "a tint or one random colour all over, distortions of the image, and a mirror image.",
+        "a tint or one random colour all over, distortions of the image, and a mirror image. From "
+        f"{recipe.default_from:.0%} of the training on {DEFAULT_SCENES:.0%} of the batches show the default scene of "
+        "either renderer instead, lit from any side, with the model's own colours, the default ground and a third of "
+        "the distortions.",
         "",
         f"**Held-out views.** {VIEWS} cameras a model at elevation π/9 and distance 1.8, by each of the exact "
         f"renderers {' and '.join(RENDERERS)} in the default scene, 224 × 224, 8 bits. Networks see them at 112 × 112.",

@@ -12,7 +12,7 @@ from services.scenes.description import ELEVATION, Environment
 from services.scenes.furniture_kinds import PREFIX
 from services.scenes.library import Library
 from services.training.batches import plain, shade
-from services.training.looks import environment_look, looks
+from services.training.looks import default_looks, environment_look, looks
 from services.training.recipe import Recipe
 from services.training.teacher import features_of, load
 from services.training.training import Data
@@ -22,6 +22,8 @@ HINTS = 256
 """Principal components of the teacher's features that are kept as hints."""
 TEACHER_SIZE = (160, 160)
 """Size of the images that the teacher sees: smaller than its own, and twice as fast."""
+TURNS = 24
+"""Sides from which the default scene's light comes."""
 AT_ONCE = 32
 """Views that the teacher looks at together."""
 
@@ -46,9 +48,9 @@ def gather(
     drawn = joined(parts)
     labels = torch.tensor([number for number, _ in models]).repeat_interleave(recipe.views)
     said("tabulating looks", 0, 1)
-    tables = looks(library, recipe.looks, seed)
+    tables, default = looks(library, recipe.looks, seed), default_looks(library, TURNS)
     hints = None if recipe.hints == 0 else _hints(library, drawn, said)
-    return Data(drawn, labels, tables, hints)
+    return Data(drawn, labels, tables, default, hints)
 
 
 def _hints(library: Library, drawn: Views, said: Callable[[str, int, int], None]) -> Tensor:

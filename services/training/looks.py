@@ -49,6 +49,15 @@ def looks(library: Library, count: int, seed: int) -> Tensor:
     return torch.stack([_environment(library, maps, random) if k % 2 else _lamps(random) for k in range(count)])
 
 
+def default_looks(library: Library, turns: int) -> Tensor:
+    """Returns each renderer's look of the default scene, seen from `turns` sides: float32 [2 · turns, GRID², 6]."""
+    sides = [2 * pi * k / turns - pi for k in range(turns)]
+    maps = [environment_look(library, Environment(rotation=side), "matte", ELEVATION) for side in sides]
+    return torch.stack(
+        maps + [lamps_look(Lights().ambient, [default_lamp(side, ELEVATION)], ELEVATION) for side in sides]
+    )
+
+
 def environment_look(library: Library, light: Environment, material: str, elevation: float) -> Tensor:
     """Returns the torch renderer's look [GRID², 6] of a preset under a map, the camera at azimuth 0."""
     to_camera = torch.from_numpy(camera_to_world(Camera(azimuth=0.0, elevation=elevation))[:3, :3])

@@ -3,13 +3,19 @@
 from dataclasses import dataclass
 from math import cos, pi
 
+DEFAULT_SCENES = 0.8
+"""Share of the batches that show the default scene in the last part of a training."""
+CALM = 1 / 3
+"""Strength of the distortions of those batches."""
+
 
 @dataclass(frozen=True)
 class Recipe:
     """Settings of a training.
 
     rate: the peak learning rate of AdamW. hints: weight of the loss on the teacher's features, which falls to 0 at
-    half of the training.
+    half of the training. default_from: the progress from which most batches show the default scene of one of the
+    renderers, which is what the network is judged on.
     """
 
     network: str
@@ -21,8 +27,9 @@ class Recipe:
     warm_up: float = 0.08
     smoothing: float = 0.05
     clip: float = 5.0
-    views: int = 12
+    views: int = 24
     looks: int = 256
+    default_from: float = 0.5
 
     def rate_at(self, progress: float) -> float:
         """Returns the learning rate at a progress in [0, 1]: a linear rise, then half a cosine down to 0."""

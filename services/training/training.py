@@ -22,9 +22,9 @@ from torch.nn import functional as F
 from services import atomic_write
 from services.errors import InvalidRequest
 from services.targets.networks.resnet import ResNet
-from services.training.batches import augmented, normalised, shade
+from services.training.batches import as_in_default_scene, augmented, normalised, shade
 from services.training.distortions import distort
-from services.training.recipe import Budget, Recipe
+from services.training.recipe import CALM, DEFAULT_SCENES, Budget, Recipe
 from services.training.trainable_alexnet import TrainableAlexNet
 from services.training.views import Views
 
@@ -38,13 +38,14 @@ REPORT_STEPS = 20
 class Data:
     """What a network is trained on.
 
-    views: the views. labels: int64 [V], the class of each. looks: [T, GRID², 6]. hints: float32 [V, F], the
-    teacher's features of each view, or None.
+    views: the views. labels: int64 [V], the class of each. looks: [T, GRID², 6]. default_looks: the same of the
+    default scene. hints: float32 [V, F], the teacher's features of each view, or None.
     """
 
     views: Views
     labels: Tensor
     looks: Tensor
+    default_looks: Tensor
     hints: Tensor | None = None
 
 
@@ -157,8 +158,7 @@ class Training:
         torch.manual_seed(int(random.integers(2**31)))  # dropout
         chosen = self._chosen()
         labels = self.data.labels[torch.from_numpy(chosen)]
-        choices = augmented(self.data.views, chosen, len(self.data.looks), random)
-        images = normalised(distort(shade(self.data.views, self.data.looks, choices), random))
+        images = normalised(self._images(chosen, progress, random))
         for group in self._optimiser.param_groups:
             group["lr"] = recipe.rate_at(progress)
         self._optimiser.zero_grad()
@@ -178,6 +178,15 @@ class Training:
         nn.utils.clip_grad_norm_(self._learned.parameters(), recipe.clip)
         self._optimiser.step()
         return float(loss.detach()), float((logits.argmax(1) == labels).double().mean())
+
+    def _images(self, chosen: NDArray[np.int64], progress: float, random: np.random.Generator) -> Tensor:
+        """Returns images [B, 3, h, w] in [0,1] of the chosen views."""
+        views = self.data.views
+        if progress >= self.recipe.default_from and random.random() < DEFAULT_SCENES:
+            looks = self.data.default_looks
+            return distort(shade(views, looks, as_in_default_scene(views, chosen, len(looks), random)), random, CALM)
+        looks = self.data.looks
+        return distort(shade(views, looks, augmented(views, chosen, len(looks), random)), random)
 
     def _chosen(self) -> NDArray[np.int64]:
         """Returns the views of the step's batch: its part of the epoch's random order."""

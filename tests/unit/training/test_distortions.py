@@ -35,6 +35,17 @@ def test_outside_is_the_ground_and_a_seed_gives_the_same_image(monkeypatch):
     assert torch.equal(found, distort(_disc(), np.random.default_rng(1)))
 
 
+def test_strength_scales_the_ranges():
+    image = _disc()
+    assert torch.allclose(distort(image, np.random.default_rng(3), 0.0), image, atol=1e-5)
+    areas = [
+        float((distort(image, np.random.default_rng(seed), 1 / 3) > 0.5).sum() / (image > 0.5).sum())
+        for seed in range(40)
+    ]
+    assert distortions.SMALLEST ** (2 / 3) * 0.95 < min(areas) < 0.9
+    assert 1.0 < max(areas) < distortions.LARGEST ** (2 / 3) * 1.05
+
+
 def test_some_images_are_partly_hidden():
     images = torch.full((200, 3, 32, 32), 0.5)
     found = distort(images, np.random.default_rng(0))

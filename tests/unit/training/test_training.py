@@ -5,6 +5,7 @@ import torch
 
 from services.errors import InvalidRequest
 from services.targets.quantized import dequantize, load_into, quantize
+from services.training.batches import shade
 from services.training.data import gather
 from services.training.export import ARCHITECTURES
 from services.training.recipe import RECIPES, Budget
@@ -75,12 +76,30 @@ def test_a_checkpoint_of_another_training_is_refused(data, tmp_path):
 
 
 def test_it_learns_its_views(data, tmp_path, monkeypatch):
-    monkeypatch.setattr("services.training.training.distort", lambda images, _: images)
+    monkeypatch.setattr("services.training.training.distort", lambda images, *_: images)
     training = _training(data, tmp_path / "a", dropout=0.0, warm_up=0.1, smoothing=0.0)
     reports = []
     training.run(Budget(epochs=30), reports.append)
     assert reports[-1].accuracy > 0.75  # 0.5 by chance
     assert reports[-1].loss < 0.6  # log 2 by chance
+
+
+def test_late_batches_show_the_default_scene(data, tmp_path, monkeypatch):
+    training = _training(data, tmp_path / "a", default_from=0.5)
+    seen = []
+    monkeypatch.setattr(
+        "services.training.training.shade",
+        lambda views, looks, choices: seen.append((looks, choices)) or shade(views, looks, choices),
+    )
+    training.run(Budget(epochs=20), lambda _: None)  # 40 steps
+    default = [looks is data.default_looks for looks, _ in seen]
+    assert not any(default[:20])
+    assert 10 <= sum(default[20:]) <= 19  # 16 of 20 are expected
+    assert all((choices.tints == 1).all() for (_, choices), late in zip(seen, default, strict=True) if late)
+    assert (
+        len({int(look) for (_, choices), late in zip(seen, default, strict=True) if late for look in choices.looks})
+        > 20
+    )
 
 
 def test_rates_and_hints_follow_the_progress():

@@ -10,7 +10,7 @@ from services.rendering.factory import build
 from services.scenes.description import ELEVATION, Camera, Environment, Lights, Scene, SceneObject
 from services.scenes.resolve import resolve
 from services.training.batches import augmented, plain, shade
-from services.training.looks import default_lamp, environment_look, lamps_look, looks
+from services.training.looks import default_lamp, default_looks, environment_look, lamps_look, looks
 from services.training.views import GRID, node_normals, nodes, paper_cameras, training_cameras, views
 
 MESH = "furniture/couch"
@@ -46,6 +46,13 @@ def test_a_view_is_nearly_the_pyrender_renderers_image(library, drawn):
     difference = (_shaded(drawn, table) - _rendered(library, "pyrender")).abs()
     # The lamp is taken as far away, which changes its light by up to a third across the object.
     assert float(difference.mean()) < 0.02
+
+
+def test_default_looks_are_the_default_scene_from_all_sides(library):
+    found = default_looks(library, 4)
+    assert found.shape == (8, GRID**2, 6)
+    assert torch.equal(found[1], environment_look(library, Environment(rotation=-np.pi / 2), "matte", ELEVATION))
+    assert torch.equal(found[6], lamps_look(Lights().ambient, [default_lamp(0.0, ELEVATION)], ELEVATION))
 
 
 def test_a_view_is_drawn_once(library, drawn, folder, monkeypatch):
