@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from services.attacks.limits import Limit
-from services.attacks.spec import AttackSettings, Rate, register
-from services.attacks.suggested import suggested_limits
+from services.attacks.spec import register
+from services.attacks.suggested import DifferencesWithinLimits
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -16,13 +15,8 @@ if TYPE_CHECKING:
     from services.attacks.problem import AttackProblem, Evaluation
     from services.rendering.protocol import Parameters
 
-HALF_STEP, RATE = 1 / 16, 1 / 16
-"""The default half-step and learning rate, in ε."""
-BETAS = (0.9, 0.999)
-SMALLEST_DENOMINATOR = 1e-12
 
-
-class Spsa(AttackSettings):
+class Spsa(DifferencesWithinLimits):
     """Simultaneous perturbation (Spall 1992): all parameters move at once along random directions and back, and the
     mean of the differences, moved by Adam, estimates the gradient (Uesato et al. 2018). It needs scores only.
     """
@@ -36,35 +30,6 @@ class Spsa(AttackSettings):
         description="`signs`: each coordinate moves by its half-step or back (SPSA); `gaussian`: by a normal random "
         "multiple of it (antithetic NES)",
     )
-    delta: dict[str, Limit] = Field(
-        default_factory=dict,
-        description="half-step of the difference of each group, in the group's units; default: 1/16 of its `epsilon`",
-    )
-    learning_rate: dict[str, Rate] = Field(
-        default_factory=dict,
-        description="Adam's learning rate of each group, in the group's units; default: 1/16 of its `epsilon`",
-    )
-
-    @classmethod
-    def complete(cls, data: dict[str, Any]) -> dict[str, Any]:
-        """Fills in the limits that the renderer suggests for its groups, and what follows from them."""
-        data = suggested_limits(data)
-        limits = data.get("epsilon")
-        if not isinstance(limits, dict):
-            return data
-        for field, share in (("delta", HALF_STEP), ("learning_rate", RATE)):
-            given = data.get(field) or {}
-            if isinstance(given, dict):
-                values = {group: share * limit for group, limit in limits.items() if isinstance(limit, int | float)}
-                data = data | {field: values | given}
-        return data
-
-    @model_validator(mode="after")
-    def _a_value_for_each_group(self) -> Self:
-        self.check_groups("epsilon", self.epsilon)
-        self.check_groups("delta", self.delta)
-        self.check_groups("learning_rate", self.learning_rate)
-        return self
 
 
 @register(Spsa)
@@ -74,13 +39,13 @@ class SpsaMethod:
     needs_gradient = False
 
     def __init__(self, settings: Spsa, problem: AttackProblem) -> None:
+        from services.attacks.adam import Adam
+
         self.settings = settings
         self.layout = problem.layout
         self.delta = self.layout.flatten(problem.beginning)
         self.half_steps = self.layout.spread(settings.delta)
-        self.rates = self.layout.spread(settings.learning_rate)
-        self.first = self.layout.zeros().double()
-        self.second = self.layout.zeros().double()
+        self.adam = Adam(self.layout.spread(settings.learning_rate))
 
     @property
     def perturbation(self) -> Parameters:
@@ -99,21 +64,18 @@ class SpsaMethod:
         kind = self.settings.directions
         directions = draw_directions(kind, self.settings.pairs, self.layout.total, problem.seed, step)
         estimates = estimate(problem, at, directions, self.half_steps, gaussian=kind == "gaussian")
-        gradient = estimates.mean(dim=0)
-        self.first = BETAS[0] * self.first + (1 - BETAS[0]) * gradient
-        self.second = BETAS[1] * self.second + (1 - BETAS[1]) * gradient.square()
-        first, second = self.first / (1 - BETAS[0] ** (step + 1)), self.second / (1 - BETAS[1] ** (step + 1))
-        change = self.rates * first / (second.sqrt() + SMALLEST_DENOMINATOR)
-        self.delta = clamped(problem, (at.double() - change).to(at.dtype)[None])[0]
+        change = self.adam.change(estimates.mean(dim=0), step)
+        self.delta = clamped(problem, (at.double() + change).to(at.dtype)[None])[0]
         return int((estimates == 0).all(dim=1).sum())
 
     def state(self) -> dict[str, Tensor]:
         """The perturbation and Adam's moments."""
-        return {"delta": self.delta, "first": self.first, "second": self.second}
+        return {"delta": self.delta} | self.adam.state()
 
     def load(self, state: dict[str, Tensor]) -> None:
         """Continues from `state()`."""
-        self.delta, self.first, self.second = state["delta"], state["first"], state["second"]
+        self.delta = state["delta"]
+        self.adam.load(state)
 
 
 def draw_directions(kind: str, count: int, total: int, seed: int, step: int) -> Tensor:

@@ -5,8 +5,12 @@ from typing import Any, Self
 
 from pydantic import Field, model_validator
 
+from services.attacks.limits import Limit
 from services.attacks.spec import AttackSettings, Rate
 from services.rendering.declaration import RENDERERS, Group
+
+HALF_STEP, RATE = 1 / 16, 1 / 16
+"""The default half-step and learning rate, in ε."""
 
 
 def suggested(data: dict[str, Any], field: str, suggestion: Callable[[Group], float | None]) -> dict[str, Any]:
@@ -39,5 +43,39 @@ class SuggestedRates(AttackSettings):
 
     @model_validator(mode="after")
     def _a_rate_for_each_group(self) -> Self:
+        self.check_groups("learning_rate", self.learning_rate)
+        return self
+
+
+class DifferencesWithinLimits(AttackSettings):
+    """Settings of a method that takes differences within ε and moves by Adam; both steps follow from ε."""
+
+    delta: dict[str, Limit] = Field(
+        default_factory=dict,
+        description="half-step of the difference of each group, in the group's units; default: 1/16 of its `epsilon`",
+    )
+    learning_rate: dict[str, Rate] = Field(
+        default_factory=dict,
+        description="Adam's learning rate of each group, in the group's units; default: 1/16 of its `epsilon`",
+    )
+
+    @classmethod
+    def complete(cls, data: dict[str, Any]) -> dict[str, Any]:
+        """Fills in the limits that the renderer suggests for its groups, and what follows from them."""
+        data = suggested_limits(data)
+        limits = data.get("epsilon")
+        if not isinstance(limits, dict):
+            return data
+        for field, share in (("delta", HALF_STEP), ("learning_rate", RATE)):
+            given = data.get(field) or {}
+            if isinstance(given, dict):
+                values = {group: share * limit for group, limit in limits.items() if isinstance(limit, int | float)}
+                data = data | {field: values | given}
+        return data
+
+    @model_validator(mode="after")
+    def _a_value_for_each_group(self) -> Self:
+        self.check_groups("epsilon", self.epsilon)
+        self.check_groups("delta", self.delta)
         self.check_groups("learning_rate", self.learning_rate)
         return self
