@@ -17,6 +17,8 @@ from services.attacks.verifier import Verifier
 
 EVERY = 2.0
 """Seconds between checkpoints."""
+COUNTS = 5
+"""Counts that a checkpoint keeps."""
 _WORDS = "step restart began settings below_noise seconds stopped fooled verified stored_step"
 _PLAIN = tuple(_WORDS.split())
 
@@ -28,7 +30,13 @@ def save(path: Path, run: AttackState, problem: AttackProblem, method: Method, v
     tensors |= {"ever": run.ever, "image": run.image, "scores": run.scores}
     words = {name: getattr(run, name) for name in _PLAIN}
     words["trace"] = [row.model_dump() for row in run.trace]
-    words["counts"] = [problem.queries, problem.renders, verifier.queries, verifier.renders]
+    words["counts"] = [
+        problem.queries,
+        problem.renders,
+        problem.surrogate_queries,
+        verifier.queries,
+        verifier.renders,
+    ]
     with atomic_write.replacing(path) as part:
         # safetensors saves no two tensors that share memory, as a method's may
         save_file(
@@ -52,7 +60,7 @@ def load(path: Path | None, problem: AttackProblem, method: Method, verifier: Ve
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
     except (SafetensorError, KeyError, ValueError, OSError):
         return None
-    if not words.keys() >= set(_PLAIN):  # an earlier version's
+    if not words.keys() >= set(_PLAIN) or len(words["counts"]) != COUNTS:  # an earlier version's
         return None
     run = AttackState(**{name: words[name] for name in _PLAIN})
     assert {field.name for field in fields(run)} == {*_PLAIN, "trace", "ever", "stored", "image", "scores"}
@@ -60,5 +68,6 @@ def load(path: Path | None, problem: AttackProblem, method: Method, verifier: Ve
     run.ever, run.image, run.scores = tensors["ever"], tensors["image"], tensors["scores"]
     run.stored = {n.removeprefix("stored."): v for n, v in tensors.items() if n.startswith("stored.")}
     method.load({n.removeprefix("method."): v for n, v in tensors.items() if n.startswith("method.")})
-    problem.queries, problem.renders, verifier.queries, verifier.renders = words["counts"]
+    problem.queries, problem.renders, problem.surrogate_queries, *of_verifier = words["counts"]
+    verifier.queries, verifier.renders = of_verifier
     return run

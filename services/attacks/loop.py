@@ -236,6 +236,7 @@ def _row(attack: AttackRun, view: Evaluation, logits: Tensor, state: AttackState
         truncated=int(view.truncated.sum()),
         below_noise=state.below_noise,
         queries=problem.queries + verifier.queries,
+        surrogate_queries=problem.surrogate_queries,
         renders=problem.renders + verifier.renders,
         seconds=seconds,
     )

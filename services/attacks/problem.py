@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import nan
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import torch
 from torch import Tensor
@@ -19,6 +19,9 @@ from services.finite import finite
 from services.rendering import color
 from services.rendering.protocol import Parameters, Renderer
 from services.targets.protocol import Target
+
+if TYPE_CHECKING:
+    from services.attacks.surrogate import Surrogate
 
 ROUNDING = 1e-6
 """Tolerance of the comparison with U: float32 sums of k/255 are off by less, and a change of exactly U is allowed."""
@@ -74,8 +77,12 @@ class AttackProblem:
     """Called before every rendering; raises Cancelled to stop."""
     differences: Differences | None = None
     """Differences of the image, by which `view` differentiates it if the renderer cannot; None if it can."""
+    surrogate: "Surrogate | None" = None
+    """The network whose gradients guide a method that searches by scores; None if there is none."""
     queries: int = 0
     renders: int = 0
+    surrogate_queries: int = 0
+    """Images that the surrogate classified."""
     initial: Parameters = field(init=False)
     original: Tensor = field(init=False)
     layout: Layout = field(init=False)

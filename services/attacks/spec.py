@@ -121,6 +121,11 @@ class AttackSettings(Limits):
         return "log-odds"
 
     @property
+    def guide(self) -> str | None:
+        """The target whose gradients guide the search; None: there is none."""
+        return None
+
+    @property
     def masking_check(self) -> int:
         """Queries of the check for masked gradients after an attack that held; 0: there is none."""
         return 0

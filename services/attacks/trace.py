@@ -33,5 +33,6 @@ class TraceRow(BaseModel):
         "(fgsm)",
     )
     queries: int = Field(description="network queries so far, verification included")
+    surrogate_queries: int = Field(0, description="images that the surrogate classified so far (p-rgf)")
     renders: int = Field(description="images rendered so far")
     seconds: float = Field(description="run time of the attack so far, over all attempts of the job")

@@ -142,12 +142,10 @@ def _to_renderer(subject: Subject, name: str, library: Library) -> Transferred:
 def _wanted(prepared: Prepared, target: str, labels: tuple[str, ...]) -> Wanted:
     """The job's truth and label to reach for another network: by name, or else by what its own table says is right."""
     card, own = registry.card(target), prepared.target.labels
-    truth = indices([own[index] for index in prepared.truth], labels)
-    if not truth:
-        truth = frozenset(goals.table_truth((thing.mesh for thing in prepared.spec.scene.objects), card, labels))
+    meshes = [thing.mesh for thing in prepared.spec.scene.objects]
     reach = prepared.goal.reach
     return Wanted(
-        truth=truth,
+        truth=goals.for_another([own[index] for index in prepared.truth], meshes, card, labels),
         reach=labels.index(own[reach]) if reach is not None and own[reach] in labels else None,
         same=tuple(indices(group, labels) for group in same_labels(card)),
         least_confidence=prepared.goal.least_confidence,

@@ -116,6 +116,7 @@ def _problem(prepared: Prepared, interrupt: Callable[[], None]) -> AttackProblem
         renderer=prepared.renderer,
         target=prepared.target,
         goal=prepared.goal,
+        surrogate=prepared.surrogate,
         groups=attack.groups,
         seed=prepared.spec.seed,
         question=prepared.spec.target.question,
@@ -173,6 +174,7 @@ def _write(
         steps=found.step,
         step=found.stored_step,
         queries=queries,
+        surrogate_queries=problem.surrogate_queries,
         renders=renders,
         truncated=int(found.ever.sum()),
         seconds=found.seconds,
@@ -204,6 +206,7 @@ def provenance(prepared: Prepared) -> Provenance:
         versions=versions(*_VERSIONED),
         scene_sha256=prepared.scene.sha256,
         weights_sha256=prepared.target.weights_sha256,
+        surrogate_sha256=None if prepared.surrogate is None else prepared.surrogate.target.weights_sha256,
         card_sha256=TARGETS[prepared.spec.target.name].info.card_sha256,
         meshes={
             thing.mesh: mesh.sha256
@@ -221,5 +224,6 @@ def _extensions(spec: JobSpec) -> dict[str, str]:
         ("renderer", spec.attack.renderer),
         ("renderer", spec.attack.base_renderer),
         ("target", spec.target.name),
+        ("target", spec.attack.guide),
     }
     return {file.name: file.sha256 for file in EXTENSIONS if file.sha256 is not None and file.adds & used}

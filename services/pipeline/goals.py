@@ -1,10 +1,11 @@
 """Turns the goal of a request into label indices: the truth, the labels to leave, and the label to reach."""
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 from torch import Tensor
 
+from services.analysis.transfer import indices
 from services.attacks.goal import ResolvedGoal
 from services.attacks.spec import Goal, Labels
 from services.errors import InvalidRequest
@@ -47,13 +48,13 @@ def asked(goal: Goal, target: TargetInfo, labels: tuple[str, ...]) -> Asked:
     """
     same = tuple(frozenset(labels.index(one) for one in group if one in labels) for group in same_labels(target))
 
-    def indices(field: str, wanted: Labels | None) -> frozenset[int]:
+    def looked_up(field: str, wanted: Labels | None) -> frozenset[int]:
         if not isinstance(wanted, tuple):
             return frozenset() if wanted is None else frozenset([_index(wanted, labels, field, target.name)])
         return frozenset(_index(one, labels, f"{field}.{i}", target.name) for i, one in enumerate(wanted))
 
-    truth = None if goal.truth is None else _with_same(indices("goal.truth", goal.truth), same)
-    leave = _with_same(indices("goal.leave", goal.leave), same)
+    truth = None if goal.truth is None else _with_same(looked_up("goal.truth", goal.truth), same)
+    leave = _with_same(looked_up("goal.leave", goal.leave), same)
     reach = None if goal.reach is None else _index(goal.reach, labels, "goal.reach", target.name)
     if reach in leave:
         raise InvalidRequest("goal.reach", f"is a label to leave ({labels[reach]!r}); name another one")
@@ -69,6 +70,13 @@ def table_truth(meshes: Iterable[str], target: TargetInfo, labels: tuple[str, ..
     found = {truth_labels(target, mesh) for mesh in meshes}
     names = found.pop() if len(found) == 1 else ()
     return tuple(labels.index(name) for name in names if name in labels)
+
+
+def for_another(
+    names: Collection[str], meshes: Iterable[str], target: TargetInfo, labels: tuple[str, ...]
+) -> frozenset[int]:
+    """The labels of another network for what `names` say is right: by name, or else by that network's own table."""
+    return indices(names, labels) or frozenset(table_truth(meshes, target, labels))
 
 
 def settle(asked: Asked, table: Iterable[int], logits: Tensor) -> Settled:

@@ -7,12 +7,14 @@ from torch import Tensor
 from services.attacks import losses
 from services.attacks.feasible import perturbation_bounds
 from services.attacks.goal import ResolvedGoal
+from services.attacks.surrogate import Surrogate
 from services.attacks.verifier import Verifier
 from services.errors import InvalidRequest
 from services.pipeline import goals
 from services.pipeline.analysis_fields import check_analysis
 from services.pipeline.extensions import ATTACKS
 from services.pipeline.spec import JobSpec
+from services.pipeline.surrogates import check_surrogate, surrogate
 from services.pipeline.warning import JobWarning
 from services.rendering.color import to_bytes
 from services.rendering.factory import build
@@ -46,6 +48,8 @@ class Prepared:
     renderer: Renderer
     target: Target
     goal: ResolvedGoal
+    surrogate: Surrogate | None
+    """The network whose gradients guide the attack, if the request names one."""
     truth: tuple[int, ...]
     """The labels that are right; empty if nobody knows them."""
     warnings: tuple[JobWarning, ...]
@@ -84,7 +88,8 @@ def prepare(spec: JobSpec, library: Library) -> Prepared:
 
     Raises InvalidRequest naming the field, for: unknown names, a label out of range, an object out of view, a method
     that needs gradients of a network that has none, bounds that exclude the scene's own values, a loss that needs more
-    labels, and what `goals.settle` refuses. Raises JobFailure for a target or renderer that breaks its protocol.
+    labels, a surrogate that cannot guide (`surrogates`), and what `goals.settle` refuses. Raises JobFailure for a
+    target or renderer that breaks its protocol.
     """
     return _prepare(spec, library, spec.tolerance)
 
@@ -97,6 +102,7 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
     card = registry.card(spec.target.name)
     asked = goals.asked(spec.goal, card, labels)
     check_analysis(spec)
+    check_surrogate(spec)
     scene = resolved_scene(spec, library)
     spec = spec.model_copy(update={"scene": scene.description})
     target = registry.load(spec.target.name)
@@ -130,6 +136,7 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
         renderer=renderer,
         target=target,
         goal=settled.goal,
+        surrogate=surrogate(spec, labels, settled),
         truth=settled.truth,
         warnings=settled.warnings,
         verifier=verifier,

@@ -24,6 +24,7 @@ class Provenance(_Record):
     versions: dict[str, str]
     scene_sha256: str
     weights_sha256: str
+    surrogate_sha256: str | None = Field(None, description="sha256 of the surrogate's weights, if the attack has one")
     meshes: dict[str, str] = Field(description="mesh name to sha256 of its file")
     credits: list[str] = Field(description="creators and licences of the models and maps shown")
     card_sha256: str | None = Field(None, description="sha256 of the card of a network of your own")
@@ -104,7 +105,8 @@ class Result(_Record):
         description="settings measured at the start of the attack, e.g. difference steps"
     )
     steps: int
-    queries: int
+    queries: int = Field(description="images that the target classified, verification included")
+    surrogate_queries: int = Field(0, description="images that the surrogate classified, if the attack has one")
     renders: int
     truncated: int = Field(description="pixels that were truncated in at least one step")
     seconds: float

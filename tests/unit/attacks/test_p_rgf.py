@@ -1,0 +1,143 @@
+import pytest
+import torch
+
+from services.attacks.differences import evaluate
+from services.attacks.goal import ResolvedGoal
+from services.attacks.p_rgf import PRgf, PRgfMethod, projected_gradient
+from services.attacks.problem import AttackProblem
+from services.attacks.spsa import draw_directions
+from services.attacks.surrogate import Surrogate
+from tests.unit.attacks.small import Ahead, Bowl, FreeRenderer, LinearRenderer, LinearTarget, Pixels, problem
+
+
+def smooth() -> AttackProblem:
+    """A quadratic objective of 9 parameters, for which central differences have no error."""
+    renderer = FreeRenderer()
+    bottom = {"a": torch.full((1, 2, 3), 0.2, dtype=torch.float64), "b": torch.full((1, 3), -0.1, dtype=torch.float64)}
+    return problem(renderer, Bowl(renderer.render(bottom)[0]))
+
+
+def autograd(case: AttackProblem, at: torch.Tensor) -> torch.Tensor:
+    leaf = at.clone().requires_grad_()
+    images = case.renderer.render(case.layout.unflatten((case.layout.flatten(case.initial) + leaf)[None]))
+    return torch.autograd.grad(case.goal.advantage(case.target.logits(images)).sum(), leaf)[0]
+
+
+def projection(gradient: torch.Tensor, directions: torch.Tensor, half_steps: torch.Tensor) -> torch.Tensor:
+    """The orthogonal projection by QR, in units of the half-steps."""
+    basis, _ = torch.linalg.qr(directions.T)
+    return basis @ (basis.T @ (gradient * half_steps)) / half_steps
+
+
+@pytest.mark.parametrize("count", [1, 4, 8])
+def test_the_estimate_is_the_projection_of_autograds_gradient(count: int) -> None:
+    case = smooth()
+    at = 0.01 * torch.arange(9, dtype=torch.float64)
+    half_steps = case.layout.spread({"a": 1e-3, "b": 3e-3})
+    directions = draw_directions("gaussian", count, 9, 7, 0)
+    found, still = projected_gradient(case, at, directions, half_steps)
+    torch.testing.assert_close(found, projection(autograd(case, at), directions, half_steps), rtol=1e-6, atol=1e-9)
+    assert still == 0
+    assert case.queries == 2 * count
+
+
+@pytest.mark.parametrize("count", [9, 64])
+def test_directions_that_span_the_space_give_the_gradient_itself(count: int) -> None:
+    case = smooth()
+    at = 0.01 * torch.arange(9, dtype=torch.float64)
+    half_steps = case.layout.spread({"a": 1e-3, "b": 3e-3})
+    directions = draw_directions("gaussian", count, 9, 7, 0)
+    found, _ = projected_gradient(case, at, directions, half_steps)
+    torch.testing.assert_close(found, autograd(case, at), rtol=1e-6, atol=1e-9)
+
+
+def test_at_a_bound_the_estimate_agrees_with_what_really_moved() -> None:
+    """Group b begins at its lower bound, so a side is cut off at different lengths by coordinate."""
+    case = problem(LinearRenderer())
+    at, half_steps = torch.zeros(9, dtype=torch.float64), case.layout.spread({"a": 1e-4, "b": 1e-4})
+    directions = draw_directions("gaussian", 32, 9, 3, 0)
+    found, _ = projected_gradient(case, at, directions, half_steps)
+    torch.testing.assert_close(found, autograd(case, at), rtol=1e-6, atol=1e-8)
+
+
+def test_a_direction_along_which_nothing_changes_is_counted() -> None:
+    case = smooth()
+    directions = torch.cat([draw_directions("signs", 2, 9, 0, 0), torch.zeros(1, 9, dtype=torch.float64)])
+    at, half_steps = torch.zeros(9, dtype=torch.float64), case.layout.spread({"a": 1e-3, "b": 1e-3})
+    found, still = projected_gradient(case, at, directions, half_steps)
+    assert still == 1
+    assert bool(found.isfinite().all())
+
+
+def with_surrogate(target: LinearTarget, surrogate: LinearTarget, **settings: object) -> AttackProblem:
+    renderer = Pixels(dtype=torch.float32)
+    case = problem(renderer, target, epsilon={"image": 0.05}, **settings)
+    case.surrogate = Surrogate(surrogate, ResolvedGoal(case.goal.leave, None))
+    return case
+
+
+def settings(**given: object) -> PRgf:
+    return PRgf.model_validate({"renderer": "image", "epsilon": {"image": 0.05}} | given)
+
+
+def test_the_surrogates_queries_are_counted_apart() -> None:
+    renderer = Pixels(dtype=torch.float32)
+    case = with_surrogate(Ahead(renderer), Ahead(renderer))
+    method = PRgfMethod(settings(pairs=3, surrogate="other"), case)
+    assert method.start(case) == {"surrogate": {}}
+    queries, renders = case.queries, case.renders
+    for step in range(4):
+        method.advance(case, case.view(method.perturbation), step)
+    assert case.queries - queries == 4 * 2 * (3 + 1)
+    assert case.surrogate_queries == 4
+    assert case.renders - renders == 4 * (2 * (3 + 1) + 1 + 1)  # both sides, the view above, the surrogate's view
+
+
+def test_a_prior_that_is_the_gradient_needs_no_random_directions() -> None:
+    """A network of the same weights: after one step of two queries the objective falls as far as the gradient says."""
+    renderer = Pixels(dtype=torch.float32)
+    target = Ahead(renderer)
+    guided, blind = with_surrogate(target, target), problem(renderer, target, epsilon={"image": 0.05})
+    found = {}
+    for name, case, pairs in (("guided", guided, 0), ("blind", blind, 1)):
+        method = PRgfMethod(settings(pairs=pairs, surrogate="other"), case)
+        method.start(case)
+        begin = case.layout.flatten(method.perturbation)
+        method.advance(case, case.view(method.perturbation), 0)
+        ends = torch.stack([begin, case.layout.flatten(method.perturbation)])
+        before, after = evaluate(case, ends).tolist()
+        found[name] = before - after
+    steepest = float(autograd(guided, torch.zeros(60)).abs().sum()) * 0.05 / 16
+    assert found["guided"] == pytest.approx(steepest, rel=0.02)
+    assert found["blind"] < 0.6 * steepest
+
+
+def test_a_prior_without_direction_is_left_out() -> None:
+    class Blank(LinearTarget):
+        def logits(self, images: torch.Tensor, question: str | None = None) -> torch.Tensor:
+            return 0.0 * super().logits(images, question)
+
+    renderer = Pixels(dtype=torch.float32)
+    case = with_surrogate(Ahead(renderer), Blank())
+    method = PRgfMethod(settings(pairs=2, surrogate="other"), case)
+    queries = case.queries
+    method.advance(case, case.view(method.perturbation), 0)
+    assert case.queries - queries == 4
+
+
+def test_no_direction_at_all_is_refused() -> None:
+    with pytest.raises(ValueError, match="pairs: without a surrogate"):
+        settings(pairs=0)
+    assert settings(pairs=0, surrogate="other").guide == "other"
+
+
+def test_its_state_continues_where_it_was() -> None:
+    renderer = Pixels(dtype=torch.float32)
+    case = with_surrogate(Ahead(renderer), Ahead(renderer))
+    whole, rest = (PRgfMethod(settings(pairs=2, surrogate="other"), case) for _ in range(2))
+    for step in range(6):
+        if step == 3:
+            rest.load({name: value.clone() for name, value in whole.state().items()})
+        for method in (whole, rest) if step >= 3 else (whole,):
+            method.advance(case, case.view(method.perturbation), step)
+    assert torch.equal(whole.delta, rest.delta)
