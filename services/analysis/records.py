@@ -163,6 +163,20 @@ class AdaptiveAttack(Record):
     perceptibility: float = Field(description="p(ΔY) of the attacked image as saved, of 8 bits")
 
 
+class HeldOver(Record):
+    """How the stored perturbation does over the range that its attack averaged over, on variations that no step of the
+    attack has seen, each rendered by the exact path. Intervals are Wilson's of 95 %.
+    """
+
+    variations: int = Field(description="fresh variations")
+    right: int = Field(description="those whose clean image the network answers rightly; only these can be fooled")
+    fooled: int = Field(description="of these, those whose attacked image it answers wrongly, as the goal wants")
+    share: float | None = Field(description="fooled / right; null if the clean image was right nowhere")
+    interval: tuple[float, float] | None
+    wrong_share: float = Field(description="for comparison: share of all variations whose clean image is wrong already")
+    wrong_interval: tuple[float, float]
+
+
 class Analyses(Record):
     """The analyses that the request asked for; null for those that it did not name."""
 

@@ -12,6 +12,7 @@ from torch import Tensor
 from services.attacks.problem import AttackProblem, distances, truncate
 from services.attacks.seeds import generator
 from services.rendering.protocol import InactiveCoordinate, Parameters
+from services.rendering.variation import varied
 
 CHUNK_VALUES = 8_000_000
 """Largest number of values (pixels × channels) rendered in one batch; with the network's activations about 100 MB."""
@@ -28,10 +29,15 @@ def objective(problem: AttackProblem, images: Tensor) -> Tensor:
 
     `images` is [B, H, W, 3] in [0,1]. The sums run over the pixels of each image, never over the batch.
     """
-    advantage = problem.goal.advantage(problem.logits(images)).double()
-    if problem.weight == 0:
-        return advantage
-    return advantage + problem.weight * distances(images, problem.original).square()
+    return _advantage(problem, images) + _penalty(problem, images)
+
+
+def _advantage(problem: AttackProblem, images: Tensor) -> Tensor:
+    return problem.goal.advantage(problem.logits(images)).double()
+
+
+def _penalty(problem: AttackProblem, images: Tensor) -> Tensor | float:
+    return 0.0 if problem.weight == 0 else problem.weight * distances(images, problem.original).square()
 
 
 def per_batch(problem: AttackProblem) -> int:
@@ -44,15 +50,21 @@ def per_batch(problem: AttackProblem) -> int:
 def evaluate(problem: AttackProblem, vectors: Tensor) -> Tensor:
     """The objective at the perturbations `vectors` [B, total]: [B] float64 on the CPU.
 
+    With variations the advantage is the mean over the scene itself and them; λ weighs the change of the scene itself.
     Images are rendered in chunks of at most `CHUNK_VALUES` values. Raises as `AttackProblem.render` and `logits` do.
     """
     start = problem.layout.flatten(problem.initial)
     scores = []
     for chunk in torch.split(vectors, per_batch(problem)):
-        images = problem.render(problem.layout.unflatten(start + chunk))
+        parameters = problem.layout.unflatten(start + chunk)
+        images = problem.render(parameters)
         if problem.truncation is not None:
             images = torch.cat([truncate(image[None], problem.original, problem.truncation)[0] for image in images])
-        scores.append(objective(problem, images).cpu())
+        advantages = [_advantage(problem, images)]
+        for variation in problem.variations:
+            with problem.under(variation):
+                advantages.append(_advantage(problem, problem.render(parameters)))
+        scores.append((torch.stack(advantages).mean(dim=0) + _penalty(problem, images)).cpu())
     return torch.cat(scores)
 
 
@@ -136,14 +148,22 @@ def measure_half_steps(problem: AttackProblem, reach: Tensor, noise: float, prob
 
 
 def inactive(problem: AttackProblem, perturbation: Parameters, half_steps: Tensor) -> list[InactiveCoordinate]:
-    """The attacked coordinates that change no pixel at `perturbation` when moved by their group's half-step.
+    """The attacked coordinates that change no pixel at `perturbation` when moved by their group's half-step, under the
+    present variation, or else neither in the scene itself nor under any variation of the step.
 
     `half_steps` [total] has one value per group, in the groups' units.
     """
     layout = problem.layout
     reach = {group: float(half_steps[layout.starts[group]]) for group in layout.groups}
     at = {group: problem.initial[group] + value for group, value in perturbation.items()}
-    return [one for one in problem.renderer.inactive(at, reach) if one.group in layout.groups]
+    found = []
+    for variation in (None, *problem.variations) if problem.variation is None else (problem.variation,):
+        there = at
+        if variation is not None:
+            moved = varied(problem.renderer, {group: value[None] for group, value in at.items()}, variation)
+            there = {group: value[0] for group, value in moved.items()}
+        found.append({one for one in problem.renderer.inactive(there, reach) if one.group in layout.groups})
+    return sorted(set.intersection(*found), key=lambda one: layout.starts[one.group] + one.index)
 
 
 def steadiest(gradients: Tensor) -> int:

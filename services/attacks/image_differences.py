@@ -83,14 +83,15 @@ class ImageDifferences:
 class _Render(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, differences: ImageDifferences, problem: AttackProblem, *values: Tensor) -> Tensor:
-        ctx.differences, ctx.problem = differences, problem
+        ctx.differences, ctx.problem, ctx.variation = differences, problem, problem.variation
         ctx.perturbation = {g: value.detach() for g, value in zip(problem.groups, values, strict=True)}
         return problem.render({g: (problem.initial[g] + value)[None] for g, value in ctx.perturbation.items()})
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
-        found = ctx.differences.project(ctx.problem, ctx.perturbation, gradient[0])
+        with ctx.problem.under(ctx.variation):
+            found = ctx.differences.project(ctx.problem, ctx.perturbation, gradient[0])
         return None, None, *(found[group] for group in ctx.problem.groups)
 
 

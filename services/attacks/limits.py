@@ -15,7 +15,7 @@ Value = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 
 
 class Limits(Model):
-    """The base class of the base class of all attacks' settings."""
+    """The limits that every attack's settings have: U, ε, bounds and restarts, and how they go together."""
 
     truncation: Annotated[int, Field(ge=1, le=255)] | None = Field(
         None,
@@ -46,14 +46,16 @@ class Limits(Model):
     @model_validator(mode="before")
     @classmethod
     def _no_truncation_by_default(cls, data: Any) -> Any:
-        """Leaves out a default U where the request says that ε alone limits, and through a renderer without gradients:
-        there objects move, and pixels at silhouettes exceed any U at once.
+        """Leaves out a default U where the request says that ε alone limits, where views or light vary, and through a
+        renderer without gradients: there objects move, and pixels at silhouettes exceed any U at once.
         """
         if not isinstance(data, dict) or "truncation" in data:
             return data
         renderer = RENDERERS.get(str(data.get("renderer")))
         moving = renderer is not None and not renderer.differentiable and data.get("constraint") != "backtrack"
-        return data | {"truncation": None} if moving or data.get("constraint") == "epsilon" else data
+        varying = data.get("expectation") is not None and data.get("constraint") != "backtrack"
+        without = moving or varying or data.get("constraint") == "epsilon"
+        return data | {"truncation": None} if without else data
 
     @model_validator(mode="after")
     def _limits_agree(self) -> Self:

@@ -15,6 +15,7 @@ from services.attacks.contract import check_count, check_settings, check_state
 from services.attacks.image_differences import ImageDifferences
 from services.attacks.method import Method
 from services.attacks.problem import AttackProblem, Evaluation, ask, distances, gradients, quantize
+from services.attacks.samples import Sampled, mean_gradients, sample
 from services.attacks.state import AttackState
 from services.attacks.trace import TraceRow
 from services.attacks.verifier import Verifier
@@ -137,6 +138,7 @@ class _Running:
 
     def start(self) -> dict[str, object]:
         """Starts the method. Returns the settings that it measured."""
+        self.attack.problem.draw(self.run.step)
         with named(self.name):
             settings = self.attack.method.start(self.attack.problem)
             check_state(self.attack.method.state())
@@ -160,24 +162,28 @@ class _Running:
 
     def view(self) -> Evaluation:
         method = self.attack.method
+        self.attack.problem.draw(self.run.step)
         with named(self.name):
             perturbation = method.perturbation
         return self.attack.problem.view(perturbation, gradient=method.needs_gradient)
 
-    def record(self, view: Evaluation, image: Tensor, logits: Tensor) -> None:
-        """Records an evaluation, its image as saved (uint8 [H, W, 3]) and the scores [K]; verifies; may stop."""
+    def record(self, view: Evaluation, image: Tensor, logits: Tensor, sampled: Sampled) -> None:
+        """Records an evaluation, its image as saved (uint8 [H, W, 3]) and the scores [K]; verifies; may stop.
+
+        With an expectation an attack is verified only once the answers to all variations of a step meet the goal too.
+        """
         attack, state = self.attack, self.run
         problem, verifier = attack.problem, attack.verifier
-        row = _row(attack, view, logits, state, self.seconds)
+        row = _row(attack, view, logits, sampled, state, self.seconds)
         fooled = bool(problem.goal.fooled(logits))
         state.ever |= view.truncated.cpu()
-        best = not state.trace or row.advantage <= state.trace[state.stored_step].advantage
-        if fooled or (best and not state.fooled):
+        best = not state.trace or _rank(row) >= _rank(state.trace[state.stored_step])
+        if best if problem.variations else fooled or (best and not state.fooled):
             state.stored = {g: v.detach().clone() for g, v in view.perturbation.items()}
             state.stored_step = state.step
             state.image, state.scores = image.cpu().clone(), logits.cpu().clone()
-        if fooled:
-            state.fooled = True
+        state.fooled |= fooled
+        if fooled and row.share in (None, 1.0):
             state.verified = verifier.fooled(state.stored, problem.goal)
         state.trace.append(row)
         attack.on_row(row)
@@ -203,21 +209,32 @@ def _step(active: list[_Running]) -> None:
     with torch.set_grad_enabled(needs_gradient):
         images, shown = quantize(torch.cat([view.images for view in views]) if len(views) > 1 else views[0].images)
         logits = ask(problems, shown)
-    for one, view, image, scores in zip(active, views, images, logits.detach(), strict=True):
-        one.record(view, image, scores)
+    sampled = [sample(p, view, needs_gradient) for p, view in zip(problems, views, strict=True)]
+    for one, view, image, scores, own in zip(active, views, images, logits.detach(), sampled, strict=True):
+        one.record(view, image, scores, own)
     going = [i for i, one in enumerate(active) if not one.run.stopped]
     found: list[Parameters] = [{}] * len(going)
     if needs_gradient and going:
         found = gradients([problems[i] for i in going], [views[i] for i in going], logits[going])
     for i, of in zip(going, found, strict=True):
-        value = float(problems[i].objective(logits[i].detach()))
-        active[i].advance(replace(views[i], gradients=of, objective=value))
+        value = float(problems[i].objective(sampled[i].answers(logits[i].detach())).mean())
+        mean = mean_gradients(of, sampled[i]) if needs_gradient else of
+        active[i].advance(replace(views[i], gradients=mean, objective=value))
     for one in active:
         one.restart()
         one.save()
 
 
-def _row(attack: AttackRun, view: Evaluation, logits: Tensor, state: AttackState, seconds: float) -> TraceRow:
+def _rank(row: TraceRow) -> tuple[bool, float, float]:
+    """How good a perturbation is to store. Without an expectation it is the advantage alone."""
+    if row.share is None or row.objective is None:
+        return False, 0.0, -row.advantage
+    return row.advantage < 0, row.share, -row.objective
+
+
+def _row(
+    attack: AttackRun, view: Evaluation, logits: Tensor, sampled: Sampled, state: AttackState, seconds: float
+) -> TraceRow:
     problem, verifier = attack.problem, attack.verifier
     minimised = problem.objective if attack.method.needs_gradient else problem.goal.advantage
     height, width = problem.renderer.size
@@ -230,7 +247,8 @@ def _row(attack: AttackRun, view: Evaluation, logits: Tensor, state: AttackState
         label=problem.target.labels[label],
         confidence=float(probability(logits, label)),
         advantage=float(problem.goal.advantage(logits)),
-        objective=float(minimised(logits)) + problem.weight * distance**2,
+        objective=float(minimised(sampled.answers(logits)).mean()) + problem.weight * distance**2,
+        share=float(problem.goal.fooled(sampled.logits).double().mean()) if problem.variations else None,
         distance=distance,
         perceptibility=distance / sqrt(height * width),
         truncated=int(view.truncated.sum()),

@@ -32,7 +32,7 @@ class PRgf(DifferencesWithinLimits):
         "beside the random ones; null: random directions alone",
     )
     pairs: Annotated[int, Field(ge=0, le=4096)] = Field(
-        8,
+        4,
         description="random directions of a step, each evaluated forwards and backwards: 2 queries, as the "
         "surrogate's direction is; 0 only with a surrogate",
     )

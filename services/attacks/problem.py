@@ -1,6 +1,7 @@
 """An attack's problem: a renderer, a network and a goal, with counts of the images rendered and classified."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from math import nan
 from typing import TYPE_CHECKING, Any, Protocol
@@ -9,15 +10,18 @@ import torch
 from torch import Tensor
 
 from services.attacks.contract import check_graph, check_images, check_perturbation, check_scores
+from services.attacks.expectation import Expectation
 from services.attacks.feasible import BACKTRACK_MARGIN, perturbation_bounds, pulled_back, random_start
 from services.attacks.goal import ResolvedGoal
 from services.attacks.layout import Layout
 from services.attacks.losses import Loss, loss
+from services.attacks.samples import draw_variation
 from services.attacks.seeds import derived
 from services.errors import JobFailure, named
 from services.finite import finite
 from services.rendering import color
 from services.rendering.protocol import Parameters, Renderer
+from services.rendering.variation import Variation, noisy, varied
 from services.targets.protocol import Target
 
 if TYPE_CHECKING:
@@ -79,6 +83,8 @@ class AttackProblem:
     """Differences of the image, by which `view` differentiates it if the renderer cannot; None if it can."""
     surrogate: "Surrogate | None" = None
     """The network whose gradients guide a method that searches by scores; None if there is none."""
+    expectation: Expectation | None = None
+    """The range of views, light and noise over which the objective is averaged; None: the scene itself alone."""
     queries: int = 0
     renders: int = 0
     surrogate_queries: int = 0
@@ -91,6 +97,10 @@ class AttackProblem:
     """Smallest and largest perturbation of each group that has any limit (`feasible`)."""
     beginning: Parameters = field(init=False)
     """The perturbation with which a method begins: zeros, or a random one for a restart."""
+    variations: tuple[Variation, ...] = field(init=False, default=())
+    """The variations of this step, over which the objective is averaged beside the scene itself."""
+    variation: Variation | None = field(init=False, default=None)
+    """The one under which `render` draws at present; None: the scene itself."""
 
     def __post_init__(self) -> None:
         start = self.renderer.initial()
@@ -112,6 +122,21 @@ class AttackProblem:
         self.beginning = random_start(self.initial, self.bounds, self.seed, number)
         self.seed = derived(self.seed, "restart", number)
 
+    def draw(self, step: int) -> None:
+        """Draws the variations of a step."""
+        if self.expectation is not None:
+            numbers = range(self.expectation.samples)
+            self.variations = tuple(draw_variation(self.expectation, self.seed, "step", step, n) for n in numbers)
+
+    @contextmanager
+    def under(self, variation: Variation | None) -> Iterator[None]:
+        """Draws under a variation as long as the context lasts."""
+        before, self.variation = self.variation, variation
+        try:
+            yield
+        finally:
+            self.variation = before
+
     def clamp(self, perturbation: Mapping[str, Tensor]) -> Parameters:
         """The perturbation, clamped to `bounds`."""
         return {
@@ -120,14 +145,19 @@ class AttackProblem:
         }
 
     def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
-        """Images [B, H, W, 3] of groups with B values each. Raises JobFailure for what is no image (`contract`)."""
+        """Images [B, H, W, 3] of groups with B values each, under the present variation. Raises JobFailure for what is
+        no image (`contract`).
+        """
         self.interrupt()
         count = len(next(iter(parameters.values())))
+        variation = self.variation
         with named(f"renderer {self.renderer.name!r}"):
-            images = self.renderer.render(parameters)
+            images = self.renderer.render(
+                parameters if variation is None else varied(self.renderer, parameters, variation)
+            )
         self.renders += count
         check_images(self.renderer, images, count)
-        return images
+        return images if variation is None else noisy(images, variation)
 
     def view(self, perturbation: Mapping[str, Tensor], gradient: bool = False) -> Evaluation:
         """The image of one perturbation, truncated to U around the original; with a graph if `gradient`.

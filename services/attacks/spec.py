@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar, get_args, get_origin
 
 from pydantic import Field, field_validator, model_validator
 
+from services.attacks.expectation import Expectation
 from services.attacks.limits import Limits
 from services.attacks.losses import Loss
 from services.extensions import Registry
@@ -107,6 +108,11 @@ class AttackSettings(Limits):
     seconds: Annotated[float, Field(gt=0, le=86_400, allow_inf_nan=False)] | None = Field(
         None, description="limit of run time in seconds; a job that reaches it may end differently on another machine"
     )
+    expectation: Expectation | None = Field(
+        None,
+        description="views, light and camera noise over which the adversary is to hold, so that the attack lowers the "
+        "mean objective; null: the scene itself alone",
+    )
     method: str
     steps: Annotated[int, Field(ge=1, le=100_000)] = Field(500, description="largest number of steps")
 
@@ -161,6 +167,10 @@ class AttackSettings(Limits):
             raise ValueError("groups: each group at most once")
         if self.base_renderer is not None and has.base_renderer is None:
             raise ValueError(f"base_renderer: renderer {self.renderer} works on no other's image; leave this out")
+        if self.expectation is not None:
+            self.expectation.check(has)
+            if self.truncation is not None:
+                raise ValueError("truncation: U is of one view in one light; with `expectation` leave it out")
         for field, given in (("epsilon", self.epsilon), ("bounds", self.bounds)):
             self.check_known(field, given)
         if self.needs_epsilon:

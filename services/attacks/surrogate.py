@@ -11,6 +11,7 @@ from torch import Tensor
 from services.attacks.goal import ResolvedGoal
 from services.attacks.image_differences import ImageDifferences
 from services.attacks.problem import gradients, quantize
+from services.attacks.samples import mean_gradients, sample
 from services.targets.protocol import Target
 
 if TYPE_CHECKING:
@@ -73,11 +74,15 @@ class Prior:
         return differences.half_steps if isinstance(differences, ImageDifferences) else torch.zeros(0).double()
 
     def gradient(self, problem: AttackProblem, perturbation: Parameters) -> Tensor:
-        """∂margin/∂perturbation at a perturbation, float64 [total]. Takes one query of the surrogate."""
+        """∂margin/∂perturbation at a perturbation, float64 [total], the mean over the variations of the step if it has
+        any. Takes one query of the surrogate for each.
+        """
         with torch.enable_grad():
             view = self.own.view(perturbation, gradient=True)
             logits = self.own.logits(quantize(view.images)[1])
         [found] = gradients([self.own], [view], logits)
+        self.own.variations = problem.variations
+        found = mean_gradients(found, sample(self.own, view, gradient=True))
         self._count(problem)
         return self.own.layout.flatten(found).double()
 

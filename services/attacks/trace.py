@@ -23,6 +23,11 @@ class TraceRow(BaseModel):
         description="what the method minimises: the advantage, or for a method with gradients the log-odds of the "
         "label to leave or minus those of the label to reach, plus λ·distance²; null in traces of earlier versions",
     )
+    share: float | None = Field(
+        None,
+        description="with an expectation: share of the step's variations whose answer meets the goal; `objective` is "
+        "then the mean over them and the scene itself, all else is of the scene itself; null without one",
+    )
     distance: float = Field(description="‖ΔY‖₂ of the float image over all pixels and channels, RGB in [0,1]")
     perceptibility: float = Field(description="p(ΔY) of the float image")
     truncated: int = Field(description="pixels with a value truncated to U in this step")

@@ -11,6 +11,7 @@ from services.attacks.goal import ResolvedGoal
 from services.errors import named
 from services.rendering.color import from_bytes, to_bytes
 from services.rendering.protocol import Renderer
+from services.rendering.variation import Variation, noisy, varied
 from services.targets.protocol import Target
 
 
@@ -28,21 +29,25 @@ class Verifier:
     renders: int = 0
 
     @torch.no_grad()
-    def render(self, perturbation: Mapping[str, Tensor]) -> Tensor:
-        """The exact image [H, W, 3] in [0,1], not yet rounded. Groups left out are unperturbed; {} is the original."""
+    def render(self, perturbation: Mapping[str, Tensor], variation: Variation | None = None) -> Tensor:
+        """The exact image [H, W, 3] in [0,1], not yet rounded. Groups left out are unperturbed; {} is the original.
+
+        With a variation it is the image of the scene from that view and in that light.
+        """
         exact = self.renderer.exact()
         start = exact.initial()
         changed = {g: (start[g] + perturbation[g].to(start[g].dtype))[None] for g in perturbation}
         self.renders += 1
         # always the whole parameter set: the same computation, bit for bit, for every subset of the groups
+        parameters = {g: changed.get(g, start[g][None]) for g in exact.groups}
         with named(f"renderer {exact.name!r}"):
-            images = exact.render({g: changed.get(g, start[g][None]) for g in exact.groups})
+            images = exact.render(parameters if variation is None else varied(exact, parameters, variation))
         check_images(exact, images, 1)
-        return images[0]
+        return images[0] if variation is None else noisy(images, variation)[0]
 
-    def image(self, perturbation: Mapping[str, Tensor]) -> Tensor:
+    def image(self, perturbation: Mapping[str, Tensor], variation: Variation | None = None) -> Tensor:
         """The exact image rounded to 8 bits, uint8 [H, W, 3], on the CPU."""
-        return to_bytes(self.render(perturbation)).cpu()
+        return to_bytes(self.render(perturbation, variation)).cpu()
 
     @torch.no_grad()
     def logits(self, image: Tensor) -> Tensor:

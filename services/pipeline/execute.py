@@ -1,6 +1,7 @@
 """Runs one job from spec to result in this process. The worker and `scene-attack run` both call it."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -12,6 +13,7 @@ from torch import Tensor
 from services.analysis import images
 from services.analysis.answers import answer
 from services.analysis.attribution import of_subsets
+from services.analysis.expectation import held_over
 from services.analysis.perceptibility import beyond, of_float_images, of_groups, of_images
 from services.analysis.subsets import ScoredImage, subsets
 from services.attacks.loop import Budget, run
@@ -23,6 +25,7 @@ from services.attacks.trace import TraceRow
 from services.attacks.verdict import judge
 from services.errors import Cancelled, named
 from services.pipeline.analyse import Report, Subject, analyse
+from services.pipeline.expectations import with_cost
 from services.pipeline.extensions import ATTACKS, EXTENSIONS, TARGETS
 from services.pipeline.prepare import Prepared, lit_by_map, prepare
 from services.pipeline.result import Provenance, Result
@@ -117,6 +120,7 @@ def _problem(prepared: Prepared, interrupt: Callable[[], None]) -> AttackProblem
         target=prepared.target,
         goal=prepared.goal,
         surrogate=prepared.surrogate,
+        expectation=attack.expectation,
         groups=attack.groups,
         seed=prepared.spec.seed,
         question=prepared.spec.target.question,
@@ -144,6 +148,12 @@ def _write(
     ends = ScoredImage(prepared.exact, original, prepared.logits), ScoredImage(exact, attacked, logits)
     rows = subsets(verifier, goal, found.stored, *ends)
     analyses = analyse(Subject(prepared, found.stored, *ends), prepared.spec.analysis, library, report)
+    asked = prepared.spec.attack.expectation
+    held = None
+    if asked is not None:
+        right = prepared.truth or goal.leave or (first,)
+        tick = partial(report, "expectation")
+        held = held_over(verifier, goal, right, found.stored, asked, seed=problem.seed, tick=tick)
     result = Result(
         spec=prepared.spec.model_dump(mode="json"),
         outcome=judge(prepared.truth, first, last, met),
@@ -163,7 +173,8 @@ def _write(
         perceptibility=of_images(original, attacked),
         group_perceptibility=of_groups(prepared.renderer.name, found.stored),
         beyond_truncation=None if limit is None else beyond(original, attacked, limit),
-        plan=prepared.renderer.plan,
+        expectation=held,
+        plan=with_cost(prepared.renderer.plan, prepared.spec.attack.expectation),
         image_error=_image_error(problem, found, exact),
         sampled_error=prepared.renderer.sampled_error,
         environment_map_error=prepared.renderer.plan.environment_map_error,

@@ -8,8 +8,10 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from services.attacks.expectation import Expectation
 from services.pipeline.extensions import ATTACKS, RENDERERS
 
 PAGE = Path(__file__).parents[2] / "docs" / "scene.md"
@@ -22,15 +24,18 @@ def tables() -> str:
     lines: list[str] = []
     for name, attack in ATTACKS.items():
         lines += [f"## `attack` with `method: {name}`", "", " ".join((attack.settings.__doc__ or "").split()), ""]
-        fields = attack.settings.model_fields.items()
-        lines += _table(
-            ("field", "default", "meaning"), ([f"`{f}`", _default(i), i.description or ""] for f, i in fields)
-        )
+        lines += _fields(attack.settings)
+    lines += ["## `attack.expectation`", "", " ".join((Expectation.__doc__ or "").split()), "", *_fields(Expectation)]
     lines += ["## Renderers and their parameter groups", ""]
     lines += ["If a request leaves `method` out, it is the method that this table gives for the renderer. *limit* is"]
     lines += ["the `epsilon` of methods that need one, where the request gives none.", ""]
     columns = ("renderer", "method", "group", "shape", "unit", "step of fgsm", "limit")
     return "\n".join(lines + list(_table(columns, _groups()))).rstrip()
+
+
+def _fields(model: type[BaseModel]) -> Iterator[str]:
+    rows = ([f"`{name}`", _default(field), field.description or ""] for name, field in model.model_fields.items())
+    return _table(("field", "default", "meaning"), rows)
 
 
 def page(text: str) -> str:

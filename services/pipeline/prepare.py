@@ -12,6 +12,7 @@ from services.attacks.verifier import Verifier
 from services.errors import InvalidRequest
 from services.pipeline import goals
 from services.pipeline.analysis_fields import check_analysis
+from services.pipeline.expectations import check_range, moving_groups, with_cost
 from services.pipeline.extensions import ATTACKS
 from services.pipeline.spec import JobSpec
 from services.pipeline.surrogates import check_surrogate, surrogate
@@ -80,7 +81,7 @@ def prepare_exactly(spec: JobSpec, library: Library) -> Prepared:
 
 def plan(spec: JobSpec, library: Library) -> Plan:
     """Returns the plan that a job would run, without loading the network. Raises InvalidRequest as `prepare` does."""
-    return _renderer(spec, resolved_scene(spec, library), spec.tolerance).plan
+    return with_cost(_renderer(spec, resolved_scene(spec, library), spec.tolerance).plan, spec.attack.expectation)
 
 
 def prepare(spec: JobSpec, library: Library) -> Prepared:
@@ -88,8 +89,8 @@ def prepare(spec: JobSpec, library: Library) -> Prepared:
 
     Raises InvalidRequest naming the field, for: unknown names, a label out of range, an object out of view, a method
     that needs gradients of a network that has none, bounds that exclude the scene's own values, a loss that needs more
-    labels, a surrogate that cannot guide (`surrogates`), and what `goals.settle` refuses. Raises JobFailure for a
-    target or renderer that breaks its protocol.
+    labels, a range of views beyond the renderer's, a surrogate that cannot guide (`surrogates`), and what
+    `goals.settle` refuses. Raises JobFailure for a target or renderer that breaks its protocol.
     """
     return _prepare(spec, library, spec.tolerance)
 
@@ -116,6 +117,8 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
             f"image ({registry.no_gradient(target.name)}); methods without gradients are {others}",
         )
     renderer = _renderer(spec, scene, tolerance)
+    if spec.attack.expectation is not None:
+        check_range(spec.attack.expectation, renderer)
     start = renderer.initial()
     perturbation_bounds(
         {group: start[group] for group in spec.attack.groups},
@@ -169,4 +172,4 @@ def lit_by_map(spec: JobSpec) -> bool:
 
 def _renderer(spec: JobSpec, scene: ResolvedScene, tolerance: Tolerance) -> Renderer:
     attack = spec.attack
-    return build(scene, attack.renderer, attack.base_renderer, attack.groups, tolerance)
+    return build(scene, attack.renderer, attack.base_renderer, moving_groups(attack), tolerance)

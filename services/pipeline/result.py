@@ -4,7 +4,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from services.analysis.records import Analyses, Answer, Attribution, Subset
+from services.analysis.records import Analyses, Answer, Attribution, HeldOver, Subset
 from services.attacks.trace import TraceRow
 from services.attacks.verdict import Verdict, with_outcome
 from services.pipeline.warning import JobWarning
@@ -99,6 +99,9 @@ class Result(_Record):
     attribution: Attribution | None = Field(
         None,
         description="Shapley values and interactions of the groups, from `subsets`; null in results of version 0.1",
+    )
+    expectation: HeldOver | None = Field(
+        None, description="the share of the attack's range of views, light and noise for which the adversary holds"
     )
     analyses: Analyses = Field(Analyses(), description="the analyses that the request asked for")
     settings: dict[str, object] = Field(

@@ -6,7 +6,7 @@ neither torch nor OpenGL: a declaration names its class as "module:class", which
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -111,6 +111,11 @@ class Declaration:
     changes: str | None = None
     """The location "module:function" of a function (scene, exact renderer, perturbation) that returns the perturbation
     as a list of `PhysicalChange`: in degrees, centimetres and percent. None: the groups' units are all there is."""
+    varies: Mapping[str, str] = field(default_factory=dict)
+    """The kinds of variation that it can draw (`services.rendering.variation`), each with the group that it moves."""
+    varied: str | None = None
+    """The location "module:function" of a function (renderer, values by group, variation) that returns the values with
+    those groups moved. None: it can draw none."""
 
     def __post_init__(self) -> None:
         if not self.groups:

@@ -66,6 +66,8 @@ PYRENDER = Declaration(
     method="zoo",
     renderer="services.rendering.pyrender_renderer.renderer:PyrenderRenderer",
     changes="services.rendering.pyrender_renderer.physical:changes",
+    varies=dict.fromkeys(("azimuth", "elevation", "roll", "distance"), "camera") | {"intensity": "illumination"},
+    varied="services.rendering.pyrender_renderer.variation:varied",
 )
 
 register(PYRENDER)

@@ -37,6 +37,8 @@ TORCH = Declaration(
     method="fgsm",
     renderer="services.rendering.torch_renderer.renderer:TorchRenderer",
     changes="services.rendering.torch_renderer.physical:changes",
+    varies={"intensity": "illumination"},
+    varied="services.rendering.torch_renderer.variation:varied",
 )
 
 register(TORCH)

@@ -36,7 +36,7 @@ def attack(name: str, case: AttackProblem, path: Path | None = None) -> AttackSt
 
 
 def test_all_are_here() -> None:
-    assert {"apgd", "cma-es", "fgsm", "mi-fgsm", "spsa", "square", "zoo"} <= set(BUILT_IN)
+    assert {"apgd", "cma-es", "fgsm", "mi-fgsm", "p-rgf", "spsa", "square", "zoo"} <= set(BUILT_IN)
 
 
 @pytest.mark.parametrize("name", BUILT_IN)

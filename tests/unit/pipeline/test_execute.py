@@ -24,6 +24,11 @@ ATTACKS: list[dict[str, Any]] = [
     {"renderer": "torch"},
     {"renderer": "pyrender", "delta": 1e-2, "steps": 2},
     {"renderer": "pyrender", "method": "fgsm", "groups": ["rotation", "camera"], "steps": 2},
+    {
+        "renderer": "torch",
+        "groups": ["normals"],
+        "expectation": {"intensity": 0.3, "noise": 2, "samples": 2, "checks": 6},
+    },
 ]
 
 

@@ -46,6 +46,16 @@ REFUSED: list[tuple[str, dict[str, Any]]] = [
     ("attack.truncation", {"attack": {"renderer": "image", "constraint": "backtrack", "truncation": None}}),
     ("attack.groups", {"attack": {"method": "square", "renderer": "torch", "groups": ["material"]}}),
     ("attack.loss", {"attack": {"method": "apgd", "loss": "hinge"}}),
+    ("attack.expectation", {"attack": {"expectation": {}}}),
+    ("attack.expectation.azimuth", {"attack": {"renderer": "torch", "expectation": {"azimuth": 5}}}),
+    ("attack.expectation.intensity", {"attack": {"renderer": "image", "expectation": {"intensity": 0.1}}}),
+    ("attack.expectation.elevation", {"attack": {"renderer": "pyrender", "expectation": {"elevation": 120}}}),
+    ("attack.expectation.distance", {"attack": {"renderer": "pyrender", "expectation": {"distance": 0.9}}}),
+    ("attack.expectation.noise", {"attack": {"expectation": {"noise": -1}}}),
+    ("attack.expectation.samples", {"attack": {"expectation": {"noise": 1, "samples": 0}}}),
+    ("attack.truncation", {"attack": {"expectation": {"noise": 1}, "truncation": 18}}),
+    ("attack.truncation", {"attack": {"expectation": {"noise": 1}, "truncation": 18, "constraint": "backtrack"}}),
+    ("attack.pairs", {"attack": {"method": "p-rgf", "pairs": 0}}),
     ("attack.base_renderer", {"attack": {"renderer": "torch", "base_renderer": "pyrender"}}),
     ("scene.camera.size.0", {"scene": SPHERE | {"camera": {"size": [4096, 64]}}}),
     ("scene.camera.distance", {"scene": SPHERE | {"camera": {"distance": float("inf")}}}),
@@ -120,7 +130,9 @@ def test_a_network_with_one_label_is_refused_beforehand(monkeypatch: pytest.Monk
 
 def test_a_method_with_gradients_is_refused_for_a_network_without(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("services.pipeline.prepare.registry.has_gradient", lambda _: False)
-    with pytest.raises(InvalidRequest, match="methods without gradients are cma-es, spsa, square, zoo") as refused:
+    with pytest.raises(
+        InvalidRequest, match="methods without gradients are cma-es, p-rgf, spsa, square, zoo"
+    ) as refused:
         preflight(spec(attack={"renderer": "image", "method": "fgsm"}), LIBRARY)
     assert refused.value.field == "attack.method"
     assert preflight(spec(attack={"renderer": "image", "method": "zoo"}), LIBRARY)

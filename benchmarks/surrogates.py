@@ -1,0 +1,154 @@
+"""Measures how many queries a surrogate saves in p-rgf: the same search with and without another network's gradient.
+Writes results/surrogates.json.
+
+Each view is attacked through the pixels, the normals and pyrender's 14 parameters, by p-rgf with a surrogate and
+without; `pairs` is the number of random directions of a step, so that the search without a surrogate asks for two
+queries fewer a step. Both have the same seed, limits and budget. `queries` counts all of the target's queries, the
+verifier's among them. Views are of models that neither furniture network was trained on, and only those that the target
+gets right. A success is a verified adversary; a run that held counts with all of its queries, so that `saved`, the
+ratio of the sums, is a lower bound.
+"""
+
+import argparse
+from collections.abc import Iterator
+from itertools import zip_longest
+from pathlib import Path
+from time import monotonic
+
+import torch
+
+from benchmarks.report import RESULTS, save
+from services.attacks.loop import Budget, run
+from services.attacks.problem import AttackProblem
+from services.attacks.seeds import derived
+from services.errors import InvalidRequest
+from services.pipeline.extensions import ATTACKS
+from services.pipeline.prepare import Prepared, prepare
+from services.pipeline.spec import parse
+from services.rendering.opengl import context
+from services.scenes.furniture_kinds import PREFIX
+from services.scenes.library import Library
+from services.settings import settings
+from services.training.split import committed
+
+SEED = 0
+ALEXNET, RESNET, LITE0 = "alexnet-furniture", "resnet34-furniture", "efficientnet-lite0"
+SURROGATES = {ALEXNET: (None, RESNET, LITE0), RESNET: (None, ALEXNET, LITE0)}
+"""The surrogates of each target; None: none."""
+EPSILON = {"image": {"image": 8 / 255}, "torch": {"normals": 0.1}, "pyrender": {}}
+"""Limits by renderer; those left out are the ones that the renderer suggests."""
+
+
+def main() -> None:
+    """Runs the attacks and writes the result; see --help."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--views", type=int, default=8, help="views of each target (default 8)")
+    parser.add_argument("--queries", type=int, default=400, help="budget of a run (default 400)")
+    parser.add_argument("--pairs", type=int, default=4, help="random directions of a step (default 4)")
+    parser.add_argument("--targets", nargs="+", default=[ALEXNET, RESNET], choices=SURROGATES)
+    parser.add_argument("--renderers", nargs="+", default=list(EPSILON), choices=EPSILON)
+    parser.add_argument("--out", type=Path, default=RESULTS / "surrogates.json")
+    options = parser.parse_args()
+    torch.set_num_threads(settings().threads)
+    library = Library(settings().cache_dir, settings().data_dir)
+    backend = f"{context.gl_backend()}; torch {torch.__version__} {torch.get_num_threads()} threads"
+    rows: list[dict[str, object]] = []
+    for target in options.targets:
+        for mesh in right(library, target, options.views):
+            for renderer in options.renderers:
+                for surrogate in SURROGATES[target]:
+                    rows.append(_attack(library, mesh, target, renderer, surrogate, options.pairs, options.queries))
+            # written after every view: a run that is stopped leaves what it has found
+            save(options.out, str(__doc__).split("\n\n")[0], backend, SEED, summary=summary(rows), rows=rows)
+
+
+def right(library: Library, target: str, count: int) -> Iterator[str]:
+    """The first `count` held-out meshes that the target gets right at the default camera, kind by kind in turn."""
+    held_out = committed().held_out
+    drawn = [sorted(slugs, key=lambda slug: derived(SEED, "surrogates", slug)) for _, slugs in sorted(held_out.items())]
+    for slug in (one for turn in zip_longest(*drawn) for one in turn if one is not None):
+        if count == 0:
+            return
+        mesh = PREFIX + slug
+        try:
+            found = _prepared(library, mesh, target, {"renderer": "pyrender"})
+        except InvalidRequest:
+            continue
+        if int(found.logits.argmax()) in found.truth:
+            yield mesh
+            count -= 1
+
+
+def _prepared(library: Library, mesh: str, target: str, attack: dict[str, object]) -> Prepared:
+    scene = {"objects": [{"mesh": mesh}], "camera": {"size": [224, 224]}}
+    return prepare(parse({"scene": scene, "target": {"name": target}, "attack": attack, "seed": SEED}), library)
+
+
+def _attack(
+    library: Library, mesh: str, target: str, renderer: str, surrogate: str | None, pairs: int, queries: int
+) -> dict[str, object]:
+    attack = {"method": "p-rgf", "renderer": renderer, "surrogate": surrogate, "pairs": pairs, "queries": queries}
+    epsilon = EPSILON[renderer]
+    groups = {"groups": list(epsilon)} if epsilon else {}
+    ready = _prepared(library, mesh, target, attack | groups | {"epsilon": epsilon})
+    chosen = ready.spec.attack
+    problem = AttackProblem(
+        ready.renderer,
+        ready.target,
+        ready.goal,
+        chosen.groups,
+        seed=SEED,
+        epsilon=chosen.epsilon,
+        surrogate=ready.surrogate,
+    )
+    begun = monotonic()
+    found = run(problem, ATTACKS["p-rgf"].method(chosen, problem), ready.verifier, Budget(chosen.steps, queries))
+    last = found.trace[-1]
+    row: dict[str, object] = {
+        "target": target,
+        "renderer": renderer,
+        "surrogate": surrogate,
+        "mesh": mesh,
+        "verified": found.verified,
+        "steps": found.step,
+        "queries": last.queries,
+        "surrogate queries": last.surrogate_queries,
+        "renders": last.renders,
+        "p": last.perceptibility,
+        "advantage": [found.trace[0].advantage, min(row.advantage for row in found.trace)],
+        "seconds": monotonic() - begun,
+    }
+    print(*row.values(), flush=True)
+    return row
+
+
+def summary(rows: list[dict[str, object]]) -> list[dict[str, object]]:
+    """For each target, renderer and surrogate: the successes, the queries, and how often the search without a surrogate
+    needs as many.
+    """
+    found: dict[tuple[object, ...], list[dict[str, object]]] = {}
+    for row in rows:
+        found.setdefault((row["target"], row["renderer"], row["surrogate"]), []).append(row)
+    lines = []
+    for (target, renderer, surrogate), of in found.items():
+        without = found[target, renderer, None]
+        lines.append(
+            {
+                "target": target,
+                "renderer": renderer,
+                "surrogate": surrogate,
+                "views": len(of),
+                "verified": sum(bool(row["verified"]) for row in of),
+                "queries": _sum(of),
+                "without": None if len(without) != len(of) else _sum(without) / _sum(of),
+            }
+        )
+    return lines
+
+
+def _sum(rows: list[dict[str, object]]) -> int:
+    return sum(int(str(row["queries"])) for row in rows)
+
+
+if __name__ == "__main__":
+    main()

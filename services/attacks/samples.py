@@ -1,0 +1,71 @@
+"""The variations over which an attack averages: drawing them, and the mean objective and gradient over them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import radians
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from services.attacks.expectation import Expectation
+from services.attacks.seeds import derived, generator
+from services.rendering.protocol import Parameters
+from services.rendering.variation import Variation
+
+if TYPE_CHECKING:
+    from services.attacks.problem import AttackProblem, Evaluation
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """The answers to a perturbation under the variations of a step."""
+
+    logits: Tensor
+    """Scores of the images rounded to 8 bits, [samples, K]."""
+    gradients: list[Parameters]
+    """∂objective/∂perturbation of each, by group; none if no gradient was asked for."""
+
+    def answers(self, of_scene: Tensor) -> Tensor:
+        """The scores of the scene itself, [K], and of its variations: [1 + samples, K]."""
+        return torch.cat([of_scene[None], self.logits]) if len(self.logits) else of_scene[None]
+
+
+def draw_variation(asked: Expectation, seed: int, *words: str | int) -> Variation:
+    """A variation from the range, which depends on the seed and on `words` alone."""
+    random = generator(seed, "variation", *words)
+    around = (2 * torch.rand(5, generator=random, dtype=torch.float64) - 1).tolist()
+    return Variation(
+        azimuth=radians(asked.azimuth) * around[0],
+        elevation=radians(asked.elevation) * around[1],
+        roll=radians(asked.roll) * around[2],
+        distance=1 + asked.distance * around[3],
+        intensity=1 + asked.intensity * around[4],
+        noise=asked.noise / 255,
+        seed=derived(seed, "camera noise", *words),
+    )
+
+
+def sample(problem: AttackProblem, view: Evaluation, gradient: bool) -> Sampled:
+    """Asks the network about a perturbation under each variation of the step, with gradients if `gradient`.
+
+    Takes a query and an image for each variation. Raises as `AttackProblem.view` and `ask` do.
+    """
+    from services.attacks.problem import gradients, quantize
+
+    rows, found = [], []
+    for variation in problem.variations:
+        with problem.under(variation), torch.set_grad_enabled(gradient):
+            own = problem.view(view.perturbation, gradient)
+            logits = problem.logits(quantize(own.images)[1])
+            if gradient:
+                found += gradients([problem], [own], logits)
+        rows.append(logits.detach())
+    return Sampled(torch.cat(rows) if rows else torch.zeros(0, len(problem.target.labels)), found)
+
+
+def mean_gradients(of_scene: Parameters, sampled: Sampled) -> Parameters:
+    """The mean of the gradients at the scene itself and at its variations, by group."""
+    count = 1 + len(sampled.gradients)
+    return {group: sum((one[group] for one in sampled.gradients), own) / count for group, own in of_scene.items()}

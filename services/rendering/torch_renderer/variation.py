@@ -1,0 +1,19 @@
+"""Variations that the torch renderer can draw: the intensity of its map.
+
+Its normals belong to the pixels of one view, so that it can draw no other. Nor can it turn the map, since each texel of
+the group `illumination` keeps its colour.
+"""
+
+from collections.abc import Mapping
+
+from torch import Tensor
+
+from services.rendering.protocol import Parameters, Renderer
+from services.rendering.torch_renderer.declaration import TORCH
+from services.rendering.variation import Variation
+
+
+def varied(renderer: Renderer, parameters: Mapping[str, Tensor], variation: Variation) -> Parameters:  # noqa: ARG001
+    """The values [B, …] by group under a variation."""
+    group = TORCH.varies["intensity"]
+    return dict(parameters) | {group: parameters[group] * variation.intensity}

@@ -1,0 +1,191 @@
+"""Averages over variations of a scene, on linear problems and through pyrender."""
+
+from math import radians
+
+import pytest
+import torch
+from torch import Tensor
+
+from services.attacks.differences import estimate, evaluate
+from services.attacks.expectation import Expectation
+from services.attacks.goal import ResolvedGoal
+from services.attacks.image_differences import ImageDifferences
+from services.attacks.loop import Budget, run
+from services.attacks.problem import AttackProblem, ask, gradients
+from services.attacks.samples import draw_variation, mean_gradients, sample
+from services.attacks.spec import ATTACKS
+from services.attacks.state import AttackState
+from services.attacks.verifier import Verifier
+from services.rendering.factory import build
+from services.rendering.variation import Variation, noisy
+from services.scenes.description import Scene
+from services.scenes.resolve import resolve
+from tests.unit.attacks.small import Ahead, Bowl, FreeRenderer, LinearTarget, Pixels, problem
+from tests.unit.jobs.small import LIBRARY
+
+NOISE = Expectation(noise=8.0, samples=3)
+
+
+def quadratic() -> AttackProblem:
+    renderer = FreeRenderer()
+    bottom = {"a": torch.full((1, 2, 3), 0.2, dtype=torch.float64), "b": torch.full((1, 3), -0.1, dtype=torch.float64)}
+    case = problem(renderer, Bowl(renderer.render(bottom)[0]), expectation=NOISE, seed=5)
+    case.draw(2)
+    return case
+
+
+def leads(case: AttackProblem, at: Tensor) -> Tensor:
+    """The mean lead of the first class over the scene and its noisy images, written out; `Bowl`'s scores are leads."""
+    parameters = case.layout.unflatten((case.layout.flatten(case.initial) + at)[None])
+    image = case.renderer.render(parameters)
+    found = [case.target.logits(image)[0, 0]]
+    for number in range(NOISE.samples):
+        variation = draw_variation(NOISE, 5, "step", 2, number)
+        drawn = torch.randn(4, 5, 3, generator=torch.Generator().manual_seed(variation.seed), dtype=torch.float64)
+        found.append(case.target.logits((image + 8 / 255 * drawn).clamp(0, 1))[0, 0])
+    return torch.stack(found).mean()
+
+
+def test_the_objective_is_the_mean_over_the_scene_and_its_variations() -> None:
+    case = quadratic()
+    vectors = 0.02 * torch.arange(27, dtype=torch.float64).reshape(3, 9)
+    before = case.queries
+    found = evaluate(case, vectors)
+    assert case.queries - before == 3 * (1 + 3)
+    torch.testing.assert_close(found, torch.stack([leads(case, vector) for vector in vectors]), rtol=1e-9, atol=1e-12)
+
+
+def test_the_distance_that_is_weighed_is_the_scenes_own() -> None:
+    case = quadratic()
+    vectors = torch.full((1, 9), 0.05, dtype=torch.float64)
+    plain = evaluate(case, vectors)
+    case.weight = 2.0
+    images = case.render(case.layout.unflatten(case.layout.flatten(case.initial) + vectors))
+    distance = (images - case.original).square().sum()
+    torch.testing.assert_close(evaluate(case, vectors) - plain, 2.0 * distance[None], rtol=1e-9, atol=0)
+
+
+def test_the_gradient_is_the_means() -> None:
+    """Against autograd of the sum written out. The loop rounds images to 8 bits, hence the tolerance."""
+    case = quadratic()
+    at = 0.02 * torch.arange(9, dtype=torch.float64)
+    leaf = at.clone().requires_grad_()
+    (truth,) = torch.autograd.grad(leads(case, leaf), leaf)
+    view = case.view(case.layout.unflatten(at), gradient=True)
+    sampled = sample(case, view, gradient=True)
+    [own] = gradients([case], [view], ask([case], view.images))
+    found = case.layout.flatten(mean_gradients(own, sampled))
+    assert float((found - truth).norm() / truth.norm()) < 0.02
+    assert float((case.layout.flatten(own) - truth).norm() / truth.norm()) > 0.04  # the scene's alone is another one
+
+
+def test_variations_depend_on_seed_and_step_alone_and_fill_the_range() -> None:
+    asked = Expectation(azimuth=10, elevation=4, roll=2, distance=0.2, intensity=0.5, noise=3)
+    drawn = [draw_variation(asked, 1, "step", step, 0) for step in range(400)]
+    assert drawn[7] == draw_variation(asked, 1, "step", 7, 0)
+    assert drawn[7] != draw_variation(asked, 1, "fresh", 7)
+    for name, half, centre in (
+        ("azimuth", radians(10), 0),
+        ("elevation", radians(4), 0),
+        ("roll", radians(2), 0),
+        ("distance", 0.2, 1),
+        ("intensity", 0.5, 1),
+    ):
+        values = torch.tensor([getattr(one, name) for one in drawn]) - centre
+        assert half * 0.97 < float(values.abs().max()) <= half
+        assert abs(float(values.mean())) < 4.5 * half / 3**0.5 / 20  # 4.5 standard errors of a uniform's mean
+
+
+def attack(name: str, expectation: Expectation | None) -> AttackState:
+    renderer = Pixels(dtype=torch.float32)
+    given = {"method": name, "renderer": "image", "epsilon": {"image": 0.05}, "steps": 6, "expectation": expectation}
+    settings = ATTACKS[name].settings.model_validate(given)
+    case = problem(
+        renderer, Ahead(renderer), loss=settings.objective, epsilon=settings.epsilon, expectation=expectation
+    )
+    method = ATTACKS[name].method(settings, case)
+    return run(case, method, Verifier(case.renderer, case.target), Budget(6))
+
+
+@pytest.mark.parametrize("name", ["fgsm", "apgd", "spsa", "cma-es", "p-rgf", "square", "zoo"])
+def test_every_kind_of_method_averages_and_repeats_itself(name: str) -> None:
+    first, second, plain = attack(name, NOISE), attack(name, NOISE), attack(name, None)
+    assert torch.equal(first.stored["image"], second.stored["image"])
+    assert all(row.share == 0.0 for row in first.trace)
+    assert plain.trace[0].share is None
+    assert first.trace[1].queries > plain.trace[1].queries
+    assert first.stored_step == max(range(7), key=lambda step: -(first.trace[step].objective or 0.0))
+
+
+class Threshold(LinearTarget):
+    """Answers 0 while the mean of the image is below `level`, else 1."""
+
+    def __init__(self, level: float) -> None:
+        super().__init__(classes=2)
+        self.level = level
+
+    def logits(self, images: Tensor, question: str | None = None) -> Tensor:
+        height = 100 * (images.to(self.dtype).mean(dim=(1, 2, 3)) - self.level)
+        return torch.stack([-height, height], dim=1)
+
+
+def test_it_stops_only_once_all_variations_of_a_step_are_fooled() -> None:
+    """Strong noise moves the mean to either side, so that the scene itself is fooled some steps before all are."""
+    renderer = Pixels(dtype=torch.float32)
+    start = float(renderer.base.mean())
+    asked = Expectation(noise=24, samples=8)
+    settings = ATTACKS["fgsm"].settings.model_validate(
+        {"method": "fgsm", "renderer": "image", "steps": 60, "expectation": asked, "learning_rate": {"image": 1 / 255}}
+    )
+    case = problem(renderer, Threshold(start + 2.5 / 255), expectation=asked)
+    found = run(case, ATTACKS["fgsm"].method(settings, case), Verifier(renderer, case.target), Budget(60))
+    met = [row.step for row in found.trace if row.advantage < 0]
+    assert found.verified
+    assert met[0] < found.step
+    assert [row.share == 1.0 and row.advantage < 0 for row in found.trace] == [False] * found.step + [True]
+    assert found.stored_step == found.step
+
+
+SCENE = {
+    "objects": [{"mesh": "primitive/cube", "color": [0.8, 0.5, 0.3]}],
+    "camera": {"size": [24, 24], "azimuth": 0.5, "elevation": 0.4, "distance": 2.0},
+    "lights": {"ambient": 0.3, "points": [{"energy": 20, "position": [1.0, 2.0, 1.5]}]},
+}
+
+
+class Linear(LinearTarget):
+    """Linear in an image of 24×24."""
+
+    def __init__(self) -> None:
+        super().__init__(scale=0.05, classes=3)
+        random = torch.Generator().manual_seed(1)
+        self.weights = torch.randn(24 * 24 * 3, 3, generator=random, dtype=torch.float64)
+
+
+def test_the_mean_gradient_through_pyrender_is_that_of_the_mean_objective() -> None:
+    """Differences of images and differences of the mean objective are two ways to the same gradient."""
+    renderer = build(resolve(Scene.model_validate(SCENE), LIBRARY), "pyrender", None, ("color", "camera"), "exact")
+    target, asked = Linear(), Expectation(azimuth=8, distance=0.1, samples=2)
+    case = AttackProblem(
+        renderer, target, ResolvedGoal((0,), None), ("color",), seed=3, loss="margin", expectation=asked
+    )
+    case.draw(0)
+    case.differences = ImageDifferences(case, {"color": 0.01})
+    view = case.view(case.nothing(), gradient=True)
+    [own] = gradients([case], [view], ask([case], view.images))
+    queries = case.queries
+    found = case.layout.flatten(mean_gradients(own, sample(case, view, gradient=True)))
+    assert case.queries - queries == 2
+    steps = torch.full((3,), 0.01, dtype=torch.float64)
+    truth = estimate(case, case.layout.flatten(case.nothing()), torch.arange(3), steps, 0.0).gradients
+    torch.testing.assert_close(found.double(), truth, rtol=0.02, atol=0.02 * float(truth.abs().max()))
+    alone = case.layout.flatten(own).double()
+    assert float((alone - truth).norm() / truth.norm()) > 0.05
+
+
+def test_noise_is_the_same_for_all_images_of_a_batch_and_is_kept_in_range() -> None:
+    images = torch.full((2, 8, 8, 3), 0.5)
+    found = noisy(images, Variation(noise=0.1, seed=4))
+    assert torch.equal(found[0], found[1])
+    assert float((found - 0.5).std()) == pytest.approx(0.1, rel=0.2)  # of 192 values: 4 standard errors
+    assert float(noisy(images, Variation(noise=5.0, seed=4)).min()) == 0.0
