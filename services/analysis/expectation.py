@@ -5,7 +5,7 @@ from collections.abc import Callable, Collection
 from services.analysis.records import HeldOver
 from services.attacks.expectation import Expectation
 from services.attacks.goal import ResolvedGoal
-from services.attacks.samples import draw_variation
+from services.attacks.variations import draw_variation
 from services.attacks.verdict import SUCCESS, judge
 from services.attacks.verifier import Verifier
 from services.rendering.protocol import Parameters

@@ -57,7 +57,7 @@ class PRgfMethod:
 
     def __init__(self, settings: PRgf, problem: AttackProblem) -> None:
         from services.attacks.adam import Adam
-        from services.attacks.surrogate import Prior
+        from services.attacks.prior import Prior
 
         self.settings = settings
         self.layout = problem.layout

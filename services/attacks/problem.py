@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from math import nan
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
@@ -15,17 +15,15 @@ from services.attacks.feasible import BACKTRACK_MARGIN, perturbation_bounds, pul
 from services.attacks.goal import ResolvedGoal
 from services.attacks.layout import Layout
 from services.attacks.losses import Loss, loss
-from services.attacks.samples import draw_variation
 from services.attacks.seeds import derived
+from services.attacks.surrogate import Surrogate
+from services.attacks.variations import draw_variation
 from services.errors import JobFailure, named
 from services.finite import finite
 from services.rendering import color
 from services.rendering.protocol import Parameters, Renderer
 from services.rendering.variation import Variation, noisy, varied
 from services.targets.protocol import Target
-
-if TYPE_CHECKING:
-    from services.attacks.surrogate import Surrogate
 
 ROUNDING = 1e-6
 """Tolerance of the comparison with U: float32 sums of k/255 are off by less, and a change of exactly U is allowed."""
@@ -81,7 +79,7 @@ class AttackProblem:
     """Called before every rendering; raises Cancelled to stop."""
     differences: Differences | None = None
     """Differences of the image, by which `view` differentiates it if the renderer cannot; None if it can."""
-    surrogate: "Surrogate | None" = None
+    surrogate: Surrogate | None = None
     """The network whose gradients guide a method that searches by scores; None if there is none."""
     expectation: Expectation | None = None
     """The range of views, light and noise over which the objective is averaged; None: the scene itself alone."""

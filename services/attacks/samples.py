@@ -1,21 +1,12 @@
-"""The variations over which an attack averages: drawing them, and the mean objective and gradient over them."""
-
-from __future__ import annotations
+"""The answers and gradients under the variations of a step, over which an attack with an expectation averages."""
 
 from dataclasses import dataclass
-from math import radians
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
-from services.attacks.expectation import Expectation
-from services.attacks.seeds import derived, generator
+from services.attacks.problem import AttackProblem, Evaluation, gradients, quantize
 from services.rendering.protocol import Parameters
-from services.rendering.variation import Variation
-
-if TYPE_CHECKING:
-    from services.attacks.problem import AttackProblem, Evaluation
 
 
 @dataclass(frozen=True)
@@ -32,28 +23,11 @@ class Sampled:
         return torch.cat([of_scene[None], self.logits]) if len(self.logits) else of_scene[None]
 
 
-def draw_variation(asked: Expectation, seed: int, *words: str | int) -> Variation:
-    """A variation from the range, which depends on the seed and on `words` alone."""
-    random = generator(seed, "variation", *words)
-    around = (2 * torch.rand(5, generator=random, dtype=torch.float64) - 1).tolist()
-    return Variation(
-        azimuth=radians(asked.azimuth) * around[0],
-        elevation=radians(asked.elevation) * around[1],
-        roll=radians(asked.roll) * around[2],
-        distance=1 + asked.distance * around[3],
-        intensity=1 + asked.intensity * around[4],
-        noise=asked.noise / 255,
-        seed=derived(seed, "camera noise", *words),
-    )
-
-
 def sample(problem: AttackProblem, view: Evaluation, gradient: bool) -> Sampled:
     """Asks the network about a perturbation under each variation of the step, with gradients if `gradient`.
 
     Takes a query and an image for each variation. Raises as `AttackProblem.view` and `ask` do.
     """
-    from services.attacks.problem import gradients, quantize
-
     rows, found = [], []
     for variation in problem.variations:
         with problem.under(variation), torch.set_grad_enabled(gradient):

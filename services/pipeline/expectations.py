@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from math import radians
+from typing import Any
 
 import torch
 
@@ -28,7 +29,8 @@ def check_range(asked: Expectation, renderer: Renderer) -> None:
     for name in (one for one in VIEWS if getattr(asked, one)):
         width = getattr(asked, name)
         for sign in (-1, 1):
-            end = replace(STILL, **{name: 1 + sign * width if name == "distance" else sign * radians(width)})
+            value: Any = 1 + sign * width if name == "distance" else sign * radians(width)
+            end = replace(STILL, **{name: value})
             reached, kept = moved(renderer, start, end), varied(renderer, start, end)
             if any(not torch.equal(reached[group], kept[group]) for group in reached):
                 raise InvalidRequest(

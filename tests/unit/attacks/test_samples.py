@@ -12,9 +12,10 @@ from services.attacks.goal import ResolvedGoal
 from services.attacks.image_differences import ImageDifferences
 from services.attacks.loop import Budget, run
 from services.attacks.problem import AttackProblem, ask, gradients
-from services.attacks.samples import draw_variation, mean_gradients, sample
+from services.attacks.samples import mean_gradients, sample
 from services.attacks.spec import ATTACKS
 from services.attacks.state import AttackState
+from services.attacks.variations import draw_variation
 from services.attacks.verifier import Verifier
 from services.rendering.factory import build
 from services.rendering.variation import Variation, noisy

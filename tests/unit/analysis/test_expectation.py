@@ -1,0 +1,62 @@
+"""The share of fresh variations that are fooled, against a count written out."""
+
+import pytest
+import torch
+from torch import Tensor
+
+from services.analysis.expectation import held_over
+from services.attacks.expectation import Expectation
+from services.attacks.goal import ResolvedGoal
+from services.attacks.variations import draw_variation
+from services.attacks.verifier import Verifier
+from services.statistics import wilson
+from tests.unit.attacks.small import LinearTarget, Pixels
+
+
+class Brightness(LinearTarget):
+    """Answers 0 below the brightness `low`, 1 up to `high`, and 2 beyond."""
+
+    def __init__(self, low: float, high: float) -> None:
+        super().__init__(classes=3)
+        self.limits = torch.tensor([low, high], dtype=torch.float64)
+
+    def logits(self, images: Tensor, question: str | None = None) -> Tensor:
+        level = torch.bucketize(images.double().mean(dim=(1, 2, 3)), self.limits)
+        return 5 * torch.nn.functional.one_hot(level, 3).double()
+
+
+ASKED = Expectation(noise=24, checks=60, samples=1)
+
+
+@pytest.mark.parametrize(("goal", "wanted"), [(ResolvedGoal((0,), None), (1, 2)), (ResolvedGoal((0,), 2), (2,))])
+def test_only_variations_that_were_right_count(goal: ResolvedGoal, wanted: tuple[int, ...]) -> None:
+    renderer = Pixels(dtype=torch.float32)
+    middle = float(renderer.base.mean())
+    target = Brightness(middle + 0.004, middle + 0.012)  # the noise of a mean of 60 values is 0.012
+    moved = torch.full((4, 5, 3), 0.01)
+    right = fooled = 0
+    for number in range(60):
+        seed = draw_variation(ASKED, 9, "fresh", number).seed
+        drawn = torch.randn(4, 5, 3, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+        answers = []
+        for perturbation in (0.0, moved):
+            image = ((renderer.base + perturbation + 24 / 255 * drawn).clamp(0, 1) * 255).round() / 255
+            answers.append(int(target.logits(image[None]).argmax()))
+        right += answers[0] == 0
+        fooled += answers[0] == 0 and answers[1] in wanted
+    assert 0 < fooled < right < 60
+    verifier = Verifier(renderer, target)
+    found = held_over(verifier, goal, (0,), {"image": moved}, ASKED, seed=9)
+    assert (found.variations, found.right, found.fooled) == (60, right, fooled)
+    assert found.share == fooled / right
+    assert found.interval == wilson(fooled, right)
+    assert found.wrong_interval == wilson(60 - right, 60)
+    assert verifier.queries == 60 + right
+
+
+def test_a_scene_that_is_right_nowhere_has_no_share() -> None:
+    renderer = Pixels(dtype=torch.float32)
+    found = held_over(
+        Verifier(renderer, Brightness(0.0, 0.01)), ResolvedGoal((0,), None), (0,), renderer.initial(), ASKED, seed=0
+    )
+    assert (found.right, found.share, found.interval, found.wrong_share) == (0, None, None, 1.0)
