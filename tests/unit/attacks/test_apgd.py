@@ -1,3 +1,4 @@
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
@@ -78,6 +79,68 @@ def test_the_checkpoints_are_the_papers() -> None:
         if method.step_size < sizes:
             checkpoints.append(step)
     assert checkpoints == [22, 41, 57, 70, 80, 87, 93, 99]
+
+
+def papers_points(of: Callable[[Tensor], tuple[float, Tensor]], steps: int) -> list[Tensor]:
+    """The points of Algorithm 1 of Croce & Hein (2020), written from the paper, for a maximum within ±1 from 0; `of`
+    returns the objective and its gradient. The rises are those of the objectives as they were evaluated, and the first
+    checkpoint does not ask whether the maximum has stayed, as in the authors' code.
+    """
+    shares, period = [0.0, 0.22], 0.22
+    while shares[-1] < 1:
+        period = max(period - 0.03, 0.06)
+        shares.append(shares[-1] + period)
+    checkpoints = [round(share * steps) for share in shares]
+    shown, values, slopes = [torch.zeros(9).double()], [], []
+    step_size, before, halved, best_then = 2.0, torch.zeros(9).double(), True, -torch.inf
+    for k in range(steps):
+        value, slope = of(shown[k])
+        values.append(value)
+        slopes.append(slope)
+        best = max(range(k + 1), key=lambda i: values[i])
+        here, sign = shown[k], slope.sign()
+        if k in checkpoints[1:]:
+            since = checkpoints[checkpoints.index(k) - 1]
+            rises = sum(values[i + 1] > values[i] for i in range(since, k))
+            stayed = not halved and best_then == values[best]
+            halved, best_then = rises <= 0.75 * (k - since) or stayed, values[best]
+            if halved:
+                step_size /= 2
+                here, sign = shown[best], slopes[best].sign()
+        forwards = (here + step_size * sign).clamp(-1, 1)
+        share = 0.75 if k else 1.0
+        shown.append((here + share * (forwards - here) + (1 - share) * (here - before)).clamp(-1, 1))
+        before = here
+    return shown
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_its_points_are_those_of_the_papers_algorithm(seed: int) -> None:
+    """On a wavy objective, over 100 steps."""
+    random = torch.Generator().manual_seed(seed)
+    waves, bottom = (torch.rand(9, generator=random, dtype=torch.float64) for _ in range(2))
+
+    def objective(at: Tensor) -> tuple[float, Tensor]:
+        leaf = at.clone().requires_grad_()
+        value = ((leaf - bottom).square() + 0.3 * (20 * waves * leaf).sin()).sum()
+        return value.item(), torch.autograd.grad(value, leaf)[0]
+
+    def risen(at: Tensor) -> tuple[float, Tensor]:
+        value, slope = objective(at)
+        return -value, -slope
+
+    case = problem(FreeRenderer(), epsilon={"a": 1.0, "b": 1.0})
+    method = ApgdMethod(settings({"a": 1.0, "b": 1.0}, 100), case)
+    view, points = case.view(case.nothing()), papers_points(risen, 100)
+    for step in range(100):
+        at = case.layout.flatten(method.perturbation)
+        torch.testing.assert_close(at, points[step], rtol=0, atol=1e-12)
+        value, slope = objective(at)
+        gradients = case.layout.unflatten(slope)
+        method.advance(
+            case, replace(view, perturbation=method.perturbation, gradients=gradients, objective=value), step
+        )
+    assert method.step_size < 0.1
 
 
 def test_a_halving_goes_back_to_the_best_point() -> None:
