@@ -4,9 +4,10 @@ Writes results/surrogates.json.
 Each view is attacked through the pixels, the normals and pyrender's 14 parameters, by p-rgf with a surrogate and
 without; `pairs` is the number of random directions of a step, so that the search without a surrogate asks for two
 queries fewer a step. Both have the same seed, limits and budget. `queries` counts all of the target's queries, the
-verifier's among them. Views are of models that neither furniture network was trained on, and only those that the target
-gets right. A success is a verified adversary; a run that held counts with all of its queries, so that `saved`, the
-ratio of the sums, is a lower bound.
+verifier's among them. Views are of models that neither furniture network was trained on and whose ImageNet label is
+known, and only those that the target gets right. A success is a verified adversary; a run that held counts with all of
+its queries, so that `without`, the queries of the search without a surrogate over those with it, is a lower bound
+wherever that search held more often.
 """
 
 import argparse
@@ -22,29 +23,36 @@ from services.attacks.loop import Budget, run
 from services.attacks.problem import AttackProblem
 from services.attacks.seeds import derived
 from services.errors import InvalidRequest
-from services.pipeline.extensions import ATTACKS
+from services.pipeline.extensions import ATTACKS, TARGETS
 from services.pipeline.prepare import Prepared, prepare
 from services.pipeline.spec import parse
 from services.rendering.opengl import context
+from services.rendering.pyrender_renderer.declaration import PYRENDER
 from services.scenes.furniture_kinds import PREFIX
 from services.scenes.library import Library
 from services.settings import settings
+from services.targets.truth import truth_labels
 from services.training.split import committed
 
 SEED = 0
 ALEXNET, RESNET, LITE0 = "alexnet-furniture", "resnet34-furniture", "efficientnet-lite0"
 SURROGATES = {ALEXNET: (None, RESNET, LITE0), RESNET: (None, ALEXNET, LITE0)}
 """The surrogates of each target; None: none."""
-EPSILON = {"image": {"image": 8 / 255}, "torch": {"normals": 0.1}, "pyrender": {}}
-"""Limits by renderer; those left out are the ones that the renderer suggests."""
+EPSILON = {
+    "image": {"image": 8 / 255},
+    "torch": {"normals": 0.1},
+    "pyrender": {group.name: group.suggested_limit for group in PYRENDER.groups if group.by_default},
+}
+"""The attacked groups of each renderer, and their limits."""
 
 
 def main() -> None:
     """Runs the attacks and writes the result; see --help."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--views", type=int, default=8, help="views of each target (default 8)")
-    parser.add_argument("--queries", type=int, default=400, help="budget of a run (default 400)")
+    parser.add_argument("--queries", type=int, default=150, help="budget of a run (default 150)")
     parser.add_argument("--pairs", type=int, default=4, help="random directions of a step (default 4)")
+    parser.add_argument("--rate", type=float, default=0.25, help="Adam's learning rate, in ε (default 0.25)")
     parser.add_argument("--targets", nargs="+", default=[ALEXNET, RESNET], choices=SURROGATES)
     parser.add_argument("--renderers", nargs="+", default=list(EPSILON), choices=EPSILON)
     parser.add_argument("--out", type=Path, default=RESULTS / "surrogates.json")
@@ -57,7 +65,7 @@ def main() -> None:
         for mesh in right(library, target, options.views):
             for renderer in options.renderers:
                 for surrogate in SURROGATES[target]:
-                    rows.append(_attack(library, mesh, target, renderer, surrogate, options.pairs, options.queries))
+                    rows.append(_attack(library, mesh, target, renderer, surrogate, options))
             # written after every view: a run that is stopped leaves what it has found
             save(options.out, str(__doc__).split("\n\n")[0], backend, SEED, summary=summary(rows), rows=rows)
 
@@ -70,6 +78,8 @@ def right(library: Library, target: str, count: int) -> Iterator[str]:
         if count == 0:
             return
         mesh = PREFIX + slug
+        if not truth_labels(TARGETS[LITE0].info, mesh):
+            continue
         try:
             found = _prepared(library, mesh, target, {"renderer": "pyrender"})
         except InvalidRequest:
@@ -85,12 +95,19 @@ def _prepared(library: Library, mesh: str, target: str, attack: dict[str, object
 
 
 def _attack(
-    library: Library, mesh: str, target: str, renderer: str, surrogate: str | None, pairs: int, queries: int
+    library: Library, mesh: str, target: str, renderer: str, surrogate: str | None, options: argparse.Namespace
 ) -> dict[str, object]:
-    attack = {"method": "p-rgf", "renderer": renderer, "surrogate": surrogate, "pairs": pairs, "queries": queries}
     epsilon = EPSILON[renderer]
-    groups = {"groups": list(epsilon)} if epsilon else {}
-    ready = _prepared(library, mesh, target, attack | groups | {"epsilon": epsilon})
+    attack = {
+        "method": "p-rgf",
+        "renderer": renderer,
+        "groups": list(epsilon),
+        "surrogate": surrogate,
+        "pairs": options.pairs,
+        "epsilon": epsilon,
+        "learning_rate": {group: options.rate * limit for group, limit in epsilon.items()},
+    }
+    ready = _prepared(library, mesh, target, attack)
     chosen = ready.spec.attack
     problem = AttackProblem(
         ready.renderer,
@@ -102,7 +119,9 @@ def _attack(
         surrogate=ready.surrogate,
     )
     begun = monotonic()
-    found = run(problem, ATTACKS["p-rgf"].method(chosen, problem), ready.verifier, Budget(chosen.steps, queries))
+    found = run(
+        problem, ATTACKS["p-rgf"].method(chosen, problem), ready.verifier, Budget(chosen.steps, options.queries)
+    )
     last = found.trace[-1]
     row: dict[str, object] = {
         "target": target,

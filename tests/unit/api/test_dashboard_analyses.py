@@ -117,6 +117,31 @@ async def test_job_page_shows_the_analyses_that_were_asked_for(repository: Repos
         assert words in text, words
 
 
+async def test_job_page_shows_the_range_and_the_surrogates_queries(repository: Repository) -> None:
+    job = add(repository)
+    over = {
+        "variations": 100,
+        "right": 80,
+        "fooled": 60,
+        "share": 0.75,
+        "interval": [0.645, 0.832],
+        "wrong_share": 0.2,
+        "wrong_interval": [0.133, 0.289],
+    }
+    whole = result(expectation=over, surrogate_queries=1234)
+    whole["provenance"] |= {"surrogate_sha256": "5" * 64}
+    succeed(repository, job, Result.model_validate(whole).model_dump(mode="json"))
+    text = Tags((await get(repository, f"/jobs/{job.id}")).text).text
+    for words in (
+        "and 1,234 queries of the surrogate",
+        "Of 100 fresh variations of the scene the network has 80 right without the perturbation; with it, it is fooled "
+        "on 60 of these: 75.0 % (64.5 % to 83.2 %",
+        "It is wrong without any perturbation on 20.0 % (13.3 % to 28.9 %)",
+        "Weights of the surrogate " + "5" * 64,
+    ):
+        assert words in text, words
+
+
 async def test_a_result_of_version_0_1_is_shown_with_the_p_that_it_has(repository: Repository) -> None:
     job = add(repository)
     old = result()
