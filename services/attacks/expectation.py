@@ -27,8 +27,10 @@ class Expectation(Model):
     noise: Annotated[float, Field(ge=0, le=32, allow_inf_nan=False)] = Field(
         0.0, description="standard deviation of the camera's noise, of each RGB value, in 1/255"
     )
-    samples: Annotated[int, Field(ge=1, le=64)] = Field(
-        4, description="variations of a step; each image of the attack becomes 1 + `samples` images and queries"
+    samples: Annotated[int, Field(ge=0, le=64)] = Field(
+        4,
+        description="variations of a step; each image of the attack becomes 1 + `samples` images and queries; 0: the "
+        "attack is of the scene itself alone, and the result measures the share for comparison",
     )
     checks: Annotated[int, Field(ge=1, le=10_000)] = Field(
         100, description="fresh variations on which the result measures the share that is fooled, after the attack"

@@ -153,7 +153,7 @@ def _write(
     if asked is not None:
         right = prepared.truth or goal.leave or (first,)
         tick = partial(report, "expectation")
-        held = held_over(verifier, goal, right, found.stored, asked, seed=problem.seed, tick=tick)
+        held = held_over(verifier, goal, right, found.stored, asked, seed=prepared.spec.seed, tick=tick)
     result = Result(
         spec=prepared.spec.model_dump(mode="json"),
         outcome=judge(prepared.truth, first, last, met),

@@ -118,6 +118,12 @@ def test_every_kind_of_method_averages_and_repeats_itself(name: str) -> None:
     assert first.stored_step == max(range(7), key=lambda step: -(first.trace[step].objective or 0.0))
 
 
+def test_no_samples_attack_the_scene_alone() -> None:
+    alone, plain = attack("apgd", Expectation(noise=8.0, samples=0)), attack("apgd", None)
+    assert torch.equal(alone.stored["image"], plain.stored["image"])
+    assert (alone.trace[-1].queries, alone.trace[-1].share) == (plain.trace[-1].queries, None)
+
+
 class Threshold(LinearTarget):
     """Answers 0 while the mean of the image is below `level`, else 1."""
 

@@ -52,7 +52,7 @@ REFUSED: list[tuple[str, dict[str, Any]]] = [
     ("attack.expectation.elevation", {"attack": {"renderer": "pyrender", "expectation": {"elevation": 120}}}),
     ("attack.expectation.distance", {"attack": {"renderer": "pyrender", "expectation": {"distance": 0.9}}}),
     ("attack.expectation.noise", {"attack": {"expectation": {"noise": -1}}}),
-    ("attack.expectation.samples", {"attack": {"expectation": {"noise": 1, "samples": 0}}}),
+    ("attack.expectation.samples", {"attack": {"expectation": {"noise": 1, "samples": 65}}}),
     ("attack.truncation", {"attack": {"expectation": {"noise": 1}, "truncation": 18}}),
     ("attack.truncation", {"attack": {"expectation": {"noise": 1}, "truncation": 18, "constraint": "backtrack"}}),
     ("attack.pairs", {"attack": {"method": "p-rgf", "pairs": 0}}),
