@@ -14,6 +14,7 @@ import argparse
 from collections.abc import Iterator
 from itertools import zip_longest
 from pathlib import Path
+from statistics import fmean
 from time import monotonic
 
 import torch
@@ -67,7 +68,8 @@ def main() -> None:
                 for surrogate in SURROGATES[target]:
                     rows.append(_attack(library, mesh, target, renderer, surrogate, options))
             # written after every view: a run that is stopped leaves what it has found
-            save(options.out, str(__doc__).split("\n\n")[0], backend, SEED, summary=summary(rows), rows=rows)
+            used = {"pairs": options.pairs, "rate": options.rate, "budget": options.queries}
+            save(options.out, str(__doc__).split("\n\n")[0], backend, SEED, **used, summary=summary(rows), rows=rows)
 
 
 def right(library: Library, target: str, count: int) -> Iterator[str]:
@@ -159,6 +161,7 @@ def summary(rows: list[dict[str, object]]) -> list[dict[str, object]]:
                 "views": len(of),
                 "verified": sum(bool(row["verified"]) for row in of),
                 "queries": _sum(of),
+                "fall": fmean(row["advantage"][0] - row["advantage"][1] for row in of),  # type: ignore[index]
                 "without": None if len(without) != len(of) else _sum(without) / _sum(of),
             }
         )

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from services.attacks.spec import register
+from services.attacks.spec import Rate, register
 from services.attacks.suggested import DifferencesWithinLimits
 
 if TYPE_CHECKING:
@@ -30,6 +30,11 @@ class PRgf(DifferencesWithinLimits):
         None,
         description="another target, whose scores have gradients: the direction of its gradient is tried at each step "
         "beside the random ones; null: random directions alone",
+    )
+    rate_in_epsilon: ClassVar[float] = 1 / 4
+    learning_rate: dict[str, Rate] = Field(
+        default_factory=dict,
+        description="Adam's learning rate of each group, in the group's units; default: 1/4 of its `epsilon`",
     )
     pairs: Annotated[int, Field(ge=0, le=4096)] = Field(
         4,

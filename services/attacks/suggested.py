@@ -1,7 +1,7 @@
 """Settings that a request leaves out and the renderer suggests for its groups. This module does not import torch."""
 
 from collections.abc import Callable
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 from pydantic import Field, model_validator
 
@@ -9,8 +9,8 @@ from services.attacks.limits import Limit
 from services.attacks.spec import AttackSettings, Rate
 from services.rendering.declaration import RENDERERS, Group
 
-HALF_STEP, RATE = 1 / 16, 1 / 16
-"""The default half-step and learning rate, in ε."""
+HALF_STEP = 1 / 16
+"""The default half-step, in ε."""
 
 
 def suggested(data: dict[str, Any], field: str, suggestion: Callable[[Group], float | None]) -> dict[str, Any]:
@@ -50,6 +50,9 @@ class SuggestedRates(AttackSettings):
 class DifferencesWithinLimits(AttackSettings):
     """Settings of a method that takes differences within ε and moves by Adam; both steps follow from ε."""
 
+    rate_in_epsilon: ClassVar[float] = 1 / 16
+    """The default learning rate, in ε."""
+
     delta: dict[str, Limit] = Field(
         default_factory=dict,
         description="half-step of the difference of each group, in the group's units; default: 1/16 of its `epsilon`",
@@ -66,7 +69,7 @@ class DifferencesWithinLimits(AttackSettings):
         limits = data.get("epsilon")
         if not isinstance(limits, dict):
             return data
-        for field, share in (("delta", HALF_STEP), ("learning_rate", RATE)):
+        for field, share in (("delta", HALF_STEP), ("learning_rate", cls.rate_in_epsilon)):
             given = data.get(field) or {}
             if isinstance(given, dict):
                 values = {group: share * limit for group, limit in limits.items() if isinstance(limit, int | float)}
