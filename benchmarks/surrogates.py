@@ -12,7 +12,7 @@ wherever that search held more often.
 
 import argparse
 from collections.abc import Iterator
-from itertools import zip_longest
+from itertools import product, zip_longest
 from pathlib import Path
 from statistics import fmean
 from time import monotonic
@@ -62,17 +62,15 @@ def main() -> None:
     library = Library(settings().cache_dir, settings().data_dir)
     backend = f"{context.gl_backend()}; torch {torch.__version__} {torch.get_num_threads()} threads"
     rows: list[dict[str, object]] = []
-    for target in options.targets:
-        for mesh in right(library, target, options.views):
-            for renderer in options.renderers:
-                for surrogate in SURROGATES[target]:
-                    rows.append(_attack(library, mesh, target, renderer, surrogate, options))
+    for target, renderer in product(options.targets, options.renderers):
+        for mesh in right(library, target, renderer, options.views):
+            rows += [_attack(library, mesh, target, renderer, one, options) for one in SURROGATES[target]]
             # written after every view: a run that is stopped leaves what it has found
             used = {"pairs": options.pairs, "rate": options.rate, "budget": options.queries}
             save(options.out, str(__doc__).split("\n\n")[0], backend, SEED, **used, summary=summary(rows), rows=rows)
 
 
-def right(library: Library, target: str, count: int) -> Iterator[str]:
+def right(library: Library, target: str, renderer: str, count: int) -> Iterator[str]:
     """The first `count` held-out meshes that the target gets right at the default camera, kind by kind in turn."""
     held_out = committed().held_out
     drawn = [sorted(slugs, key=lambda slug: derived(SEED, "surrogates", slug)) for _, slugs in sorted(held_out.items())]
@@ -83,7 +81,7 @@ def right(library: Library, target: str, count: int) -> Iterator[str]:
         if not truth_labels(TARGETS[LITE0].info, mesh):
             continue
         try:
-            found = _prepared(library, mesh, target, {"renderer": "pyrender"})
+            found = _prepared(library, mesh, target, {"renderer": renderer})
         except InvalidRequest:
             continue
         if int(found.logits.argmax()) in found.truth:
