@@ -257,6 +257,7 @@ def _surrogates() -> list[str]:
         "mean of the fall of the advantage. *Without* is the sum of the same search without a surrogate over this one: "
         "a lower bound where that search held more often.",
         _table(("target, renderer, surrogate", "verified", "queries", "fall", "without"), rows),
+        "Weights: " + ", ".join(f"{name} `{sha[:12]}`" for name, sha in result["weights"].items()) + ".",
         _foot(result),
     ]
 

@@ -32,6 +32,7 @@ from services.rendering.pyrender_renderer.declaration import PYRENDER
 from services.scenes.furniture_kinds import PREFIX
 from services.scenes.library import Library
 from services.settings import settings
+from services.targets import registry
 from services.targets.truth import truth_labels
 from services.training.split import committed
 
@@ -62,11 +63,12 @@ def main() -> None:
     library = Library(settings().cache_dir, settings().data_dir)
     backend = f"{context.gl_backend()}; torch {torch.__version__} {torch.get_num_threads()} threads"
     rows: list[dict[str, object]] = []
+    weights = {name: registry.load(name).weights_sha256 for name in (ALEXNET, RESNET, LITE0)}
     for target, renderer in product(options.targets, options.renderers):
         for mesh in right(library, target, renderer, options.views):
             rows += [_attack(library, mesh, target, renderer, one, options) for one in SURROGATES[target]]
             # written after every view: a run that is stopped leaves what it has found
-            used = {"pairs": options.pairs, "rate": options.rate, "budget": options.queries}
+            used = {"pairs": options.pairs, "rate": options.rate, "budget": options.queries, "weights": weights}
             save(options.out, str(__doc__).split("\n\n")[0], backend, SEED, **used, summary=summary(rows), rows=rows)
 
 
