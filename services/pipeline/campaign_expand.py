@@ -30,9 +30,19 @@ class View:
         return image_renderer(self.probe)
 
     @property
+    def shared(self) -> bool:
+        """Whether the same views are attacked of every target of the grid."""
+        return self.selection is not None and self.selection.shared
+
+    @property
     def group(self) -> tuple[int | None, str, str]:
-        """The views that are selected together: those of one grid, target and renderer."""
-        return self.grid, self.probe.target.name, self.image_renderer
+        """The views that are selected together: those of one grid and renderer, and of one target unless shared."""
+        return self.grid, "" if self.shared else self.probe.target.name, self.image_renderer
+
+    @property
+    def unit(self) -> tuple[int, str]:
+        """The views that are attacked or not together: those of a scene for all targets if shared, else this alone."""
+        return (self.member if self.shared else self.number), self.image_renderer
 
 
 @dataclass(frozen=True)

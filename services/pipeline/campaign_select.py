@@ -54,9 +54,15 @@ def choose(views: Sequence[View], answers: Mapping[int, FirstAnswer]) -> list[Ch
     """
     why = {view.number: _unfit(view, answers.get(view.number)) for view in views}
     for group in dict.fromkeys(view.group for view in views):
-        own = [view for view in views if view.group == group and not why[view.number]]
-        if own and own[0].selection is not None:
-            why |= _not_among_the_most_confident(own, answers)
+        units: dict[tuple[int, str], list[View]] = {}
+        for view in views:
+            if view.group == group:
+                units.setdefault(view.unit, []).append(view)
+        fit = [unit for unit in units.values() if not any(why[view.number] for view in unit)]
+        passed = _not_among_the_most_confident([unit[0] for unit in fit], answers)
+        for unit in units.values():
+            reason = passed.get(unit[0].number, "") or _of_another(unit, why)
+            why |= {view.number: why[view.number] or reason for view in unit}
     return [_record(view, answers.get(view.number), why[view.number]) for view in views]
 
 
@@ -77,9 +83,15 @@ def _unfit(view: View, answer: FirstAnswer | None) -> str:
     return ""
 
 
+def _of_another(unit: Sequence[View], why: Mapping[int, str]) -> str:
+    """The reason for which one of these views is not attacked, and so none; empty if there is none."""
+    return next((f"of {view.probe.target.name}: {why[view.number]}" for view in unit if why[view.number]), "")
+
+
 def _not_among_the_most_confident(own: Sequence[View], answers: Mapping[int, FirstAnswer]) -> dict[int, str]:
-    rules = own[0].selection
-    assert rules is not None
+    rules = own[0].selection if own else None
+    if rules is None:
+        return {}
     ranked = sorted(own, key=lambda view: (-_confidence(answers[view.number]), view.number))
     meshes: Counter[str] = Counter()
     classes: Counter[tuple[str, ...]] = Counter()

@@ -111,6 +111,11 @@ class Selection(Model):
     most: Annotated[int, Field(ge=1)] | None = Field(
         None, description="the most confident so many views of all that are left; null: all"
     )
+    shared: bool = Field(
+        False,
+        description="attack the same views of every target of the grid, as in the paper: the rules hold for all of "
+        "them, and the most confident are those of the grid's first target",
+    )
 
 
 class Column(Model):

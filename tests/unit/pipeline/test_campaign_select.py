@@ -94,3 +94,29 @@ def test_targets_are_chosen_for_each_on_its_own() -> None:
     # the views of grid 0 are 0 to 3, of target "one" the even ones
     assert numbers(choose(found, answers)) == [2, 3, 6, 7]
     assert not choose(found, {})[0].chosen
+
+
+def test_shared_views_are_right_for_every_target_and_ranked_by_the_first() -> None:
+    grid = {
+        "scenes": {"meshes": MESHES, "views": [0.1]},
+        "targets": ["one", "two"],
+        "attacks": [
+            {"name": "image", "attack": {"renderer": "image"}},
+            {"name": "pose", "attack": {"renderer": "pyrender", "groups": ["rotation"]}},
+        ],
+        "selection": {"most": 1, "shared": True},
+    }
+    found = views(parse({"grids": [grid]}))
+    # by scene, target and renderer: of the sphere 0 and 1 are of target "one", 2 and 3 of "two"
+    confidences = [0.9, 0.6, 0.5, 0.6, 0.8, 0.7, 0.9, 0.6, 0.99, 0.5, 0.99, 0.5]
+    answers = {
+        view.number: FirstAnswer(view=view.number, label="ball", confidence=confidences[view.number], truth=["ball"])
+        for view in found
+    }
+    wrong = FirstAnswer(view=10, label="hat", confidence=0.99, truth=["ball"])
+    chosen_views = choose(found, answers | {10: wrong})
+    # of the torch renderer "one" is surest of the cone, which "two" gets wrong, then of the sphere
+    assert numbers(chosen_views) == [0, 2, 5, 7]
+    assert chosen_views[8].why == "of two: the network says hat, which is wrong"
+    assert chosen_views[10].why == "the network says hat, which is wrong"
+    assert [chosen_views[n].why for n in (4, 6)] == ["there is a more confident view"] * 2
