@@ -14,6 +14,8 @@ from services.pipeline.campaign_expand import jobs, views
 from services.pipeline.campaign_spec import CampaignSpec, RandomViews, SceneGrid, parse
 from services.scenes import furniture_kinds
 from services.settings import Settings
+from services.targets import registry
+from services.targets.truth import truth_labels
 
 IMAGE = {"name": "image", "attack": {"renderer": "image"}}
 NORMALS = {"name": "normals", "attack": {"renderer": "torch", "groups": ["normals"]}}
@@ -175,7 +177,9 @@ def test_an_error_of_a_sample_is_named_by_its_place(field: str, place: str) -> N
     assert placed(InvalidRequest(field, "d"), kinds[1][1]).field == place
 
 
-@pytest.mark.parametrize(("name", "most"), [("small", 27), ("differentiable", 1200), ("nondifferentiable", 140)])
+@pytest.mark.parametrize(
+    ("name", "most"), [("small", 27), ("differentiable", 1400), ("lite0", 360), ("nondifferentiable", 280)]
+)
 def test_the_examples_are_requests_within_the_limit(name: str, most: int) -> None:
     [file] = (Path(__file__).parents[3] / "examples").glob(f"*-{name}.json")
     campaign = parse(json.loads(file.read_text("utf-8")))
@@ -192,3 +196,15 @@ def test_the_papers_tables_attack_models_that_no_network_was_trained_on(name: st
     for grid in campaign.grids:
         assert isinstance(grid.scenes, SceneGrid)
         assert set(grid.scenes.mesh_names()) == held_out
+
+
+def test_the_paper_campaign_of_lite0_attacks_meshes_whose_truth_was_reviewed() -> None:
+    root = Path(__file__).parents[3]
+    campaign = parse(json.loads((root / "examples" / "paper-lite0.json").read_text("utf-8")))
+    small, large = campaign.grids
+    assert isinstance(small.scenes, SceneGrid)
+    assert isinstance(large.scenes, SceneGrid)
+    assert small.scenes.mesh_names() == large.scenes.mesh_names()
+    lite0 = registry.card("efficientnet-lite0")
+    assert all(truth_labels(lite0, mesh) for mesh in small.scenes.mesh_names())
+    assert [grid.scenes.camera.size for grid in (small, large)] == [(224, 224), (448, 448)]  # type: ignore[union-attr]
