@@ -20,6 +20,10 @@ HALVINGS = 8
 """Backtracking finds the largest feasible scale to 1/256."""
 BACKTRACK_MARGIN = 0.5 / 255
 """Backtracking keeps this distance from U: the plan's error may take the exact image as far from the loop's."""
+P_MARGIN = 0.01
+"""Backtracking keeps p below its limit by this share, for the same reason."""
+ROUNDING = 1e-6
+"""Tolerance of the comparison with U: float32 sums of k/255 are off by less, and a change of exactly U is allowed."""
 
 
 def perturbation_bounds(
@@ -88,3 +92,14 @@ def pulled_back(fits: Callable[[Tensor], Tensor], vectors: Tensor) -> Tensor:
     found = vectors.clone()
     found[which] = low * vectors[which]
     return found
+
+
+def within(image: Tensor, original: Tensor, limit: float | None, perceptibility: float | None) -> bool:
+    """Whether no value of an image [1, H, W, 3] is further than `limit` from the original, and its p is not above
+    `perceptibility`, both less the margin that backtracking keeps; None is no limit.
+    """
+    change = image - original
+    if limit is not None and float(change.abs().max()) > limit - BACKTRACK_MARGIN + ROUNDING:
+        return False
+    p = float(change.double().square().sum(-1).mean().sqrt())
+    return perceptibility is None or p <= (1 - P_MARGIN) * perceptibility

@@ -3,6 +3,7 @@
 `services.attacks.feasible` applies them. This module does not import torch.
 """
 
+from math import sqrt
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
@@ -24,8 +25,11 @@ class Limits(Model):
     constraint: Literal["truncate", "backtrack", "epsilon"] = Field(
         "truncate",
         description="`truncate`: values of the image beyond U are clamped, as in the paper; `backtrack`: after each "
-        "step all parameters are pulled back towards the scene's own until no value is beyond U, so that image and "
-        "scene agree; `epsilon`: there is no U, `epsilon` alone limits",
+        "step all parameters are pulled back towards the scene's own until no value is beyond U and p is within "
+        "`perceptibility`, so that image and scene agree; `epsilon`: there is no U, `epsilon` alone limits",
+    )
+    perceptibility: Annotated[float, Field(gt=0, le=sqrt(3), allow_inf_nan=False)] | None = Field(
+        None, description="with `backtrack`: the largest p of the image; null: no limit, U alone limits"
     )
     epsilon: dict[str, Limit] = Field(
         default_factory=dict,
@@ -47,20 +51,27 @@ class Limits(Model):
     @classmethod
     def _no_truncation_by_default(cls, data: Any) -> Any:
         """Leaves out a default U where the request says that ε alone limits, where views or light vary, and through a
-        renderer without gradients: there objects move, and pixels at silhouettes exceed any U at once.
+        renderer without gradients: there objects move, and pixels at silhouettes exceed any U at once. Backtracking
+        needs a U, or a largest p.
         """
         if not isinstance(data, dict) or "truncation" in data:
             return data
         renderer = RENDERERS.get(str(data.get("renderer")))
-        moving = renderer is not None and not renderer.differentiable and data.get("constraint") != "backtrack"
-        varying = data.get("expectation") is not None and data.get("constraint") != "backtrack"
-        without = moving or varying or data.get("constraint") == "epsilon"
+        moving = renderer is not None and not renderer.differentiable
+        varying = data.get("expectation") is not None
+        needed = data.get("constraint") == "backtrack" and data.get("perceptibility") is None
+        without = ((moving or varying) and not needed) or data.get("constraint") == "epsilon"
         return data | {"truncation": None} if without else data
 
     @model_validator(mode="after")
     def _limits_agree(self) -> Self:
-        if self.constraint == "backtrack" and self.truncation is None:
-            raise ValueError("truncation: `backtrack` keeps every value of the image within U; give U, from 1 to 255")
+        if self.constraint == "backtrack" and self.truncation is None and self.perceptibility is None:
+            raise ValueError(
+                "truncation: `backtrack` keeps every value of the image within U; give U, from 1 to 255, or "
+                "`perceptibility`"
+            )
+        if self.constraint != "backtrack" and self.perceptibility is not None:
+            raise ValueError('perceptibility: only `"constraint": "backtrack"` keeps p within a limit')
         if self.constraint == "epsilon" and self.truncation is not None:
             raise ValueError("truncation: with the constraint `epsilon` there is no U; leave it out")
         for group, (low, high) in self.bounds.items():

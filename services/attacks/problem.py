@@ -11,7 +11,7 @@ from torch import Tensor
 
 from services.attacks.contract import check_graph, check_images, check_perturbation, check_scores
 from services.attacks.expectation import Expectation
-from services.attacks.feasible import BACKTRACK_MARGIN, perturbation_bounds, pulled_back, random_start
+from services.attacks.feasible import ROUNDING, perturbation_bounds, pulled_back, random_start, within
 from services.attacks.goal import ResolvedGoal
 from services.attacks.layout import Layout
 from services.attacks.losses import Loss, loss
@@ -24,9 +24,6 @@ from services.rendering import color
 from services.rendering.protocol import Parameters, Renderer
 from services.rendering.variation import Variation, noisy, varied
 from services.targets.protocol import Target
-
-ROUNDING = 1e-6
-"""Tolerance of the comparison with U: float32 sums of k/255 are off by less, and a change of exactly U is allowed."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +70,8 @@ class AttackProblem:
     loss: Loss = "log-odds"
     """What the gradients are of, and the objective of an evaluation."""
     backtrack: float | None = None
+    perceptibility: float | None = None
+    """Largest p of an image, to which the constraint `backtrack` pulls perturbations back; None if there is none."""
     epsilon: Mapping[str, float] = field(default_factory=dict)
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     interrupt: Callable[[], None] = lambda: None
@@ -167,7 +166,7 @@ class AttackProblem:
         renderer's bounds.
         """
         check_perturbation(perturbation, self.initial, self.bounds)
-        if self.backtrack is not None:
+        if self._backtracks:
             perturbation = self.layout.unflatten(self.feasible(self.layout.flatten(perturbation)[None])[0])
         leaves = {g: value.detach().requires_grad_(gradient) for g, value in perturbation.items()}
         with torch.set_grad_enabled(gradient):
@@ -178,15 +177,20 @@ class AttackProblem:
             return Evaluation(leaves, *truncate(images, self.original, self.truncation))
 
     def feasible(self, vectors: Tensor) -> Tensor:
-        """The perturbations [B, total], pulled back with `backtrack` until no value of their images is beyond U."""
-        return vectors if self.backtrack is None else pulled_back(self._within_limit, vectors.detach())
+        """The perturbations [B, total], pulled back with `backtrack` until no value of their images is beyond U, and
+        until the images' p is within `perceptibility`.
+        """
+        return pulled_back(self._within_limits, vectors.detach()) if self._backtracks else vectors
+
+    @property
+    def _backtracks(self) -> bool:
+        return self.backtrack is not None or self.perceptibility is not None
 
     @torch.no_grad()
-    def _within_limit(self, vectors: Tensor) -> Tensor:
-        assert self.backtrack is not None
-        start, limit = self.layout.flatten(self.initial), self.backtrack - BACKTRACK_MARGIN + ROUNDING
+    def _within_limits(self, vectors: Tensor) -> Tensor:
+        start = self.layout.flatten(self.initial)
         images = (self.render(self.layout.unflatten((start + vector)[None])) for vector in vectors)
-        return torch.tensor([float((image - self.original).abs().max()) <= limit for image in images])
+        return torch.tensor([within(image, self.original, self.backtrack, self.perceptibility) for image in images])
 
     def objective(self, logits: Tensor) -> Tensor:
         """The loss of logits [..., K] that is minimised, [...]."""

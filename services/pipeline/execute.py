@@ -126,6 +126,7 @@ def _problem(prepared: Prepared, interrupt: Callable[[], None]) -> AttackProblem
         question=prepared.spec.target.question,
         truncation=None if backtracks else limit,
         backtrack=limit if backtracks else None,
+        perceptibility=attack.perceptibility,
         epsilon=attack.epsilon,
         limits=attack.bounds,
         loss=attack.objective,

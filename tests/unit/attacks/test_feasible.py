@@ -3,7 +3,15 @@
 import pytest
 import torch
 
-from services.attacks.feasible import BACKTRACK_MARGIN, HALVINGS, perturbation_bounds, pulled_back, random_start
+from services.attacks.feasible import (
+    BACKTRACK_MARGIN,
+    HALVINGS,
+    P_MARGIN,
+    perturbation_bounds,
+    pulled_back,
+    random_start,
+    within,
+)
 from services.attacks.fgsm import Fgsm, FgsmMethod
 from services.attacks.loop import Budget, run
 from services.attacks.verifier import Verifier
@@ -64,6 +72,30 @@ def test_an_attack_that_backtracks_keeps_image_and_scene_one() -> None:
         assert found.trace[-1].truncated > 0 if name == "truncation" else not found.ever.any()
     assert beyond["truncation"] > limit
     assert -2 * BACKTRACK_MARGIN - 0.1 * limit < beyond["backtrack"] <= -BACKTRACK_MARGIN + 1e-6
+
+
+def test_an_attack_that_backtracks_keeps_p_within_its_limit() -> None:
+    """The stored scene's p, computed here on its own, comes close to the limit and stays within it."""
+    limit = 0.03
+    rates = Fgsm.model_construct(learning_rate={"a": 0.05, "b": 0.05}, momentum=0.9, weight_decay=0.0)
+    hard = Ahead(FreeRenderer())
+    case = problem(FreeRenderer(), hard, perceptibility=limit)
+    found = run(case, FgsmMethod(rates, case), Verifier(case.renderer, hard), Budget(12))
+    moved = {group: (case.initial[group] + value)[None] for group, value in found.stored.items()}
+    change = (case.renderer.render(moved) - case.original)[0]
+    p = (sum(float(value) ** 2 for value in change.flatten()) / (change.shape[0] * change.shape[1])) ** 0.5
+    assert 0.9 * limit < p <= (1 - P_MARGIN) * limit + 1e-9
+    assert max(row.perceptibility for row in found.trace) <= (1 - P_MARGIN) * limit + 1e-9
+
+
+def test_both_limits_of_backtracking_hold() -> None:
+    original = torch.full((1, 2, 2, 3), 0.5)
+    image = original.clone()
+    image[0, 0, 0, 0] += 0.1  # p is 0.05
+    assert within(image, original, 0.11, 0.06)
+    assert not within(image, original, 0.09, 0.06)
+    assert not within(image, original, 0.11, 0.04)
+    assert within(image, original, None, None)
 
 
 def test_every_method_stays_within_epsilon() -> None:

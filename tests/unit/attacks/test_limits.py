@@ -14,6 +14,8 @@ from services.attacks.zoo import Zoo
     ("settings", "given", "message"),
     [
         (Zoo, {"constraint": "backtrack"}, "truncation: `backtrack` keeps"),
+        (Zoo, {"perceptibility": 0.02}, 'perceptibility: only `"constraint": "backtrack"`'),
+        (Zoo, {"constraint": "backtrack", "perceptibility": 2}, "less than or equal to 1.73"),
         (Fgsm, {"constraint": "epsilon"}, "epsilon: group 'normals' has no value"),
         (Fgsm, {"constraint": "epsilon", "truncation": 18}, "truncation: with the constraint `epsilon` there is no U"),
         (Fgsm, {"restarts": 1}, "epsilon: group 'normals' has no value"),
@@ -38,6 +40,10 @@ def test_only_the_limit_that_the_constraint_has_is_in_force() -> None:
     assert (settings.truncation, settings.epsilon) == (None, limits)
     assert MiFgsm.model_validate({"constraint": "backtrack"}).truncation == 18
     assert MiFgsm().constraint == "truncate"
+    with_p = {"renderer": "pyrender", "constraint": "backtrack", "perceptibility": 0.02}
+    assert MiFgsm.model_validate(with_p).truncation is None
+    assert MiFgsm.model_validate(with_p | {"truncation": 18}).truncation == 18
+    assert MiFgsm.model_validate(with_p | {"perceptibility": None}).truncation == 18
     assert MiFgsm().epsilon == {}
 
 
