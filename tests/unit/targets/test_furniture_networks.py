@@ -1,6 +1,7 @@
 """The networks that ship with the project, with their weights and what their files say of them."""
 
 import hashlib
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 
@@ -14,8 +15,12 @@ from services.scenes.library import Library
 from services.scenes.resolve import resolve
 from services.settings import settings
 from services.targets import registry
+from services.targets.classifier import Classifier
 from services.targets.furniture_networks import facts
 from services.targets.info import available
+from services.targets.networks.alexnet import AlexNet
+from services.targets.networks.resnet import ResNet
+from services.targets.quantized import load_into, read
 from services.training.split import committed
 
 WEIGHTS = Path(str(files("services.targets").joinpath("weights")))
@@ -74,3 +79,23 @@ def test_most_default_views_of_held_out_models_are_right(name: str, views: list[
     target = registry.load(name)
     right = [target.labels[int(target.logits(image).argmax())] == kind for kind, image in views]
     assert sum(right) >= len(right) // 2
+
+
+@pytest.mark.parametrize(("name", "kind"), [("alexnet-furniture", AlexNet), ("resnet34-furniture", ResNet)])
+def test_factors_in_two_layers_are_the_same_network(
+    name: str, kind: type[AlexNet | ResNet], views: list[tuple[str, torch.Tensor]]
+) -> None:
+    """As with the matrices multiplied out: scores and gradients differ by the rounding of sums of some 1e-6."""
+    target = registry.load(name)
+    assert isinstance(target, Classifier)
+    network = kind(14)
+    load_into(network, read(WEIGHTS / f"{name}.safetensors"))
+    whole = replace(target, network=network)
+    found = []
+    for one in (target, whole):
+        image = views[0][1].clone().requires_grad_()
+        scores = one.logits(image)[0]
+        found.append((scores.detach(), torch.autograd.grad(scores.square().sum(), image)[0]))
+    for ours, product in zip(*found, strict=True):
+        assert float((ours - product).norm() / product.norm()) < 1e-4
+    assert max(value.numel() for value in target.network.parameters()) < 5_000_000  # AlexNet's matrices have 38 million
