@@ -178,7 +178,8 @@ def test_an_error_of_a_sample_is_named_by_its_place(field: str, place: str) -> N
 
 
 @pytest.mark.parametrize(
-    ("name", "most"), [("small", 27), ("differentiable", 1400), ("lite0", 360), ("nondifferentiable", 280)]
+    ("name", "most"),
+    [("small", 27), ("differentiable", 1400), ("lite0", 360), ("equal-p", 560), ("nondifferentiable", 280)],
 )
 def test_the_examples_are_requests_within_the_limit(name: str, most: int) -> None:
     [file] = (Path(__file__).parents[3] / "examples").glob(f"*-{name}.json")
