@@ -1,0 +1,38 @@
+"""The commands `python -m benchmarks.study record` and `python -m benchmarks.study page`; see --help."""
+
+import argparse
+from pathlib import Path
+
+from benchmarks.study import __doc__ as about
+from benchmarks.study import examples
+from benchmarks.study.page import FOLDER, NAMES, WITH_EXAMPLES, write
+from benchmarks.study.record import save
+from benchmarks.study.recording import of_folder
+
+
+def main() -> None:
+    """Makes a record of a campaign that has been run, or the page of all records."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.study", description=about, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    commands = parser.add_subparsers(required=True, dest="command")
+    record = commands.add_parser("record", help="make the record of a campaign that has been run")
+    record.add_argument("folder", type=Path, help="the folder of `scene-attack campaign run`")
+    record.add_argument("name", choices=NAMES, help="the name of the record")
+    page = commands.add_parser("page", help="write the page and its curves from the records")
+    for one in (record, page):
+        one.add_argument("--study", type=Path, default=FOLDER, help="folder of records and page (default docs/study)")
+    options = parser.parse_args()
+    if options.command == "page":
+        for path in write(options.study):
+            print(path)
+        return
+    made = of_folder(options.folder)
+    save(made, options.study / f"{options.name}.json")
+    if options.name in WITH_EXAMPLES:
+        found = examples.of_record(made, options.name, options.folder, options.study)
+        examples.save(options.study, options.name, found)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,181 @@
+"""The study's comparison at equal perceptibility: a campaign whose columns are attacks, each under several limits of p.
+
+A column is called "<attack>, p ≤ <limit in thousandths>". A success counts if the verified adversary's own p, of the
+exact image, is within the limit. All attacks of a network have the same views and the same budget of queries.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from benchmarks.study.chart import Panel, Series, figure
+from benchmarks.study.record import Job, Record
+from benchmarks.study.tables import NONE, OF, markdown, title
+from services.analysis.campaign_table import Corners, Rate, corners, share_at
+
+BETWEEN = ", p ≤ "
+BUDGETS = (30, 100, 300, 1000)
+"""Queries within which successes are stated, besides the whole budget."""
+BASELINE = "ZOO"
+"""Attacks whose name ends so are those that others are compared with."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """All jobs of one attack on one network under one limit of p."""
+
+    attack: str
+    limit: float
+    """In thousandths."""
+    jobs: Sequence[Job]
+
+    @property
+    def won(self) -> list[Job]:
+        """The jobs that succeeded within the limit."""
+        return [job for job in self.jobs if job.success and job.p is not None and 1000 * job.p <= self.limit]
+
+    @property
+    def by_queries(self) -> Corners:
+        """Corners of the number of successes against queries."""
+        return corners([job.queries for job in self.won])
+
+    def queries_for(self, successes: int) -> float | None:
+        """The queries of each view after which so many views have been fooled; None if never so many are."""
+        return next((at for at, count in self.by_queries if count >= successes), None)
+
+
+def runs(record: Record, target: str) -> list[Run]:
+    """The runs on one network, in the order of the campaign. Raises ValueError for a column of another form of name."""
+    found = []
+    for attack in record.table().attacks:
+        own = [job for job in record.jobs if (job.target, job.attack) == (target, attack) and job.right]
+        name, between, limit = attack.rpartition(BETWEEN)
+        if not between:
+            raise ValueError(f"the column {attack!r} states no limit: <attack>{BETWEEN}<thousandths>")
+        if own:
+            found.append(Run(name, float(limit), own))
+    return found
+
+
+def section(record: Record) -> str:
+    """The tables and sentences of all networks."""
+    parts = [_table(record)]
+    for target in record.table().targets:
+        parts.append("\n".join(f"- {line}" for line in _compared(target, runs(record, target))))
+        parts.append(f"![{title(target)}: success against p and against queries]({chart_name(target)})")
+    return "\n\n".join(parts)
+
+
+def chart_name(target: str) -> str:
+    """The file of a network's curves."""
+    return f"equal-p-{target}.svg"
+
+
+def draw(record: Record, target: str) -> str:
+    """The curves of one network: success against p, and against queries under each limit."""
+    own = runs(record, target)
+    names = list(dict.fromkeys(run.attack for run in own))
+    limits = sorted({run.limit for run in own})
+    most = max([job.queries or 1 for run in own for job in run.jobs], default=10)
+    against_p = Panel(
+        f"{title(target)}: success against p",
+        "p ×10⁻³ of the verified adversary",
+        "% of all views",
+        [_by_p(name, [run for run in own if run.attack == name]) for name in names],
+        (0.0, limits[-1]),
+        (0.0, 100.0),
+        lines=limits,
+    )
+    panels = [against_p]
+    for limit in limits:
+        series = [
+            Series(run.attack, [(1.0, 0.0), *((q, 100 * n / len(run.jobs)) for q, n in run.by_queries)], steps=True)
+            for run in own
+            if run.limit == limit
+        ]
+        panels.append(
+            Panel(
+                f"p ≤ {limit:g} ×10⁻³",
+                "queries (logarithmic)",
+                "% of all views",
+                series,
+                (1.0, max(10.0, 1.05 * most)),
+                (0.0, 100.0),
+                logarithmic=True,
+            )
+        )
+    return figure(panels, names)
+
+
+def _by_p(name: str, own: Sequence[Run]) -> Series:
+    """Successes against the smallest p with which a view was fooled, under whichever limit."""
+    smallest: dict[tuple[str, float, int], float] = {}
+    for run in own:
+        for job in run.won:
+            key, p = (job.mesh, job.azimuth, job.seed), 1000 * (job.p or 0.0)
+            smallest[key] = min(p, smallest.get(key, p))
+    of = max(len(run.jobs) for run in own)
+    return Series(name, [(0.0, 0.0), *((p, 100 * n / of) for p, n in corners(list(smallest.values())))], steps=True)
+
+
+def _table(record: Record) -> str:
+    rows = []
+    for target in record.table().targets:
+        for number, run in enumerate(sorted(runs(record, target), key=lambda run: run.limit)):
+            rate = Rate.of_cases(len(run.won), len(run.jobs))
+            shares = (100 * share_at(run.by_queries, len(run.jobs), budget) for budget in BUDGETS)
+            interval = NONE if rate.low is None or rate.high is None else f"{100 * rate.low:.0f}–{100 * rate.high:.0f}"
+            rows.append(
+                [
+                    f"**{title(target)}**" if number == 0 else "",
+                    f"{run.limit:g}",
+                    run.attack,
+                    *(f"{share:.0f}" for share in shares),
+                    f"**{100 * (rate.rate or 0.0):.0f}**",
+                    f"{rate.count}{OF}{rate.of}",
+                    interval,
+                ]
+            )
+    within = (f"{budget:,} queries" for budget in BUDGETS)
+    return markdown(("network", "p ≤ ×10⁻³", "attack", *within, "all", "", "95 % interval"), rows, texts=3)
+
+
+def _compared(target: str, own: Sequence[Run]) -> list[str]:
+    """For each limit the attack that fools most views, beside each baseline."""
+    lines = []
+    for limit in sorted({run.limit for run in own}):
+        here = [run for run in own if run.limit == limit]
+        others = [run for run in here if not run.attack.endswith(BASELINE)]
+        if not others:
+            continue
+        best = max(others, key=lambda run: (len(run.won), -sum(job.queries or 0 for job in run.won)))
+        for baseline in (run for run in here if run.attack.endswith(BASELINE)):
+            lines.append(f"{title(target)}, p ≤ {limit:g} ×10⁻³: {_sentence(best, baseline)}")
+    return lines
+
+
+def _sentence(best: Run, baseline: Run) -> str:
+    count = len(baseline.won)
+    words = [f"{best.attack} fools {len(best.won)} of {len(best.jobs)} views, {baseline.attack} {count}"]
+    slow, fast = baseline.queries_for(count), best.queries_for(count)
+    if count and slow is not None and fast is not None:
+        fewer = f"{fast:,.0f} queries a view instead of {slow:,.0f}, {slow / fast:.1f} times fewer"
+        words.append(f"for {count} successes it takes {fewer}")
+    spent = _spent(best, baseline)
+    if spent is not None:
+        ours, theirs, fooled = spent
+        words.append(
+            f"on the views that {best.attack} fools it spends {ours:,} queries in all, {baseline.attack} {theirs:,}, "
+            f"and fools {fooled} of them: at least {theirs / ours:.1f} times as many"
+        )
+    return "; ".join(words) + "."
+
+
+def _spent(best: Run, baseline: Run) -> tuple[int, int, int] | None:
+    """On the views that `best` fools: the queries of both, and the number that the baseline fools; None if none."""
+    by_view: Mapping[tuple[str, float, int], Job] = {(job.mesh, job.azimuth, job.seed): job for job in baseline.jobs}
+    won = {id(job) for job in baseline.won}
+    pairs = [(job, by_view[key]) for job in best.won if (key := (job.mesh, job.azimuth, job.seed)) in by_view]
+    if not pairs:
+        return None
+    ours, theirs = (sum(pair[side].queries or 0 for pair in pairs) for side in (0, 1))
+    return ours, theirs, sum(id(other) in won for _, other in pairs)

@@ -1,0 +1,97 @@
+"""Example images of the study: of each physical attack the verified success whose p is the median, so that nobody
+chose it, of the campaign's first network that has one.
+
+For each one three images are written (the scene before, attacked and rendered afresh, and the difference times 5), and
+a line of examples.json, from which the page has labels and confidences.
+"""
+
+import json
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict
+
+from benchmarks.study.record import Job, Record
+from services.pipeline.result import Result
+
+IMAGES = {"original": "before", "attacked": "attacked", "perturbation": "difference"}
+"""Names of a job's images, and what they are called beside the page."""
+PIXELS = "image"
+"""Name of the column that attacks pixels, which has no example: its differences are noise."""
+
+
+class Example(BaseModel):
+    """An adversary that the page shows. Its images are `<name>-before.png`, `-attacked.png` and `-difference.png`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: str
+    campaign: str
+    target: str
+    attack: str
+    mesh: str
+    before: str
+    before_confidence: float
+    after: str
+    after_confidence: float
+    p: float
+    request: str
+    credits: tuple[str, ...]
+
+
+def median_success(jobs: Sequence[Job]) -> Job | None:
+    """The success with the median p (of an even number the lower one); None if there is no success."""
+    won = sorted((job for job in jobs if job.success), key=lambda job: (job.p or 0.0, job.request))
+    return won[(len(won) - 1) // 2] if won else None
+
+
+def of_record(record: Record, name: str, folder: Path, out: Path) -> list[Example]:
+    """Copies the images of each example out of a campaign's folder, and returns the examples."""
+    found: list[Example] = []
+    table = record.table()
+    for attack in table.attacks:
+        by_target = ([job for job in record.jobs if (job.target, job.attack) == (t, attack)] for t in table.targets)
+        job = next((one for one in map(median_success, by_target) if one is not None), None)
+        if job is None or attack == PIXELS:
+            continue
+        [place] = (folder / "jobs").glob(f"{job.request}*[0-9a-f]")
+        result = Result.model_validate_json((place / "result.json").read_bytes())
+        # the attack's name is a text of the campaign, which need not be a file's name
+        called_so = f"{name}-{len(found) + 1}"
+        for image, called in IMAGES.items():
+            shutil.copyfile(place / f"{image}.png", out / f"{called_so}-{called}.png")
+        found.append(
+            Example(
+                name=called_so,
+                campaign=name,
+                target=job.target,
+                attack=job.attack,
+                mesh=job.mesh,
+                before=job.before,
+                before_confidence=job.before_confidence,
+                after=str(job.after),
+                after_confidence=job.after_confidence or 0.0,
+                p=job.p or 0.0,
+                request=job.request,
+                credits=tuple(result.provenance.credits),
+            )
+        )
+    return found
+
+
+def load(folder: Path) -> list[Example]:
+    """The examples of a folder; none if it has no examples.json."""
+    path = folder / "examples.json"
+    return [Example.model_validate(one) for one in json.loads(path.read_text("utf-8"))] if path.exists() else []
+
+
+def save(folder: Path, campaign: str, examples: Sequence[Example]) -> None:
+    """Writes examples.json with these examples in place of the campaign's earlier ones, whose images it deletes."""
+    kept = [one for one in load(folder) if one.campaign != campaign]
+    named = {f"{one.name}-{called}.png" for one in examples for called in IMAGES.values()}
+    for path in folder.glob(f"{campaign}-*.png"):
+        if path.name not in named:
+            path.unlink()
+    lines = [json.dumps(one.model_dump(mode="json"), ensure_ascii=False) for one in [*kept, *examples]]
+    (folder / "examples.json").write_text("[\n" + ",\n".join(lines) + "\n]\n", "utf-8")

@@ -1,0 +1,144 @@
+"""The compact record of a campaign that the study commits: one line for each job, the mean curves, and the provenance.
+
+Rates, means and counts are not in the record: the page computes them, from what each job came to.
+"""
+
+import json
+from pathlib import Path
+from typing import Any, Self
+
+from pydantic import BaseModel, ConfigDict, model_validator
+
+from services.analysis.campaign_curves import MeanCurves
+from services.analysis.campaign_table import Case, Table, table
+from services.attacks.verdict import SUCCESS
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Job(_Record):
+    """One job: what was attacked, what the network said before, in the loop and afterwards, and what it cost.
+
+    A job that failed has a state other than "succeeded" and no answers after `before`.
+    """
+
+    target: str
+    attack: str
+    mesh: str
+    azimuth: float
+    seed: int
+    truth: tuple[str, ...]
+    before: str
+    before_confidence: float
+    state: str = "succeeded"
+    after: str | None = None
+    after_confidence: float | None = None
+    outcome: str | None = None
+    fooled: bool = False
+    """Whether an image in the loop, truncated, met the goal: the paper's count."""
+    verified: bool = False
+    """Whether the perturbation rendered afresh, to 8 bits, meets the goal."""
+    p: float | None = None
+    """Perceptibility of the exact image before it is rounded."""
+    p_saved: float | None = None
+    """Perceptibility of the exact image as saved, of 8 bits."""
+    p_loop: float | None = None
+    """Perceptibility of the truncated image in the loop at the stored step."""
+    step: int | None = None
+    steps: int | None = None
+    queries: int | None = None
+    seconds: float | None = None
+    truncated: int | None = None
+    request: str
+    scene: str = ""
+
+    @model_validator(mode="after")
+    def _a_success_was_right_before(self) -> Self:
+        if self.success and (self.before not in self.truth or self.after in self.truth):
+            raise ValueError(
+                f"{self.mesh}, {self.attack}: a success, although the network said {self.before!r}, then "
+                f"{self.after!r}, and right is {', '.join(self.truth)}"
+            )
+        return self
+
+    @property
+    def right(self) -> bool:
+        """Whether the network was right before the attack."""
+        return self.before in self.truth
+
+    @property
+    def success(self) -> bool:
+        """Whether the attack succeeded: right before, wrong afterwards, verified."""
+        return self.outcome == SUCCESS and self.verified
+
+    def case(self) -> Case:
+        """The job as a case of a campaign's table."""
+        return Case(
+            target=self.target,
+            attack=self.attack,
+            state=self.state,
+            right=self.right,
+            outcome=self.outcome,
+            success=self.success,
+            loop_success=self.right and self.fooled,
+            perceptibility=self.p,
+            loop_perceptibility=self.p_loop,
+            truncated=self.truncated,
+            queries=self.queries,
+            seconds=self.seconds,
+        )
+
+
+class Views(_Record):
+    """The views that one network was asked about, as drawn by one renderer in one size."""
+
+    target: str
+    renderer: str
+    size: tuple[int, int]
+    asked: int
+    right: int
+    chosen: int
+    meshes: int
+    """Different meshes among the chosen views."""
+    least_confidence: float | None
+    """Confidence of the least confident chosen view."""
+
+
+class Record(_Record):
+    """A campaign that has been run."""
+
+    command: str
+    campaign: dict[str, Any]
+    """The request, with every default."""
+    machine: str
+    versions: dict[str, str]
+    backends: tuple[str, ...]
+    weights: dict[str, str]
+    """SHA-256 of each network's weights."""
+    credits: tuple[str, ...]
+    """Creators of the models and maps shown, without repetition."""
+    views: tuple[Views, ...]
+    jobs: tuple[Job, ...]
+    curves: tuple[MeanCurves, ...]
+
+    def table(self) -> Table:
+        """The table of these jobs."""
+        cells = [(job.target, job.attack) for job in self.jobs]
+        return table(str(self.campaign["name"]), cells, [job.case() for job in self.jobs])
+
+
+def load(path: Path) -> Record:
+    """Reads a record. Raises pydantic's ValidationError, also for a success whose scene was wrong before."""
+    return Record.model_validate_json(path.read_bytes())
+
+
+def save(record: Record, path: Path) -> None:
+    """Writes a record as JSON with a line for each job, so that a difference of two records can be read."""
+    whole = record.model_dump(mode="json", exclude_defaults=True)
+    lines = {key: [json.dumps(one, ensure_ascii=False) for one in whole.pop(key)] for key in ("jobs", "curves")}
+    parts = [f' "{key}": {json.dumps(value, ensure_ascii=False)}' for key, value in whole.items()]
+    parts += [f' "{key}": [\n  ' + ",\n  ".join(values) + "\n ]" for key, values in lines.items()]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("{\n" + ",\n".join(parts) + "\n}\n", "utf-8")

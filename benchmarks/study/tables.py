@@ -1,0 +1,211 @@
+"""The tables of the study: our rows beside the paper's, in the paper's layout."""
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from benchmarks.study.record import Record
+from services.analysis.campaign_table import Cell, Rate, share_at
+
+TITLES = {
+    "alexnet-furniture": "AlexNet",
+    "resnet34-furniture": "ResNet-34",
+    "efficientnet-lite0": "EfficientNet-Lite0",
+}
+"""Names of the networks on the page; the first two are the paper's architectures."""
+NONE = "–"
+BETWEEN = "\u00a0·\u00a0"
+"""Stands between a rate and a p, which a line is not broken at."""
+OF = "\u00a0of\u00a0"
+QUERIES = (2, 5, 10, 30, 122)
+SECONDS = (0.3, 1, 3, 10)
+"""Budgets at which successes are stated; 122 queries are those of 120 steps."""
+
+
+@cache
+def paper() -> dict[str, Any]:
+    """The figures that the paper states, with the place where it states them."""
+    found: dict[str, Any] = json.loads(Path(__file__).with_name("paper.json").read_text("utf-8"))
+    return found
+
+
+def markdown(columns: Iterable[str], rows: Iterable[Iterable[str]], texts: int = 1) -> str:
+    """A table; the first `texts` columns are of text, the others of numbers."""
+    columns = list(columns)
+    rule = [":---" if index < texts else "---:" for index in range(len(columns))]
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in (columns, rule, *rows))
+
+
+def title(target: str) -> str:
+    """The name of a network on the page."""
+    return TITLES.get(target, target)
+
+
+def differentiable(records: Sequence[Record]) -> str:
+    """The paper's first table: for each network its row, and ours by its count, verified, and in truncated pixels.
+
+    An attack called "<column>, <setting>" has rows of its own, for that setting, in the column.
+    """
+    columns: list[str] = paper()["differentiable"]["columns"]
+    rows: list[list[str]] = []
+    for table in (record.table() for record in records):
+        for target in sorted(table.targets, key=list(TITLES).index):
+            of_paper = _of_paper(target, columns)
+            own = [of_paper[:1], _rows({name: table.cell(target, name) for name in columns}, "", columns), of_paper[1:]]
+            for attack in table.attacks:
+                column, comma, setting = attack.partition(", ")
+                if comma and (cell := table.cell(target, attack)) is not None:
+                    own.append(_rows({column: cell}, f"{setting}, ", columns))
+            block = [row for part in own for row in part]
+            rows += [[f"**{title(target)}**" if number == 0 else "", *row] for number, row in enumerate(block)]
+    return markdown(("network", "", "n", *columns), rows, texts=2)
+
+
+def _of_paper(target: str, columns: Sequence[str]) -> list[list[str]]:
+    """The paper's rows of a network: successes and p, and truncated pixels if it states them; none if it has none."""
+    stated = paper()["differentiable"]
+    theirs = stated["targets"].get(target)
+    if theirs is None:
+        return []
+    values = (f"{rate:.1f}{BETWEEN}{p:.1f}" for rate, p in zip(theirs["success"], theirs["p"], strict=True))
+    rows = [["paper", str(stated["views"]), *values]]
+    if any(value is not None for value in theirs["truncated"]):
+        pixels = dict(zip(columns, theirs["truncated"], strict=True))
+        rows.append(["truncated, paper", "", *(_number(pixels[name]) for name in columns)])
+    return rows
+
+
+def _rows(cells: Mapping[str, Cell | None], setting: str, columns: Sequence[str]) -> list[list[str]]:
+    """Our rows of a network, of these cells by column."""
+    own = [cells.get(name) for name in columns]
+    return [
+        [f"{setting}paper's count", _most(own), *(_both(cell, "loop_success") for cell in own)],
+        [f"{setting}**verified**", _most(own), *(_bold(_both(cell, "success")) for cell in own)],
+        [f"{setting}95\u00a0% interval", "", *(_interval(cell) for cell in own)],
+        [f"{setting}truncated", "", *(_truncated(cell) for cell in own)],
+    ]
+
+
+def nondifferentiable(record: Record) -> str:
+    """Successes of the attacks on the second renderer's image and parameters, beside the paper's counts."""
+    stated, table = paper()["nondifferentiable"], record.table()
+    rows: list[list[str]] = []
+    for target in sorted(table.targets, key=list(TITLES).index):
+        if (theirs := stated["targets"].get(target)) is not None:
+            for name in ("image", "physical"):
+                rate = Rate.of_cases(theirs[name], stated["views"])
+                asked = f"paper: {name}, {theirs['steps']} steps"
+                rows.append([f"**{title(target)}**" if name == "image" else "", asked, *_counts(rate), "", "", ""])
+        for attack in table.attacks:
+            if (cell := table.cell(target, attack)) is not None:
+                loop = f"{cell.loop_success.count}{OF}{cell.loop_success.of}"
+                own = [job.queries for job in record.jobs if (job.target, job.attack) == (target, attack)]
+                rows.append(
+                    [
+                        "",
+                        f"here: {attack}",
+                        *map(_bold, _counts(cell.success)),
+                        loop,
+                        _milli(cell.perceptibility),
+                        _number(_middle([query for query in own if query is not None]), 0),
+                    ]
+                )
+    columns = ("network", "attack", "verified", "%", "95 % interval", "in the loop", "p ×10⁻³", "queries, median")
+    return markdown(columns, rows, texts=2)
+
+
+def work(records: Sequence[Record]) -> str:
+    """Per cent of all cases that were fooled within so many queries, and within so many seconds."""
+    rows = []
+    for table in (record.table() for record in records):
+        for target in sorted(table.targets, key=list(TITLES).index):
+            cells = [cell for cell in table.cells if cell.target == target and cell.success.of]
+            for number, cell in enumerate(cells):
+                shares = [share_at(cell.by_queries, cell.success.of, budget) for budget in QUERIES]
+                shares += [share_at(cell.by_seconds, cell.success.of, budget) for budget in SECONDS]
+                name = f"**{title(target)}**" if number == 0 else ""
+                rows.append([name, cell.attack, str(cell.success.of), *(f"{100 * share:.0f}" for share in shares)])
+    heads = [f"{QUERIES[0]} queries", *map(str, QUERIES[1:]), f"{SECONDS[0]} s", *(f"{one:g} s" for one in SECONDS[1:])]
+    return markdown(("network", "attack", "n", *heads), rows, texts=2)
+
+
+def views(records: Sequence[Record]) -> str:
+    """How many views were asked for, right, and attacked."""
+    rows = [
+        [
+            title(one.target),
+            one.renderer,
+            f"{one.size[0]}²" if one.size[0] == one.size[1] else f"{one.size[0]}×{one.size[1]}",
+            str(one.asked),
+            f"{one.right} ({100 * one.right / one.asked:.0f} %)",
+            str(one.chosen),
+            str(one.meshes),
+            NONE if one.least_confidence is None else f"{100 * one.least_confidence:.0f} %",
+        ]
+        for record in records
+        for one in record.views
+    ]
+    columns = ("network", "renderer", "size", "views asked for", "right", "attacked", "models", "least confident")
+    return markdown(columns, rows, texts=2)
+
+
+def orders(record: Record, target: str) -> str:
+    """The columns of a network from the highest to the lowest rate of success, and from the lowest to the highest p."""
+    cells = [cell for cell in record.table().cells if cell.target == target]
+    by_success = sorted(cells, key=lambda cell: -(cell.success.rate or 0.0))
+    by_p = sorted((c for c in cells if c.perceptibility is not None), key=lambda cell: cell.perceptibility or 0.0)
+    success = " > ".join(f"{cell.attack} {_percent(cell.success.rate)}" for cell in by_success)
+    p = " < ".join(f"{cell.attack} {_milli(cell.perceptibility)}" for cell in by_p)
+    return f"{title(target)}: {success} (per cent, verified); p {p} (×10⁻³)."
+
+
+def _most(cells: Sequence[Cell | None]) -> str:
+    """The number of cases of these cells, as a range where it differs."""
+    of = sorted({cell.success.of for cell in cells if cell is not None})
+    return "" if not of else str(of[0]) if len(of) == 1 else f"{of[0]}–{of[-1]}"
+
+
+def _both(cell: Cell | None, which: str) -> str:
+    if cell is None:
+        return ""
+    rate: Rate = getattr(cell, which)
+    p = cell.perceptibility if which == "success" else cell.loop_perceptibility
+    return f"{_percent(rate.rate)}{BETWEEN}{_milli(p)}"
+
+
+def _interval(cell: Cell | None) -> str:
+    if cell is None or cell.success.low is None or cell.success.high is None:
+        return ""
+    return f"{100 * cell.success.low:.1f}–{100 * cell.success.high:.1f}"
+
+
+def _counts(rate: Rate) -> tuple[str, str, str]:
+    if rate.low is None or rate.high is None:
+        return f"0{OF}0", NONE, NONE
+    return f"{rate.count}{OF}{rate.of}", _percent(rate.rate), f"{100 * rate.low:.1f}–{100 * rate.high:.1f}"
+
+
+def _truncated(cell: Cell | None) -> str:
+    return "" if cell is None else _number(cell.truncated)
+
+
+def _middle(values: Sequence[int]) -> float | None:
+    return sorted(values)[(len(values) - 1) // 2] if values else None
+
+
+def _bold(text: str) -> str:
+    return f"**{text}**" if text and text != NONE else text
+
+
+def _number(value: float | None, digits: int = 1) -> str:
+    return NONE if value is None else f"{value:,.{digits}f}"
+
+
+def _percent(rate: float | None) -> str:
+    return NONE if rate is None else f"{100 * rate:.1f}"
+
+
+def _milli(value: float | None) -> str:
+    return NONE if value is None else f"{1000 * value:.1f}"

@@ -1,0 +1,167 @@
+"""The study's page: written from its records, with the paper's figures as the paper prints them."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from benchmarks.study import equal_p, tables
+from benchmarks.study.chart import HEIGHT, WIDTH, Panel, Series, figure
+from benchmarks.study.page import FOLDER, PAGE, files
+from benchmarks.study.record import load
+from tests.unit.docs.study.test_study_records import SMALL, job, raw, won
+
+TABLE_1 = {
+    "AlexNet": "100.00 5.7 89.27 10.8 29.61 25.8 18.88 25.8 94.42 18.1",
+    "ResNet-34": "99.57 5.1 88.41 9.3 14.16 29.3 3.43 55.2 94.85 16.4",
+}
+"""Rows of the paper's first table as printed: per cent, then p ×10⁻³, of each of its five columns."""
+
+
+@pytest.mark.skipif(not (FOLDER / PAGE).exists(), reason="the campaigns of the study have not been run yet")
+def test_the_page_and_its_curves_are_written_from_the_records() -> None:
+    for name, text in files(FOLDER).items():
+        said = "write it again with: python -m benchmarks.study page"
+        assert (FOLDER / name).read_text("utf-8") == text, said
+
+
+def test_the_small_records_make_a_whole_page() -> None:
+    texts = files(SMALL)
+    page = texts[PAGE]
+    assert "{{" not in page
+    named = re.findall(r"\]\(([^)]+\.(?:svg|png|json))\)", page)
+    assert len(named) > 10
+    for name in named:
+        assert name in texts or (SMALL / name).exists(), name
+    assert files(SMALL) == texts  # the same again
+
+
+def test_a_campaign_that_has_not_been_run_is_named_and_has_no_figure(tmp_path: Path) -> None:
+    shutil.copyfile(SMALL / "differentiable.json", tmp_path / "differentiable.json")
+    page = files(tmp_path)[PAGE]
+    for name in ("lite0", "nondifferentiable", "equal-p"):
+        assert page.count(f"*Not run yet: `examples/paper-{name}.json`.*") == 1
+        assert f"({name}" not in page
+    assert "paper-differentiable.json`.*" not in page
+    assert row(page, "ResNet-34", "**verified**") == row(files(SMALL)[PAGE], "ResNet-34", "**verified**")
+    with pytest.raises(FileNotFoundError, match=r"has none of differentiable\.json"):
+        files(tmp_path / "empty")
+
+
+def row(page: str, first: str, second: str) -> list[str]:
+    """The cells of the first table row after `first` whose second cell is `second`."""
+    lines = page.splitlines()
+    start = next(i for i, line in enumerate(lines) if line.startswith(f"| **{first}** |"))
+    cells = ([cell.strip() for cell in line.strip("| ").split(" | ")] for line in lines[start:])
+    return next(found for found in cells if len(found) > 1 and second in found[:2])
+
+
+def test_the_papers_row_is_the_papers() -> None:
+    page = files(SMALL)[PAGE]
+    for name, printed in TABLE_1.items():
+        found = row(page, name, "paper")
+        values = [float(value) for cell in found[3:8] for value in cell.split("\u00a0·\u00a0")]
+        assert values == [pytest.approx(float(one), abs=0.05) for one in printed.split()]
+
+
+def test_our_row_is_what_the_jobs_say() -> None:
+    page = files(SMALL)[PAGE]
+    jobs = [one for one in raw(SMALL / "differentiable.json") if one["target"] == "resnet34-furniture"]
+    attacks = list(dict.fromkeys(one["attack"] for one in jobs))
+    found = row(page, "ResNet-34", "**verified**")
+    for attack, cell in zip(attacks, found[2:], strict=False):
+        own = [one for one in jobs if one["attack"] == attack]
+        good = [one for one in own if won(one)]
+        p = f"{1000 * sum(one['p'] for one in good) / len(good):.1f}" if good else "–"
+        assert cell == f"**{100 * len(good) / len(own):.1f}\u00a0·\u00a0{p}**"
+
+
+def test_another_setting_has_rows_of_its_own_in_its_column() -> None:
+    [one] = [one for one in raw(SMALL / "lite0.json") if one["attack"] == "combined, 448²"]
+    found = row(files(SMALL)[PAGE], "EfficientNet-Lite0", "448², **verified**")
+    assert found[1:] == ["1", "", "", "", "", f"**100.0\u00a0·\u00a0{1000 * one['p']:.1f}**"]
+
+
+def test_the_papers_count_has_the_p_of_the_truncated_images(tmp_path: Path) -> None:
+    """Three times the p in the loop, and one more image in the loop that fooled: of the two rows one changes."""
+    for path in SMALL.glob("*.json"):
+        shutil.copyfile(path, tmp_path / path.name)
+    whole = json.loads((SMALL / "differentiable.json").read_text("utf-8"))
+    own = [one for one in whole["jobs"] if (one["target"], one["attack"]) == ("resnet34-furniture", "normals")]
+    assert not any(one.get("fooled", False) for one in own)
+    own[0] |= {"fooled": True, "p_loop": 0.0123}
+    (tmp_path / "differentiable.json").write_text(json.dumps(whole), "utf-8")
+    before, after = files(SMALL)[PAGE], files(tmp_path)[PAGE]
+    verified, counted = "**verified**", "paper's count"
+    assert row(after, "ResNet-34", verified) == row(before, "ResNet-34", verified)
+    assert row(after, "ResNet-34", counted)[3] == f"{100 / len(own):.1f}\u00a0·\u00a012.3"
+
+
+def test_only_a_success_within_the_limit_counts_at_equal_p() -> None:
+    jobs = [
+        job(0.010, "a", azimuth=0.0, queries=30),
+        job(0.021, "b", azimuth=1.0, queries=10),
+        job(0.020, "c", azimuth=2.0, queries=300),
+        job(0.010, "d", azimuth=3.0, queries=40, outcome="held"),
+    ]
+    run = equal_p.Run("ZOO", 20.0, jobs)
+    assert [one.request for one in run.won] == ["a", "c"]
+    assert run.by_queries == [(30.0, 1), (300.0, 2)]
+    assert [run.queries_for(count) for count in (1, 2, 3)] == [30.0, 300.0, None]
+
+
+def test_queries_are_compared_for_as_many_successes_and_on_the_same_views(tmp_path: Path) -> None:
+    """FGSM fools three views with 10, 20 and 30 queries; ZOO one of these with 400 and holds at 1,000 on the others."""
+    ours = [job(0.01, str(n), attack="FGSM, p ≤ 20", azimuth=n, queries=10 * (n + 1)) for n in range(3)]
+    held = {"attack": "ZOO, p ≤ 20", "outcome": "held", "verified": False}
+    theirs = [
+        job(0.01, "z0", attack="ZOO, p ≤ 20", azimuth=0, queries=400),
+        job(0.01, "z1", azimuth=1, queries=1000, **held),
+        job(0.01, "z2", azimuth=2, queries=1000, **held),
+    ]
+    whole = json.loads((SMALL / "equal-p.json").read_text("utf-8"))
+    whole["jobs"] = [one.model_dump(mode="json") for one in (*ours, *theirs)]
+    (tmp_path / "r.json").write_text(json.dumps(whole), "utf-8")
+    text = equal_p.section(load(tmp_path / "r.json"))
+    assert "FGSM fools 3 of 3 views, ZOO 1" in text
+    assert "for 1 successes it takes 10 queries a view instead of 400, 40.0 times fewer" in text
+    assert "spends 60 queries in all, ZOO 2,400, and fools 1 of them: at least 40.0 times as many" in text
+    rows = [line for line in text.splitlines() if " | ZOO | " in line]
+    assert [cell.strip() for cell in rows[0].split("|")][4:9] == ["0", "0", "0", "33", "**33**"]
+
+
+def test_a_column_of_another_name_is_refused() -> None:
+    record = load(SMALL / "differentiable.json")
+    with pytest.raises(ValueError, match="states no limit"):
+        equal_p.runs(record, record.table().targets[0])
+
+
+def test_a_chart_draws_its_points_where_they_are() -> None:
+    line = Series("a", [(0.0, 0.0), (5.0, 50.0), (10.0, 25.0)])
+    [path] = paths(figure([Panel("t", "x", "y", [line], (0.0, 10.0), (0.0, 100.0))], ["a"]))
+    assert path == [(0.0, HEIGHT), (WIDTH / 2, HEIGHT / 2), (WIDTH, 0.75 * HEIGHT)]
+
+
+def test_steps_hold_until_the_next_and_to_the_end() -> None:
+    line = Series("a", [(1.0, 0.0), (10.0, 50.0), (1000.0, 100.0)], steps=True)
+    panel = Panel("t", "x", "y", [line], (1.0, 100.0), (0.0, 100.0), logarithmic=True)
+    [path] = paths(figure([panel], ["a"]))
+    middle = WIDTH / 2  # 10 is half-way from 1 to 100; the point beyond the axis is left out
+    assert path == [(0.0, HEIGHT), (middle, HEIGHT), (middle, HEIGHT / 2), (WIDTH, HEIGHT / 2)]
+
+
+def paths(svg: str) -> list[list[tuple[float, float]]]:
+    """The points of each line of a chart."""
+    found = re.findall(r'<path d="([^"]+)"', svg)
+    return [[(float(x), float(y)) for x, y in re.findall(r"[ML](\S+) (\S+)", path)] for path in found]
+
+
+def test_rows_of_the_second_table_are_counts_of_its_jobs() -> None:
+    text = tables.nondifferentiable(load(SMALL / "nondifferentiable.json")).replace("\u00a0", " ")
+    assert "| **AlexNet** | paper: image, 500 steps | 99 of 102 | 97.1 |" in text
+    assert "|  | paper: physical, 500 steps | 14 of 102 | 13.7 |" in text
+    for attack in dict.fromkeys(one["attack"] for one in raw(SMALL / "nondifferentiable.json")):
+        own = [one for one in raw(SMALL / "nondifferentiable.json") if one["attack"] == attack]
+        assert f"| here: {attack} | **{sum(map(won, own))} of {len(own)}** |" in text
