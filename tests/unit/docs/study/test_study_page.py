@@ -11,6 +11,7 @@ from benchmarks.study import equal_p, tables
 from benchmarks.study.chart import HEIGHT, WIDTH, Panel, Series, figure
 from benchmarks.study.page import FOLDER, PAGE, files
 from benchmarks.study.record import load
+from services.pipeline.campaign_spec import parse
 from tests.unit.docs.study.test_study_records import SMALL, job, raw, won
 
 TABLE_1 = {
@@ -130,6 +131,18 @@ def test_queries_are_compared_for_as_many_successes_and_on_the_same_views(tmp_pa
     assert "spends 60 queries in all, ZOO 2,400, and fools 1 of them: at least 40.0 times as many" in text
     rows = [line for line in text.splitlines() if " | ZOO | " in line]
     assert [cell.strip() for cell in rows[0].split("|")][4:9] == ["0", "0", "0", "33", "**33**"]
+
+
+def test_the_columns_of_the_campaign_at_equal_p_say_their_limit_and_share_a_budget() -> None:
+    campaign = parse(json.loads((Path(__file__).parents[4] / "examples" / "paper-equal-p.json").read_text("utf-8")))
+    for grid in campaign.grids:
+        names = [column.name for column in grid.attacks]
+        assert len({name.partition(equal_p.BETWEEN)[0] for name in names}) * 2 == len(names)  # each under two limits
+        for column in grid.attacks:
+            assert column.attack.constraint == "backtrack"
+            assert column.attack.perceptibility == float(column.name.partition(equal_p.BETWEEN)[2]) / 1000
+        assert len({column.attack.queries for column in grid.attacks} - {None}) == 1
+        assert {column.attack.truncation for column in grid.attacks} == {None}
 
 
 def test_a_column_of_another_name_is_refused() -> None:
