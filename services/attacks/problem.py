@@ -190,7 +190,8 @@ class AttackProblem:
     def _within_limits(self, vectors: Tensor) -> Tensor:
         start = self.layout.flatten(self.initial)
         images = (self.render(self.layout.unflatten((start + vector)[None])) for vector in vectors)
-        return torch.tensor([within(image, self.original, self.backtrack, self.perceptibility) for image in images])
+        with self.under(None):  # the limits are those of the scene itself
+            return torch.tensor([within(image, self.original, self.backtrack, self.perceptibility) for image in images])
 
     def objective(self, logits: Tensor) -> Tensor:
         """The loss of logits [..., K] that is minimised, [...]."""

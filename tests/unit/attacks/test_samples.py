@@ -124,6 +124,17 @@ def test_no_samples_attack_the_scene_alone() -> None:
     assert (alone.trace[-1].queries, alone.trace[-1].share) == (plain.trace[-1].queries, None)
 
 
+def test_backtracking_keeps_to_the_limit_of_the_scene_itself() -> None:
+    """Under noise of 8/255 no image is within p = 0.02 of the original, not even that of no perturbation."""
+    case = problem(Pixels(dtype=torch.float32), expectation=NOISE, perceptibility=0.02)
+    case.draw(0)
+    whole = {"image": torch.full((4, 5, 3), 0.01)}  # p = 0.0173
+    with case.under(case.variations[0]):
+        assert torch.equal(case.view(whole).perturbation["image"], whole["image"])
+        shorter = case.view({"image": 10 * whole["image"]}).perturbation["image"]
+    assert 0.019 < float(shorter.square().sum(-1).mean().sqrt()) <= 0.02
+
+
 class Threshold(LinearTarget):
     """Answers 0 while the mean of the image is below `level`, else 1."""
 
