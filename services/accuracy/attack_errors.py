@@ -36,7 +36,7 @@ ROUND = (
 )
 MATERIALS = ("matte", "plastic", "glossy-paint", "brushed-metal")
 MAPS = ("city", "courtyard", "forest", "interior", "night", "studio", "sunrise", "sunset")
-GROUPS = tuple(c for n in (1, 2, 3) for c in combinations(TORCH.group_names, n))
+GROUPS = tuple(c for n in (1, 2, 3) for c in combinations(TORCH.default_groups, n))
 STEPS = 120
 TARGET = "efficientnet-lite0"
 

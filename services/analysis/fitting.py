@@ -32,12 +32,14 @@ def fit(
 ) -> Fit:
     """Minimises ‖image − render(X₀ + ΔX)‖₁ over ΔX, from 0, by steps of one learning rate for all groups.
 
-    `image` is [H, W, 3] in [0,1], of the renderer's size. The norm is the sum over values, as in the paper; the units
-    of the groups are those of the renderer. After each step the parameters are clamped to the renderer's bounds.
+    ΔX has the groups for which the renderer is compiled. `image` is [H, W, 3] in [0,1], of the renderer's size. The
+    norm is the sum over values, as in the paper; the units of the groups are those of the renderer. After each step the
+    parameters are clamped to the renderer's bounds.
     `tick` is called before each image with the number of those rendered. Raises JobFailure("non-finite") if the
     distance or a gradient is not finite.
     """
-    start, bounds = renderer.initial(), renderer.bounds()
+    initial, bounds = renderer.initial(), renderer.bounds()
+    start = {group: initial[group] for group in renderer.plan.groups}
     moved = {group: torch.zeros_like(value).requires_grad_() for group, value in start.items()}
     kind = torch.optim.SGD if optimiser == "sgd" else torch.optim.Adam
     stepper = kind(moved.values(), lr=rate)

@@ -53,8 +53,8 @@ def test_there_is_an_example_for_every_renderer_and_task() -> None:
     specs = [parse(json.loads(path.read_text())) for path in EXAMPLES.values()]
     assert {spec.attack.renderer for spec in specs} == {"image", "pyrender", "torch"}
     attacked = {(spec.attack.renderer, spec.attack.groups) for spec in specs}
-    assert {("torch", (group,)) for group in TORCH.group_names} < attacked
-    assert ("torch", TORCH.group_names) in attacked
+    assert {("torch", (group,)) for group in TORCH.default_groups} < attacked
+    assert ("torch", TORCH.default_groups) in attacked
     assert any(spec.goal.reach is not None for spec in specs)
     assert {spec.attack.method for spec in specs} == {"fgsm", "zoo"}
 

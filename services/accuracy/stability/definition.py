@@ -59,7 +59,7 @@ def linear(
     """
     towards, solid = texels(*radiance.shape[:2])
     chroma, _, exposure = taken_apart(radiance)
-    power = exposure * chroma * (intensity.reshape(-1) * solid)[:, None]
+    power = exposure * chroma * intensity.reshape(len(solid), -1) * solid[:, None]
     total = towards + back
     length = np.linalg.norm(total, axis=1)
     half = np.where(length[:, None] > 1e-7, total / np.maximum(length, 1e-300)[:, None], 0.0)

@@ -35,6 +35,11 @@ def _attacked(shading: Shading, group: str) -> Parameters:
         light = torch.full_like(start, 1e-3)
         light[start.shape[0] // 3, start.shape[1] // 8] = 1e4
         return {group: light}
+    if group == "illumination_rgb":  # each channel has a sun of its own
+        light = torch.full_like(start, -1e3).maximum(-shading.renderer.initial()["illumination"][..., None])
+        for channel in range(3):
+            light[start.shape[0] // 3, start.shape[1] // 8 + channel, channel] = 1e3 * (1 + channel)
+        return {group: light}
     return {group: of_one_lobe(1e4, 1e5)}
 
 
@@ -134,6 +139,7 @@ def cases() -> list[Case]:
         # A plan sums a strong texel beside its table, so that light which the table holds has to be broad.
         ("normals", "broad sun", broad_sun(), "a hundred bright texels, in the table"),
         ("illumination", "sun of 1e6", sun(1e6, 1.0), "one texel of 512 on metal"),
+        ("illumination_rgb", "sun of 1e6", sun(1e6, 1.0), "one texel of 512 on metal"),
         ("material", "broad sun", broad_sun(), "a hundred bright texels, in the table"),
     ):
         own, far = partial(_image, map_, group, False), partial(_image, map_, group, True)
@@ -143,8 +149,14 @@ def cases() -> list[Case]:
         *found,
         Case("table of a known function", family, "cells of 3°, poles", "third order, by its closed form", _look_up),
         Case("normals only, gradient", family, "128 edges under a smooth table", "the signs that FGSM goes by", _signs),
-        Case("illumination only, gradient", family, "128 texels at once", gradient, lambda: _gradient("illumination")),
-        Case("material only, gradient", family, "108 numbers at once", gradient, lambda: _gradient("material")),
+        *(
+            Case(f"{group} only, gradient", family, what, gradient, partial(_gradient, group))
+            for group, what in (
+                ("illumination", "128 texels at once"),
+                ("illumination_rgb", "384 values at once"),
+                ("material", "108 numbers at once"),
+            )
+        ),
         Case(
             "illumination only, off",
             family,

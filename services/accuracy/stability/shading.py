@@ -88,11 +88,14 @@ class Shading:
         map_ = np.asarray(self.scene.environment, np.float64)
         if "illumination" not in parameters:
             values["illumination"] = definition.taken_apart(map_)[1]
+        light = values["illumination"].reshape(*map_.shape[:2], 1)
+        if "illumination_rgb" in parameters:
+            light = np.maximum(light + values["illumination_rgb"], 0.0)
         angles = values["normals"].reshape(-1, 2)[self.pixels.numpy()]
         shaded = definition.linear(
             definition.vectors(angles, self.scene.view),
             values["material"][0],
-            values["illumination"],
+            light,
             map_,
             self.scene.view[:3, 2],
             self.gbuffer.base_color.reshape(-1, 3)[self.pixels].double().numpy(),

@@ -1,4 +1,7 @@
-"""Declares the torch renderer's groups: normals, illumination and material, each differentiable."""
+"""Declares the torch renderer's differentiable groups: normals, illumination (in one channel or in three) and material.
+
+The paper has one intensity per direction of the environment map (footnote 1, L of W×H), so that is the default.
+"""
 
 from services.rendering.declaration import Declaration, Group, labelled, register
 
@@ -21,6 +24,16 @@ TORCH = Declaration(
             vector_axes=0,
             suggested_step=0.003,
             suggested_limit=3.0,
+        ),
+        Group(
+            name="illumination_rgb",
+            shape=("rows", "columns", "3"),
+            unit="a tenth of the map's mean intensity, one value per texel and channel, added to the texel's "
+            "`illumination` in this channel; 0 at the start",
+            words="coloured illumination",
+            suggested_step=0.003,
+            suggested_limit=3.0,
+            by_default=False,
         ),
         Group(
             name="material",

@@ -1,5 +1,6 @@
 """Splits an environment map into the parts that the torch renderer uses: intensities, fixed colours, an exposure."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import pi
 
@@ -11,6 +12,9 @@ from services.rendering.torch_renderer.units import ILLUMINATION_MEAN, WHITE
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Weights that turn linear RGB into luminance (ITU-R BT.709)."""
+
+LIGHT_GROUPS = ("illumination", "illumination_rgb")
+"""The parameter groups that change the light."""
 
 PROBES = (16, 32)
 """Rows and columns of the grid of surface normals among which the exposure finds the most lit."""
@@ -50,6 +54,11 @@ def illumination(environment: Tensor) -> Illumination:
     intensity = luminance * (ILLUMINATION_MEAN / mean) if mean > 0 else luminance
     brightest = float(_white_surfaces(intensity, chroma).max())
     return Illumination(intensity, chroma, WHITE / (brightest or ILLUMINATION_MEAN))
+
+
+def attacks_light(groups: Sequence[str]) -> bool:
+    """Returns whether one of the groups changes the light."""
+    return any(group in groups for group in LIGHT_GROUPS)
 
 
 def _white_surfaces(intensity: Tensor, chroma: Tensor) -> Tensor:

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from services.rendering.torch_renderer import dsbrdf
+from services.rendering.torch_renderer.environment_light import LIGHT_GROUPS, attacks_light
 from services.rendering.torch_renderer.shader import Recipe, Shader, Sky, Surface, displayed_error
 from services.rendering.torch_renderer.units import ILLUMINATION_MEAN
 
@@ -29,7 +30,7 @@ MAX_PIXELS_FLOAT64 = 1_024
 """Maximum number of pixels at which float32 is measured against float64."""
 MAX_DISPLAY_DERIVATIVE = 12.92
 """Derivative of the sRGB curve at black: the largest factor by which the curve magnifies a linear error."""
-MAX_PERTURBATION = {"normals": 0.3, "illumination": 0.36 * ILLUMINATION_MEAN, "material": 3.6}
+MAX_PERTURBATION = {"normals": 0.3, "material": 3.6} | dict.fromkeys(LIGHT_GROUPS, 0.36 * ILLUMINATION_MEAN)
 """Largest random perturbation of a coordinate, by group: that of normals in a typical successful attack, those of
 light and material in 120 steps of the paper's size."""
 N_PERTURBATIONS = 2
@@ -57,7 +58,7 @@ def lobe_bounds(surface: Surface, sky: Sky, illumination: Tensor, groups: Sequen
     """
     log_kappa, gamma = dsbrdf.lobes(surface.material, sky.curves[kept])
     exponent = log_kappa.clamp(*dsbrdf.LOG_EXPONENT_RANGE).exp()
-    if "illumination" in groups:  # the attack may light a black texel
+    if attacks_light(groups):  # the attack may light a black texel
         illumination = MAX_LIGHT_GAIN * (illumination + ILLUMINATION_MEAN)
     light = _brightest(surface, sky, illumination, kept)
     # The remainder of the line is half its second derivative times (γ log n·h)², under the cosine n·ω. A seen normal
@@ -146,10 +147,13 @@ class MeasuredErrors:
         )
         self._sky, self._illumination = sky, illumination
         self._perturbed = [(illumination, surface.material)]
-        for _ in range(N_PERTURBATIONS if "illumination" in groups or "material" in groups else 0):
+        for _ in range(N_PERTURBATIONS if attacks_light(groups) or "material" in groups else 0):
             light, material = illumination, surface.material
             if "illumination" in groups:
                 light = (light + MAX_PERTURBATION["illumination"] * _signs(light, random)).clamp_min(0.0)
+            if "illumination_rgb" in groups:
+                light = light.expand(3, -1)
+                light = (light + MAX_PERTURBATION["illumination_rgb"] * _signs(light, random)).clamp_min(0.0)
             if "material" in groups:
                 material = material + MAX_PERTURBATION["material"] * _signs(material, random)
             self._perturbed.append((light, material))
@@ -207,7 +211,7 @@ def _every(surface: Surface, stride: int) -> Surface:
 
 def _brightest_texels(illumination: Tensor, groups: Sequence[str]) -> Tensor:
     """Returns the largest intensity that the random perturbations give each texel."""
-    return illumination + (MAX_PERTURBATION["illumination"] if "illumination" in groups else 0.0)
+    return illumination + sum(MAX_PERTURBATION[group] for group in LIGHT_GROUPS if group in groups)
 
 
 def _brightest(surface: Surface, sky: Sky, illumination: Tensor, kept: Tensor) -> Tensor:

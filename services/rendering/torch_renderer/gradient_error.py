@@ -32,13 +32,18 @@ def gradient_errors(
         sample = subset(spread(sample, "normals" in groups, random), max_pixels)
     weights = torch.randn(len(sample.angles), 3, generator=random, dtype=torch.float64).to(sample.angles.device)
     values = {"normals": sample.angles, "illumination": illumination, "material": sample.material}
+    if "illumination_rgb" in groups:
+        values["illumination_rgb"] = illumination.new_zeros(3, len(illumination))
     found = []
     for compared in (replace(recipe, guard=None), exact):
         leaves = {
             name: value.to(compared.dtype, copy=True).requires_grad_(name in groups) for name, value in values.items()
         }
         shader = Shader(compared, sky, sample, illumination)
-        radiance = shader(leaves["normals"], leaves["illumination"], leaves["material"])
+        light = leaves["illumination"]
+        if "illumination_rgb" in leaves:
+            light = light + leaves["illumination_rgb"]
+        radiance = shader(leaves["normals"], light, leaves["material"])
         displayed = to_display(radiance * sample.base_color.to(compared.dtype))
         total = (displayed * weights.to(compared.dtype)).sum()
         if not total.requires_grad:  # nothing is attacked, or no light reaches the surface whatever is changed

@@ -12,6 +12,8 @@ from services.rendering.torch_renderer.normals import to_vectors
 from services.rendering.torch_renderer.units import ILLUMINATION_MEAN, MATERIAL_UNIT
 from services.scenes.resolve import ResolvedScene
 
+CHANNELS = ("red", "green", "blue")
+
 
 def changes(
     scene: ResolvedScene,  # noqa: ARG001 - the declaration's signature
@@ -26,7 +28,10 @@ def changes(
             covered = (initial != 0).any(dim=-1)  # the angles of uncovered pixels are 0
             found += normal_changes(initial, change, covered)
         elif group == "illumination":
-            found += map_changes(change)
+            found += map_changes(group, "map", change)
+        elif group == "illumination_rgb":
+            for channel, values in zip(CHANNELS, change.unbind(-1), strict=True):
+                found += map_changes(group, f"map, {channel}", values)
         elif group == "material":
             found += material_changes(change)
     return found
@@ -43,15 +48,16 @@ def normal_changes(initial: Tensor, change: Tensor, covered: Tensor) -> Iterator
         yield PhysicalChange(group="normals", subject="surface", measure=measure, value=degrees(value), unit="degrees")
 
 
-def map_changes(change: Tensor) -> Iterator[PhysicalChange]:
-    """Changes of the environment map's texels, in percent of the map's mean intensity."""
+def map_changes(group: str, subject: str, change: Tensor) -> Iterator[PhysicalChange]:
+    """Changes of the environment map's texels [rows, cols] in one channel or all, in percent of the map's mean
+    intensity."""
     percent = 100 * change.double() / ILLUMINATION_MEAN
     for measure, value in (
         ("root mean square of the texels", percent.square().mean().sqrt()),
         ("largest texel", percent.flatten()[percent.abs().argmax()]),
     ):
         yield PhysicalChange(
-            group="illumination", subject="map", measure=measure, value=float(value), unit="% of its mean intensity"
+            group=group, subject=subject, measure=measure, value=float(value), unit="% of its mean intensity"
         )
 
 

@@ -15,6 +15,8 @@ from torch import Tensor
 from services.rendering.plan import Item, Plan, Stage, Tolerance
 from services.rendering.torch_renderer import dsbrdf
 from services.rendering.torch_renderer import error_estimates as errors
+from services.rendering.torch_renderer.declaration import TORCH
+from services.rendering.torch_renderer.environment_light import attacks_light
 from services.rendering.torch_renderer.gradient_error import gradient_errors
 from services.rendering.torch_renderer.lookup_table import tiles, touched
 from services.rendering.torch_renderer.normals import to_vectors
@@ -81,8 +83,8 @@ def compile_plan(
     if file_materials:
         why = "metallic, roughness, emission and occlusion are ignored: the torch renderer has materials of its own"
         items.append(Item(what="materials of the file", kept=0, of=file_materials, why=why))
-    why = "the other groups keep their values"
-    items.append(Item(what="gradients", kept=len(groups), of=3, why=why if len(groups) < 3 else "all are attacked"))
+    why = "the other groups keep their values" if len(groups) < len(TORCH.groups) else "all are attacked"
+    items.append(Item(what="gradients", kept=len(groups), of=len(TORCH.groups), why=why))
     for surface in surfaces:
         if tolerance == "exact" or not len(surface.angles):
             recipe = exact_recipe(sky)
@@ -134,7 +136,7 @@ def _needs(surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[st
 
 def _directions(surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str]) -> tuple[Tensor, str]:
     """Returns the indices of the texels that can change the image, and the reason why the others cannot."""
-    power = sky.power if "illumination" in groups else sky.power * illumination
+    power = sky.power if attacks_light(groups) else sky.power * illumination
     lit = (power > 0).any(0)
     above = torch.ones_like(lit)
     if "normals" not in groups:
@@ -225,7 +227,7 @@ def _tables(
 def _method(recipe: Recipe, groups: Sequence[str], nodes: int, looked_up: bool, near: bool = False) -> Method:
     if "material" in groups or near:
         return "summed"
-    if "illumination" in groups:
+    if attacks_light(groups):
         size = 4 * nodes * len(recipe.active_texels) * recipe.channels
         return "precomputed_transport" if "normals" not in groups and size <= TRANSPORT_BYTES else "summed"
     return "cached_table" if looked_up else "summed"

@@ -37,12 +37,14 @@ from services.scenes.resolve import ResolvedScene
 
 
 class TorchRenderer(DeclaredRenderer):
-    """Renders a G-buffer under an environment map. It has three groups, each differentiable.
+    """Renders a G-buffer under an environment map. It has four groups, each differentiable.
 
     normals [H, W, 2]: azimuth and polar angle in the camera's frame, radians (see `normals`). They are 0 and have no
     effect at pixels that no object covers.
     illumination [rows, cols]: one intensity per texel of the map, ≥ 0, of mean ILLUMINATION_MEAN; the texel's colour is
     fixed.
+    illumination_rgb [rows, cols, 3]: added to each texel's intensity, in each colour channel by itself; 0 at the start.
+    The sum is held at ≥ 0. Only requests that name this group attack it: the paper's light has one channel.
     material [objects, 3, 3, 2, 6]: Bernstein coefficients of log κ and log γ by object, colour channel and lobe
     (services.rendering.torch_renderer.dsbrdf), times MATERIAL_UNIT.
     """
@@ -53,7 +55,7 @@ class TorchRenderer(DeclaredRenderer):
         self,
         scene: ResolvedScene,
         gbuffer: GBuffer,
-        groups: Sequence[str] = TORCH.group_names,
+        groups: Sequence[str] = TORCH.default_groups,
         tolerance: Tolerance = DEFAULT_TOLERANCE,
     ) -> None:
         """Plans the rendering of `scene`, rasterised in `gbuffer`, for attacks on `groups`.
@@ -85,6 +87,7 @@ class TorchRenderer(DeclaredRenderer):
         initial = {
             "normals": to_angles(normals) * (gbuffer.coverage > 0)[..., None],
             "illumination": light.intensity,
+            "illumination_rgb": torch.zeros_like(light.chroma),
             "material": torch.stack(materials).to(self._device) * MATERIAL_UNIT,
         }
         # Round to float32 whatever the dtype, so that the exact twin renders the same scene.
@@ -148,6 +151,7 @@ class TorchRenderer(DeclaredRenderer):
         return {
             "normals": (-furthest, furthest),
             "illumination": (torch.zeros((), dtype=self._dtype), infinity),
+            "illumination_rgb": (-self._initial["illumination"][..., None].cpu(), infinity),
             "material": (ranges[:, :1], ranges[:, 1:]),
         }
 
@@ -169,9 +173,7 @@ class TorchRenderer(DeclaredRenderer):
                 raise ValueError(f"group {group!r} is not among {self._attacked}, which this renderer is compiled for")
         # One image at a time: its operations and shapes, and so its bits, do not depend on the rest of the batch.
         images = [
-            self._image(
-                **self._initial | {group: value[b].to(self._device, self._dtype) for group, value in parameters.items()}
-            )
+            self._image({group: value[b].to(self._device, self._dtype) for group, value in parameters.items()})
             for b in range(batch.pop())
         ]
         return torch.stack(images) if len(images) > 1 else images[0][None]
@@ -185,13 +187,14 @@ class TorchRenderer(DeclaredRenderer):
         """Number of times that an object's sampled check failed, so that its pixels were summed directly."""
         return sum(shader.summed_after_all for shader in self.shaders)
 
-    def _image(self, normals: Tensor, illumination: Tensor, material: Tensor) -> Tensor:
-        """Renders one image [H, W, 3]."""
-        angles, intensity = self._canvas.covered(normals), illumination.flatten()
-        shaded = [
-            shader(own, intensity, of_object).to(self._dtype)
-            for shader, own, of_object in zip(self.shaders, torch.split(angles, self._counts), material, strict=True)
-        ]
+    def _image(self, given: Parameters) -> Tensor:
+        """Renders one image [H, W, 3]; groups that are not given keep the scene's own values."""
+        values = self._initial | given
+        angles, intensity = self._canvas.covered(values["normals"]), values["illumination"].flatten()
+        if "illumination_rgb" in given:
+            intensity = (intensity + given["illumination_rgb"].reshape(-1, 3).T).clamp_min(0.0)  # [3, D]
+        surfaces = zip(self.shaders, torch.split(angles, self._counts), values["material"], strict=True)
+        shaded = [shader(own, intensity, material).to(self._dtype) for shader, own, material in surfaces]
         return self._canvas.image(torch.cat(shaded) if len(shaded) > 1 else shaded[0])
 
 

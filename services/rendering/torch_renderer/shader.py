@@ -129,7 +129,8 @@ class Shader:
         self.summed_after_all = 0
 
     def __call__(self, angles: Tensor, illumination: Tensor, material: Tensor) -> Tensor:
-        """Radiance [P, 3] for angles [P, 2], all intensities [D of the whole map] and one material [3, 3, 2, 6]."""
+        """Radiance [P, 3] for angles [P, 2], all intensities, [D of the whole map] or [3, D] where each channel has its
+        own, and one material [3, lobes, 2, 6]."""
         angles, recipe = angles.to(self.recipe.dtype), self.recipe
         if recipe.rows is None:
             return self._whole(to_vectors(angles), illumination, material)
@@ -227,7 +228,7 @@ class _Sum:
         return radiance(normals, light, lobes, self._directions)
 
     def _light_of(self, illumination: Tensor) -> Tensor:
-        return self._power * illumination[self._kept].to(self._recipe.dtype)
+        return self._power * illumination[..., self._kept].to(self._recipe.dtype)
 
     def _alike(self, material: Tensor) -> bool:
         """Whether one channel stands for all three: equal channels without gradients give the same bits."""

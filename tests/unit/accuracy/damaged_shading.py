@@ -96,6 +96,26 @@ def brighter_light(patch, factor: float = 1.05) -> None:
     patch.setattr(torch_renderer, "illumination", illumination)
 
 
+def swapped_light(patch) -> None:
+    """Light whose red and blue are exchanged where each channel has its own."""
+    true = shader.Shader.__call__
+
+    def call(shader_, angles, light, material):
+        return true(shader_, angles, light.flip(0) if light.dim() == 2 else light, material)
+
+    patch.setattr(shader.Shader, "__call__", call)
+
+
+def colorless_light(patch) -> None:
+    """Light in one channel where each should have its own."""
+    true = shader.Shader.__call__
+
+    def call(shader_, angles, light, material):
+        return true(shader_, angles, light.mean(0) if light.dim() == 2 else light, material)
+
+    patch.setattr(shader.Shader, "__call__", call)
+
+
 def far_too_bright_light(patch) -> None:
     brighter_light(patch, 10.0)
 

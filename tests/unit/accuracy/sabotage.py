@@ -53,12 +53,15 @@ BROKEN = {
             [
                 "normals only, broad sun",
                 "illumination only, sun of 1e6",
+                "illumination_rgb only, sun of 1e6",
                 "material only, broad sun",
                 *(f"{group} only, moved far" for group in ("normals", "illumination")),
                 *(f"tolerance {tolerance}" for tolerance in ("exact", 1e-6, 1e-5, 1e-2)),
             ],
         ),
         (damaged_shading.naive_lobes, ["material only, moved far"]),
+        (damaged_shading.swapped_light, ["illumination_rgb only, moved far", "illumination_rgb only, gradient"]),
+        (damaged_shading.colorless_light, ["illumination_rgb only, moved far", "illumination_rgb only, gradient"]),
         (damaged_shading.far_too_bright_light, ["tolerance 0.1"]),
         (
             damaged_shading.wrong_gradients,

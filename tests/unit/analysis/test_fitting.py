@@ -39,6 +39,15 @@ def test_parameters_are_found_again(optimiser: str, rate: float) -> None:
         assert torch.allclose(found.perturbation[group], value, atol=5e-3)
 
 
+def test_only_the_groups_of_the_plan_are_fitted() -> None:
+    """A renderer may have groups for which it was not compiled, as coloured light."""
+    renderer = FreeRenderer()
+    renderer.plan = renderer.plan.model_copy(update={"groups": ("b",)})
+    found = fit(renderer, rendered(renderer), "sgd", 1e-4, 3, quiet)
+    assert found.perturbation.keys() == {"b"}
+    assert found.losses[-1] < found.losses[0]
+
+
 def test_the_best_step_is_returned_not_the_last() -> None:
     """A rate far too large: the first step already overshoots, and the scene itself stays the best."""
     renderer = FreeRenderer()

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from services.attacks.goal import ResolvedGoal
 from services.attacks.problem import AttackProblem, Evaluation, ask, gradients, quantize
+from services.rendering.plan import Plan
 from services.rendering.protocol import Parameters
 
 
@@ -24,6 +25,7 @@ class LinearRenderer:
     differentiable = True
     backend = "linear"
     size = (4, 5)
+    plan = Plan.of("torch", groups, size, "exact", [])
 
     def __post_init__(self) -> None:
         random = torch.Generator().manual_seed(self.seed)

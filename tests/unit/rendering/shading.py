@@ -112,8 +112,9 @@ def reference_image(scene: ResolvedScene, gbuffer: GBuffer, parameters: dict[str
     """The image [H, W, 3] by its definition: loops over pixels, directions, channels and lobes, in world space."""
     environment = np.asarray(scene.environment)
     chroma, _, exposure = reference_exposure(environment)
-    angles, intensity, material = (
-        parameters[group].detach().double().numpy() for group in ("normals", "illumination", "material")
+    angles, intensity, added, material = (
+        parameters[group].detach().double().numpy()
+        for group in ("normals", "illumination", "illumination_rgb", "material")
     )
     right, up, back = scene.view[:3, :3].T
     height, width = gbuffer.coverage.shape
@@ -136,7 +137,8 @@ def reference_image(scene: ResolvedScene, gbuffer: GBuffer, parameters: dict[str
                 theta_d = acos(min(1.0, half @ direction))
                 for c in range(3):
                     rho = reference_brdf(material[int(gbuffer.object_index[y, x]), c] / MATERIAL_UNIT, theta_h, theta_d)
-                    total[c] += rho * chroma[i, j, c] * intensity[i, j] * (normal @ direction) * solid
+                    light = max(0.0, intensity[i, j] + added[i, j, c])
+                    total[c] += rho * chroma[i, j, c] * light * (normal @ direction) * solid
             linear = np.clip(gbuffer.base_color[y, x].double().numpy() * exposure * total, 0, 1)
             shown = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
             image[y, x] = covered * shown + (1 - covered) * ground

@@ -16,7 +16,8 @@ def test_the_built_in_renderers_are_found() -> None:
     papers = ("illumination", "color", "translation", "rotation")
     assert RENDERERS["pyrender"].default_groups == papers
     assert RENDERERS["pyrender"].group_names == (*papers, "camera")
-    assert RENDERERS["torch"].group_names == ("normals", "illumination", "material")
+    assert RENDERERS["torch"].default_groups == ("normals", "illumination", "material")
+    assert RENDERERS["torch"].group_names == ("normals", "illumination", "illumination_rgb", "material")
 
 
 def test_labels_follow_the_axes() -> None:

@@ -34,7 +34,8 @@ def studio_map(rows: int = 16, cols: int = 32) -> np.ndarray:
 def moved(renderer: TorchRenderer, groups: tuple[str, ...], far: float = 1.0, seed: int = 0) -> Parameters:
     """Initial values of the groups, [1, ...] each, plus steps of equal size with random signs, within the bounds."""
     random = torch.Generator().manual_seed(seed)
-    size = {"normals": 0.1, "illumination": 0.1 * ILLUMINATION_MEAN, "material": 1.0}
+    light = 0.1 * ILLUMINATION_MEAN
+    size = {"normals": 0.1, "illumination": light, "illumination_rgb": light, "material": 1.0}
     start = renderer.initial()
     parameters = {}
     for group in groups:

@@ -5,7 +5,9 @@ from math import radians
 import pytest
 import torch
 
-from services.rendering.torch_renderer.physical import map_changes, material_changes, normal_changes
+from services.rendering.torch_renderer.physical import changes, map_changes, material_changes, normal_changes
+from tests.unit.rendering.shading import sphere_scene
+from tests.unit.rendering.torch_renderer.spheres import sphere
 
 
 def test_angles_between_normals_are_not_those_of_their_parameters() -> None:
@@ -23,9 +25,22 @@ def test_angles_between_normals_are_not_those_of_their_parameters() -> None:
 def test_texels_are_relative_to_the_mean() -> None:
     change = torch.zeros(4, 8)
     change[1, 2], change[3, 3] = -2.0, 1.0
-    rms, largest = map_changes(change)
+    rms, largest = map_changes("illumination", "map", change)
     assert largest.value == pytest.approx(-20)  # the mean is 10
     assert rms.value == pytest.approx(10 * (5 / 32) ** 0.5)
+
+
+def test_coloured_light_is_worded_by_channel() -> None:
+    """Each channel has its own percent: a change of blue alone shows in no other channel."""
+    renderer = sphere()
+    change = torch.zeros_like(renderer.initial()["illumination_rgb"])
+    change[1, 2, 2], change[3, 3, 0] = -2.0, 0.5
+    found = changes(sphere_scene(), renderer, {"illumination_rgb": change})
+    largest = {one.subject: one.value for one in found if one.measure == "largest texel"}
+    assert largest == pytest.approx({"map, red": 5.0, "map, green": 0.0, "map, blue": -20.0})
+    assert {one.group for one in found} == {"illumination_rgb"}
+    rms = {one.subject: one.value for one in found if one.measure != "largest texel"}
+    assert rms["map, blue"] == pytest.approx(20 / 32**0.5)
 
 
 def test_coefficients_are_logarithms() -> None:

@@ -72,7 +72,9 @@ def test_a_plan_for_a_dark_scene_keeps_the_lobes_that_an_attack_lights() -> None
     assert error(renderer, lit) <= renderer.plan.error
 
 
-@pytest.mark.parametrize("groups", [("normals",), ("illumination",), ("material",), GROUPS[:2], GROUPS[1:], GROUPS])
+@pytest.mark.parametrize(
+    "groups", [("normals",), ("illumination",), ("illumination_rgb",), ("material",), GROUPS[:2], GROUPS[1:], GROUPS]
+)
 def test_gradients_are_those_of_the_exact_sum(groups: tuple[str, ...]) -> None:
     """They are weighted as an attack weights them: by a network's gradient, which is smooth over some pixels."""
     renderer = on_sphere(groups, size=128)

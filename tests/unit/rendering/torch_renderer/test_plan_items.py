@@ -143,14 +143,15 @@ def test_texels_that_the_table_would_blur_are_summed_per_pixel(changed: Callable
     """In the table their error would be beyond the tolerance. Summed per pixel they have none."""
     plain = changed(lambda recipe: replace(recipe, guard=None), size=96)
     assert len(plain.shaders[0].recipe.per_pixel_texels) > 0
-    start = {g: v[None] for g, v in plain.initial().items()}
+    start = {g: plain.initial()[g][None] for g in GROUPS}
     assert error(plain, start) <= plain.plan.error
     blurred = changed(lambda r: replace(r, guard=None, per_pixel_texels=r.per_pixel_texels[:0]), size=96)
     assert error(blurred, start) > 1e-3
 
 
 def test_a_finer_table_has_a_smaller_error(changed: Callable[..., TorchRenderer]) -> None:
-    start = {g: v[None] for g, v in on_sphere(size=96).initial().items()}
+    initial = on_sphere(size=96).initial()
+    start = {g: initial[g][None] for g in GROUPS}
     coarse = changed(lambda r: replace(r, guard=None, rows=(r.rows or 0) // 4 * 2), size=96)
     fine = changed(lambda r: replace(r, guard=None, rows=(r.rows or 0) * 2), size=96)
     assert error(coarse, start) > 2 * error(fine, start)

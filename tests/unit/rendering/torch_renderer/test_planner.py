@@ -20,10 +20,12 @@ def test_exact_takes_no_shortcut() -> None:
 
 def test_the_attacked_groups_decide_the_method() -> None:
     kinds = {
-        groups: on_sphere(groups, size=96).shaders[0].recipe for groups in (("normals",), ("illumination",), GROUPS)
+        groups: on_sphere(groups, size=96).shaders[0].recipe
+        for groups in (("normals",), ("illumination",), ("illumination_rgb",), GROUPS)
     }
     assert kinds["normals",].method == "cached_table"
     assert kinds["illumination",].method == "precomputed_transport"
+    assert kinds["illumination_rgb",].method == "precomputed_transport"
     assert kinds[GROUPS].method == "summed"
     assert kinds["normals",].gray
     assert not kinds[GROUPS].gray

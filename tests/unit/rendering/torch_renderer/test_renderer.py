@@ -26,7 +26,7 @@ def test_image_is_the_sum_it_is_defined_as(tolerance: Tolerance, rtol: float, mo
     """So few pixels are summed each for itself, in float32 within the tolerance."""
     scene = sphere_scene((7, 9), sky(), TWO)
     gbuffer = sphere_gbuffer(scene, albedo=(0.3, 0.25, 0.2))
-    renderer = TorchRenderer(scene, gbuffer, tolerance=tolerance)
+    renderer = TorchRenderer(scene, gbuffer, GROUPS, tolerance)
     parameters = moved(renderer) if move else {g: v[None] for g, v in renderer.initial().items()}
     found = renderer.render(parameters)[0].double().numpy()
     wanted = reference_image(scene, gbuffer, {g: v[0] for g, v in parameters.items()})
@@ -70,6 +70,34 @@ def test_one_texel_lights_by_its_cosine() -> None:
     scale = float(image[whole].max() / cosine[whole].max())
     # normals are float32
     torch.testing.assert_close(image[..., 1][whole], scale * cosine[whole], rtol=1e-6, atol=1e-6)
+
+
+def test_grey_changes_of_coloured_light_are_changes_of_intensity() -> None:
+    """To the last bit, images and, summed over the channels, gradients to rounding."""
+    renderer = sphere()
+    start = renderer.initial()
+    change = torch.rand(start["illumination"].shape, generator=torch.Generator().manual_seed(4), dtype=torch.float64)
+    one = (start["illumination"] + change)[None].requires_grad_()
+    three = change[None, ..., None].repeat(1, 1, 1, 3).requires_grad_()
+    images = renderer.render({"illumination": one}), renderer.render({"illumination_rgb": three})
+    assert torch.equal(*images)
+    assert not torch.equal(images[0], renderer.render({}))
+    own, by_channel = (
+        torch.autograd.grad(image.square().sum(), leaf)[0] for image, leaf in zip(images, (one, three), strict=True)
+    )
+    torch.testing.assert_close(by_channel.sum(-1), own, rtol=1e-12, atol=1e-15)
+
+
+def test_light_of_both_groups_adds_up_and_is_never_negative() -> None:
+    renderer = sphere()
+    start = renderer.initial()
+    lit = start["illumination"].clone()
+    off = -2 * start["illumination"][None, ..., None].repeat(1, 1, 1, 3)
+    dark = renderer.render({"illumination": lit[None], "illumination_rgb": off})
+    black = renderer.render({"illumination": torch.zeros_like(lit)[None]})
+    assert torch.equal(dark, black)
+    both = renderer.render({"illumination": (lit + 1)[None], "illumination_rgb": torch.ones_like(off)})
+    assert torch.equal(both, renderer.render({"illumination": (lit + 2)[None]}))
 
 
 def test_coverage_lies_over_the_ground() -> None:

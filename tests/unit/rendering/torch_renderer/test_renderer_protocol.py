@@ -54,6 +54,7 @@ def test_description_of_the_groups() -> None:
     assert {g: tuple(v.shape) for g, v in initial.items()} == {
         "normals": (12, 12, 2),
         "illumination": (4, 8),
+        "illumination_rgb": (4, 8, 3),
         "material": (2, 3, 3, 2, 6),
     }
     for group, value in initial.items():
@@ -61,6 +62,7 @@ def test_description_of_the_groups() -> None:
         assert ((value >= low) & (value <= high)).all(), group
         assert (low + torch.zeros_like(value)).shape == value.shape
     assert bounds["illumination"][0] == 0
+    assert torch.equal(bounds["illumination_rgb"][0][..., 0], -initial["illumination"])
     names = renderer.names("material")
     assert names is not None
     assert len(set(names)) == initial["material"].numel()
@@ -93,7 +95,7 @@ scene = sphere_scene((448, 448), sky(16, 32), ("plastic",))
 gbuffer = sphere_gbuffer(scene, radius=0.62)
 assert 55_000 < int((gbuffer.coverage > 0).sum()) < 65_000
 renderer = TorchRenderer(scene, gbuffer)
-leaves = {g: v[None].clone().requires_grad_() for g, v in renderer.initial().items()}
+leaves = {g: v[None].clone().requires_grad_() for g, v in renderer.initial().items() if g in renderer.plan.groups}
 renderer.render(leaves).sum().backward()
 # not getrusage: its maximum is the parent's where that is larger
 print(1024 * int(re.search(r"VmHWM:\\s*(\\d+) kB", Path("/proc/self/status").read_text())[1]))
