@@ -16,6 +16,7 @@ from services.rendering.torch_renderer import dsbrdf
 from services.rendering.torch_renderer.directions import directions, solid_angles
 from services.rendering.torch_renderer.environment_light import illumination
 from services.rendering.torch_renderer.normals import to_vectors
+from services.rendering.torch_renderer.presets import colored_lobes
 from services.rendering.torch_renderer.units import MATERIAL_UNIT
 from services.scenes.resolve import ResolvedScene
 
@@ -27,6 +28,7 @@ class PlainShading:
     pixels: Tensor
     coverage: Tensor
     base_color: Tensor
+    colored: tuple[bool, ...]
     ground: Tensor
     towards: Tensor
     half: Tensor
@@ -48,6 +50,7 @@ class PlainShading:
             pixels,
             coverage[pixels, None].to(dtype),
             gbuffer.base_color.reshape(-1, 3)[pixels].to(dtype),
+            colored_lobes(scene.description.objects[0].material),
             torch.tensor(scene.description.ground, dtype=dtype),
             towards.to(dtype),
             half.to(dtype),
@@ -65,9 +68,12 @@ class PlainShading:
         light = self.power * parameters["illumination"].flatten()
         channels = []
         for c in range(3):
-            rho = sum(dsbrdf.reflectance(log_half, k, g) for k, g in zip(log_kappa[c], gamma[c], strict=True))
-            channels.append((rho * cosine) @ light[c])
-        shown = to_display(torch.stack(channels, dim=-1) * self.base_color[part])
+            sent = 0.0
+            for kappa, exponent, colored in zip(log_kappa[c], gamma[c], self.colored, strict=True):
+                shaded = (dsbrdf.reflectance(log_half, kappa, exponent) * cosine) @ light[c]
+                sent = sent + shaded * (self.base_color[part, c] if colored else 1.0)
+            channels.append(sent)
+        shown = to_display(torch.stack(channels, dim=-1))
         coverage = self.coverage[part]
         return coverage * shown + (1 - coverage) * self.ground
 

@@ -31,7 +31,7 @@ LARGEST_THETA_D = np.radians(85.0)
 FLOOR = 0.03
 """Errors are of log(ρ + FLOOR): relative where a surface reflects, absolute where it is dark (white has ρ = 0.32)."""
 STARTS = 6
-INCIDENCES = np.radians([0, 30, 45, 55, 65, 72, 78, 82, 85, 87, 88.5, 89.5, 89.99])
+INCIDENCES = np.radians([0, 30, 45, 55, 65, 72, 78, 80, 82, 83, 84, 85, 87, 88.5, 89.5, 89.99])
 """Angles at which light falls in where the reflected share is held to at most LARGEST_ALBEDO."""
 LARGEST_ALBEDO = 1 - 2e-5
 """Just below 1, so that a finer quadrature than the fit's finds no more than 1."""
@@ -74,24 +74,32 @@ class Reference:
     """
 
     description: str
-    lobes: int
+    base_lobes: int
+    """Lobes that are fitted to the base alone."""
+    gloss_lobes: int
+    """Lobes that are fitted to the surface alone."""
+    colored_gloss: bool = True
+    """Whether the mesh's colour multiplies what the surface reflects, as for a conductor; not for a dielectric."""
     albedo: float = 0.0
     specular: float = 0.0
     alpha: float = 1.0
 
     def brdf(self, theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The BRDF, 1/steradian, and (n·i)(n·o), 0 where one of the two is under the surface."""
+        """The BRDFs of base and surface, 1/steradian [2, …], and (n·i)(n·o), 0 where one of the two is under the
+        surface."""
         across = np.sin(theta_h) * np.sin(theta_d) * np.cos(phi_d)
         along = np.cos(theta_h) * np.cos(theta_d)
         n_i, n_o = along - across, along + across
         seen = (n_i > 0) & (n_o > 0)
         n_i, n_o = np.where(seen, n_i, 1.0), np.where(seen, n_o, 1.0)
-        value = np.full(np.broadcast(n_i, theta_d).shape, self.albedo / np.pi)
+        base = np.full(np.broadcast(n_i, theta_d).shape, self.albedo / np.pi)
+        gloss = np.zeros_like(base)
         if self.specular:
             cosines, share, mean = self.surface_albedo
             lets_in, lets_out = (1 - np.interp(n, cosines, share) for n in (n_i, n_o))
-            value = value * lets_in * lets_out / (1 - mean) + self.gloss(theta_h, theta_d, n_i, n_o)
-        return value, np.where(seen, n_i * n_o, 0.0)
+            base = base * lets_in * lets_out / (1 - mean)
+            gloss = self.gloss(theta_h, theta_d, n_i, n_o)
+        return np.stack([base, gloss]), np.where(seen, n_i * n_o, 0.0)
 
     def gloss(self, theta_h: np.ndarray, theta_d: np.ndarray, n_i: np.ndarray, n_o: np.ndarray) -> np.ndarray:
         """The surface's part of the BRDF, with Smith's height-correlated shadowing."""
@@ -113,7 +121,8 @@ class Reference:
         return cosines, share, float((2 * cosines * share).mean())
 
     def mean(self, theta_h: np.ndarray, theta_d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The BRDF on the grid theta_h × theta_d, averaged over φ_d with weight (n·i)(n·o), and its mean.
+        """The BRDFs of base and surface on the grid theta_h × theta_d [2, …], averaged over φ_d with weight (n·i)(n·o),
+        and that weight's mean.
 
         The weight is how much a configuration counts in an image: light arrives by n·i, area is seen by n·o.
         Both are even about φ_d = 0 and π/2, so the angles up to π/2 at which light and viewer are above the surface do.
@@ -127,12 +136,14 @@ class Reference:
 
 
 REFERENCES = {
-    "matte": Reference("Lambertian, albedo 1", 1, albedo=1.0),
-    "plastic": Reference("Lambertian, albedo 0.95, under a GGX dielectric of index 1.5, α 0.3", 3, 0.95, 0.04, 0.3),
-    "glossy-paint": Reference(
-        "Lambertian, albedo 0.95, under a GGX dielectric of index 1.5, α 0.12", 3, 0.95, 0.04, 0.12
+    "matte": Reference("Lambertian, albedo 1", 1, 0, albedo=1.0),
+    "plastic": Reference(
+        "Lambertian, albedo 0.95, under a GGX dielectric of index 1.5, α 0.3", 1, 2, False, 0.95, 0.04, 0.3
     ),
-    "brushed-metal": Reference("GGX conductor, reflectance 0.92 (aluminium), α 0.3", 3, 0.0, 0.92, 0.3),
+    "glossy-paint": Reference(
+        "Lambertian, albedo 0.95, under a GGX dielectric of index 1.5, α 0.12", 1, 2, False, 0.95, 0.04, 0.12
+    ),
+    "brushed-metal": Reference("GGX conductor, reflectance 0.92 (aluminium), α 0.3", 0, 3, True, 0.0, 0.92, 0.3),
 }
 
 
@@ -169,14 +180,21 @@ def fit(reference: Reference, seed: int) -> dict[str, object]:
     """Nonlinear least squares from several random starts. If the best makes light, it is fitted on with a penalty."""
     theta_h = (np.pi / 2 - 1e-3) * ((np.arange(THETA_H) + 0.5) / THETA_H) ** 2
     theta_d = LARGEST_THETA_D * (np.arange(THETA_D) + 0.5) / THETA_D
-    target, weight = (torch.from_numpy(grid.ravel()) for grid in reference.mean(theta_h, theta_d))
+    parts, weight = reference.mean(theta_h, theta_d)
+    targets, weight = torch.from_numpy(parts.reshape(2, -1)), torch.from_numpy(weight.ravel())
+    target = targets.sum(0)
     points = Points(*(grid.ravel() for grid in np.meshgrid(theta_h, theta_d, indexing="ij")))
     furnace = Furnace(INCIDENCES)
-    shape = (reference.lobes, 2, dsbrdf.DEGREE + 1)
+    counts = [reference.base_lobes, reference.gloss_lobes]
+    shape = (sum(counts), 2, dsbrdf.DEGREE + 1)
 
     def distance(flat: Tensor) -> Tensor:
-        rho = points.brdf(flat.reshape(shape))
-        return weight.sqrt() * ((rho + FLOOR).log() - (target + FLOOR).log())
+        """Of each part that has lobes, and of their sum where both have."""
+        lobes = torch.split(flat.reshape(shape), counts)
+        pairs = [(points.brdf(own), of) for own, of in zip(lobes, targets, strict=True) if len(own)]
+        if len(pairs) == 2:
+            pairs.append((pairs[0][0] + pairs[1][0], target))
+        return torch.cat([weight.sqrt() * ((rho + FLOOR).log() - (of + FLOOR).log()) for rho, of in pairs])
 
     def penalised(flat: Tensor) -> Tensor:
         excess = (furnace.albedo(flat.reshape(shape)) - LARGEST_ALBEDO).clamp_min(0.0)
@@ -187,15 +205,15 @@ def fit(reference: Reference, seed: int) -> dict[str, object]:
     for _ in range(STARTS):
         # Lobes of every width, each constant in θ_d to begin with.
         start = np.empty(shape)
-        start[:, 0] = rng.uniform(-3, 1.5, (reference.lobes, 1))
-        start[:, 1] = np.sort(rng.uniform(-6, 6, reference.lobes))[:, None]
+        start[:, 0] = rng.uniform(-3, 1.5, (len(start), 1))
+        start[:, 1] = np.sort(rng.uniform(-6, 6, len(start)))[:, None]
         starts.append(_least_squares(distance, start.ravel(), shape))
     best = min(starts, key=lambda found: float(found.cost))
     if furnace.albedo(torch.from_numpy(best.x).reshape(shape)).max() > LARGEST_ALBEDO:
         best = _least_squares(penalised, best.x, shape)
     coefficients = np.empty((dsbrdf.LOBES, 2, dsbrdf.DEGREE + 1))
     coefficients[:, 0], coefficients[:, 1] = dsbrdf.LOG_KAPPA_RANGE[0], 0.0
-    coefficients[: reference.lobes] = best.x.reshape(shape).round(6)
+    coefficients[: sum(counts)] = best.x.reshape(shape).round(6)
     fitted = torch.from_numpy(coefficients)
     relative = ((points.brdf(fitted) - target).abs() / (target + FLOOR)).numpy()
     grid = relative.reshape(THETA_H, THETA_D)
@@ -211,6 +229,7 @@ def fit(reference: Reference, seed: int) -> dict[str, object]:
         "largest_reference_value": float(target.max()),
         "largest_albedo": float(albedo.max()),
         "largest_albedo_at_degrees": float(np.degrees(INCIDENCES[int(albedo.argmax())])),
+        "colored_lobes": [lobe < counts[0] or reference.colored_gloss for lobe in range(dsbrdf.LOBES)],
         "coefficients": np.broadcast_to(coefficients, dsbrdf.SHAPE).tolist(),
     }
 

@@ -144,7 +144,7 @@ def attack_errors(case: AttackedScene, library: Library, steps: int = STEPS) -> 
         scene=case.scene.model_dump(mode="json", exclude_defaults=True),
         groups=case.groups,
         tolerance=case.tolerance,
-        table=any(stage.name == "sampled check" for stage in renderer.plan.stages),
+        table=any(stage.name.startswith("sampled check") for stage in renderer.plan.stages),
         estimate=renderer.plan.error,
         images=len(errors),
         worst=errors[worst],

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from services.rendering.torch_renderer import dsbrdf
 from services.rendering.torch_renderer.environment_light import illumination
-from services.rendering.torch_renderer.presets import presets
+from services.rendering.torch_renderer.presets import colored_lobes, presets
 from services.rendering.torch_renderer.renderer import sky_of
 from services.rendering.torch_renderer.shading import Lobes, radiance
 from services.rendering.torch_renderer.units import MATERIAL_UNIT
@@ -67,8 +67,9 @@ def environment_look(library: Library, light: Environment, material: str, elevat
     log_kappa, gamma = dsbrdf.lobes(presets()[material] * MATERIAL_UNIT, sky.curves)
     none = torch.zeros(dsbrdf.CHANNELS, log_kappa.shape[-1], dtype=torch.float64)
     light_of = sky.power * split.intensity.flatten()
-    body = radiance(node_normals(), light_of, Lobes(none, none, log_kappa, gamma), sky.directions)
-    return torch.cat((body, torch.zeros_like(body)), -1).float()
+    colored = torch.tensor(colored_lobes(material))
+    chosen = [Lobes(none, none, log_kappa[:, own], gamma[:, own]) for own in (colored, ~colored)]
+    return torch.cat([radiance(node_normals(), light_of, lobes, sky.directions) for lobes in chosen], -1).float()
 
 
 def lamps_look(ambient: float, lamps: list[Lamp], elevation: float) -> Tensor:

@@ -13,6 +13,9 @@ from services.scenes.mesh import Doubles
 ILLUMINATION_MEAN, MATERIAL_UNIT, WHITE = 10.0, 30.0, 0.9
 """Mean intensity of a map; material coordinates per natural logarithm; the brightest white surface's linear value."""
 
+UNCOLORED = {"plastic": (1, 2), "glossy-paint": (1, 2)}
+"""Lobes of dielectrics' gloss by preset: the mesh's colour does not multiply what they reflect."""
+
 COSINE_FLOOR = 1e-4
 """The lowest n·h that a lobe sees."""
 
@@ -50,12 +53,19 @@ def lobes(coefficients: Doubles, theta_d: Doubles) -> tuple[Doubles, Doubles]:
 
 
 def linear(
-    normals: Doubles, material: Doubles, intensity: Doubles, radiance: Doubles, back: Doubles, base_color: Doubles
+    normals: Doubles,
+    material: Doubles,
+    intensity: Doubles,
+    radiance: Doubles,
+    back: Doubles,
+    base_color: Doubles,
+    preset: str = "matte",
 ) -> Doubles:
     """Linear image values [P, 3], +inf where a lobe overflows.
 
-    normals [P, 3] and `back` [3] (towards the viewer), unit, world space; material [3, 3, 2, 6] and intensity
-    [rows, cols] in the units of the renderer's groups; radiance [rows, cols, 3] the unperturbed map; base_color [P, 3].
+    normals [P, 3] and `back` [3] (towards the viewer), unit, world space; material [3, 3, 2, 6] and intensity,
+    [rows, cols] or by channel [rows, cols, 3], in the units of the renderer's groups; radiance [rows, cols, 3] the
+    unperturbed map; base_color [P, 3]; `preset` the material's name before it was perturbed.
     """
     towards, solid = texels(*radiance.shape[:2])
     chroma, _, exposure = taken_apart(radiance)
@@ -69,14 +79,15 @@ def linear(
     out = np.zeros((len(normals), 3))
     with np.errstate(over="ignore"):
         for channel in range(3):
-            rho = np.zeros_like(cosine)
-            for lobe in material[channel] / MATERIAL_UNIT:
-                log_kappa, log_gamma = lobes(lobe, theta_d)
-                rho += np.expm1(np.exp(log_kappa + np.exp(log_gamma) * log_half))
             weight = np.maximum(cosine, 0.0) * power[:, channel]
-            # Without light or beyond the horizon an infinite lobe reflects nothing.
-            out[:, channel] = (np.where(weight > 0, rho, 0.0) * weight).sum(axis=1)
-    return np.where(base_color > 0, out, 0.0) * base_color
+            for number, lobe in enumerate(material[channel] / MATERIAL_UNIT):
+                log_kappa, log_gamma = lobes(lobe, theta_d)
+                rho = np.expm1(np.exp(log_kappa + np.exp(log_gamma) * log_half))
+                # Without light or beyond the horizon an infinite lobe reflects nothing.
+                sent = (np.where(weight > 0, rho, 0.0) * weight).sum(axis=1)
+                color = 1.0 if number in UNCOLORED.get(preset, ()) else base_color[:, channel]
+                out[:, channel] += np.where(color > 0, sent, 0.0) * color
+    return out
 
 
 def displayed(values: Doubles) -> Doubles:

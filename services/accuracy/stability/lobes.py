@@ -58,6 +58,24 @@ def _gradient(kappa: float, gamma: float) -> Measured:
     return Measured(error, GRADIENT, "relative error of the gradient, against differences of the definition")
 
 
+def _red(material: str, groups: tuple[str, ...] | None = None) -> Shading:
+    """A red ball of a preset under a coloured sky, compiled for attacks on `groups` (None: the default groups)."""
+    return Shading.of(placed(radiance=0.5 * sky(), thing={"material": material, "color": (0.7, 0.05, 0.0)}), groups)
+
+
+def _gloss(material: str) -> Measured:
+    shading = _red(material)
+    _, linear = shading.defined({})
+    need(bool((linear[:, 2].max() > 0.01) == (material != "brushed-metal")), "blue light is reflected, or it is not")
+    return shading.errors({}).within(shading.due, "largest error of a displayed value, against the definition")
+
+
+def _gloss_gradient(group: str) -> Measured:
+    step = {"material": 1e-3 * MATERIAL_UNIT, "illumination_rgb": 1e-2}[group]
+    error = _red("glossy-paint", (group,)).gradient_error({}, group, step)
+    return Measured(error, GRADIENT, "relative error of the gradient, against differences of the definition")
+
+
 def _held(by: float) -> Measured:
     """A material moved far beyond its bounds is held there by the attack, and rendered.
 
@@ -118,6 +136,24 @@ def cases() -> list[Case]:
             "a flat lobe",
             "the gradient is that of the definition",
             lambda: _gradient(0.3, 1),
+        ),
+        *(
+            Case(f"red {name}", family, "the body's colour has no blue", what, partial(_gloss, name))
+            for name, what in (
+                ("plastic", "the gloss has the light's colour"),
+                ("glossy-paint", "the gloss has the light's colour"),
+                ("brushed-metal", "all light has the metal's colour"),
+            )
+        ),
+        *(
+            Case(
+                f"gradient by {group}, red paint",
+                family,
+                "two layers, one without colour",
+                "the gradient is that of the definition",
+                partial(_gloss_gradient, group),
+            )
+            for group in ("material", "illumination_rgb")
         ),
         *(
             Case(

@@ -99,6 +99,7 @@ class Shading:
             map_,
             self.scene.view[:3, 2],
             self.gbuffer.base_color.reshape(-1, 3)[self.pixels].double().numpy(),
+            self.scene.description.objects[0].material,
         )
         coverage = self.gbuffer.coverage.flatten()[self.pixels].double().numpy()[:, None]
         ground = np.array(self.scene.description.ground)

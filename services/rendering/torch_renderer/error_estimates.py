@@ -42,7 +42,7 @@ its mean, times this factor."""
 
 @dataclass(frozen=True)
 class LobeBounds:
-    """Error bounds [3, LOBES] by channel and lobe.
+    """Error bounds [3, lobes] by channel and lobe.
 
     dark: the error of leaving the lobe out. straight: the error of replacing it by a straight line in log n·h.
     """

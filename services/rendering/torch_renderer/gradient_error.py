@@ -22,8 +22,8 @@ def gradient_errors(
     """Measures the error of each attacked group's gradient at a sample of a surface's pixels, in the order of `groups`.
 
     The gradient is that of a sum of the displayed values with normally distributed random weights. This is harsher than
-    a network, whose weights are smooth: errors of neighbouring pixels do not cancel. The list is empty where nothing
-    is attacked or no light reaches the surface.
+    a network, whose weights are smooth: errors of neighbouring pixels do not cancel. The displayed values of a layer
+    are those of the layer alone. The list is empty where nothing is attacked or no light reaches the surface.
     """
     random = torch.Generator().manual_seed(2)
     max_pixels = max(16, PAIRS // sky.power.shape[1])
@@ -50,7 +50,7 @@ def gradient_errors(
             return []
         found.append(torch.autograd.grad(total, [leaves[name] for name in groups], materialize_grads=True))
     return [
-        GradientError(part=surface.name, group=group, **_compared(value.double(), truth))
+        GradientError(part=f"{surface.name} {surface.layer}".strip(), group=group, **_compared(value.double(), truth))
         for group, value, truth in zip(groups, *found, strict=True)
     ]
 

@@ -18,20 +18,23 @@ PIXELS = 256
 def map_error(surfaces: Sequence[Surface], own: tuple[Sky, Tensor], finest: tuple[Sky, Tensor]) -> float:
     """Returns the largest difference of displayed values between a scene under its `own` map and under the `finest`.
 
+    That of an object with layers is the sum of theirs, which is a bound.
+
     Each map is given as a sky and its intensities [D], with its own exposure. Both are summed in float32, whose error
     is a thousandth of the differences of interest.
     """
-    largest = 0.0
+    found: dict[str, float] = {}
     for surface in surfaces:
         sample = subset(surface, PIXELS)
         if not len(sample.angles):
             continue
         shaded, truth = (_summed(sample, *light) for light in (own, finest))
-        largest = max(largest, displayed_error(shaded, truth, sample.base_color))
-    return largest
+        error = displayed_error(shaded, truth, sample.base_color)
+        found[surface.name] = found.get(surface.name, 0.0) + error  # the errors of an object's layers add up
+    return max(found.values(), default=0.0)
 
 
 def _summed(surface: Surface, sky: Sky, intensity: Tensor) -> Tensor:
     """Returns the surface's radiance [P, 3], float64."""
-    shader = Shader(replace(exact_recipe(sky), dtype=torch.float32), sky, surface, intensity)
+    shader = Shader(replace(exact_recipe(sky, surface.material.shape[1]), dtype=torch.float32), sky, surface, intensity)
     return shader(surface.angles, intensity, surface.material).double()

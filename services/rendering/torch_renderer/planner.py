@@ -52,9 +52,9 @@ TRANSPORT_BYTES = 2**28
 """Memory limit of one object's stored transport factors, bytes."""
 
 
-def exact_recipe(sky: Sky) -> Recipe:
-    """Returns the recipe that sums every direction and lobe at every pixel in float64."""
-    every = torch.ones(dsbrdf.CHANNELS, dsbrdf.LOBES, dtype=torch.bool, device=sky.power.device)
+def exact_recipe(sky: Sky, lobes: int = dsbrdf.LOBES) -> Recipe:
+    """Returns the recipe that sums every direction and each of `lobes` lobes at every pixel in float64."""
+    every = torch.ones(dsbrdf.CHANNELS, lobes, dtype=torch.bool, device=sky.power.device)
     texels = torch.arange(sky.power.shape[1], device=sky.power.device)
     return Recipe(texels, False, every, ~every, "summed", moving=True, dtype=torch.float64)
 
@@ -68,18 +68,19 @@ def compile_plan(
     size: tuple[int, int],
     file_materials: int = 0,
 ) -> tuple[list[Recipe], Plan]:
-    """Chooses a recipe for each object; returns the recipes and the plan that describes them.
+    """Chooses a recipe for each object or layer; returns the recipes and the plan that describes them.
 
     `illumination` [D] holds the scene's own intensities; `size` is the image's height and width; `file_materials` is
     the number of mesh parts with a metallic-roughness material, of which only base colour and normals are used. The
     choice is deterministic.
     """
     recipes, items, stages, gradients = [], [], [], []
-    pixels = sum(len(surface.angles) for surface in surfaces)
+    covered = {surface.name: len(surface.angles) for surface in surfaces}
+    pixels = sum(covered.values())
     items.append(Item(what="pixels", kept=pixels, of=size[0] * size[1], why="the others show the ground alone"))
-    seen = [surface for surface in surfaces if len(surface.angles)]
-    if len(seen) < len(surfaces):
-        items.append(Item(what="objects", kept=len(seen), of=len(surfaces), why="the others are seen by no pixel"))
+    seen = sum(count > 0 for count in covered.values())
+    if seen < len(covered):
+        items.append(Item(what="objects", kept=seen, of=len(covered), why="the others are seen by no pixel"))
     if file_materials:
         why = "metallic, roughness, emission and occlusion are ignored: the torch renderer has materials of its own"
         items.append(Item(what="materials of the file", kept=0, of=file_materials, why=why))
@@ -87,15 +88,17 @@ def compile_plan(
     items.append(Item(what="gradients", kept=len(groups), of=len(TORCH.groups), why=why))
     for surface in surfaces:
         if tolerance == "exact" or not len(surface.angles):
-            recipe = exact_recipe(sky)
+            recipe = exact_recipe(sky, surface.material.shape[1])
             if len(surface.angles):
                 stages.append(radiance_stage(surface, recipe, len(surface.angles), "exact, as asked", 0.0))
         else:
-            needs = _needs(surface, sky, illumination, groups, tolerance)
+            own = tolerance * surface.share
+            needs = _needs(surface, sky, illumination, groups, own)
             items += needs.items
-            recipe, chosen = _cheapest(surface, sky, illumination, groups, tolerance, needs)
+            recipe, chosen = _cheapest(surface, sky, illumination, groups, own, needs)
             stages += chosen
-            gradients += gradient_errors(surface, sky, illumination, groups, recipe, exact_recipe(sky))
+            exact = exact_recipe(sky, surface.material.shape[1])
+            gradients += gradient_errors(surface, sky, illumination, groups, recipe, exact)
         recipes.append(recipe)
     return recipes, Plan.of("torch", groups, size, tolerance, items, stages, gradients)
 
@@ -115,11 +118,11 @@ class _Needs:
 def _needs(surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str], tolerance: float) -> _Needs:
     kept, why = _directions(surface, sky, illumination, groups)
     items = [_item(surface, "directions", len(kept), sky.power.shape[1], why)]
-    every = torch.ones(dsbrdf.CHANNELS, dsbrdf.LOBES, dtype=torch.bool, device=sky.power.device)
+    every = torch.ones(surface.material.shape[:2], dtype=torch.bool, device=sky.power.device)
     varying, straight, gray = every, ~every, False
     if "material" not in groups and surface.viewers is None:
         bounds = errors.lobe_bounds(surface, sky, illumination, groups, kept)
-        small = LOBES_SHARE * tolerance / dsbrdf.LOBES
+        small = LOBES_SHARE * tolerance / every.shape[1]
         dark, straight = bounds.dark <= small, (bounds.straight <= small) & (bounds.dark > small)
         varying = ~dark & ~straight
         gray = bool((surface.material == surface.material[:1]).all()) and bool(
@@ -249,4 +252,5 @@ def _cost(recipe: Recipe, nodes: int, pixels: int) -> float:
 
 
 def _item(surface: Surface, what: str, kept: int, of: int, why: str, error: float = 0.0) -> Item:
+    what = f"{what} {surface.layer}".strip()
     return Item(part=surface.name, what=what, kept=kept, of=of, why=why, error=error)

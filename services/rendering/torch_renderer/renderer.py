@@ -2,12 +2,13 @@
 
 The radiance of a pixel with normal n, for a distant viewer and distant light, is
 
-    I = base_color · exposure · Σ_ω ρ(θ_h, θ_d) · chroma(ω) · ℓ(ω) · max(0, n·ω) · ΔΩ(ω),
+    I = exposure · Σ_ω ρ(θ_h, θ_d) · chroma(ω) · ℓ(ω) · max(0, n·ω) · ΔΩ(ω),
 
-The displayed value is its sRGB curve on [0,1], composited over the ground by coverage. The viewer direction is the same
-for all pixels, from the scene's origin to the camera: a modelling choice of the paper, under which θ_d depends on the
-light direction alone. With the camera's `viewer` "perspective" each pixel has its own viewer direction. How the sum is
-computed for the attacked groups is decided by a plan (planner) when the renderer is made.
+with base_color as a factor on the lobes that have the mesh's colour (layers). The displayed value is its sRGB curve on
+[0,1], composited over the ground by coverage. The viewer direction is the same for all pixels, from the scene's origin
+to the camera: a modelling choice of the paper, under which θ_d depends on the light direction alone. With the camera's
+`viewer` "perspective" each pixel has its own viewer direction. How the sum is computed for the attacked groups is
+decided by a plan (planner) when the renderer is made.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,6 +27,7 @@ from services.rendering.torch_renderer import dsbrdf, lookup_table
 from services.rendering.torch_renderer.declaration import TORCH
 from services.rendering.torch_renderer.directions import directions, solid_angles
 from services.rendering.torch_renderer.environment_light import Illumination, illumination
+from services.rendering.torch_renderer.layers import layers
 from services.rendering.torch_renderer.map_error import map_error
 from services.rendering.torch_renderer.normals import MAX_ANGLE, to_angles
 from services.rendering.torch_renderer.planner import compile_plan
@@ -79,9 +81,9 @@ class TorchRenderer(DeclaredRenderer):
         to_camera = torch.as_tensor(scene.view, dtype=torch.float64)[:3, :3].to(self._device)
         light = illumination(torch.as_tensor(scene.environment).to(self._device))
         sky = sky_of(light, to_camera)
-        materials = [
-            preset(thing.material, f"scene.objects.{i}.material") for i, thing in enumerate(scene.description.objects)
-        ]
+        names = [thing.material for thing in scene.description.objects]
+        self._layers = layers(names)
+        materials = [preset(name) for name in names]
         coverage = gbuffer.coverage.flatten()
         normals = gbuffer.normals.to(torch.float64) @ to_camera
         initial = {
@@ -102,20 +104,34 @@ class TorchRenderer(DeclaredRenderer):
         self._counts = torch.bincount(owner[pixels], minlength=len(materials)).tolist()
         base_color = gbuffer.base_color.reshape(-1, 3)[pixels]
         ground = torch.tensor(scene.description.ground, dtype=dtype, device=self._device)
-        self._canvas = Canvas(self.size, pixels, base_color.to(dtype), coverage[pixels, None].to(dtype), ground)
+        self._colors = torch.split(base_color.to(dtype), self._counts)
+        # The radiance of an object with layers has its colours already.
+        own_colors = [
+            color if len(parts) == 1 else torch.ones_like(color)
+            for color, parts in zip(self._colors, self._layers, strict=True)
+        ]
+        self._canvas = Canvas(self.size, pixels, torch.cat(own_colors), coverage[pixels, None].to(dtype), ground)
 
         near = scene.description.camera.viewer == "perspective"
         surfaces = [
-            Surface(f"object {i}", own, color.double(), material, own_viewers if near else None)
-            for i, (own, color, material, own_viewers) in enumerate(
-                zip(
-                    torch.split(angles[pixels], self._counts),
-                    torch.split(base_color, self._counts),
-                    rounded["material"],
-                    torch.split(viewers_of(scene, self.size).to(self._device)[pixels], self._counts),
-                    strict=True,
-                )
+            Surface(
+                f"object {layer.owner}",
+                own,
+                layer.base_color(color.double()),
+                layer.material(material),
+                own_viewers if near else None,
+                layer.words,
+                layer.share,
             )
+            for parts, own, color, material, own_viewers in zip(
+                self._layers,
+                torch.split(angles[pixels], self._counts),
+                torch.split(base_color, self._counts),
+                rounded["material"],
+                torch.split(viewers_of(scene, self.size).to(self._device)[pixels], self._counts),
+                strict=True,
+            )
+            for layer in parts
         ]
         intensity = rounded["illumination"].flatten()
         own = sum(part.metallic_roughness is not None for mesh in scene.meshes for part in mesh.parts)
@@ -193,8 +209,13 @@ class TorchRenderer(DeclaredRenderer):
         angles, intensity = self._canvas.covered(values["normals"]), values["illumination"].flatten()
         if "illumination_rgb" in given:
             intensity = (intensity + given["illumination_rgb"].reshape(-1, 3).T).clamp_min(0.0)  # [3, D]
-        surfaces = zip(self.shaders, torch.split(angles, self._counts), values["material"], strict=True)
-        shaded = [shader(own, intensity, material).to(self._dtype) for shader, own, material in surfaces]
+        shaders = iter(self.shaders)
+        shaded = []
+        for parts, own, color, material in zip(
+            self._layers, torch.split(angles, self._counts), self._colors, values["material"], strict=True
+        ):
+            found = [next(shaders)(own, intensity, layer.material(material)).to(self._dtype) for layer in parts]
+            shaded.append(found[0] if len(parts) == 1 else color * found[0] + found[1])
         return self._canvas.image(torch.cat(shaded) if len(shaded) > 1 else shaded[0])
 
 

@@ -51,7 +51,7 @@ class Recipe:
     """How one object is shaded: the executable side of its plan.
 
     active_texels: the texels of the map that are used at all [D]. gray: the three channels have the same lobes.
-    varying, straight: bool [3, LOBES], the lobes that are summed and those that are a straight line in log n·h; the
+    varying, straight: bool [3, lobes], the lobes that are summed and those that are a straight line in log n·h; the
     others are left out. rows: of the table over normals, None where there is no table. per_pixel_texels: those active
     texels that are summed at the pixels beside the table [K]. moving: whether normals are attacked. guard: the
     displayed error at a checked pixel beyond which the whole image is summed directly, None for no check.
@@ -81,10 +81,11 @@ class Recipe:
 
 @dataclass(frozen=True)
 class Surface:
-    """The visible surface of one object: angles [P, 2] and base_color [P, 3] of its pixels, material [3, 3, 2, 6];
-    float64.
+    """The visible surface of one object, or of a layer of it: angles [P, 2] and base_color [P, 3] of its pixels,
+    material [3, lobes, 2, 6]; float64.
 
-    `viewers` [P, 3] are unit vectors to the camera where each pixel has its own, None for a distant viewer.
+    `viewers` [P, 3] are unit vectors to the camera where each pixel has its own, None for a distant viewer. `layer`
+    says on plans which lobes these are, "" for all, and `share` is the part of the tolerance that its error may take.
     """
 
     name: str
@@ -92,6 +93,8 @@ class Surface:
     base_color: Tensor
     material: Tensor
     viewers: Tensor | None = None
+    layer: str = ""
+    share: float = 1.0
 
 
 class Shader:
@@ -235,7 +238,7 @@ class _Sum:
         return self._recipe.gray or (not material.requires_grad and bool((material == material[:1]).all()))
 
     def _lobes_of(self, material: Tensor) -> Lobes:
-        """The recipe's lobes at the directions, of coefficients [3, 3, 2, 6] in the group's units."""
+        """The recipe's lobes at the directions, of coefficients [3, lobes, 2, 6] in the group's units."""
         log_kappa, gamma = dsbrdf.lobes(material[: 1 if self._alike(material) else dsbrdf.CHANNELS], self._curves)
         if not self._plain:
             return straightened(log_kappa, gamma, self._recipe.varying, self._recipe.straight)

@@ -8,8 +8,8 @@ import torch
 from services.accuracy.stability import environments
 from services.accuracy.stability import normals as normals_cases
 from services.rendering.compositing import Canvas
+from services.rendering.torch_renderer import layers, shader
 from services.rendering.torch_renderer import renderer as torch_renderer
-from services.rendering.torch_renderer import shader
 from services.rendering.torch_renderer.dsbrdf import COSINE_FLOOR
 from services.scenes import environment
 
@@ -94,6 +94,16 @@ def brighter_light(patch, factor: float = 1.05) -> None:
         return replace(found, exposure=factor * found.exposure)
 
     patch.setattr(torch_renderer, "illumination", illumination)
+
+
+def colored_gloss(patch) -> None:
+    """Gloss multiplied by the mesh's colour whatever the material."""
+    patch.setattr(layers, "colored_lobes", lambda *_: (True, True, True))
+
+
+def colorless_metal(patch) -> None:
+    """Gloss that keeps the light's colour whatever the material."""
+    patch.setattr(layers, "colored_lobes", lambda *_: (True, False, False))
 
 
 def swapped_light(patch) -> None:

@@ -11,6 +11,16 @@ BROKEN = {
         ),
         (damaged_shading.brighter_lobes, ["κ 0.3, γ 1e-3"]),
         (damaged_shading.wrong_gradients, ["gradient, κ 4, γ 300", "gradient, κ 0.3, γ 1"]),
+        (
+            damaged_shading.colored_gloss,
+            [
+                "red plastic",
+                "red glossy-paint",
+                "gradient by material, red paint",
+                "gradient by illumination_rgb, red paint",
+            ],
+        ),
+        (damaged_shading.colorless_metal, ["red brushed-metal"]),
     ],
     "normals": [
         (

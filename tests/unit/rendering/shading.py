@@ -12,6 +12,8 @@ from services.scenes.description import Camera, Scene, SceneObject
 from services.scenes.resolve import ResolvedScene
 from tests.unit.rendering.shapes import placed
 
+UNCOLORED = {"plastic": (1, 2), "glossy-paint": (1, 2)}
+"""Lobes by preset that the mesh's colour does not multiply."""
 GROUND = (51 / 255, 102 / 255, 204 / 255)
 
 
@@ -128,6 +130,8 @@ def reference_image(scene: ResolvedScene, gbuffer: GBuffer, parameters: dict[str
                 continue
             azimuth, polar = angles[y, x]
             normal = sin(polar) * sin(azimuth) * right + cos(polar) * up + sin(polar) * cos(azimuth) * back
+            owner, base = int(gbuffer.object_index[y, x]), gbuffer.base_color[y, x].double().numpy()
+            gloss = UNCOLORED.get(scene.description.objects[owner].material, ())
             total = np.zeros(3)
             for i, j, direction, solid in texels(*environment.shape[:2]):
                 if normal @ direction <= 0:
@@ -136,10 +140,12 @@ def reference_image(scene: ResolvedScene, gbuffer: GBuffer, parameters: dict[str
                 theta_h = acos(min(1.0, max(COSINE_FLOOR, normal @ half)))
                 theta_d = acos(min(1.0, half @ direction))
                 for c in range(3):
-                    rho = reference_brdf(material[int(gbuffer.object_index[y, x]), c] / MATERIAL_UNIT, theta_h, theta_d)
+                    rho = 0.0
+                    for lobe, own in enumerate(material[owner, c] / MATERIAL_UNIT):
+                        rho += reference_brdf(own[None], theta_h, theta_d) * (1.0 if lobe in gloss else base[c])
                     light = max(0.0, intensity[i, j] + added[i, j, c])
                     total[c] += rho * chroma[i, j, c] * light * (normal @ direction) * solid
-            linear = np.clip(gbuffer.base_color[y, x].double().numpy() * exposure * total, 0, 1)
+            linear = np.clip(exposure * total, 0, 1)
             shown = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
             image[y, x] = covered * shown + (1 - covered) * ground
     return image

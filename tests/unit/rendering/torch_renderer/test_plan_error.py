@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from services.rendering.opengl.gbuffer import GBuffer
+from services.rendering.torch_renderer.declaration import TORCH
 from services.rendering.torch_renderer.presets import presets
 from services.rendering.torch_renderer.renderer import TorchRenderer
 from services.rendering.torch_renderer.units import ILLUMINATION_MEAN
@@ -35,7 +36,7 @@ def scenes(draw: st.DrawFn) -> tuple[ResolvedScene, GBuffer, tuple[str, ...]]:
     gbuffer = sphere_gbuffer(scene, albedo=rng.random(3))
     rough = torch.tensor(rng.normal(size=(size, size, 3)) * draw(st.floats(0, 0.3)), dtype=torch.float32)
     normals = torch.nn.functional.normalize(gbuffer.normals + rough, dim=-1) * (gbuffer.coverage > 0)[..., None]
-    groups = tuple(g for g in GROUPS if g in draw(st.sets(st.sampled_from(GROUPS), min_size=1)))
+    groups = tuple(g for g in TORCH.group_names if g in draw(st.sets(st.sampled_from(TORCH.group_names), min_size=1)))
     return scene, replace(gbuffer, normals=normals), groups
 
 
