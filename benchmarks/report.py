@@ -2,6 +2,7 @@
 
 import json
 import platform
+import shlex
 import sys
 import time
 from collections.abc import Callable
@@ -31,12 +32,12 @@ def command() -> str:
     words = list(sys.argv[1:])
     if "--out" in words:
         del words[words.index("--out") : words.index("--out") + 2]
-    return " ".join(["python", "-m", f"benchmarks.{Path(sys.argv[0]).stem}", *words])
+    return shlex.join(["python", "-m", f"benchmarks.{Path(sys.argv[0]).stem}", *words])
 
 
-def save(path: Path, about: str, backend: str, seed: int | None, **content: object) -> None:
-    """Writes a result as JSON, with the command, the seed, the machine, the versions and the backend."""
-    head = {
+def head(about: str, backend: str, seed: int | None) -> dict[str, object]:
+    """The provenance of a result: the command, the seed, the machine, the versions and the backend."""
+    return {
         "about": about,
         "command": command(),
         "seed": seed,
@@ -44,5 +45,9 @@ def save(path: Path, about: str, backend: str, seed: int | None, **content: obje
         "versions": versions(*VERSIONED),
         "backend": backend,
     }
-    path.write_text(json.dumps(head | content, indent=1) + "\n", "utf-8")
+
+
+def save(path: Path, about: str, backend: str, seed: int | None, **content: object) -> None:
+    """Writes a result as JSON, with its provenance."""
+    path.write_text(json.dumps(head(about, backend, seed) | content, indent=1) + "\n", "utf-8")
     print(f"written to {path}")
