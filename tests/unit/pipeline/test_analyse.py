@@ -108,6 +108,20 @@ def test_poses_are_carried_to_the_other_renderer_and_words_are_physical(tmp_path
     assert words[("rotation", "angle", "degrees")] == pytest.approx(angle, rel=1e-6)
 
 
+def test_a_truth_is_not_carried_by_name_to_a_vocabulary_of_other_meaning(tmp_path: Path) -> None:
+    """Of a coffee cup the kind is "cup". ImageNet has a "cup" too, but its reviewed answers are more than that."""
+    scene = {"objects": [{"mesh": "furniture/coffee-cup"}], "camera": {"size": [96, 96]}}
+    attack = {"renderer": "image", "base_renderer": "pyrender", "steps": 1}
+    transfer = {"transfer": {"targets": ["efficientnet-lite0"]}}
+    job = spec(attack, scene=scene, target={"name": "alexnet-furniture"}, analysis=transfer)
+    result = execute(job, tmp_path, LIBRARY)
+    assert (result.truth, result.right_before) == (["cup"], True)
+    assert result.analyses.transfer is not None
+    [found] = result.analyses.transfer
+    assert found.before.label == "espresso"  # which the table has as right for this mesh
+    assert found.right_before is True
+
+
 def test_a_cancelled_job_stops_within_an_analysis(tmp_path: Path) -> None:
     analysing: list[str] = []
     with pytest.raises(Cancelled):
