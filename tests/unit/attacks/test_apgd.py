@@ -1,4 +1,4 @@
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import pytest
@@ -170,3 +170,71 @@ def test_its_state_continues_where_it_was() -> None:
             method.advance(case, guided(case, method.perturbation), step)
     assert torch.equal(whole.delta, rest.delta)
     assert whole.step_size == rest.step_size < 2
+
+
+def authors_loop(
+    values: Sequence[float], gradient: Callable[[Tensor], Tensor], start: Tensor, epsilon: float, steps: int
+) -> tuple[list[Tensor], list[int]]:
+    """Algorithm 1 of Croce & Hein 2020, to minimise, if the objective of point k is values[k]: the points that it
+    evaluates, and the steps at which it halves. Both conditions are counted from the whole history.
+    """
+
+    def inside(x: Tensor) -> Tensor:
+        return start + (x - start).clamp(-epsilon, epsilon)
+
+    checkpoints, period = [0], int(0.22 * steps)
+    while checkpoints[-1] < steps:
+        checkpoints.append(checkpoints[-1] + period)
+        period = max(period - int(0.03 * steps), int(0.06 * steps))
+    points, signs, halved = [start], [], []
+    size, before = 2 * epsilon, start
+    for step in range(steps + 1):
+        signs.append(gradient(points[step]).sign())
+        x, sign = points[step], signs[step]
+        if step in checkpoints[1:]:
+            last, seen = checkpoints[checkpoints.index(step) - 1], values[: step + 1]
+            falls = sum(seen[i + 1] < seen[i] for i in range(last, step))
+            # nothing better since the last checkpoint, and the step was not changed there; the first has none before
+            idle = last > 0 and last not in halved and min(seen) == min(seen[: last + 1])
+            if falls <= 0.75 * (step - last) or idle:  # the paper has <, the authors' code <=
+                least = seen.index(min(seen))
+                halved.append(step)
+                size, x, sign = size / 2, points[least], signs[least]
+        share = 1.0 if step == 0 else 0.75
+        z = inside(x - size * sign)
+        points.append(inside(x + share * (z - x) + (1 - share) * (x - before)))
+        before = x
+    return points, halved
+
+
+@pytest.mark.parametrize("falling", [0.5, 0.75, 0.8, 0.9])
+def test_it_takes_the_steps_of_the_authors_loop(falling: float) -> None:
+    """Through objectives that fall in this share of the steps, stay equal or rise a little in the others, and rise far
+    now and then, after which they fall without being the least. Every checkpoint thus goes either way.
+    """
+    epsilon, steps = 0.5, 100
+    case = problem(FreeRenderer(), epsilon={"a": epsilon, "b": epsilon})
+    view = case.view(case.nothing())
+    outcomes = set()
+    for seed in range(12):
+        random = torch.Generator().manual_seed(seed)
+        drawn = torch.rand(steps + 1, 2, generator=random).tolist()
+        changes = [8.0 if far < 0.03 else -0.25 if u < falling else 0.25 * (u > 0.9) for u, far in drawn]
+        values = torch.tensor(changes).cumsum(0).tolist()
+        waves = torch.randn(9, 9, generator=random, dtype=torch.float64)
+
+        def gradient(x: Tensor, waves: Tensor = waves) -> Tensor:
+            return (3 * waves @ x + 1).sin()
+
+        wanted, halved = authors_loop(values, gradient, torch.zeros(9, dtype=torch.float64), epsilon, steps)
+        method = ApgdMethod(settings({"a": epsilon, "b": epsilon}, steps), case)
+        sizes = [method.step_size]
+        for step in range(steps + 1):
+            at = case.layout.flatten(method.perturbation)
+            torch.testing.assert_close(at, wanted[step], rtol=0, atol=1e-12)
+            seen = replace(view, perturbation=method.perturbation, objective=values[step])
+            method.advance(case, replace(seen, gradients=case.layout.unflatten(gradient(at))), step)
+            sizes.append(method.step_size)
+        assert [step for step in range(steps + 1) if sizes[step + 1] < sizes[step]] == halved
+        outcomes |= {step in halved for step in (22, 41, 57, 70, 80, 87, 93, 99)}
+    assert outcomes == {True, False}

@@ -12,7 +12,7 @@ from services.attacks.spec import ATTACKS, AttackSettings
 from services.attacks.state import AttackState
 from services.attacks.verifier import Verifier
 from services.errors import Cancelled
-from tests.unit.attacks.small import Ahead, Pixels, problem
+from tests.unit.attacks.small import Ahead, Pixels, guided, problem
 
 LIMIT = {"image": 6 / 255}
 BUILT_IN = sorted(name for name, one in ATTACKS.items() if one.settings.__module__.startswith("services."))
@@ -54,6 +54,24 @@ def test_it_lowers_its_objective(name: str) -> None:
     assert fall > most / 3
     assert found.trace[found.stored_step].advantage == min(row.advantage for row in found.trace)
     assert float(found.stored["image"].abs().max()) <= LIMIT["image"] + 1e-6
+
+
+@pytest.mark.parametrize("name", ["fgsm", "mi-fgsm", "spsa", "zoo"])
+def test_it_goes_on_from_the_perturbation_that_was_evaluated(name: str) -> None:
+    """Which backtracking may have pulled back from the one that the method asked for."""
+    case = build(name)
+    method = ATTACKS[name].method(settings(name), case)
+    method.start(case)
+    method.advance(case, guided(case, method.perturbation), 0)
+    asked = method.perturbation["image"].detach().clone()
+    evaluated = -0.7 * LIMIT["image"] * asked.sign()
+    method.advance(case, guided(case, {"image": evaluated}), 1)
+    found = method.perturbation["image"].detach()
+    step = 2e-3 if name != "spsa" else LIMIT["image"] / 16
+    moved = case.original[0] + evaluated
+    within = (moved > LIMIT["image"]) & (moved < 1 - LIMIT["image"])  # elsewhere the bounds of a pixel move it too
+    assert float((found - evaluated)[within].abs().max()) < 2.1 * step
+    assert float((found - asked)[within].abs().max()) > 4 * step
 
 
 @pytest.mark.parametrize("name", BUILT_IN)

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -61,6 +63,25 @@ def test_a_proposal_is_the_best_but_for_one_square_of_one_sign_a_channel() -> No
         if len(changed):  # a square may find its pixels at that sign already
             low, high = changed.amin(0), changed.amax(0)
             assert int((high - low).max()) < square_side(0.1, step - 1, 10_000, (4, 5))
+
+
+def test_the_signs_of_a_square_are_drawn_for_each_channel_and_only_what_is_better_is_kept() -> None:
+    """As in the authors' code: of a square that changes nothing of the objective, the one before stays."""
+    case = problem(Pixels(), LinearTarget(), loss="margin", epsilon={"image": EPSILON})
+    method = SquareMethod(Square.model_construct(epsilon={"image": EPSILON}, steps=10_000, share=0.1), case)
+    method.advance(case, case.view(method.perturbation), 0)
+    view = replace(case.view(method.perturbation), objective=1.0)
+    method.advance(case, view, 1)
+    first, mixed = method.best["image"].clone(), 0
+    for step in range(2, 30):
+        signs = (method.tried["image"] - first).sign().flatten(0, 1)
+        mixed += bool(((signs > 0).any() & (signs < 0).any()))
+        method.advance(case, replace(case.view(method.perturbation), objective=1.0), step)
+        assert torch.equal(method.best["image"], first)
+    assert mixed > 5
+    better = method.tried["image"].clone()
+    method.advance(case, replace(case.view(method.perturbation), objective=0.9), 30)
+    assert torch.equal(method.best["image"], better)
 
 
 @pytest.mark.parametrize(
