@@ -69,6 +69,29 @@ def test_members_stay_within_the_bounds() -> None:
     assert max(float(one["b"].max()) for one in seen) > 0.1
 
 
+def test_a_restart_draws_around_its_own_beginning() -> None:
+    case, _ = bowl()
+    case.restart(1)
+    begin = case.layout.flatten(case.beginning)
+    method = CmaEsMethod(settings(LIMITS, spread={"a": 1e-4, "b": 1e-4}), case)
+    for step in range(3):
+        method.advance(case, case.view(method.perturbation), step)
+        assert float((method.best - begin).abs().max()) < 2e-3 < float(begin.abs().max())
+
+
+def test_members_are_pulled_back_before_they_are_asked_about() -> None:
+    """With the constraint `backtrack` the best is one whose own image is within U, and its objective is that image's."""
+    case, _ = bowl()
+    case.backtrack = 8 / 255
+    method = CmaEsMethod(settings(LIMITS), case)
+    for step in range(5):
+        method.advance(case, case.view(method.perturbation), step)
+        moved = case.layout.unflatten((case.layout.flatten(case.initial) + method.best)[None])
+        image = case.renderer.render(moved)
+        assert float((image - case.original).abs().max()) <= 8 / 255
+        assert float(case.goal.advantage(case.target.logits(image))) == pytest.approx(float(method.best_objective))
+
+
 def test_the_first_generation_is_the_packages_own() -> None:
     """The same members as cmaes draws for the same mean, step size, bounds and seed, in units of the spread."""
     from services.attacks.seeds import derived

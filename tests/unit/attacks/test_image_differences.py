@@ -7,6 +7,7 @@ succeed with it. Each of these is compared with a reference that shares no code 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -26,7 +27,7 @@ from services.attacks.problem import AttackProblem, ask, gradients
 from services.attacks.state import AttackState
 from services.attacks.verifier import Verifier
 from services.errors import Cancelled, JobFailure
-from services.rendering.protocol import Parameters
+from services.rendering.protocol import InactiveCoordinate, Parameters
 from tests.unit.attacks.small import LinearRenderer, LinearTarget, problem
 
 FGSM = Fgsm.model_construct(learning_rate={"a": 0.01, "b": 0.01}, momentum=0.9, weight_decay=1e-4)
@@ -236,6 +237,28 @@ def test_half_steps_are_measured_and_recorded() -> None:
     assert_same({g: v.double() for g, v in ours.items()}, autograd(0, place(0)), 5e-3)
     state = run(case, FgsmMethod(FGSM, case), Verifier(case.renderer, case.target), Budget(1))
     assert state.settings == {"image_differences": {"delta": chosen, "skipped": []}}
+
+
+def test_each_group_has_the_half_step_of_its_own_coordinates() -> None:
+    """Group b bends the image forty times as fast as group a, and takes smaller steps for it."""
+    renderer = OpaqueCurvedRenderer(torch.float32)
+    renderer.weights["b"] = 40 * renderer.weights["b"]
+    chosen = measure_half_steps(problem(renderer, LinearTarget(dtype=torch.float32)))
+    assert chosen["b"] < chosen["a"]
+
+
+def test_a_coordinate_that_was_inactive_at_the_start_counts_where_it_is_active() -> None:
+    class HiddenAtFirst(OpaqueCurvedRenderer):
+        def inactive(self, parameters: Mapping[str, Tensor], reach: Mapping[str, float]) -> Any:
+            away = float(parameters["a"].abs().max()) > 0.01
+            return () if away else (InactiveCoordinate("b", 1, "b 1", "hidden"),)
+
+    case, at = problem(HiddenAtFirst()), place(0)
+    case.differences = ImageDifferences(case, HALF_STEPS)
+    assert [one.name for one in case.differences.skipped] == ["b 1"]
+    start = found([case], [{"a": torch.zeros(2, 3).double(), "b": at["b"]}])[0]
+    assert float(start["b"][1]) == 0 != float(start["b"][0])
+    assert_same(found([case], [at])[0], autograd(0, at))
 
 
 def test_a_resumed_attack_ends_in_the_same_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

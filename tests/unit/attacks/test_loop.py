@@ -6,14 +6,14 @@ import torch
 
 from services.attacks.fgsm import Fgsm, FgsmMethod
 from services.attacks.loop import AttackRun, Budget, run, run_together
-from services.attacks.problem import AttackProblem, quantize
+from services.attacks.problem import AttackProblem, Evaluation, quantize
 from services.attacks.state import AttackState
 from services.attacks.verifier import Verifier
 from services.attacks.zoo import Zoo, ZooMethod
 from services.errors import Cancelled, JobFailure
 from services.finite import finite
 from services.rendering.color import as_saved
-from tests.unit.attacks.small import LinearRenderer, LinearTarget, problem
+from tests.unit.attacks.small import Ahead, LinearRenderer, LinearTarget, problem
 
 FGSM = Fgsm.model_construct(learning_rate={"a": 0.01, "b": 0.01}, momentum=0.9, weight_decay=1e-4)
 ZOO = Zoo.model_construct(coordinates=4, delta=1e-4, learning_rate=2e-3)
@@ -53,6 +53,25 @@ def test_the_trace_has_what_the_method_minimises(zoo: bool) -> None:
         # the advantage, or the log-odds log p / (1 − p), by definition from the trace's own numbers
         gained = row.advantage if zoo else math.log(row.loss / (1 - row.loss))
         assert row.objective == pytest.approx(gained + 0.3 * row.distance**2, abs=1e-6)
+
+
+def test_a_pixel_counts_as_truncated_if_it_ever_was() -> None:
+    """One step truncates, the next, back at the start, does not; the result counts the pixels of both together."""
+    case = problem(target=Ahead(LinearRenderer()), truncation=0.01)
+
+    class ThereAndBack(FgsmMethod):
+        def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:
+            self.perturbation = problem.nothing()
+            self.perturbation["a"] += 0.05 if step == 0 else 0.0
+            return 0
+
+    found = run(case, ThereAndBack(FGSM, case), Verifier(case.renderer, case.target), Budget(2))
+    there = {"a": torch.full((2, 3), 0.05, dtype=torch.float64), "b": torch.zeros(3, dtype=torch.float64)}
+    image = case.renderer.render({g: (case.initial[g] + v)[None] for g, v in there.items()})
+    beyond = ((image - case.original).abs() > 0.01).any(dim=-1)[0]
+    assert [row.truncated for row in found.trace] == [0, int(beyond.sum()), 0]
+    assert torch.equal(found.ever, beyond)
+    assert 0 < int(beyond.sum())
 
 
 def test_success_is_judged_on_the_image_as_saved() -> None:

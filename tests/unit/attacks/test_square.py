@@ -84,6 +84,22 @@ def test_the_signs_of_a_square_are_drawn_for_each_channel_and_only_what_is_bette
     assert torch.equal(method.best["image"], better)
 
 
+def test_the_stripes_are_no_step_of_the_schedule(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The authors count iterations from 0 after the stripes: the first square is that of iteration 0."""
+    asked = []
+
+    def side(share: float, step: int, steps: int, size: tuple[int, int]) -> int:
+        asked.append((step, steps))
+        return 1
+
+    monkeypatch.setattr("services.attacks.square.square_side", side)
+    case = problem(Pixels(), LinearTarget(), loss="margin", epsilon={"image": EPSILON})
+    method = SquareMethod(Square.model_construct(epsilon={"image": EPSILON}, steps=9, share=0.1), case)
+    for step in range(4):
+        method.advance(case, guided(case, method.perturbation), step)
+    assert asked == [(0, 9), (1, 9), (2, 9)]
+
+
 @pytest.mark.parametrize(
     ("step", "side"),
     [(0, 200), (10, 200), (11, 142), (51, 100), (201, 71), (501, 50), (1001, 35), (9999, 9)],

@@ -108,6 +108,17 @@ def test_poses_are_carried_to_the_other_renderer_and_words_are_physical(tmp_path
     assert words[("rotation", "angle", "degrees")] == pytest.approx(angle, rel=1e-6)
 
 
+def test_a_truth_that_is_stated_is_carried_by_name(tmp_path: Path) -> None:
+    """The table knows nothing of a sphere; the network is shown to itself, and judged as in the job."""
+    transfer = {"transfer": {"targets": ["efficientnet-lite0"]}}
+    result = execute(
+        spec({"renderer": "image", "steps": 1}, goal={"truth": "tench"}, analysis=transfer), tmp_path, LIBRARY
+    )
+    assert result.analyses.transfer is not None
+    [found] = result.analyses.transfer
+    assert (found.right_before, found.outcome) == (result.right_before, result.outcome) == (False, "still-wrong")
+
+
 def test_a_truth_is_not_carried_by_name_to_a_vocabulary_of_other_meaning(tmp_path: Path) -> None:
     """Of a coffee cup the kind is "cup". ImageNet has a "cup" too, but its reviewed answers are more than that."""
     scene = {"objects": [{"mesh": "furniture/coffee-cup"}], "camera": {"size": [96, 96]}}
