@@ -3,11 +3,14 @@
 import csv
 import io
 import re
+from pathlib import Path
 from typing import Any
 
 import pytest
+from matplotlib.axes import Axes
 
 from services.analysis.campaign_curves import Curves, mean_curve, mean_curves
+from services.analysis.campaign_figure import draw
 from services.analysis.campaign_table import Case, Rate, corners, mean, share_at, table
 from services.analysis.campaign_text import tex, to_csv, to_latex
 from services.analysis.time_left import time_left
@@ -70,6 +73,23 @@ def test_the_step_curve_rises_at_each_success_and_ends_at_the_rate() -> None:
     assert found.by_seconds == [(0.3, 1), (0.7, 3)]
     shares = [share_at(found.by_queries, found.success.of, at) for at in (0, 2.99, 3, 6.99, 7, 1e9)]
     assert shares == [0, 0, 1 / 6, 1 / 6, 3 / 6, 3 / 6]
+
+
+def test_the_drawn_curve_is_a_share_of_all_cases_that_were_right(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Those that held or failed are in its denominator: three of six end at 50 %, from the first query to the last."""
+    drawn: list[tuple[list[float], list[float], str]] = []
+
+    def step(axes: Axes, x: list[float], y: list[float], *, where: str, label: str) -> None:
+        assert where == "post"
+        drawn.append((list(x), list(y), label))
+
+    monkeypatch.setattr(Axes, "step", step)
+    monkeypatch.setattr(Axes, "legend", lambda axes: None)
+    draw(table("c", PLANNED, CASES), [], tmp_path / "curves.png")
+    along_queries = drawn[0]
+    assert along_queries == ([0.0, 3.0, 7.0, 7.0 * 1.05], pytest.approx([0, 100 / 6, 50, 50]), "a (n = 6)")
 
 
 def test_rows_and_columns_are_in_the_order_of_the_plan() -> None:

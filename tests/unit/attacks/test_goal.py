@@ -140,3 +140,10 @@ def test_a_least_confidence_is_a_probability_below_1(least: float) -> None:
 def test_a_set_of_all_labels_leaves_no_other_answer(ask) -> None:
     with pytest.raises(InvalidRequest, match="no other answer"):
         ask(ResolvedGoal((0, 1, 2), None), torch.zeros(1, 3))
+
+
+def test_the_least_confidence_itself_is_enough() -> None:
+    """Two equal scores: the lower index is the answer, with a probability of exactly 1/2."""
+    scores = torch.zeros(2, dtype=torch.float64)
+    assert bool(ResolvedGoal((1,), None, 0.5).fooled(scores))
+    assert not bool(ResolvedGoal((1,), None, 0.5000001).fooled(scores))

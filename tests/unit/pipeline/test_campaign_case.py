@@ -1,0 +1,50 @@
+"""The case that a job becomes in a campaign's table, from a stored result with figures that differ from one another."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from services.pipeline.campaign_case import case_of, curves_of
+from services.pipeline.result import Result
+
+STORED = json.loads((Path(__file__).parents[3] / "docs/results/combined.json").read_text())
+
+
+def result(**changed: Any) -> Result:
+    return Result.model_validate(STORED | changed)
+
+
+def test_a_case_has_the_papers_p_and_that_of_the_loop_at_the_stored_step() -> None:
+    stored = result(step=2, truncated=17, float_perceptibility=0.00251)
+    case = case_of(stored, "t", "a", run_seconds=3.0, reused=False)
+    assert stored.trace[2].perceptibility != stored.trace[-1].perceptibility
+    assert case.loop_perceptibility == stored.trace[2].perceptibility
+    assert case.perceptibility == 0.00251 != stored.perceptibility
+    assert (case.truncated, case.queries, case.seconds, case.run_seconds) == (17, stored.queries, stored.seconds, 3.0)
+    assert curves_of(stored).advantage == [row.advantage for row in stored.trace]
+    assert curves_of(stored).loss == [row.loss for row in stored.trace]
+
+
+def test_a_result_of_version_0_1_has_only_the_p_of_the_saved_image() -> None:
+    stored = result(float_perceptibility=None)
+    assert case_of(stored, "t", "a", run_seconds=None, reused=True).perceptibility == stored.perceptibility
+
+
+@pytest.mark.parametrize(
+    ("changed", "right", "success", "loop_success"),
+    [
+        ({"outcome": "fooled", "right_before": True, "fooled": True, "verified": True}, True, True, True),
+        ({"outcome": "held", "right_before": True, "fooled": True, "verified": False}, True, False, True),
+        ({"outcome": "held", "right_before": True, "fooled": False, "verified": False}, True, False, False),
+        ({"outcome": "still-wrong", "right_before": False, "fooled": True, "verified": True}, False, False, False),
+        ({"outcome": "became-right", "right_before": False, "fooled": True, "verified": True}, False, False, False),
+        ({"outcome": "changed", "right_before": None, "fooled": True, "verified": True}, False, False, False),
+    ],
+)
+def test_only_a_network_that_was_right_is_fooled_verified_or_in_the_loop(
+    changed: dict[str, Any], right: bool, success: bool, loop_success: bool
+) -> None:
+    case = case_of(result(**changed), "t", "a", run_seconds=None, reused=False)
+    assert (case.right, case.success, case.loop_success) == (right, success, loop_success)
