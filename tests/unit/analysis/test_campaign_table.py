@@ -41,7 +41,7 @@ CASES = [
     fooled(7, 0.01),
     fooled(3, 0.03),
     fooled(7, 0.02),
-    case(),
+    case(truncated=9),
     case(loop_success=True, loop_perceptibility=0.008),  # fooled by the truncated image only
     case(right=False, outcome="became-right", truncated=1000),
     case(right=False, outcome="still-wrong", truncated=1000),
@@ -63,7 +63,7 @@ def test_only_scenes_that_were_right_count_and_no_failure_is_left_out() -> None:
     assert found.outcomes == {"became-right": 1, "changed": 1, "fooled": 3, "held": 2, "still-wrong": 1}
     assert found.perceptibility == pytest.approx(0.02)
     assert found.loop_perceptibility == pytest.approx((0.005 + 0.015 + 0.01 + 0.008) / 4)
-    assert found.truncated == 4  # of the five that have a result
+    assert found.truncated == 5  # of the five that have a result: 4, 4, 4, 9 and 4
 
 
 def test_the_step_curve_rises_at_each_success_and_ends_at_the_rate() -> None:
@@ -81,12 +81,12 @@ def test_the_drawn_curve_is_a_share_of_all_cases_that_were_right(
     """Those that held or failed are in its denominator: three of six end at 50 %, from the first query to the last."""
     drawn: list[tuple[list[float], list[float], str]] = []
 
-    def step(axes: Axes, x: list[float], y: list[float], *, where: str, label: str) -> None:
+    def step(_axes: Axes, x: list[float], y: list[float], *, where: str, label: str) -> None:
         assert where == "post"
         drawn.append((list(x), list(y), label))
 
     monkeypatch.setattr(Axes, "step", step)
-    monkeypatch.setattr(Axes, "legend", lambda axes: None)
+    monkeypatch.setattr(Axes, "legend", lambda _: None)
     draw(table("c", PLANNED, CASES), [], tmp_path / "curves.png")
     along_queries = drawn[0]
     assert along_queries == ([0.0, 3.0, 7.0, 7.0 * 1.05], pytest.approx([0, 100 / 6, 50, 50]), "a (n = 6)")

@@ -80,7 +80,7 @@ def test_a_restart_draws_around_its_own_beginning() -> None:
 
 
 def test_members_are_pulled_back_before_they_are_asked_about() -> None:
-    """With the constraint `backtrack` the best is one whose own image is within U, and its objective is that image's."""
+    """With the constraint `backtrack` the image of the best is within U, and its objective is that image's."""
     case, _ = bowl()
     case.backtrack = 8 / 255
     method = CmaEsMethod(settings(LIMITS), case)

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from services.attacks.fgsm import Fgsm, FgsmMethod
+from services.attacks.goal import ResolvedGoal
 from services.attacks.loop import AttackRun, Budget, run, run_together
 from services.attacks.problem import AttackProblem, Evaluation, quantize
 from services.attacks.state import AttackState
@@ -13,6 +14,7 @@ from services.attacks.zoo import Zoo, ZooMethod
 from services.errors import Cancelled, JobFailure
 from services.finite import finite
 from services.rendering.color import as_saved
+from services.rendering.protocol import Parameters
 from tests.unit.attacks.small import Ahead, LinearRenderer, LinearTarget, problem
 
 FGSM = Fgsm.model_construct(learning_rate={"a": 0.01, "b": 0.01}, momentum=0.9, weight_decay=1e-4)
@@ -71,7 +73,30 @@ def test_a_pixel_counts_as_truncated_if_it_ever_was() -> None:
     beyond = ((image - case.original).abs() > 0.01).any(dim=-1)[0]
     assert [row.truncated for row in found.trace] == [0, int(beyond.sum()), 0]
     assert torch.equal(found.ever, beyond)
-    assert 0 < int(beyond.sum())
+    assert int(beyond.sum()) > 0
+
+
+def test_what_fools_in_the_loop_is_verified_itself_not_what_fooled_more_before() -> None:
+    """The first is refused by the verifier. The second fools the loop by less; it is what is verified and stored."""
+    case, asked = problem(), []
+    towards = attack(problem(), Budget(120)).stored
+
+    class SecondOnly(Verifier):
+        def fooled(self, perturbation: Parameters, goal: ResolvedGoal) -> bool:
+            asked.append(perturbation)
+            return len(asked) == 2
+
+    class Less(FgsmMethod):
+        def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:
+            self.perturbation = problem.clamp({g: (1.5 if step == 0 else 1.0) * v for g, v in towards.items()})
+            return 0
+
+    found = run(case, Less(FGSM, case), SecondOnly(case.renderer, case.target), Budget(5))
+    assert found.trace[1].advantage < found.trace[2].advantage < 0
+    assert (found.stopped, found.stored_step) == ("verified", 2)
+    for group, value in towards.items():
+        torch.testing.assert_close(asked[1][group], value)
+        torch.testing.assert_close(found.stored[group], value)
 
 
 def test_success_is_judged_on_the_image_as_saved() -> None:

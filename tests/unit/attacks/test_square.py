@@ -75,7 +75,7 @@ def test_the_signs_of_a_square_are_drawn_for_each_channel_and_only_what_is_bette
     first, mixed = method.best["image"].clone(), 0
     for step in range(2, 30):
         signs = (method.tried["image"] - first).sign().flatten(0, 1)
-        mixed += bool(((signs > 0).any() & (signs < 0).any()))
+        mixed += bool((signs > 0).any() & (signs < 0).any())
         method.advance(case, replace(case.view(method.perturbation), objective=1.0), step)
         assert torch.equal(method.best["image"], first)
     assert mixed > 5
@@ -88,7 +88,7 @@ def test_the_stripes_are_no_step_of_the_schedule(monkeypatch: pytest.MonkeyPatch
     """The authors count iterations from 0 after the stripes: the first square is that of iteration 0."""
     asked = []
 
-    def side(share: float, step: int, steps: int, size: tuple[int, int]) -> int:
+    def side(_share: float, step: int, steps: int, _size: tuple[int, int]) -> int:
         asked.append((step, steps))
         return 1
 

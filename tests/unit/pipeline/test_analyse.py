@@ -102,6 +102,10 @@ def test_poses_are_carried_to_the_other_renderer_and_words_are_physical(tmp_path
     assert found.after.label == target.labels[int(probabilities.argmax())]
     assert found.after.confidence == pytest.approx(float(probabilities.max()), abs=1e-4)
     assert found.note == "carries color, rotation"
+    own = build(resolve(job.scene, LIBRARY), "torch", tolerance="exact")
+    unmoved = (own.render({g: v[None] for g, v in own.initial().items()})[0] * 255).round() / 255
+    first = target.logits(unmoved[None].float()).softmax(dim=-1)[0]
+    assert found.before.confidence == pytest.approx(float(first.max()), abs=1e-4)  # of the renderer that drew it
     assert result.analyses.minimal is not None
     words = {(one.group, one.measure, one.unit): one.value for one in result.analyses.minimal.stored_change}
     angle = float(torch.rad2deg(moved["rotation"][0].norm()))

@@ -4,15 +4,20 @@ from math import degrees, radians
 
 import numpy as np
 import pytest
+import torch
 from scipy.spatial.transform import Rotation
 
 from services.rendering.pyrender_renderer.physical import (
     camera_changes,
+    changes,
     color_changes,
     light_changes,
     rotation_changes,
     translation_changes,
 )
+from services.scenes.description import Scene
+from services.scenes.resolve import resolve
+from tests.unit.jobs.small import LIBRARY
 
 
 def test_energies_in_percent_positions_in_centimetres_directions_in_degrees() -> None:
@@ -69,3 +74,23 @@ def test_the_camera_turns_by_signed_angles_and_moves_by_a_distance() -> None:
         "roll": (pytest.approx(degrees(0.3)), "degrees"),
         "camera": (pytest.approx(50), "cm"),
     }
+
+
+def test_a_smaller_object_moves_by_more_of_its_own_centimetres() -> None:
+    """The catalogue's chair is 82 cm high; however it is scaled, a move by its own height is one by 82 cm."""
+
+    class Poses:
+        def initial(self) -> dict[str, torch.Tensor]:
+            return {"translation": torch.zeros(1, 3), "camera": torch.zeros(4)}
+
+    for scale in (1.0, 0.5):
+        placed = {"mesh": "furniture/chair", "scale": scale}
+        scene = resolve(Scene.model_validate({"objects": [placed], "camera": {"size": [32, 32]}}), LIBRARY)
+        vertices = np.concatenate([part.vertices for part in scene.meshes[0].parts])
+        corners = np.concatenate([vertices, np.ones((len(vertices), 1))], axis=1) @ scene.models[0].T
+        height = float(np.ptp(corners[:, 1]))
+        moved = {"translation": torch.tensor([[0.0, height, 0.0]]), "camera": torch.tensor([0.0, 0.0, height, 0.0])}
+        found = {(c.group, c.measure): c for c in changes(scene, Poses(), moved)}  # type: ignore[arg-type]
+        assert found["translation", "distance"].value == pytest.approx(82.0, rel=1e-3)
+        assert found["camera", "distance"].value == pytest.approx(82.0, rel=1e-3)
+        assert found["camera", "distance"].unit == "cm"

@@ -51,3 +51,17 @@ def test_coefficients_are_logarithms() -> None:
     assert (kappa.subject, gamma.subject) == ("object 0 κ", "object 0 γ")
     assert kappa.value == pytest.approx(10, rel=1e-5)
     assert gamma.value == pytest.approx(-50, rel=1e-5)
+
+
+def test_pixels_without_a_surface_have_no_normal_to_turn() -> None:
+    """Their angles are 0, and no part of the mean, whatever an attack did to them."""
+
+    class TwoOfFour:
+        def initial(self) -> dict[str, torch.Tensor]:
+            return {"normals": torch.tensor([[[0.2, radians(90)], [-0.1, radians(90)]], [[0.0, 0.0], [0.0, 0.0]]])}
+
+    change = torch.zeros(2, 2, 2)
+    change[0, 0, 0], change[1, 0, 1] = radians(3), radians(80)
+    rms, largest = changes(None, TwoOfFour(), {"normals": change})  # type: ignore[arg-type]
+    assert largest.value == pytest.approx(3, rel=1e-4)
+    assert rms.value == pytest.approx(3 / 2**0.5, rel=1e-4)
