@@ -1,4 +1,5 @@
 import math
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,6 @@ from services.attacks.zoo import Zoo, ZooMethod
 from services.errors import Cancelled, JobFailure
 from services.finite import finite
 from services.rendering.color import as_saved
-from services.rendering.protocol import Parameters
 from tests.unit.attacks.small import Ahead, LinearRenderer, LinearTarget, problem
 
 FGSM = Fgsm.model_construct(learning_rate={"a": 0.01, "b": 0.01}, momentum=0.9, weight_decay=1e-4)
@@ -78,11 +78,12 @@ def test_a_pixel_counts_as_truncated_if_it_ever_was() -> None:
 
 def test_what_fools_in_the_loop_is_verified_itself_not_what_fooled_more_before() -> None:
     """The first is refused by the verifier. The second fools the loop by less; it is what is verified and stored."""
-    case, asked = problem(), []
+    case = problem()
+    asked: list[Mapping[str, torch.Tensor]] = []
     towards = attack(problem(), Budget(120)).stored
 
     class SecondOnly(Verifier):
-        def fooled(self, perturbation: Parameters, goal: ResolvedGoal) -> bool:
+        def fooled(self, perturbation: Mapping[str, torch.Tensor], goal: ResolvedGoal) -> bool:
             asked.append(perturbation)
             return len(asked) == 2
 

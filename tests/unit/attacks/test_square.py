@@ -86,7 +86,7 @@ def test_the_signs_of_a_square_are_drawn_for_each_channel_and_only_what_is_bette
 
 def test_the_stripes_are_no_step_of_the_schedule(monkeypatch: pytest.MonkeyPatch) -> None:
     """The authors count iterations from 0 after the stripes: the first square is that of iteration 0."""
-    asked = []
+    asked: list[tuple[int, int]] = []
 
     def side(_share: float, step: int, steps: int, _size: tuple[int, int]) -> int:
         asked.append((step, steps))
