@@ -15,9 +15,14 @@ _NOT_IDENTITY = ("seed", "credits", "extensions")
 """Fields of the provenance that belong to the request, or change no bits, or are compared otherwise."""
 
 
-def identity(provenance: Provenance) -> str:
-    """Hex SHA-256 of what a result's bits depend on besides the request: assets, weights, backend and versions."""
+def identity(provenance: Provenance, label: str, confidence: float) -> str:
+    """Hex SHA-256 of what a result's bits depend on besides the request, and of the network's first answer.
+
+    The provenance has assets, weights, backend and versions. The answer tells networks apart whose weights are not at
+    hand to be hashed: those behind a URL, or inside a factory's object.
+    """
     values = provenance.model_dump(mode="json", exclude=set(_NOT_IDENTITY))
+    values["first_answer"] = [label, confidence]
     # the same picture, whether a renderer draws it or its pixels are attacked
     values["backend"] = provenance.backend.removeprefix(IMAGE_OF)
     return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
@@ -31,7 +36,7 @@ def reusable(result: Result, request: str, wanted: str | None) -> bool:
     return (
         wanted is not None
         and not result.provenance.extensions
-        and identity(result.provenance) == wanted
+        and identity(result.provenance, result.original.label, result.original.confidence) == wanted
         and digest(JobSpec.model_validate(result.spec)) == request
     )
 

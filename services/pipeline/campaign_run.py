@@ -103,7 +103,7 @@ def _answers(
 
 
 def _kept(file: Path, found: Sequence[View], library: Library) -> dict[int, FirstAnswer]:
-    """The first answers of an earlier run; none if this machine would now answer otherwise to the first of them."""
+    """The first answers of an earlier run that still hold: one view of each target and renderer is asked for again."""
     answers: dict[int, FirstAnswer] = {}
     for line in file.read_text("utf-8").splitlines():
         try:
@@ -111,9 +111,15 @@ def _kept(file: Path, found: Sequence[View], library: Library) -> dict[int, Firs
         except ValueError:  # the line that was being written when the run was killed
             break
         answers[answer.view] = answer
-    sample = next((answer for answer in answers.values() if answer.refused is None), None)
-    if sample is not None and first_answer(found[sample.view], library) != sample:
-        return {}
+    groups: dict[tuple[str, str], list[FirstAnswer]] = {}
+    for answer in answers.values():
+        view = found[answer.view]
+        groups.setdefault((view.probe.target.name, view.image_renderer), []).append(answer)
+    for group in groups.values():
+        sample = next((answer for answer in group if answer.refused is None), group[0])
+        if first_answer(found[sample.view], library) != sample:
+            for answer in group:
+                del answers[answer.view]
     # written again, so that an incomplete line is gone
     atomic_write.write(file, "".join(a.model_dump_json() + "\n" for a in answers.values()).encode())
     return answers

@@ -31,12 +31,13 @@ def first_answer(view: View, library: Library) -> FirstAnswer:
         prepared = prepare_exactly(view.probe, library)
     except (InvalidRequest, JobFailure) as error:
         return FirstAnswer(view=view.number, refused=str(error))
-    label = int(prepared.logits.argmax())
+    index = int(prepared.logits.argmax())
+    label, confidence = prepared.target.labels[index], float(probability(prepared.logits, index))
     return FirstAnswer(
         view=view.number,
-        label=prepared.target.labels[label],
-        confidence=float(probability(prepared.logits, label)),
+        label=label,
+        confidence=confidence,
         truth=[prepared.target.labels[index] for index in prepared.truth],
         spec=prepared.spec,
-        identity=identity(provenance(prepared)),
+        identity=identity(provenance(prepared), label, confidence),
     )

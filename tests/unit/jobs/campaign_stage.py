@@ -75,7 +75,8 @@ class Stage:
         return made
 
     def answer(self, asked: dict[str, Any], right: bool) -> dict[str, Any]:
-        provenance = Provenance.model_validate(self.result(parse_job(asked["probe"]))["provenance"])
+        result = self.result(parse_job(asked["probe"]))
+        provenance, original = Provenance.model_validate(result["provenance"]), result["original"]
         return {
             "view": asked["number"],
             "label": "balloon" if right else "teapot",
@@ -83,7 +84,7 @@ class Stage:
             "truth": ["balloon"],
             "refused": None,
             "spec": asked["probe"],
-            "identity": identity(provenance),
+            "identity": identity(provenance, original["label"], original["confidence"]),
         }
 
     def selected(self, campaign_id: str) -> None:
