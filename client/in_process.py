@@ -50,6 +50,8 @@ def attack(
     from services.targets.registry import registered
 
     if isinstance(network, nn.Module):
+        if not labels:
+            raise InvalidRequest("labels", "a torch module needs the label of each of its scores, in order")
         try:
             chosen = Preprocessing.model_validate(dict(preprocessing or {}))
         except ValidationError as error:

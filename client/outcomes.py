@@ -6,7 +6,7 @@ from typing import Any
 from rich.text import Text
 
 from client.console import err, yes
-from services.attacks.verdict import SUCCESS, with_outcome
+from services.attacks.verdict import SUCCESS, WRONG_BEFORE, with_outcome
 
 STYLES = {"fooled": "bold magenta", "held": "bold blue"}
 """The colours of outcomes; the others are yellow, since they are neither a success nor a failure."""
@@ -21,7 +21,7 @@ def cells(scene: str, attack: str, outcome: Mapping[str, Any]) -> list[str | Tex
         answer_cell(outcome, "before"),
         answer_cell(outcome, "after"),
         verdict(outcome),
-        yes(outcome["verified"]),
+        verified(outcome),
         thousandths(outcome.get("float_perceptibility")),
         thousandths(outcome["perceptibility"]),
         f"{outcome['queries']:,}",
@@ -43,6 +43,11 @@ def verdict(outcome: Mapping[str, Any]) -> Text:
     """The word for what the attack came to, e.g. "fooled" or "held", in its colour."""
     word = with_outcome(dict(outcome))["outcome"]
     return Text(word, style=STYLES.get(word, "yellow"))
+
+
+def verified(outcome: Mapping[str, Any]) -> Text:
+    """Whether the adversary was verified; nothing where the network was wrong before, since no success can follow."""
+    return yes(None if with_outcome(dict(outcome))["outcome"] in WRONG_BEFORE else outcome["verified"])
 
 
 def successes(outcomes: Iterable[Mapping[str, Any]]) -> str:

@@ -5,6 +5,8 @@ from collections.abc import Mapping
 from datetime import datetime
 from typing import Any
 
+from services.attacks.verdict import WRONG_BEFORE as WRONG_BEFORE
+
 FAILURES = {
     "non-finite": "An image, loss or gradient was not a number, so the attack could not go on.",
     "asset-missing": "Something the scene names is gone or damaged since the job was taken.",
@@ -31,9 +33,6 @@ OUTCOMES = {
     "still-wrong": "The network was wrong before the attack and still is, which is no success",
     "held": "The network held",
 }
-
-WRONG_BEFORE = ("became-right", "still-wrong")
-"""Outcomes beside which "verified" would read as a success."""
 
 STOPPED = {
     "verified": "it found an adversary that holds when rendered afresh",

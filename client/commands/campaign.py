@@ -1,15 +1,14 @@
 """The commands `campaign`: many attacks that belong together, in this process or at a service."""
 
+import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from client.commands import campaign_run
 from client.commands.options import DEFAULT_URL, JsonOption, UrlOption
-
-if TYPE_CHECKING:
-    pass
+from services.errors import InvalidRequest
 
 app = typer.Typer(
     help="Run many attacks that belong together, and make the paper's table of them.", no_args_is_help=True
@@ -140,6 +139,8 @@ def export(
 
     if Path(source).is_dir():
         count = write(folder_results(Path(source)), maite, name=Path(source).resolve().name)
+    elif not re.fullmatch("[0-9a-f]{32}", source):
+        raise InvalidRequest("source", f"there is no folder {source}, and a campaign's id has 32 hexadecimal digits")
     else:
         from client.api_client import ApiClient
 

@@ -26,8 +26,8 @@ def list_jobs(
 ) -> None:
     """List jobs, newest first."""
     from client.api_client import ApiClient
-    from client.console import out, print_json, state_text, table, yes
-    from client.outcomes import answer_cell, verdict
+    from client.console import out, print_json, state_text, table
+    from client.outcomes import answer_cell, verdict, verified
     from services.pipeline.names import attack_name, scene_name
 
     with ApiClient(url) as client:
@@ -47,7 +47,7 @@ def list_jobs(
                 job["spec"]["target"]["name"],
                 "" if done is None else f"{answer_cell(done, 'before')} → {answer_cell(done, 'after')}",
                 "" if done is None else verdict(done),
-                yes(None if done is None else done["verified"]),
+                "" if done is None else verified(done),
             ]
         )
     out().print(table(("id", "state", "scene", "attack", "target", "before → after", "network", "verified"), rows))

@@ -32,10 +32,11 @@ def targets(context: typer.Context, as_json: JsonOption = False) -> None:
     if as_json:
         print_json([info.model_dump(mode="json") for info in found])
         return
-    rows: list[list[str | Text]] = [
-        [t.name, t.title, t.task, "×".join(map(str, t.input_size)), f"{t.classes:,}", yes(t.differentiable), t.licence]
-        for t in found
-    ]
+    rows: list[list[str | Text]] = []
+    for t in found:
+        gradient = "known once loaded" if t.differentiable is None else yes(t.differentiable)
+        size = "×".join(map(str, t.input_size))
+        rows.append([t.name, t.title, t.task, size, f"{t.classes:,}", gradient, t.licence])
     out().print(table(("target", "title", "task", "input", "classes>", "differentiable", "licence"), rows))
 
 

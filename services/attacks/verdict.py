@@ -10,6 +10,8 @@ Verdict = Literal["fooled", "changed", "became-right", "still-wrong", "held"]
 Label = TypeVar("Label", int, str)
 SUCCESS: Verdict = "fooled"
 """The only outcome that counts as a success of an attack."""
+WRONG_BEFORE: tuple[Verdict, ...] = ("became-right", "still-wrong")
+"""The outcomes of scenes that the network had wrong; beside them "verified" would read as a success."""
 
 
 def judge(truth: Collection[Label], first: Label, attacked: Label, met: bool) -> Verdict:

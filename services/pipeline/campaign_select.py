@@ -21,7 +21,7 @@ class FirstAnswer(BaseModel):
     truth: list[str] = Field([], description="the labels that are right; empty if nobody knows them")
     refused: str | None = Field(None, description="why the view cannot be attacked at all")
     spec: JobSpec | None = Field(None, description="the probe as it would run, with scene and goal filled in")
-    identity: str | None = Field(None, description="digest of scene, weights, backend, versions and the answer, for reuse")
+    identity: str | None = Field(None, description="digest of scene, weights, backend, versions and answer; for reuse")
 
     @property
     def right(self) -> bool:

@@ -48,6 +48,8 @@ class Endpoint:
     """Seconds before each further try."""
     differentiable: bool = field(default=False, init=False)
     takes_question: bool = field(default=False, init=False)
+    scores_only: str = field(default="a URL answers with scores only", init=False)
+    """The reason for which it has no gradients."""
 
     def __post_init__(self) -> None:
         reason = endpoint_refusal(self.url)

@@ -163,7 +163,7 @@ async def test_each_outcome_has_its_badge_and_its_sentence(repository: Repositor
         assert f"badge {outcome}" in classes
         assert ("badge verified" in classes) == (outcome in ("fooled", "changed"))
     assert sentence in page.text
-    assert ("Right is harp." in page.text) == met
+    assert ("Right is harp. Perceptibility p" in page.text) == met
 
 
 async def test_a_result_without_an_outcome_is_not_shown_as_a_success(repository: Repository) -> None:

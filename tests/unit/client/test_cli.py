@@ -194,6 +194,12 @@ def test_an_upload_of_an_unknown_kind_is_refused_before_it_is_sent(tmp_path: Pat
     assert "obj, ply, stl, glb, off" in done.stderr
 
 
+def test_the_export_of_a_folder_that_is_not_there_says_so(tmp_path: Path) -> None:
+    done = cli("campaign", "export", "out/nothing", "--maite", str(tmp_path / "out"))
+    assert done.returncode == 2
+    assert "source: there is no folder out/nothing" in done.stderr
+
+
 def test_targets_for_machines() -> None:
     names = [target["name"] for target in json.loads(cli("targets", "--json").stdout)]
     assert "efficientnet-lite0" in names

@@ -2,7 +2,7 @@ from typing import Any
 
 import pytest
 
-from client.outcomes import successes, verdict, warn
+from client.outcomes import successes, verdict, verified, warn
 
 
 def line(outcome: str | None, right_before: bool | None, verified: bool = True) -> dict[str, Any]:
@@ -28,6 +28,13 @@ def test_a_rate_counts_only_scenes_that_were_right_before() -> None:
 @pytest.mark.parametrize("word", ["fooled", "changed", "became-right", "still-wrong", "held"])
 def test_the_word_of_a_job_is_its_outcome(word: str) -> None:
     assert verdict(line(word, None)).plain == word
+
+
+@pytest.mark.parametrize(
+    ("word", "shown"), [("fooled", "yes"), ("changed", "yes"), ("became-right", ""), ("still-wrong", ""), (None, "yes")]
+)
+def test_what_was_wrong_before_is_not_shown_as_verified(word: str | None, shown: str) -> None:
+    assert verified(line(word, None)).plain == shown
 
 
 def test_the_word_of_a_job_of_an_earlier_version() -> None:

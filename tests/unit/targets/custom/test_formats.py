@@ -120,6 +120,12 @@ def test_a_module_that_is_passed_gives_it_too(tmp_path: Path) -> None:
     assert "mine" not in TARGETS
 
 
+def test_a_module_without_labels_is_told_what_is_missing() -> None:
+    with pytest.raises(InvalidRequest, match="label of each of its scores") as refused:
+        attack(SCENE, network(), attack=FGSM)
+    assert refused.value.field == "labels"
+
+
 @pytest.mark.usefixtures("formats")
 def test_convolutions_are_packed_where_they_are_layers() -> None:
     for name in ("onnx", "weights", "module"):
