@@ -4,13 +4,14 @@ Both are on the CPU. The converted network is compared with onnxruntime when it 
 converted or the scores differ, the network has scores only.
 """
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import onnx
 import onnxruntime
 import torch
-from google.protobuf.message import DecodeError
+from google.protobuf.message import DecodeError, Message
 from torch import Tensor, nn
 
 from services.device import device
@@ -53,7 +54,7 @@ def read(path: Path, size: tuple[int, int], dtype: torch.dtype) -> tuple[nn.Modu
         model = onnx.load_model_from_string(data)
     except DecodeError as error:
         raise Unreadable("it is no ONNX model") from error
-    if any(one.data_location == onnx.TensorProto.EXTERNAL for one in model.graph.initializer):
+    if any(one.data_location == onnx.TensorProto.EXTERNAL for one in _tensors(model)):
         raise Unreadable("its weights are in another file; save it as one file, without external data")
     session = _session(data)
     count = _count(session, size)
@@ -64,6 +65,17 @@ def read(path: Path, size: tuple[int, int], dtype: torch.dtype) -> tuple[nn.Modu
         converted, reason = None, str(error)
     network: nn.Module = OnnxNetwork(session, converted)
     return (network if count is None else FixedBatch(network, count)), reason
+
+
+def _tensors(message: Message) -> Iterator[onnx.TensorProto]:
+    """All tensors of a model: initialisers, constants of nodes, and those of subgraphs and functions."""
+    if isinstance(message, onnx.TensorProto):
+        yield message
+        return
+    for field, value in message.ListFields():
+        if field.type == field.TYPE_MESSAGE:
+            for one in (value,) if isinstance(value, Message) else value:
+                yield from _tensors(one)
 
 
 def _session(data: bytes) -> onnxruntime.InferenceSession:

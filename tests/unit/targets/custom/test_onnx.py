@@ -179,6 +179,32 @@ def test_weights_in_another_file_are_refused(tmp_path: Path) -> None:
         onnx_file.read(tmp_path / "model.onnx", SIZE, torch.float32)
 
 
+@pytest.mark.parametrize("place", ["a constant", "a branch"])
+def test_a_tensor_anywhere_in_another_file_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str
+) -> None:
+    monkeypatch.chdir(tmp_path)  # onnxruntime reads what is below the working folder
+    (tmp_path / "secret").write_bytes(values(3).tobytes())
+    outside = numpy_helper.from_array(np.zeros(3, np.float32), "secret")
+    onnx.external_data_helper.set_external_data(outside, "secret", length=12)
+    outside.ClearField("raw_data")
+    constant = helper.make_node("Constant", [], ["c"], value=outside)
+    nodes = [
+        helper.make_node("GlobalAveragePool", ["x"], ["m"]),
+        helper.make_node("Flatten", ["m"], ["f"]),
+        constant,
+        helper.make_node("Add", ["f", "c"], ["y"]),
+    ]
+    weights = []
+    if place == "a branch":
+        value = helper.make_tensor_value_info("b", TensorProto.FLOAT, [3])
+        branch = helper.make_graph([helper.make_node("Identity", ["secret"], ["b"])], "branch", [], [value], [outside])
+        nodes[2] = helper.make_node("If", ["yes"], ["c"], then_branch=branch, else_branch=branch)
+        weights = [numpy_helper.from_array(np.array(True), "yes")]
+    with pytest.raises(Unreadable, match="its weights are in another file"):
+        read(in_model(nodes, ("B", 3, *SIZE), weights), tmp_path)
+
+
 def test_what_onnxruntime_refuses_is_said(tmp_path: Path) -> None:
     with pytest.raises(Unreadable, match=r"onnxruntime refuses it: .*Nonsense"):
         read(means("Nonsense"), tmp_path)
