@@ -4,9 +4,12 @@ import base64
 import hashlib
 import io
 import json
+import socket
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from threading import Event, Timer
 from typing import Any
 
 import httpx
@@ -24,7 +27,7 @@ MOST_IMAGES = 32
 MOST_SCORE_BYTES = 64
 """Bytes of a score in an answer: a number as JSON, with what is around it."""
 _OTHER_BYTES = 2**16
-_CONNECT_SECONDS, _READ_SECONDS, _TOTAL_SECONDS = 5.0, 30.0, 60.0
+_CONNECT_SECONDS, _READ_SECONDS = 5.0, 30.0
 _AGAIN = (429, 502, 503, 504)
 
 
@@ -46,6 +49,8 @@ class Endpoint:
     """SHA-256 (hex) of its card: what it computes cannot be seen."""
     waits: tuple[float, ...] = (0.5, 2.0)
     """Seconds before each further try."""
+    most_seconds: float = 60.0
+    """Longest time from the connection to the last byte of an answer."""
     differentiable: bool = field(default=False, init=False)
     takes_question: bool = field(default=False, init=False)
     scores_only: str = field(default="a URL answers with scores only", init=False)
@@ -55,6 +60,7 @@ class Endpoint:
         reason = endpoint_refusal(self.url)
         if reason is not None:
             raise Unreadable(reason)
+        self._socket: socket.socket | None = None
         self._client = httpx.Client(
             timeout=httpx.Timeout(_READ_SECONDS, connect=_CONNECT_SECONDS), trust_env=False, follow_redirects=False
         )
@@ -108,9 +114,12 @@ class Endpoint:
             "Idempotency-Key": hashlib.sha256(body).hexdigest(),  # a repeated request is the same request
         }
         place = url.copy_with(host=resolve(url.host, url.port or (443 if url.scheme == "https" else 80)))
-        with self._client.stream(
-            "POST", place, content=body, headers=headers, extensions={"sni_hostname": url.host}
-        ) as response:
+        extensions = {"sni_hostname": url.host, "trace": self._keep_socket}
+        # httpx limits the time between two parts of an answer; a head that comes byte by byte would never end
+        with (
+            self._time_limit(),
+            self._client.stream("POST", place, content=body, headers=headers, extensions=extensions) as response,
+        ):
             if response.status_code in _AGAIN:
                 raise _Refused(f"status {response.status_code}")
             if response.status_code != httpx.codes.OK:
@@ -121,14 +130,41 @@ class Endpoint:
             most = _OTHER_BYTES + MOST_SCORE_BYTES * count * len(self.labels)
             return b"".join(self._portions(response, most))
 
+    def _keep_socket(self, event: str, info: dict[str, Any]) -> None:
+        """Keeps the socket of a new connection, of which httpcore tells."""
+        if event in ("connection.connect_tcp.complete", "connection.start_tls.complete"):
+            self._socket = info["return_value"].get_extra_info("socket")
+
+    @contextmanager
+    def _time_limit(self) -> Iterator[None]:
+        """Shuts the connection down once the time is over. Raises _Refused if it was."""
+        over = Event()
+
+        def end() -> None:
+            over.set()
+            if self._socket is not None:
+                with suppress(OSError):
+                    self._socket.shutdown(socket.SHUT_RDWR)
+
+        timer = Timer(self.most_seconds, end)
+        timer.daemon = True
+        timer.start()
+        try:
+            yield
+        except httpx.TransportError:
+            if not over.is_set():
+                raise
+        finally:
+            timer.cancel()
+        if over.is_set():  # also where the end of the connection looks like that of the answer
+            raise _Refused(f"no whole answer in {self.most_seconds:g} s")
+
     def _portions(self, response: httpx.Response, most: int) -> Iterator[bytes]:
-        total, deadline = 0, time.monotonic() + _TOTAL_SECONDS
+        total = 0
         for portion in response.iter_raw():
             total += len(portion)
             if total > most:
                 raise self._broken(f"more than {most:,} bytes")
-            if time.monotonic() > deadline:
-                raise _Refused(f"no whole answer in {_TOTAL_SECONDS:g} s")
             yield portion
 
     def _scores(self, data: bytes, count: int) -> Tensor:

@@ -148,6 +148,26 @@ def test_one_that_stays_away_is_unreachable(server: Server, monkeypatch: pytest.
             target(nobody).logits(torch.zeros(1, *SIZE, 3))
 
 
+@pytest.mark.parametrize("begun", [b"HTTP/1.1 200 OK\r\nServer: slow\r\n", b"HTTP/1.0 200 OK\r\n\r\n{"])
+def test_an_answer_that_begins_and_never_ends_is_given_up(begun: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    def answer() -> None:
+        for _ in range(3):
+            connection, _ = listening.accept()
+            with connection:
+                connection.sendall(begun)
+                while connection.recv(2**16):  # until the client gives up
+                    pass
+
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        url = f"http://127.0.0.1:{listening.getsockname()[1]}/"
+        allow(monkeypatch, url)
+        thread = threading.Thread(target=answer, daemon=True)
+        thread.start()
+        with pytest.raises(JobFailure, match=r"target-unreachable: .* in 3 tries: no whole answer in 0.1 s"):
+            target(url, most_seconds=0.1).logits(torch.zeros(1, *SIZE, 3))
+        thread.join()
+
+
 WRONG: dict[str, tuple[Answer, str]] = {
     "a redirect": (fixed(302, Location="http://127.0.0.1:1/"), "status 302, a redirect, which is not followed"),
     "an error": (fixed(400), "status 400, not 200"),
