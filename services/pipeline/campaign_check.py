@@ -104,8 +104,11 @@ def samples(campaign: CampaignSpec) -> Iterator[tuple[JobSpec, Places]]:
             yield job, {"": f"jobs.{j}"}
 
 
-def _kind(job: JobSpec) -> tuple[str, str, str | None, str]:
-    return job.target.name, job.attack.renderer, job.attack.base_renderer, job.attack.method
+def _kind(job: JobSpec) -> tuple[object, ...]:
+    """What a check of a job on another scene, or with other steps and rates, would find the same."""
+    attack = job.attack
+    limits = str(attack.bounds), attack.objective, attack.groups
+    return job.target.name, attack.renderer, attack.base_renderer, attack.method, *limits
 
 
 def _places(grid: str, generated: bool, target: int, column: int) -> dict[str, str]:

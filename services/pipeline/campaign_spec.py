@@ -8,13 +8,13 @@ from functools import cache
 from itertools import zip_longest
 from math import pi
 from random import Random
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Self, TypeVar
 
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import AfterValidator, Field, ValidationError, field_validator, model_validator
 
 from services.analysis.requests import AnalysisRequest
-from services.attacks.spec import Goal, Seed
-from services.errors import InvalidRequest
+from services.attacks.spec import AttackSettings, Goal, Seed
+from services.errors import InvalidRequest, printable
 from services.pipeline.field_errors import invalid_fields
 from services.pipeline.spec import AnyAttack, AnyTolerance, JobSpec, TargetChoice, with_method
 from services.rendering.plan import DEFAULT_TOLERANCE
@@ -24,7 +24,28 @@ from services.suggestions import there_are
 
 MAX_LISTED = 20_000
 """Largest number of scenes, meshes or jobs that a campaign may list."""
-Name = Annotated[str, Field(min_length=1, max_length=100)]
+
+
+def _shown(name: str) -> str:
+    """The name itself. Raises ValueError for control characters: terminals, which show names, would obey them."""
+    if printable(name) != name:
+        raise ValueError("it has characters that cannot be shown; use text of one line without control characters")
+    return name
+
+
+Name = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_shown)]
+
+
+Listed = TypeVar("Listed")
+
+
+def _once(value: tuple[Listed, ...]) -> tuple[Listed, ...]:
+    """The list itself. Raises ValueError if an entry comes twice: its jobs would count as so many cases."""
+    seen: dict[Listed, int] = {}
+    for index, one in enumerate(value):
+        if seen.setdefault(one, index) != index:
+            raise ValueError(f"{index}: is the same as entry {seen[one]}; the same job is one case, list it once")
+    return value
 
 
 class RandomViews(Model):
@@ -61,6 +82,11 @@ class SceneGrid(Model):
             if kind not in furniture_kinds.kinds():
                 raise ValueError(f"there is no kind {kind!r}; {there_are(kind, furniture_kinds.kinds())}")
         return value
+
+    @field_validator("views")
+    @classmethod
+    def _each_once(cls, value: RandomViews | tuple[float, ...]) -> RandomViews | tuple[float, ...]:
+        return value if isinstance(value, RandomViews) else _once(value)
 
     @model_validator(mode="after")
     def _some_meshes(self) -> Self:
@@ -161,6 +187,11 @@ class Grid(Model):
                 raise ValueError(f"{index}.name: there is a column {name!r} already")
         return value
 
+    @field_validator("scenes", "targets", "seeds")
+    @classmethod
+    def _each_once(cls, value: SceneGrid | tuple[Any, ...]) -> SceneGrid | tuple[Any, ...]:
+        return value if isinstance(value, SceneGrid) else _once(value)
+
     def scene_list(self) -> tuple[Scene, ...]:
         """All scenes, in order."""
         return self.scenes.scenes() if isinstance(self.scenes, SceneGrid) else self.scenes
@@ -180,6 +211,19 @@ class CampaignSpec(Model):
     def _something(self) -> Self:
         if not self.grids and not self.jobs:
             raise ValueError("grids: a campaign needs a grid, or jobs")
+        return self
+
+    @model_validator(mode="after")
+    def _one_attack_in_a_cell(self) -> Self:
+        cells: dict[tuple[str, str], AttackSettings] = {}
+        for g, grid in enumerate(self.grids):
+            for c, column in enumerate(grid.attacks):
+                for target in grid.targets:
+                    if cells.setdefault((target.name, column.name), column.attack) != column.attack:
+                        raise ValueError(
+                            f"grids.{g}.attacks.{c}.name: an earlier grid has a column {column.name!r} for "
+                            f"{target.name} with another attack; give them two names, they would become one mean"
+                        )
         return self
 
 

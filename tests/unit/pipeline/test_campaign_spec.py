@@ -51,6 +51,17 @@ def changed(**values: Any) -> dict[str, Any]:
         (changed(attacks=[]), "grids.0.attacks", "a list of 1 to 64"),
         (changed(attacks=[IMAGE, IMAGE]), "grids.0.attacks.1.name", "already"),
         (changed(attacks=[{"name": "a", "attack": {"method": "fgsmm"}}]), "grids.0.attacks.0.attack.method", "fgsm"),
+        (changed(targets=["a", "b", "a"]), "grids.0.targets.2", "the same as entry 0"),
+        (changed(seeds=[0, 0]), "grids.0.seeds.1", "the same as entry 0"),
+        (changed(scenes={"meshes": ["a"], "views": [0.1, 0.1]}), "grids.0.scenes.views.1", "the same as entry 0"),
+        (changed(scenes=[{"objects": [{"mesh": "a"}]}] * 2), "grids.0.scenes.1", "the same as entry 0"),
+        (
+            {"grids": [*SPEC["grids"], SPEC["grids"][0] | {"attacks": [IMAGE | {"attack": {"steps": 3}}]}]},
+            "grids.1.attacks.0.name",
+            "an earlier grid has a column 'image' for efficientnet-lite0 with another attack",
+        ),
+        (SPEC | {"name": "\x1b[2J"}, "name", "cannot be shown"),
+        (changed(attacks=[IMAGE | {"name": "a\nb"}]), "grids.0.attacks.0.name", "cannot be shown"),
         (changed(targets=[3]), "grids.0.targets.0", "an object"),
         (changed(selection={"per_class": 0}), "grids.0.selection.per_class", "at least 1"),
         (changed(seeds=[-1]), "grids.0.seeds.0", "from 0"),
@@ -175,6 +186,13 @@ def test_an_error_of_a_sample_is_named_by_its_place(field: str, place: str) -> N
     kinds = list(samples(parse(SPEC)))
     assert [job.attack.renderer for job, _ in kinds] == ["image", "torch", "pyrender"]
     assert placed(InvalidRequest(field, "d"), kinds[1][1]).field == place
+
+
+def test_an_attack_whose_bounds_differ_is_checked_of_its_own() -> None:
+    bounded = {"name": "b", "attack": IMAGE["attack"] | {"bounds": {"image": [0.9, 1.0]}}}
+    more = {"name": "c", "attack": IMAGE["attack"] | {"steps": 3}}
+    checked = [job.attack for job, _ in samples(parse(changed(attacks=[IMAGE, bounded, more])))]
+    assert [one.bounds for one in checked] == [{}, {"image": (0.9, 1.0)}]
 
 
 @pytest.mark.parametrize(
