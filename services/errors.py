@@ -76,6 +76,11 @@ def summary(error: BaseException) -> str:
     return line if len(line) < ERROR_LENGTH else f"{line[: ERROR_LENGTH - 1]}…"
 
 
+def encodable(text: str) -> str:
+    """Returns the text with lone surrogates escaped: JSON may hold them ("\\ud800"), UTF-8 cannot."""
+    return text.encode("utf-8", "backslashreplace").decode()
+
+
 def printable(text: str) -> str:
     """Returns the text with control characters and bytes that are no UTF-8 escaped: JSON and terminals refuse them."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

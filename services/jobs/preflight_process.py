@@ -12,7 +12,7 @@ from typing import Any
 
 from services.analysis.images import png
 from services.analysis.requests import RerenderingRequest
-from services.errors import InvalidRequest, JobFailure
+from services.errors import InvalidRequest, JobFailure, out_of_memory
 from services.jobs.child import connect, reply, requests
 from services.jobs.warm_up import warm_up
 from services.logs import configure, logger
@@ -45,12 +45,14 @@ def answer(message: dict[str, Any], data: bytes, library: Library) -> dict[str, 
             return {"entry": library.add_mesh(data, message["mesh"]).model_dump(mode="json")}
     except InvalidRequest as error:
         return {"field": error.field, "detail": error.detail}
-    except MemoryError:
-        return {"field": "file", "detail": "it needs more memory than reading a mesh may take"}
     except JobFailure as error:
         log.warning("preflight failed", kind=error.kind, exc_info=error)
         return {"trouble": f"{error.kind}: {error.detail}"}
     except (Exception, SystemExit) as error:  # an extension's code may end the process it is run in
+        if out_of_memory(error) and "mesh" in message:
+            return {"field": "file", "detail": "it needs more memory than reading a mesh may take"}
+        if out_of_memory(error):
+            return {"trouble": "out-of-memory: it needs more memory than the process that checks requests may have"}
         log.error("preflight failed", exc_info=error)
         return {"trouble": "internal: the service's log says why"}
 

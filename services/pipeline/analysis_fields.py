@@ -40,3 +40,16 @@ def check_analysis(spec: JobSpec) -> None:
                 f"nothing of {attacked} ({spec.attack.renderer}) is a part of the scene that {name} draws; colours, "
                 "poses and the camera of pyrender are",
             )
+
+
+def load_targets(spec: JobSpec) -> None:
+    """Loads the targets to which the perturbation is to be shown: one that is broken would lose the finished attack.
+
+    Raises InvalidRequest naming the field.
+    """
+    asked = spec.analysis.transfer
+    for index, name in enumerate(() if asked is None else asked.targets):
+        try:
+            registry.load(name)
+        except InvalidRequest as error:
+            raise InvalidRequest(f"analysis.transfer.targets.{index}", error.detail) from error

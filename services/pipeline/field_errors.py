@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from math import pi
 from typing import Any
 
-from services.errors import InvalidRequest
+from services.errors import InvalidRequest, encodable
 from services.suggestions import there_are
 
 Schema = Mapping[str, Any]
@@ -45,7 +45,7 @@ def invalid_fields(items: Iterable[Mapping[str, Any]], schema: Schema) -> list[I
         found.setdefault(path, detail)
     # an error of an enclosing field follows from the errors within it, or is of an alternative that was not meant
     inner = [path for path in found if not any(other[: len(path)] == path != other for other in found)]
-    return [InvalidRequest(".".join(path) or "body", found[path]) for path in inner]
+    return [InvalidRequest(encodable(".".join(path) or "body"), encodable(found[path])) for path in inner]
 
 
 def _error(item: Mapping[str, Any], schema: Schema) -> tuple[tuple[str, ...], str]:

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from services.analysis.transfer import indices
 from services.attacks.goal import ResolvedGoal
-from services.attacks.spec import Goal, Labels
+from services.attacks.spec import MAX_LABELS, Goal, Labels
 from services.errors import InvalidRequest
 from services.pipeline.warning import JobWarning, warnings
 from services.suggestions import did_you_mean
@@ -83,7 +83,7 @@ def settle(asked: Asked, table: Iterable[int], logits: Tensor) -> Settled:
     """Settles a goal, given the table's truth and the network's scores [K] of the original image.
 
     Raises InvalidRequest if the answer is not among the labels to leave, if it is the label to reach, if reaching that
-    label would not be wrong, or if no other label is left.
+    label would not be wrong, if no other label is left, or if truth and labels to leave are more than a goal may name.
     """
     labels, leave, reach = asked.labels, asked.leave, asked.reach
     first = int(logits.argmax())
@@ -109,6 +109,9 @@ def settle(asked: Asked, table: Iterable[int], logits: Tensor) -> Settled:
     if len(leave) == len(labels):
         field = "goal.leave" if asked.leave else "goal.truth"
         raise InvalidRequest(field, "these are all labels of the network; there is no other answer")
+    if max(len(leave), len(truth)) > MAX_LABELS:
+        detail = f"with the labels to leave, and labels that mean the same, these are more than {MAX_LABELS:,} labels"
+        raise InvalidRequest("goal.truth", f"{detail}; name fewer")
     return Settled(
         _filled_in(asked, truth, leave),
         ResolvedGoal(tuple(sorted(leave)), reach, asked.goal.least_confidence),

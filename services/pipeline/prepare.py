@@ -11,7 +11,7 @@ from services.attacks.surrogate import Surrogate
 from services.attacks.verifier import Verifier
 from services.errors import InvalidRequest
 from services.pipeline import goals
-from services.pipeline.analysis_fields import check_analysis
+from services.pipeline.analysis_fields import check_analysis, load_targets
 from services.pipeline.expectations import check_range, moving_groups, with_cost
 from services.pipeline.extensions import ATTACKS
 from services.pipeline.spec import JobSpec
@@ -71,6 +71,7 @@ class Prepared:
 def preflight(spec: JobSpec, library: Library) -> Checked:
     """Returns the spec as it would run, with warnings. Raises InvalidRequest if it cannot run, as `prepare` does."""
     found = prepare_exactly(spec, library)
+    load_targets(spec)
     return Checked(found.spec, found.warnings)
 
 
@@ -92,7 +93,9 @@ def prepare(spec: JobSpec, library: Library) -> Prepared:
     labels, a range of views beyond the renderer's, a surrogate that cannot guide (`surrogates`), and what
     `goals.settle` refuses. Raises JobFailure for a target or renderer that breaks its protocol.
     """
-    return _prepare(spec, library, spec.tolerance)
+    found = _prepare(spec, library, spec.tolerance)
+    load_targets(spec)
+    return found
 
 
 def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
@@ -106,9 +109,7 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
     check_surrogate(spec)
     scene = resolved_scene(spec, library)
     spec = spec.model_copy(update={"scene": scene.description})
-    target = registry.load(spec.target.name)
-    if spec.target.question is not None and not target.takes_question:
-        raise InvalidRequest("target.question", f"{target.name} answers no questions; leave it out")
+    target = check_question(spec)
     if ATTACKS[spec.attack.method].needs_gradient and not registry.has_gradient(target.name):
         others = ", ".join(name for name, one in ATTACKS.items() if not one.needs_gradient)
         raise InvalidRequest(
@@ -147,6 +148,14 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
         logits=logits,
         exact=exact,
     )
+
+
+def check_question(spec: JobSpec) -> Target:
+    """Loads the target of a spec. Raises InvalidRequest if it takes no question and the spec has one."""
+    target = registry.load(spec.target.name)
+    if spec.target.question is not None and not target.takes_question:
+        raise InvalidRequest("target.question", f"{target.name} answers no questions; leave it out")
+    return target
 
 
 def resolved_scene(spec: JobSpec, library: Library) -> ResolvedScene:

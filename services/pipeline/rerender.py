@@ -9,9 +9,9 @@ from services.analysis.attribution import Tick
 from services.analysis.images import pixels
 from services.analysis.records import Rerendering
 from services.analysis.requests import RerenderingRequest
-from services.errors import InvalidRequest
+from services.errors import InvalidRequest, out_of_memory
 from services.pipeline.analyse import fitting_verifier, rerendered
-from services.pipeline.prepare import resolved_scene
+from services.pipeline.prepare import check_question, resolved_scene
 from services.pipeline.spec import JobSpec
 from services.scenes.library import Library
 
@@ -25,6 +25,7 @@ def rerender_image(
     the camera's size, and as `resolve` and the target's registry do.
     """
     _check_size((image.shape[0], image.shape[1]), spec.scene.camera.size)
+    check_question(spec)
     return rerendered(fitting_verifier(resolved_scene(spec, library), spec), image, request, tick)
 
 
@@ -37,7 +38,11 @@ def decode_image(data: bytes, size: tuple[int, int]) -> Tensor:
         with Image.open(BytesIO(data), formats=("PNG", "JPEG")) as image:
             _check_size((image.height, image.width), size)
             return pixels(image)
-    except (OSError, SyntaxError, Image.DecompressionBombError) as error:
+    except InvalidRequest:
+        raise
+    except Exception as error:  # Pillow's parsers raise errors of many kinds for a damaged file
+        if out_of_memory(error):
+            raise
         raise InvalidRequest("image", "it is not a PNG or JPEG file, or it is damaged") from error
 
 

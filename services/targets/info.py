@@ -13,6 +13,9 @@ if TYPE_CHECKING:
 
     from services.targets.protocol import Target
 
+LONGEST_LABEL = 300
+"""Largest number of characters of a label, so that a goal can name every label."""
+
 
 class TargetInfo(BaseModel):
     """A target's model card: its name, task, input size, source and licence. `input_size` is height and width.

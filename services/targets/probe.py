@@ -1,13 +1,14 @@
 """Tries a target once after it is loaded, so that one that breaks its protocol is refused before a job is queued."""
 
+from collections import Counter
 from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
-from services.errors import InvalidRequest, out_of_memory, printable, summary
+from services.errors import InvalidRequest, JobFailure, out_of_memory, printable, summary
 from services.finite import finite
-from services.targets.info import RegisteredTarget
+from services.targets.info import LONGEST_LABEL, RegisteredTarget
 from services.targets.protocol import Target
 
 _QUESTION = "What is this?"
@@ -28,13 +29,15 @@ def labels(name: str, known: RegisteredTarget) -> tuple[str, ...]:
     try:
         found = tuple(known.labels())
     except (Exception, SystemExit) as error:
-        raise _refused(name, f"cannot list its labels: {_words(error)}") from error
+        raise _refused(name, f"cannot list its labels: {_words(name, error)}") from error
     for label in found:
         if not isinstance(label, str) or not label or printable(label) != label:
             raise _refused(name, f"has the label {label!r:.80}, which is no text to be shown")
-    if len(set(found)) != len(found):
-        twice = next(label for label in found if found.count(label) > 1)
-        raise _refused(name, f"has the label {twice!r} more than once; labels are unique")
+        if len(label) > LONGEST_LABEL:
+            raise _refused(name, f"has the label {label!r:.80}… of {len(label):,} characters; {LONGEST_LABEL} are most")
+    for label, times in Counter(found).items():
+        if times > 1:
+            raise _refused(name, f"has the label {label!r} more than once; labels are unique")
     return found
 
 
@@ -51,7 +54,7 @@ def load(name: str, known: RegisteredTarget, dtype: torch.dtype) -> Target:
         target = known.load(dtype)
         found = tuple(getattr(target, "labels", ()))
     except (Exception, SystemExit) as error:
-        raise _refused(name, f"cannot be loaded: {_words(error)}") from error
+        raise _refused(name, f"cannot be loaded: {_words(name, error)}") from error
     _check_labels(name, known, found, listed)
     height, width = known.info.input_size
     if tuple(target.input_size) != (height, width):
@@ -96,7 +99,9 @@ def _scores(name: str, target: Target, images: Tensor) -> Tensor:
         return target.logits(images, _QUESTION if target.takes_question else None)
     except (Exception, SystemExit) as error:
         size = "×".join(map(str, target.input_size))
-        raise _refused(name, f"fails on {len(images)} RGB images of its input_size {size}: {_words(error)}") from error
+        raise _refused(
+            name, f"fails on {len(images)} RGB images of its input_size {size}: {_words(name, error)}"
+        ) from error
 
 
 def _check_scores(name: str, scores: Tensor, labels: Sequence[str]) -> None:
@@ -116,10 +121,12 @@ def _check_scores(name: str, scores: Tensor, labels: Sequence[str]) -> None:
         )
 
 
-def _words(error: BaseException) -> str:
-    """The error in words. Raises it again if memory has run out, for which the target is not to blame."""
-    if isinstance(error, InvalidRequest) or out_of_memory(error):
+def _words(name: str, error: BaseException) -> str:
+    """The error in words. Raises JobFailure("out-of-memory") if memory has run out: other jobs may have taken it."""
+    if isinstance(error, InvalidRequest):
         raise error
+    if out_of_memory(error):
+        raise JobFailure("out-of-memory", f"target {name!r} needs more memory than is left") from error
     words = summary(error)
     return words if len(words) <= _SHOWN else f"{words[:_SHOWN]}…"
 

@@ -4,9 +4,11 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from services.targets.info import LONGEST_LABEL
 from services.targets.preprocessing import Preprocessing
 
 Line = Annotated[str, Field(min_length=1, max_length=300)]
+Label = Annotated[str, Field(min_length=1, max_length=LONGEST_LABEL)]
 MAX_LABELS = 100_000
 
 
@@ -19,7 +21,7 @@ class Card(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     title: Line | None = Field(None, description="a line for lists; default: the folder's name")
-    labels: Annotated[tuple[Line, ...], Field(min_length=1, max_length=MAX_LABELS)] | Line = Field(
+    labels: Annotated[tuple[Label, ...], Field(min_length=1, max_length=MAX_LABELS)] | Line = Field(
         description="the label of each score, in order: a list, the name of a text file in the folder with one label a "
         'line, or "imagenet" for the 1,000 classes of ImageNet-1k'
     )

@@ -1,9 +1,11 @@
 """The re-rendering defence over HTTP, by the process that does it."""
 
 import base64
+import struct
 from io import BytesIO
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import pytest
 import torch
@@ -60,6 +62,8 @@ def test_a_file_of_a_job_brings_its_scene(
     assert len(answer.json()["rerendering"]["losses"]) == 2
 
 
+CUT = b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 5) + b"IHDR" + bytes(5) + struct.pack(">I", crc32(b"IHDR" + bytes(5)))
+"""A PNG whose header is too short."""
 SMALL, FITTING = (in_base64(torch.zeros(size, size, 3, dtype=torch.uint8)) for size in (8, 64))
 
 
@@ -70,6 +74,12 @@ SMALL, FITTING = (in_base64(torch.zeros(size, size, 3, dtype=torch.uint8)) for s
         ({"image": {"data": "no base64!"}, "scene": SPHERE}, "image.data", "not base64"),
         ({"image": {"data": SMALL}, "scene": SPHERE}, "image", "8×8 pixels"),
         ({"image": {"data": "AAAA"}, "scene": SPHERE}, "image", "not a PNG or JPEG"),
+        ({"image": {"data": base64.b64encode(CUT).decode()}, "scene": SPHERE}, "image", "it is damaged"),
+        (
+            {"image": {"data": FITTING}, "scene": SPHERE, "target": {"question": "what?"}},
+            "target.question",
+            "answers no questions",
+        ),
         ({"image": {"job": "none"}}, "image.job", "no such job"),
         ({"image": {}, "scene": SPHERE}, "image", "either"),
         ({"image": {"data": SMALL, "job": "none"}}, "image", "either"),

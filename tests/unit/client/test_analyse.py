@@ -4,11 +4,15 @@ import json
 from pathlib import Path
 
 import pytest
+import torch
+from safetensors.torch import load_file, save_file
 
 from services.analysis.images import save_png
 from services.analysis.records import Rerendering
-from services.pipeline.analyse_stored import StoredAnalysis
-from services.pipeline.execute import execute
+from services.analysis.requests import AnalysisRequest
+from services.errors import InvalidRequest
+from services.pipeline.analyse_stored import StoredAnalysis, analyse_stored
+from services.pipeline.execute import PERTURBATION, execute
 from services.pipeline.prepare import prepare
 from tests.unit.client.test_cli import cli
 from tests.unit.jobs.small import LIBRARY, SPHERE, spec
@@ -24,6 +28,9 @@ def test_analyse_prints_what_was_asked_for_and_keeps_it(tmp_path: Path) -> None:
     kept = StoredAnalysis.model_validate_json((tmp_path / "analyses.json").read_text())
     assert kept.analyses.minimal is not None
     assert kept.analyses.coordinates is None
+    save_file(load_file(tmp_path / PERTURBATION) | {"illumination": torch.zeros(2, 3)}, tmp_path / PERTURBATION)
+    with pytest.raises(InvalidRequest, match=r"directory: .*'illumination': \[2, 3\]"):
+        analyse_stored(tmp_path, AnalysisRequest(), LIBRARY, lambda *_: None)
 
 
 def test_rerender_answers_for_an_image_and_writes_the_rendering(tmp_path: Path) -> None:

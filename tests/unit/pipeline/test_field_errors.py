@@ -46,8 +46,8 @@ MISTAKES: dict[str, tuple[Any, str]] = {
     "scene.ground": ("grey", 'must be a list of 3, each a number from 0 to 1, not "grey": displayed colour'),
     "goal.leave": (
         1.5,
-        "must be a text of 1 to 200 characters, an integer of at least 0, a list of at most 1000, each a text of 1 to "
-        "200 characters or an integer of at least 0 or null, not 1.5: the label, or all labels",
+        "must be a text of 1 to 300 characters, an integer of at least 0, a list of at most 1000, each a text of 1 to "
+        "300 characters or an integer of at least 0 or null, not 1.5: the label, or all labels",
     ),
     "attack": ("fgsm", 'must be an object, in which "method" is one of apgd, cma-es, fgsm, '),
     "attack.method": ("FGSM", "there is no 'FGSM'; there are apgd, cma-es, fgsm, mi-fgsm, "),
@@ -120,3 +120,10 @@ def test_a_parsed_file_is_told_all_its_mistakes() -> None:
     ) as refused:
         parse({"scene": {"objects": [OBJECT]}, "seed": -1, "colour": "blue"})
     assert refused.value.field == "seed"
+
+
+@pytest.mark.parametrize(("field", "value"), [("target.name", "\ud800"), ("\ud800", 1), ("goal.truth", ["\ud800"])])
+def test_text_that_is_no_unicode_is_named_in_text_that_is(field: str, value: object) -> None:
+    for error in errors(spec(field, value)):
+        assert "\\ud800" in f"{error.field} {error.detail}"
+        str(error).encode()

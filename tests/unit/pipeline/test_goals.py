@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from services.attacks.goal import ResolvedGoal
-from services.attacks.spec import Goal
+from services.attacks.spec import MAX_LABELS, Goal
 from services.errors import InvalidRequest
 from services.pipeline import goals
 from services.pipeline.goals import Settled
@@ -118,6 +118,17 @@ def test_a_label_that_the_network_lacks_or_all_of_them_are_refused(goal: dict[st
     with pytest.raises(InvalidRequest) as refused:
         settled("mask", **goal)
     assert refused.value.field == field
+
+
+def test_a_goal_of_more_labels_than_a_request_may_name_is_refused() -> None:
+    labels = tuple(f"label {number}" for number in range(2 * MAX_LABELS + 2))
+    logits = torch.zeros(len(labels)).index_fill(0, torch.tensor(0), 9.0)
+    leave, truth = labels[:MAX_LABELS], (labels[0], *labels[MAX_LABELS : 2 * MAX_LABELS - 1])
+    info = IMAGENET.model_copy(update={"vocabulary": "custom"})
+    with pytest.raises(InvalidRequest, match="more than 1,000 labels; name fewer") as refused:
+        goals.settle(goals.asked(Goal(truth=truth, leave=leave), info, labels), (), logits)
+    assert refused.value.field == "goal.truth"
+    goals.settle(goals.asked(Goal(truth=leave, leave=leave), info, labels), (), logits)
 
 
 def test_an_unsure_answer_is_warned_of() -> None:

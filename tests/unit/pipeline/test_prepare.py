@@ -1,5 +1,6 @@
 """Every request that cannot run is refused before it is queued, and the refusal names the field."""
 
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -188,3 +189,22 @@ def test_a_method_that_needs_gradients_of_a_network_without_is_refused(monkeypat
     zoo = {"renderer": "image", "base_renderer": "pyrender", "method": "zoo"}
     assert preflight(spec(zoo), LIBRARY).spec.attack.method == "zoo"
     registry.has_gradient.cache_clear()
+
+
+@pytest.mark.parametrize("check", [preflight, prepare])
+def test_a_target_of_the_analysis_that_cannot_be_loaded_is_refused_before_the_attack(
+    check: Callable[..., object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def load(name: str) -> object:
+        raise InvalidRequest("target.name", f"target {name!r} cannot be loaded")
+
+    monkeypatch.setattr("services.pipeline.analysis_fields.registry.load", load_but(load, "alexnet"))
+    with pytest.raises(InvalidRequest, match="'alexnet' cannot be loaded") as refused:
+        check(spec(analysis={"transfer": {"targets": ["efficientnet-lite0", "alexnet"]}}), LIBRARY)
+    assert refused.value.field == "analysis.transfer.targets.1"
+
+
+def load_but(failing: Callable[[str], object], name: str) -> Callable[[str], object]:
+    """The registry's function to load a target, except of one name."""
+    real = registry.load
+    return lambda one: failing(one) if one == name else real(one)

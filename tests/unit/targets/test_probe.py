@@ -7,10 +7,10 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from services.errors import InvalidRequest
+from services.errors import InvalidRequest, JobFailure
 from services.targets import probe
 from services.targets.classifier import Classifier
-from services.targets.info import RegisteredTarget, TargetInfo
+from services.targets.info import LONGEST_LABEL, RegisteredTarget, TargetInfo
 from services.targets.protocol import Target
 
 LABELS = ("red", "green", "blue")
@@ -110,7 +110,7 @@ def test_running_out_of_memory_is_not_the_targets_mistake() -> None:
         raise MemoryError
 
     info = TargetInfo.model_construct(name="mine", input_size=SIZE, classes=3)
-    with pytest.raises(MemoryError):
+    with pytest.raises(JobFailure, match="out-of-memory: target 'mine' needs more memory than is left"):
         probe.load("mine", RegisteredTarget(info, lambda: LABELS, load), torch.float32)
 
 
@@ -122,3 +122,16 @@ def test_scores_log_probabilities_and_ties_are_taken(network: Callable[[Tensor],
 @pytest.mark.parametrize("network", [lambda x: torch.eye(3)[:1].expand(len(x), 3) * 4, lambda x: means(x.detach())])
 def test_a_network_without_gradients_is_taken_but_known(network: Callable[[Tensor], Tensor]) -> None:
     assert not probe.has_gradient(loaded(network))
+
+
+@pytest.mark.parametrize(
+    ("labels", "said"),
+    [
+        (("a", "b" * (LONGEST_LABEL + 1)), r"has the label 'bbb.* of 301 characters; 300 are most"),
+        ((*map(str, range(100_000)), "99999"), "has the label '99999' more than once"),
+    ],
+)
+def test_labels_that_no_goal_could_name_are_refused(labels: tuple[str, ...], said: str) -> None:
+    info = TargetInfo.model_construct(name="mine")
+    with pytest.raises(InvalidRequest, match=said):
+        probe.labels("mine", RegisteredTarget(info, lambda: labels, lambda _: pytest.fail("not loaded")))

@@ -66,6 +66,7 @@ FOUND_AT_ONCE: dict[str, tuple[Callable[[Path], None], str]] = {
     "a card that is no JSON": (not_json, "card.json: it is not JSON"),
     "an unknown field": (card(lables=[]), "card.json: lables: there is no such field; .*did you mean 'labels'"),
     "no labels": (card(labels=None), "card.json: labels: "),
+    "a label that is no Unicode": (card(labels=["\ud800", "b"]), r"card.json: labels.0: .*not \"\\ud800\""),
     "a mean of two numbers": (card(preprocessing={"mean": [0, 0]}), "card.json: preprocessing.mean: "),
     "a scale of 0": (card(preprocessing={"scale": [1, 0, 1]}), "card.json: preprocessing.scale.1: .* above 0"),
     "labels in a file elsewhere": (card(labels="../labels.txt"), "card.json: labels: must be a list"),
@@ -93,6 +94,7 @@ def test_a_mistake_in_the_folder_is_found_without_reading_the_network(scan: Scan
     assert "sound" in TARGETS
     assert "net" not in TARGETS
     assert net.error is not None
+    net.error.encode()  # /readyz shows it
     with pytest.raises(InvalidRequest, match=f"target.name: target 'net' is not available: .*{said}"):
         preflight(parse({"scene": SCENE, "target": {"name": "net"}, "attack": {"renderer": "pyrender"}}), LIBRARY)
 
