@@ -74,7 +74,8 @@ def _gradients(renderer: Renderer, number: int, dtype: torch.dtype, rounded: boo
     """Flat gradients of the log-odds by each group. `rounded` takes the network's at the 8-bit image, as the attack's
     loop does, and passes it straight through the rounding."""
     target = load(NETWORK, dtype)
-    leaves = {group: value.clone().requires_grad_() for group, value in renderer.initial().items()}
+    start = renderer.initial()
+    leaves = {group: start[group].clone().requires_grad_() for group in renderer.plan.groups}
     image = renderer.render({group: leaf[None] for group, leaf in leaves.items()})
     seen = as_saved(image) if rounded else image.detach()
     seen = seen.to(dtype).requires_grad_()
