@@ -18,23 +18,24 @@ PIXELS = 256
 def map_error(surfaces: Sequence[Surface], own: tuple[Sky, Tensor], finest: tuple[Sky, Tensor]) -> float:
     """Returns the largest difference of displayed values between a scene under its `own` map and under the `finest`.
 
-    That of an object with layers is the sum of theirs, which is a bound.
-
-    Each map is given as a sky and its intensities [D], with its own exposure. Both are summed in float32, whose error
-    is a thousandth of the differences of interest.
+    The light of an object's layers is added up first: `surfaces` of one object have the same pixels, of which the same
+    ones are looked at. Each map is given as a sky and its intensities [D], with its own exposure. Both are summed in
+    float32, whose error is a thousandth of the differences of interest.
     """
-    found: dict[str, float] = {}
+    objects: dict[str, list[Surface]] = {}
     for surface in surfaces:
-        sample = subset(surface, PIXELS)
-        if not len(sample.angles):
-            continue
-        shaded, truth = (_summed(sample, *light) for light in (own, finest))
-        error = displayed_error(shaded, truth, sample.base_color)
-        found[surface.name] = found.get(surface.name, 0.0) + error  # the errors of an object's layers add up
-    return max(found.values(), default=0.0)
+        if len(surface.angles):
+            objects.setdefault(surface.name, []).append(subset(surface, PIXELS))
+    worst = 0.0
+    for parts in objects.values():
+        shaded, truth = (sum(_summed(part, *light) for part in parts) for light in (own, finest))
+        assert isinstance(shaded, Tensor)
+        assert isinstance(truth, Tensor)
+        worst = max(worst, displayed_error(shaded, truth, torch.ones_like(truth)))
+    return worst
 
 
 def _summed(surface: Surface, sky: Sky, intensity: Tensor) -> Tensor:
-    """Returns the surface's radiance [P, 3], float64."""
+    """Returns the surface's radiance times its base colour [P, 3], float64."""
     shader = Shader(replace(exact_recipe(sky, surface.material.shape[1]), dtype=torch.float32), sky, surface, intensity)
-    return shader(surface.angles, intensity, surface.material).double()
+    return shader(surface.angles, intensity, surface.material).double() * surface.base_color

@@ -37,7 +37,7 @@ def test_it_is_the_difference_to_the_image_under_the_largest_map(size: tuple[int
 
 def test_smaller_maps_cost_more_and_the_largest_nothing() -> None:
     gbuffer = sphere_gbuffer(under((4, 8)))
-    found = [TorchRenderer(under(size), gbuffer).plan.environment_map_error for size in MAP_SIZES]
+    found = [TorchRenderer(under(size, "brushed-metal"), gbuffer).plan.environment_map_error for size in MAP_SIZES]
     assert found[-1] is None
     measured = [error for error in found if error is not None]
     assert measured == sorted(measured, reverse=True)

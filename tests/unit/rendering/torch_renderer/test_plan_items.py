@@ -71,7 +71,7 @@ def test_directions_below_every_horizon_are_left_out() -> None:
     renderer = on_sphere(("illumination",), size=12)
     gbuffer = sphere_gbuffer(sphere_scene((12, 12)))
     facing = gbuffer.normals[6, 6] * (gbuffer.coverage > 0)[..., None]
-    scene = sphere_scene((12, 12), studio_map(), ("glossy-paint",))
+    scene = sphere_scene((12, 12), studio_map(), ("brushed-metal",))
     renderer = TorchRenderer(scene, replace(gbuffer, normals=facing), ("illumination",))
     assert 200 < item(renderer, "directions").kept < 312
     leaf = renderer.exact().initial()["illumination"][None].requires_grad_()

@@ -143,7 +143,7 @@ def test_a_pixel_that_is_not_a_number_is_checked(monkeypatch: pytest.MonkeyPatch
 
 def flat(tolerance: float = 1e-3, size: int = 96) -> TorchRenderer:
     """A disc of one normal, glossy, whose normals are attacked: it begins at a single place of the table."""
-    scene = sphere_scene((size, size), 0.3 + 0.2 * sky(16, 32), ("glossy-paint",))
+    scene = sphere_scene((size, size), 0.3 + 0.2 * sky(16, 32), ("brushed-metal",))
     gbuffer = sphere_gbuffer(scene)
     facing = gbuffer.normals[size // 2, size // 2] * (gbuffer.coverage > 0)[..., None]
     return TorchRenderer(scene, replace(gbuffer, normals=facing), ("normals",), tolerance)
@@ -201,7 +201,7 @@ def test_the_plan_states_the_gradients_error() -> None:
     """A coarse table's gradient is measured to be worse than a fine one's; a sum's only rounds."""
     coarse, fine = (flat(tolerance).plan for tolerance in (1e-1, 1e-4))
     assert [one.group for one in coarse.gradients] == ["normals"]
-    assert coarse.gradients[0].relative > 10 * fine.gradients[0].relative
+    assert coarse.gradients[0].relative > 5 * fine.gradients[0].relative
     summed = flat(size=12).plan
     assert 0 < summed.gradients[0].relative < 1e-4
     assert summed.gradients[0].wrong_signs < 0.01
@@ -212,7 +212,7 @@ def test_no_table_is_chosen_whose_check_fails_in_the_scenes_own_image() -> None:
     thing = {"mesh": "primitive/sphere", "material": "plastic", "scale": 0.73, "color": [0.8, 0.6, 0.4]}
     scene = Scene.model_validate({"objects": [thing], "camera": {"size": [448, 448]}})
     renderer = build(resolve(scene, Library(settings().cache_dir, settings().data_dir)), "torch", groups=("normals",))
-    assert any(stage.name == "sampled check" for stage in renderer.plan.stages)
+    assert any(stage.name.startswith("sampled check") for stage in renderer.plan.stages)
     renderer.render({"normals": renderer.initial()["normals"][None]})
     assert isinstance(renderer, TorchRenderer)
     assert renderer.failed_checks == 0
