@@ -140,18 +140,13 @@ def _to_renderer(subject: Subject, name: str, library: Library) -> Transferred:
 
 
 def _wanted(prepared: Prepared, target: str, labels: tuple[str, ...]) -> Wanted:
-    """The job's truth and label to reach for another network: by name, or else by what its own table says is right.
-
-    The truth is not taken by name between two vocabularies of different meaning: ImageNet's "cup" is no "coffee mug",
-    which is a "cup" among kinds of furniture.
-    """
+    """The job's truth and label to reach for another network: by name, or else by what its own table says is right."""
     card, own = registry.card(target), prepared.target.labels
-    meanings = {card.vocabulary, registry.card(prepared.target.name).vocabulary} - {"custom"}
-    names = [own[index] for index in prepared.truth] if len(meanings) < 2 else []
+    names = [own[index] for index in prepared.truth]
     meshes = [thing.mesh for thing in prepared.spec.scene.objects]
     reach = prepared.goal.reach
     return Wanted(
-        truth=goals.for_another(names, meshes, card, labels),
+        truth=goals.for_another(names, registry.card(prepared.target.name), meshes, card, labels),
         reach=labels.index(own[reach]) if reach is not None and own[reach] in labels else None,
         same=tuple(indices(group, labels) for group in same_labels(card)),
         least_confidence=prepared.goal.least_confidence,

@@ -73,10 +73,17 @@ def table_truth(meshes: Iterable[str], target: TargetInfo, labels: tuple[str, ..
 
 
 def for_another(
-    names: Collection[str], meshes: Iterable[str], target: TargetInfo, labels: tuple[str, ...]
+    names: Collection[str], of: TargetInfo, meshes: Iterable[str], target: TargetInfo, labels: tuple[str, ...]
 ) -> frozenset[int]:
-    """The labels of another network for what `names` say is right: by name, or else by that network's own table."""
-    return indices(names, labels) or frozenset(table_truth(meshes, target, labels))
+    """The labels of `target` for what the `names` of another network, `of`, say is right: by name, or else by its own
+    table.
+
+    Names are not taken between two vocabularies of different meaning: ImageNet's "cup" is no "coffee mug", which is a
+    "cup" among kinds of furniture.
+    """
+    meanings = {of.vocabulary, target.vocabulary} - {"custom"}
+    named = indices(names, labels) if len(meanings) < 2 else frozenset()
+    return named or frozenset(table_truth(meshes, target, labels))
 
 
 def settle(asked: Asked, table: Iterable[int], logits: Tensor) -> Settled:

@@ -51,7 +51,7 @@ def surrogate(spec: JobSpec, labels: tuple[str, ...], settled: Settled) -> Surro
     names = [labels[index] for index in goal.leave]
     meshes = [thing.mesh for thing in spec.scene.objects]
     right = set(goal.leave) <= set(settled.truth)
-    leave = goals.for_another(names, meshes if right else (), card, target.labels)
+    leave = goals.for_another(names, registry.card(spec.target.name), meshes if right else (), card, target.labels)
     if not leave or len(leave) == len(target.labels):
         which = "only the labels" if leave else "none of the labels"
         raise InvalidRequest(FIELD, f"{name} has {which} that the goal is to leave ({', '.join(names[:5])})")
