@@ -29,14 +29,15 @@ def objective(problem: AttackProblem, images: Tensor) -> Tensor:
 
     `images` is [B, H, W, 3] in [0,1]. The sums run over the pixels of each image, never over the batch.
     """
-    return _advantage(problem, images) + _penalty(problem, images)
+    return _advantage(problem, images) + penalty(problem, images)
 
 
 def _advantage(problem: AttackProblem, images: Tensor) -> Tensor:
     return problem.goal.advantage(problem.logits(images)).double()
 
 
-def _penalty(problem: AttackProblem, images: Tensor) -> Tensor | float:
+def penalty(problem: AttackProblem, images: Tensor) -> Tensor | float:
+    """λ‖ΔY‖² of images [B, H, W, 3], float64 [B]; 0 without λ."""
     return 0.0 if problem.weight == 0 else problem.weight * distances(images, problem.original).square()
 
 
@@ -64,7 +65,7 @@ def evaluate(problem: AttackProblem, vectors: Tensor) -> Tensor:
         for variation in problem.variations:
             with problem.under(variation):
                 advantages.append(_advantage(problem, problem.render(parameters)))
-        scores.append((torch.stack(advantages).mean(dim=0) + _penalty(problem, images)).cpu())
+        scores.append((torch.stack(advantages).mean(dim=0) + penalty(problem, images)).cpu())
     return torch.cat(scores)
 
 

@@ -96,7 +96,11 @@ def test_images_are_made_on_the_device_and_parameters_stay_on_the_cpu(chosen: st
     for name in ("torch", "image"):
         renderer = build(scene, name)
         assert all(value.device.type == "cpu" for value in renderer.initial().values())
-        leaves = {group: value[None].requires_grad_() for group, value in renderer.initial().items()}
+        leaves = {
+            group: value[None].requires_grad_()
+            for group, value in renderer.initial().items()
+            if group in renderer.plan.groups
+        }
         images = renderer.render(leaves)
         assert images.device == torch.device(chosen)
         assert f" {chosen}" in renderer.exact().backend

@@ -49,9 +49,9 @@ def pixels() -> ImageRenderer:
 def linear_problem(
     renderer: Renderer, groups: tuple[str, ...] | None = None, lead: float = NEVER, **more: Any
 ) -> AttackProblem:
-    """To leave the first of the network's two labels; `groups` None: all of the renderer's."""
+    """To leave the first of the network's two labels; `groups` None: those it is compiled for."""
     network = linear_network(classes=2, lead=lead)
-    return AttackProblem(renderer, network, ResolvedGoal((0,), None), groups or renderer.groups, **more)
+    return AttackProblem(renderer, network, ResolvedGoal((0,), None), groups or renderer.plan.groups, **more)
 
 
 def linear_gradient() -> Tensor:

@@ -23,7 +23,7 @@ from services.scenes.srgb import to_linear
 def _parameters() -> Measured:
     """Parameters in bfloat16 are those numbers, no worse: the image is computed in the renderer's own type."""
     shading = Shading.of(placed(radiance=sky()))
-    short = {g: v.to(torch.bfloat16) for g, v in shading.renderer.initial().items()}
+    short = {g: shading.renderer.initial()[g].to(torch.bfloat16) for g in shading.renderer.plan.groups}
     image = shading.renderer.render({g: v[None] for g, v in short.items()})
     need(image.dtype == torch.float32, f"the image is {image.dtype}")
     found = shading.errors(short)

@@ -53,9 +53,10 @@ def _attacked(size: tuple[int, int], renderer: str) -> Measured:
     """A whole attack at this size, network and verdict included."""
     drawn = build(placed(size=size, radiance=sky()), renderer)
     network = linear_network()
-    label = int(network.logits(drawn.render({g: v[None] for g, v in drawn.initial().items()}).float()).argmax())
-    problem = AttackProblem(drawn, network, ResolvedGoal((label,), None), drawn.groups, truncation=18 / 255)
-    far = dict.fromkeys(drawn.groups, 1.0)
+    groups = drawn.plan.groups
+    label = int(network.logits(drawn.render({g: drawn.initial()[g][None] for g in groups}).float()).argmax())
+    problem = AttackProblem(drawn, network, ResolvedGoal((label,), None), groups, truncation=18 / 255)
+    far = dict.fromkeys(groups, 1.0)
     method = FgsmMethod(Fgsm.model_validate({"renderer": renderer, "learning_rate": far}), problem)
     found = run(problem, method, Verifier(drawn, network), Budget(5))
     need(found.trace[-1].truncated > 0, "it never comes to U")
@@ -71,7 +72,7 @@ def _black() -> Measured:
     shading = Shading.of(placed(thing={"color": (0, 0, 0)}, radiance=sky()))
     with torch.no_grad():
         image = shading.renderer.render({})[0]
-    for group in shading.renderer.groups:
+    for group in shading.renderer.plan.groups:
         gradient, _ = shading.gradient({}, group)
         need(float(gradient.abs().max()) == 0, f"the gradient of {group} is not zero")
     full = shading.gbuffer.coverage == 1

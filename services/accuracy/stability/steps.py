@@ -79,7 +79,8 @@ def _giant_zoo() -> Measured:
     method = ZooMethod(Zoo(method="zoo", renderer="pyrender", delta=1e-2, learning_rate=1e3, steps=20), problem)
     found = run(problem, method, Verifier(renderer, problem.target), Budget(20))
     outside = 0.0
-    for group, (low, high) in renderer.bounds().items():
+    for group in problem.groups:
+        low, high = renderer.bounds()[group]
         value = renderer.initial()[group] + method.perturbation[group]
         need(bool(torch.isfinite(value).all()), f"{group} is not finite")
         outside = max(outside, float((low - value).clamp_min(0).max()), float((value - high).clamp_min(0).max()))
@@ -101,7 +102,7 @@ def _no_gradient() -> Measured:
     """A black object shows no light, material or normals: 120 steps with zero gradients, all reported flat."""
     renderer = build(placed(thing={"color": (0, 0, 0)}, size=(16, 16)), "torch")
     problem = linear_problem(renderer)
-    method = FgsmMethod(Fgsm(groups=renderer.groups), problem)
+    method = FgsmMethod(Fgsm(groups=renderer.plan.groups), problem)
     found = run(problem, method, Verifier(renderer, problem.target), Budget(120))
     reported = [row.below_noise for row in found.trace]
     need(reported == [0] + [3] * 120, "not all three groups are reported flat at every step")

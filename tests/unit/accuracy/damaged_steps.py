@@ -44,13 +44,8 @@ differences_over_one_step = estimates(_scaled)
 
 def negative_weight(patch) -> None:
     """λ rewards large changes."""
-    true = differences.objective
-
-    def objective(problem, images):
-        plain = problem.goal.advantage(problem.logits(images)).double()
-        return 2 * plain - true(problem, images)
-
-    patch.setattr(differences, "objective", objective)
+    true = differences.penalty
+    patch.setattr(differences, "penalty", lambda problem, images: -true(problem, images))
 
 
 def weight_of_distance(patch) -> None:
