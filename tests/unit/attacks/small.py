@@ -60,6 +60,25 @@ class LinearRenderer:
         return self
 
 
+class CurvedRenderer(LinearRenderer):
+    """A smooth, curved function of its parameters, within [0,1] wherever they are."""
+
+    def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
+        value = self.base.to(self.dtype).flatten()[None]
+        for group, moved in parameters.items():
+            value = value + moved.flatten(1) @ self.weights[group].to(self.dtype).T
+        return (0.5 + 0.4 * torch.sin(3 * value)).reshape(-1, 4, 5, 3)
+
+
+class OpaqueCurvedRenderer(CurvedRenderer):
+    """The same without gradients."""
+
+    differentiable = False
+
+    def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
+        return super().render({group: value.detach() for group, value in parameters.items()}).detach()
+
+
 class FreeRenderer(LinearRenderer):
     """The same without bounds, so that every coordinate can move either way."""
 

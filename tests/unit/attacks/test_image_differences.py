@@ -28,29 +28,10 @@ from services.attacks.state import AttackState
 from services.attacks.verifier import Verifier
 from services.errors import Cancelled, JobFailure
 from services.rendering.protocol import InactiveCoordinate, Parameters
-from tests.unit.attacks.small import LinearRenderer, LinearTarget, problem
+from tests.unit.attacks.small import CurvedRenderer, LinearTarget, OpaqueCurvedRenderer, problem
 
 FGSM = Fgsm.model_construct(learning_rate={"a": 0.01, "b": 0.01}, momentum=0.9, weight_decay=1e-4)
 BATCHES = [1, 8, 64]
-
-
-class CurvedRenderer(LinearRenderer):
-    """A smooth, curved function of its parameters, within [0,1] wherever they are."""
-
-    def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
-        value = self.base.to(self.dtype).flatten()[None]
-        for group, moved in parameters.items():
-            value = value + moved.flatten(1) @ self.weights[group].to(self.dtype).T
-        return (0.5 + 0.4 * torch.sin(3 * value)).reshape(-1, 4, 5, 3)
-
-
-class OpaqueCurvedRenderer(CurvedRenderer):
-    """The same without gradients."""
-
-    differentiable = False
-
-    def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
-        return super().render({group: value.detach() for group, value in parameters.items()}).detach()
 
 
 @dataclass
@@ -242,7 +223,7 @@ def test_half_steps_are_measured_and_recorded() -> None:
 def test_each_group_has_the_half_step_of_its_own_coordinates() -> None:
     """Group b bends the image forty times as fast as group a, and takes smaller steps for it."""
     renderer = OpaqueCurvedRenderer(torch.float32)
-    renderer.weights["b"] = 40 * renderer.weights["b"]
+    renderer.weights["b"] *= 40
     chosen = measure_half_steps(problem(renderer, LinearTarget(dtype=torch.float32)))
     assert chosen["b"] < chosen["a"]
 
@@ -269,12 +250,10 @@ def test_a_resumed_attack_ends_in_the_same_result(tmp_path: Path, monkeypatch: p
         case = problem(OpaqueCurvedRenderer(), hard, truncation=0.01, interrupt=interrupt)
         return run(case, FgsmMethod(FGSM, case), Verifier(case.renderer, hard), Budget(6), checkpoint_path=path)
 
-    whole, seen = attack(None), 0
+    whole, left = attack(None), iter(range(15))
 
     def die() -> None:
-        nonlocal seen
-        seen += 1
-        if seen > 15:  # a rendering of the differences, inside the backward pass
+        if next(left, None) is None:  # at a rendering of the differences, inside the backward pass
             raise Cancelled
 
     with pytest.raises(Cancelled):
@@ -282,9 +261,8 @@ def test_a_resumed_attack_ends_in_the_same_result(tmp_path: Path, monkeypatch: p
     assert (tmp_path / "checkpoint").exists()
     resumed = attack(tmp_path / "checkpoint")
     assert whole.settings == resumed.settings
-    assert [row.model_copy(update={"seconds": 0}) for row in whole.trace] == [
-        row.model_copy(update={"seconds": 0}) for row in resumed.trace
-    ]
+    ours, theirs = ([row.model_copy(update={"seconds": 0}) for row in one.trace] for one in (whole, resumed))
+    assert ours == theirs
     for group, value in whole.stored.items():
         assert torch.equal(value, resumed.stored[group])
 
