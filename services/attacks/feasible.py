@@ -5,6 +5,7 @@ request's `bounds` and ε. `AttackProblem.clamp` projects onto it, so no method 
 """
 
 from collections.abc import Callable, Mapping
+from math import log
 
 import torch
 from torch import Tensor
@@ -16,8 +17,15 @@ from services.rendering.protocol import BOUND_SLACK, Parameters
 Box = tuple[Tensor, Tensor]
 """Smallest and largest perturbation of a group, broadcastable to it."""
 
-HALVINGS = 8
-"""Backtracking finds the largest feasible scale to 1/256."""
+TRIES = 8
+"""Scales that backtracking tries at most; two are usual."""
+SLACK = 0.04
+"""Backtracking is content with this share less than the limit."""
+AIM = 1 - SLACK / 2
+TINY = 0.05
+"""Least part of the interval between a factor within and one beyond by which backtracking goes on."""
+LEAST_POWER, MOST_POWER = 0.25, 4.0
+"""Range of the exponent by which the change of an image grows with the perturbation."""
 BACKTRACK_MARGIN = 0.5 / 255
 """Backtracking keeps this distance from U: the plan's error may take the exact image as far from the loop's."""
 P_MARGIN = 0.01
@@ -74,32 +82,47 @@ def random_start(initial: Mapping[str, Tensor], bounds: Mapping[str, Box], seed:
     return start
 
 
-def pulled_back(fits: Callable[[Tensor], Tensor], vectors: Tensor) -> Tensor:
-    """Scales each perturbation of `vectors` [B, total] by the largest factor, to 1/256, with which it `fits`.
+def pulled_back(reach: Callable[[Tensor], float], vectors: Tensor) -> Tensor:
+    """Scales each perturbation of `vectors` [B, total] back until its reach is 1 at most, and close to it.
 
-    `fits` maps perturbations [n, total] to bool [n], and is true of 0. Bisection keeps a factor that fits, so the
-    result fits also where larger factors fit again. Vectors that fit are returned as they are.
+    `reach` maps a perturbation [total] to the part of the limit that its image takes: 0 for the zero vector, above 1
+    beyond the limit. Vectors within it are returned as they are.
     """
-    yes = fits(vectors)
-    if bool(yes.all()):
-        return vectors
-    which = (~yes).nonzero()[:, 0]
-    low, high = torch.zeros(len(which), 1, dtype=vectors.dtype), torch.ones(len(which), 1, dtype=vectors.dtype)
-    for _ in range(HALVINGS):
-        middle = (low + high) / 2
-        inside = fits(middle * vectors[which])[:, None]
-        low, high = torch.where(inside, middle, low), torch.where(inside, high, middle)
-    found = vectors.clone()
-    found[which] = low * vectors[which]
-    return found
+    return torch.stack([_scale(reach, vector) * vector for vector in vectors])
 
 
-def within(image: Tensor, original: Tensor, limit: float | None, perceptibility: float | None) -> bool:
-    """Whether no value of an image [1, H, W, 3] is further than `limit` from the original, and its p is not above
-    `perceptibility`, both less the margin that backtracking keeps; None is no limit.
+def _scale(reach: Callable[[Tensor], float], vector: Tensor) -> float:
+    """A factor in [0, 1] at which the reach is between 1 − `SLACK` and 1; the largest found to be within after `TRIES`.
+
+    Changes of colour grow with the factor, those of moving silhouettes with its root. So the reach is taken as a power
+    of the factor, whose exponent is that between the last two factors.
+    """
+    low, high, at_high, power = 0.0, 1.0, reach(vector), 1.0
+    if at_high <= 1:
+        return 1.0
+    for _ in range(TRIES):
+        tried = max(low + TINY * (high - low), high * (AIM / at_high) ** (1 / power))
+        found = reach(tried * vector)
+        if 0 < found < at_high:
+            power = min(max(log(at_high / found) / log(high / tried), LEAST_POWER), MOST_POWER)
+        if found > 1:
+            high, at_high = tried, found
+        else:
+            low = tried
+            if found >= 1 - SLACK or found == 0:
+                break
+    return low
+
+
+def reached(image: Tensor, original: Tensor, limit: float | None, perceptibility: float | None) -> float:
+    """The part of its limits that an image [1, H, W, 3] takes: of `limit` its largest change of a value, of
+    `perceptibility` its p, whichever is more; both less the margin that backtracking keeps. None is no limit.
     """
     change = image - original
-    if limit is not None and float(change.abs().max()) > limit - BACKTRACK_MARGIN + ROUNDING:
-        return False
-    p = float(change.double().square().sum(-1).mean().sqrt())
-    return perceptibility is None or p <= (1 - P_MARGIN) * perceptibility
+    parts = [0.0]
+    if limit is not None:
+        parts.append(float(change.abs().max()) / (limit - BACKTRACK_MARGIN + ROUNDING))
+    if perceptibility is not None:
+        p = float(change.double().square().sum(-1).mean().sqrt())
+        parts.append(p / ((1 - P_MARGIN) * perceptibility))
+    return max(parts)

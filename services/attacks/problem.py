@@ -11,7 +11,7 @@ from torch import Tensor
 
 from services.attacks.contract import check_graph, check_images, check_perturbation, check_scores
 from services.attacks.expectation import Expectation
-from services.attacks.feasible import ROUNDING, perturbation_bounds, pulled_back, random_start, within
+from services.attacks.feasible import ROUNDING, perturbation_bounds, pulled_back, random_start, reached
 from services.attacks.goal import ResolvedGoal
 from services.attacks.layout import Layout
 from services.attacks.losses import Loss, loss
@@ -180,18 +180,17 @@ class AttackProblem:
         """The perturbations [B, total], pulled back with `backtrack` until no value of their images is beyond U, and
         until the images' p is within `perceptibility`.
         """
-        return pulled_back(self._within_limits, vectors.detach()) if self._backtracks else vectors
+        return pulled_back(self._reach, vectors.detach()) if self._backtracks else vectors
 
     @property
     def _backtracks(self) -> bool:
         return self.backtrack is not None or self.perceptibility is not None
 
     @torch.no_grad()
-    def _within_limits(self, vectors: Tensor) -> Tensor:
-        start = self.layout.flatten(self.initial)
-        images = (self.render(self.layout.unflatten((start + vector)[None])) for vector in vectors)
+    def _reach(self, vector: Tensor) -> float:
         with self.under(None):  # the limits are those of the scene itself
-            return torch.tensor([within(image, self.original, self.backtrack, self.perceptibility) for image in images])
+            image = self.render(self.layout.unflatten((self.layout.flatten(self.initial) + vector)[None]))
+            return reached(image, self.original, self.backtrack, self.perceptibility)
 
     def objective(self, logits: Tensor) -> Tensor:
         """The loss of logits [..., K] that is minimised, [...]."""

@@ -1,16 +1,18 @@
 """The box of a perturbation, random starts in it, and backtracking to U."""
 
+from typing import Any
+
 import pytest
 import torch
 
 from services.attacks.feasible import (
     BACKTRACK_MARGIN,
-    HALVINGS,
     P_MARGIN,
+    SLACK,
     perturbation_bounds,
     pulled_back,
     random_start,
-    within,
+    reached,
 )
 from services.attacks.fgsm import Fgsm, FgsmMethod
 from services.attacks.loop import Budget, run
@@ -49,13 +51,36 @@ def test_a_random_start_fills_the_box_and_is_the_seeds() -> None:
     assert not torch.equal(start, random_start(initial, bounds, seed=3, restart=2)["a"])
 
 
-def test_backtracking_finds_the_largest_scale_that_fits() -> None:
+@pytest.mark.parametrize("power", [0.5, 1.0, 2.0])
+def test_backtracking_comes_close_to_the_limit_in_few_tries(power: float) -> None:
+    """Reach as a power of the length: of silhouettes 1/2, of colours 1. Rows within the limit stay as they are."""
     vectors = torch.tensor([[3.0, 4.0], [0.3, 0.4], [0.0, 0.0], [300.0, 0.0]], dtype=torch.float64)
-    found = pulled_back(lambda v: v.norm(dim=1) <= 1, vectors)
-    assert torch.equal(found[1:3], vectors[1:3])  # fits as it is
-    for row, scale in ((0, 0.2), (3, 1 / 300)):
-        kept = float(found[row].norm() / vectors[row].norm())
-        assert scale - 2.0**-HALVINGS <= kept <= scale
+    tried: list[float] = []
+
+    def reach(vector: torch.Tensor) -> float:
+        tried.append(float(vector.norm()) ** power)
+        return tried[-1]
+
+    found = pulled_back(reach, vectors)
+    assert torch.equal(found[1:3], vectors[1:3])
+    for row in (0, 3):
+        assert 1 - SLACK <= float(found[row].norm()) ** power <= 1
+        assert torch.allclose(found[row] / found[row].norm(), vectors[row] / vectors[row].norm())
+    assert len(tried) <= 4 + 2 * 2
+
+
+@pytest.mark.parametrize(
+    "reach",
+    [
+        lambda v: 1.5 * float(v.norm() > 0.3),  # a jump: nothing is between 0 and 1.5
+        lambda v: float(v.norm()) + 0.4 * float(torch.sin(40 * v.norm())),  # it falls here and there
+        lambda v: 2.0 * float(v.norm() > 0),
+    ],
+)
+def test_what_backtracking_returns_is_within_however_the_reach_grows(reach: Any) -> None:
+    vectors = torch.tensor([[3.0, 4.0], [0.0, 1.0]], dtype=torch.float64)
+    found = pulled_back(reach, vectors)
+    assert all(reach(vector) <= 1 for vector in found)
 
 
 def test_an_attack_that_backtracks_keeps_image_and_scene_one() -> None:
@@ -92,10 +117,9 @@ def test_both_limits_of_backtracking_hold() -> None:
     original = torch.full((1, 2, 2, 3), 0.5)
     image = original.clone()
     image[0, 0, 0, 0] += 0.1  # p is 0.05
-    assert within(image, original, 0.11, 0.06)
-    assert not within(image, original, 0.09, 0.06)
-    assert not within(image, original, 0.11, 0.04)
-    assert within(image, original, None, None)
+    assert reached(image, original, 0.11, 0.06) < 1 < reached(image, original, 0.09, 0.06)
+    assert reached(image, original, 0.11, 0.04) == pytest.approx(0.05 / (0.04 * (1 - P_MARGIN)))
+    assert reached(image, original, None, None) == 0
 
 
 def test_every_method_stays_within_epsilon() -> None:
