@@ -1,6 +1,5 @@
 """Routes of the dashboard's pages about campaigns."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -106,22 +105,18 @@ def _campaign(template: str, campaign_id: str, services: Services) -> Response:
         progress=services.campaigns.progress(found),
         counts=services.campaigns.counts(found.id),
         table=result.table,
-        by_queries=_charts(result.table, "queries", [cell.by_queries for cell in result.table.cells]),
-        by_seconds=_charts(result.table, "seconds", [cell.by_seconds for cell in result.table.cells]),
+        by_queries=_charts(result.table, "queries"),
+        by_seconds=_charts(result.table, "seconds"),
         views=attacked[:SHOWN],
         chosen=sum(view.chosen for view in result.views),
     )
     return html(template, page=page)
 
 
-def _charts(table: Table, along: str, curves: Sequence[Corners]) -> list[Chart]:
-    """The step curves of the verified successes of each cell that has cases, all over the same range of work."""
-    most = max((corners[-1][0] for corners in curves if corners), default=1.0)
-    return [
-        _chart(cell, along, corners, 1.05 * most)
-        for cell, corners in zip(table.cells, curves, strict=True)
-        if cell.success.of
-    ]
+def _charts(table: Table, along: str) -> list[Chart]:
+    """The step curves of the verified successes of each cell that has cases, all as far as any case went."""
+    most = max((getattr(cell, f"most_{along}") or 0.0 for cell in table.cells), default=0.0) or 1.0
+    return [_chart(cell, along, getattr(cell, f"by_{along}"), 1.05 * most) for cell in table.cells if cell.success.of]
 
 
 def _chart(cell: Cell, along: str, corners: Corners, end: float) -> Chart:

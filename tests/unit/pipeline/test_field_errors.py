@@ -127,3 +127,10 @@ def test_text_that_is_no_unicode_is_named_in_text_that_is(field: str, value: obj
     for error in errors(spec(field, value)):
         assert "\\ud800" in f"{error.field} {error.detail}"
         str(error).encode()
+
+
+@pytest.mark.parametrize("label", [True, 1.0])
+def test_a_label_is_no_other_kind_of_number(label: object) -> None:
+    [error] = errors(spec("goal.truth", label))
+    assert error.field == "goal.truth"
+    assert "integer" in error.detail
