@@ -50,7 +50,7 @@ def gradient_errors(
             return []
         found.append(torch.autograd.grad(total, [leaves[name] for name in groups], materialize_grads=True))
     return [
-        GradientError(part=f"{surface.name} {surface.layer}".strip(), group=group, **_compared(value.double(), truth))
+        GradientError(part=surface.with_layer(surface.name), group=group, **_compared(value.double(), truth))
         for group, value, truth in zip(groups, *found, strict=True)
     ]
 

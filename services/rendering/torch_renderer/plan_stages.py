@@ -20,7 +20,7 @@ def radiance_stage(surface: Surface, recipe: Recipe, count: int, why: str, error
     kind = str(recipe.dtype).removeprefix("torch.")
     return Stage(
         part=surface.name,
-        name=f"radiance {surface.layer}".strip(),
+        name=surface.with_layer("radiance"),
         method=f"{METHOD_WORDS[recipe.method]}, {kind}, at {count} normals",
         when="once" if recipe.method == "cached_table" else "every image",
         evaluations=pairs if recipe.method == "precomputed_transport" else pairs * max(recipe.lobes, 1),
@@ -46,7 +46,7 @@ def table_stages(
         stages.append(
             Stage(
                 part=surface.name,
-                name=f"per-pixel texels {surface.layer}".strip(),
+                name=surface.with_layer("per-pixel texels"),
                 method=f"{len(recipe.per_pixel_texels)} directions summed pixel by pixel",
                 when="every image",
                 evaluations=pixels * len(recipe.per_pixel_texels) * (recipe.channels if carried else per_direction),
@@ -56,7 +56,7 @@ def table_stages(
         )
     looked_up = Stage(
         part=surface.name,
-        name=f"pixels {surface.layer}".strip(),
+        name=surface.with_layer("pixels"),
         method=f"looked up in a table of {recipe.rows} × {2 * (recipe.rows or 0)} normals (Catmull-Rom)",
         when="every image",
         evaluations=pixels,
@@ -69,7 +69,7 @@ def table_stages(
     guard = 0.0 if recipe.guard is None else recipe.guard
     checked = Stage(
         part=surface.name,
-        name=f"sampled check {surface.layer}".strip(),
+        name=surface.with_layer("sampled check"),
         method=f"{count} pixels are summed too; where one is off by more than {guard:.1e}, the whole image is summed",
         when="every image",
         evaluations=count * len(recipe.active_texels) * (recipe.channels if fixed else per_direction),

@@ -252,5 +252,5 @@ def _cost(recipe: Recipe, nodes: int, pixels: int) -> float:
 
 
 def _item(surface: Surface, what: str, kept: int, of: int, why: str, error: float = 0.0) -> Item:
-    what = f"{what} {surface.layer}".strip()
+    what = surface.with_layer(what)
     return Item(part=surface.name, what=what, kept=kept, of=of, why=why, error=error)

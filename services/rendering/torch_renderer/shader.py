@@ -96,6 +96,10 @@ class Surface:
     layer: str = ""
     share: float = 1.0
 
+    def with_layer(self, what: str) -> str:
+        """Returns the words of a plan for `what` of this surface: with those of its layer, if it is one of several."""
+        return f"{what} {self.layer}".strip()
+
 
 class Shader:
     """Radiance [P, 3] of an object's pixels, by its recipe.
