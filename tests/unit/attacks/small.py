@@ -172,3 +172,19 @@ class Bowl(LinearTarget):
     def logits(self, images: Tensor, question: str | None = None) -> Tensor:
         leads = self.scale * (images.to(self.dtype) - self.bottom).square().flatten(1).sum(dim=1)
         return torch.stack([leads, torch.zeros_like(leads)], dim=1)
+
+
+def smooth() -> AttackProblem:
+    """A quadratic objective of 9 parameters, for which central differences have no error of their own."""
+    renderer = FreeRenderer()
+    bottom = {"a": torch.full((1, 2, 3), 0.2, dtype=torch.float64), "b": torch.full((1, 3), -0.1, dtype=torch.float64)}
+    return problem(renderer, Bowl(renderer.render(bottom)[0]))
+
+
+def autograd(case: AttackProblem, at: torch.Tensor) -> torch.Tensor:
+    """The gradient of the advantage + λ‖ΔY‖² at a perturbation [total], by autograd through the renderer."""
+    leaf = at.clone().requires_grad_()
+    images = case.renderer.render(case.layout.unflatten((case.layout.flatten(case.initial) + leaf)[None]))
+    value = case.goal.advantage(case.target.logits(images)).sum()
+    value = value + case.weight * (images - case.original).square().sum()
+    return torch.autograd.grad(value, leaf)[0]

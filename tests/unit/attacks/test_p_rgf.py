@@ -7,20 +7,15 @@ from services.attacks.p_rgf import PRgf, PRgfMethod, projected_gradient
 from services.attacks.problem import AttackProblem
 from services.attacks.spsa import draw_directions
 from services.attacks.surrogate import Surrogate
-from tests.unit.attacks.small import Ahead, Bowl, FreeRenderer, LinearRenderer, LinearTarget, Pixels, problem
-
-
-def smooth() -> AttackProblem:
-    """A quadratic objective of 9 parameters, for which central differences have no error."""
-    renderer = FreeRenderer()
-    bottom = {"a": torch.full((1, 2, 3), 0.2, dtype=torch.float64), "b": torch.full((1, 3), -0.1, dtype=torch.float64)}
-    return problem(renderer, Bowl(renderer.render(bottom)[0]))
-
-
-def autograd(case: AttackProblem, at: torch.Tensor) -> torch.Tensor:
-    leaf = at.clone().requires_grad_()
-    images = case.renderer.render(case.layout.unflatten((case.layout.flatten(case.initial) + leaf)[None]))
-    return torch.autograd.grad(case.goal.advantage(case.target.logits(images)).sum(), leaf)[0]
+from tests.unit.attacks.small import (
+    Ahead,
+    LinearRenderer,
+    LinearTarget,
+    Pixels,
+    autograd,
+    problem,
+    smooth,
+)
 
 
 def projection(gradient: torch.Tensor, directions: torch.Tensor, half_steps: torch.Tensor) -> torch.Tensor:

@@ -1,25 +1,11 @@
 import pytest
 import torch
 
-from services.attacks.problem import AttackProblem
 from services.attacks.spsa import Spsa, SpsaMethod, draw_directions, estimate
-from tests.unit.attacks.small import Bowl, FreeRenderer, LinearRenderer, problem
+from tests.unit.attacks.small import LinearRenderer, autograd, problem, smooth
 
 SAMPLES = 4096
 KINDS = ["signs", "gaussian"]
-
-
-def smooth() -> AttackProblem:
-    """A quadratic objective, for which central differences have no error but the directions'."""
-    renderer = FreeRenderer()
-    bottom = {"a": torch.full((1, 2, 3), 0.2, dtype=torch.float64), "b": torch.full((1, 3), -0.1, dtype=torch.float64)}
-    return problem(renderer, Bowl(renderer.render(bottom)[0]))
-
-
-def autograd(case: AttackProblem, at: torch.Tensor) -> torch.Tensor:
-    leaf = at.clone().requires_grad_()
-    images = case.renderer.render(case.layout.unflatten((case.layout.flatten(case.initial) + leaf)[None]))
-    return torch.autograd.grad(case.goal.advantage(case.target.logits(images)).sum(), leaf)[0]
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -15,6 +15,7 @@ from services.scenes.description import Scene
 from services.scenes.resolve import resolve
 from services.targets import registry
 from services.targets.classifier import Classifier
+from tests.unit.attacks.small import autograd
 from tests.unit.jobs.small import LIBRARY
 
 SCENE = {
@@ -41,15 +42,6 @@ def at_random(problem: AttackProblem) -> torch.Tensor:
     where = problem.layout
     at = 0.5 * torch.randn(1, where.total, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     return clamped(problem, at)[0]
-
-
-def autograd(problem: AttackProblem, at: torch.Tensor) -> torch.Tensor:
-    where = problem.layout
-    leaf = at.clone().requires_grad_()
-    images = problem.renderer.render(where.unflatten((where.flatten(problem.initial) + leaf)[None]))
-    value = problem.goal.advantage(problem.target.logits(images)).sum()
-    value = value + problem.weight * (images - problem.original).square().sum()
-    return torch.autograd.grad(value, leaf)[0]
 
 
 @pytest.mark.parametrize("group", ["illumination", "material"])
