@@ -9,6 +9,8 @@ import torch
 from safetensors.torch import load_file
 
 from services.analysis.images import load_png
+from services.attacks.loop import run
+from services.attacks.state import AttackState
 from services.errors import Cancelled
 from services.pipeline.execute import Progress, execute
 from services.pipeline.prepare import prepare
@@ -174,3 +176,48 @@ def test_the_image_error_is_that_of_the_attack_s_image_of_the_stored_perturbatio
     wanted = float((image - exact).abs().max())
     assert 1e-5 < wanted < 2e-2
     assert result.image_error == pytest.approx(wanted, rel=1e-3)
+
+
+def test_the_verdict_is_of_the_images_rendered_afresh_whatever_the_loop_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The loop here claims a verified adversary at its second step, with the scores of another label.
+
+    The perturbation that it hands over changes nothing. Its counts differ from those of the last row of its trace.
+    """
+    attack = {"renderer": "torch", "groups": ["normals"], "truncation": 1, "learning_rate": {"normals": 1e-4}}
+    truth = execute(spec(attack), tmp_path / "first", LIBRARY).original.label
+    claimed: list[AttackState] = []
+
+    def claims(*args: Any, **options: Any) -> AttackState:
+        found = run(*args, **options)
+        found.stored = {group: torch.zeros_like(value) for group, value in found.stored.items()}
+        found.fooled = found.verified = True
+        found.stored_step, found.scores = 1, found.scores.roll(1)
+        found.ever[:3, :2] = True
+        claimed.append(found)
+        return found
+
+    monkeypatch.setattr("services.pipeline.execute.run", claims)
+    result = execute(spec(attack, goal={"truth": truth}), tmp_path / "right", LIBRARY)
+    found = claimed[-1]
+    assert found.step == 3 > found.stored_step
+    assert int(found.ever.sum()) > found.trace[-1].truncated
+    assert (result.outcome, result.verified, result.right_before) == ("held", False, True)
+    assert result.fooled  # what the loop believed stands beside the verdict
+    assert result.in_loop.label != result.attacked.label == truth
+    assert (result.step, result.steps) == (1, 3)
+    assert result.truncated == int(found.ever.sum())
+    assert (result.perceptibility, result.float_perceptibility) == (0.0, 0.0)
+    unknown = execute(spec(attack), tmp_path / "unknown", LIBRARY)
+    assert (unknown.outcome, unknown.in_loop.label) == ("held", result.in_loop.label)
+    wrong = execute(spec(attack, goal={"truth": result.in_loop.label}), tmp_path / "wrong", LIBRARY)
+    assert (wrong.outcome, wrong.right_before) == ("still-wrong", False)
+
+
+def test_pixels_beyond_the_limit_are_counted_in_the_saved_images(tmp_path: Path) -> None:
+    result = execute(spec({"renderer": "torch", "groups": ["normals"], "truncation": 2}), tmp_path, LIBRARY)
+    original, attacked = (load_png(tmp_path / f"{name}.png").int() for name in ("original", "attacked"))
+    counts = [int(((attacked - original).abs() > limit).any(-1).sum()) for limit in (1, 2, 3)]
+    assert result.beyond_truncation == counts[1]
+    assert len(set(counts)) == 3  # so that another limit would be noticed
