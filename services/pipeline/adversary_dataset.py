@@ -24,11 +24,14 @@ FORMAT = 1
 
 
 class AdversaryMetadata(TypedDict):
-    """What is known of an image. `truth` are all labels that are right; `answer` is the attacked network's."""
+    """What is known of an image. `truth` are all labels that are right; `answer` is the attacked network's. The azimuth
+    is the camera's, radians.
+    """
 
     id: str
     target: str
     scene: str
+    azimuth: float
     attack: str
     seed: int
     truth: list[str]
@@ -126,6 +129,7 @@ def _metadata(result: Result, number: str) -> AdversaryMetadata:
         id=number,
         target=spec["target"]["name"],
         scene=scene_name(spec),
+        azimuth=spec["scene"]["camera"]["azimuth"],
         attack=attack_name(spec),
         seed=result.provenance.seed,
         truth=result.truth,

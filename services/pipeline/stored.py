@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from pydantic import ValidationError
 from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor
@@ -12,6 +13,8 @@ from services.errors import InvalidRequest
 from services.pipeline.execute import PERTURBATION
 from services.pipeline.result import Result
 from services.rendering.protocol import Parameters
+
+RESULT = "result.json"
 
 
 @dataclass(frozen=True)
@@ -30,9 +33,14 @@ def read_stored(directory: Path) -> Stored:
     """
     try:
         return Stored(
-            Result.model_validate_json((directory / "result.json").read_bytes()),
+            Result.model_validate_json((directory / RESULT).read_bytes()),
             load_file(directory / PERTURBATION),
             load_png(directory / "attacked.png"),
         )
+    except ValidationError as error:
+        first, *others = error.errors(include_url=False, include_input=False)
+        said = f"{'.'.join(map(str, first['loc'])) or 'the file'}: {first['msg']}"
+        more = f" (and {len(others)} more)" if others else ""
+        raise InvalidRequest("directory", f"{directory / RESULT} is no result: {said}{more}") from error
     except (OSError, ValueError, SafetensorError) as error:
         raise InvalidRequest("directory", f"{directory} is not the output of a finished job: {error}") from error

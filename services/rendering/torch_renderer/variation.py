@@ -9,11 +9,12 @@ from collections.abc import Mapping
 from torch import Tensor
 
 from services.rendering.protocol import Parameters, Renderer
-from services.rendering.torch_renderer.declaration import TORCH
+from services.rendering.torch_renderer.environment_light import LIGHT_GROUPS
 from services.rendering.variation import Variation
 
 
 def varied(renderer: Renderer, parameters: Mapping[str, Tensor], variation: Variation) -> Parameters:  # noqa: ARG001
-    """The values [B, …] by group under a variation."""
-    group = TORCH.varies["intensity"]
-    return dict(parameters) | {group: parameters[group] * variation.intensity}
+    """The values [B, …] by group under a variation: all light is scaled, what is attacked in one channel too."""
+    return {
+        group: value * variation.intensity if group in LIGHT_GROUPS else value for group, value in parameters.items()
+    }

@@ -31,6 +31,10 @@ def test_analyse_prints_what_was_asked_for_and_keeps_it(tmp_path: Path) -> None:
     save_file(load_file(tmp_path / PERTURBATION) | {"illumination": torch.zeros(2, 3)}, tmp_path / PERTURBATION)
     with pytest.raises(InvalidRequest, match=r"directory: .*'illumination': \[2, 3\]"):
         analyse_stored(tmp_path, AnalysisRequest(), LIBRARY, lambda *_: None)
+    (tmp_path / "result.json").write_text('{"spec": null}')
+    with pytest.raises(InvalidRequest, match=r"result\.json is no result: spec: .* \(and \d+ more\)$") as refused:
+        analyse_stored(tmp_path, AnalysisRequest(), LIBRARY, lambda *_: None)
+    assert "http" not in str(refused.value)
 
 
 def test_rerender_answers_for_an_image_and_writes_the_rendering(tmp_path: Path) -> None:

@@ -176,7 +176,7 @@ def test_the_adversaries_are_a_maite_dataset(finished: tuple[Path, CampaignResul
         pixels = np.asarray(file.convert("RGB"))
     assert np.array_equal(np.round(np.asarray(image).transpose(1, 2, 0) * 255).astype(np.uint8), pixels)
     assert dataset.metadata["index2label"][int(np.argmax(label))] == truth
-    assert about["id"] == "00000"
+    assert (about["id"], about["azimuth"]) == ("00000", 0.61)  # type: ignore[typeddict-item]
     with pytest.raises(InvalidRequest, match="is not empty"):
         export(given(), tmp_path / "set", "spheres")
     with pytest.raises(InvalidRequest, match="is no dataset"):

@@ -68,14 +68,17 @@ def test_stronger_light_is_that_of_the_scene_described_so() -> None:
     assert float((ours - render(renderer("pyrender", lights=stronger), Variation())).abs().max()) < 1e-4
 
 
-def test_the_torch_renderers_light_is_scaled_before_the_display_curve() -> None:
-    """Where an object covers a pixel and no channel is saturated."""
+@pytest.mark.parametrize("tint", [0.0, 4.0])
+def test_the_torch_renderers_light_is_scaled_before_the_display_curve(tint: float) -> None:
+    """Where an object covers a pixel and no channel is saturated; coloured light that is attacked is scaled too."""
     of = renderer("torch")
-    plain, dimmed = render(of, Variation()), render(of, Variation(intensity=0.5))
+    start = {group: value[None].clone() for group, value in of.initial().items()}
+    start["illumination_rgb"][..., 2] += tint
+    plain, dimmed = (of.render(varied(of, start, Variation(intensity=factor)))[0] for factor in (1.0, 0.5))
     changed = ((plain - dimmed).abs().amin(dim=-1) > 0.05) & (plain.amax(dim=-1) < 0.98)
     assert int(changed.sum()) > 200
     ratio = to_linear(dimmed[changed].double().numpy()) / to_linear(plain[changed].double().numpy())
-    assert float(np.median(ratio)) == pytest.approx(0.5, abs=1e-3)
+    assert np.median(ratio, axis=0) == pytest.approx(np.full(3, 0.5), abs=1e-3)
 
 
 def test_a_view_is_kept_within_the_cameras_limits() -> None:
