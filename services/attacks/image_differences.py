@@ -28,6 +28,8 @@ PLACES, PROBES = 3, 4
 """Perturbations at which half-steps are compared, and the largest number of coordinates per group at each."""
 REACH = 0.03
 """Largest coordinate of these perturbations, in the groups' units."""
+PIECE = 2**16
+"""Values of each image that are turned into float64 at once."""
 NOISE = 4.0
 """Noise floor of a projected difference, in standard deviations of its rounding."""
 
@@ -43,6 +45,8 @@ class ImageDifferences:
         self.half_steps = problem.layout.spread(half_steps)
         self.skipped = inactive(problem, problem.nothing(), self.half_steps)
         self.inactive = problem.layout.mask((one.group, one.index) for one in self.skipped)
+        self.metric: Tensor | None = None
+        """∂Yᵀ∂Y per pixel, float64 [total, total], where `project` was last called; None if no method needs it."""
 
     @classmethod
     def measure(cls, problem: AttackProblem) -> Self:
@@ -76,7 +80,11 @@ class ImageDifferences:
         coordinates = (~still).nonzero()[:, 0]
         vector = layout.zeros().double()
         steps = self.half_steps[coordinates]
-        vector[coordinates] = projected(problem, layout.flatten(perturbation), coordinates, steps, gradient)
+        slopes: list[Tensor] | None = [] if problem.needs_metric else None
+        vector[coordinates] = projected(problem, layout.flatten(perturbation), coordinates, steps, gradient, slopes)
+        if slopes is not None:
+            self.metric = torch.zeros(layout.total, layout.total, dtype=torch.float64)
+            self.metric[coordinates[:, None], coordinates] = gram(torch.cat(slopes)) / gradient[..., 0].numel()
         return {g: value.to(perturbation[g].dtype) for g, value in layout.unflatten(vector).items()}
 
 
@@ -97,13 +105,19 @@ class _Render(torch.autograd.Function):
 
 @torch.no_grad()
 def projected(
-    problem: AttackProblem, delta: Tensor, coordinates: Tensor, half_steps: Tensor, gradient: Tensor
+    problem: AttackProblem,
+    delta: Tensor,
+    coordinates: Tensor,
+    half_steps: Tensor,
+    gradient: Tensor,
+    slopes: list[Tensor] | None = None,
 ) -> Tensor:
     """⟨g, Y(x + δ_d e_d) − Y(x − δ_d e_d)⟩ / 2δ_d at the coordinates [k], float64 [k]; 0 where below the noise.
 
     `delta` [total] is the perturbation, `half_steps` [k] are the δ_d in the groups' units, `gradient` g is [H, W, 3]. A
     side that would leave the physical bounds is clamped to them, and the difference is divided by the distance that
-    remains. The images are rendered in batches of at most `per_batch`, both sides of a coordinate in the same one; an
+    remains. ∂Y/∂x_d, [k, H·W·3] of the images' dtype, are appended to `slopes` where it is given. The images are
+    rendered in batches of at most `per_batch`, both sides of a coordinate in the same one; an
     estimate depends on its own two images alone. Raises as `AttackProblem.render` does.
 
     Rounding moves a value of an image by at most its dtype's machine epsilon. The noise floor is `NOISE` standard
@@ -121,11 +135,21 @@ def projected(
         both[rows, 1, chosen] -= steps.to(both.dtype)
         both = clamped(problem, both.flatten(0, 1))
         images = problem.render(problem.layout.unflatten(start + both))
-        change = ((images[0::2] - images[1::2]).flatten(1).double() @ weights).cpu()
+        moved = (images[0::2] - images[1::2]).flatten(1)
+        change = (moved.double() @ weights).cpu()
         width = (both[0::2] - both[1::2])[rows, chosen].double()
         below_noise = (change.abs() <= noise) | (width == 0)
-        found.append(torch.where(below_noise, 0.0, change / width.where(width != 0, torch.ones_like(width))))
+        width = width.where(width != 0, torch.ones_like(width))
+        found.append(torch.where(below_noise, 0.0, change / width))
+        if slopes is not None:
+            slopes.append((moved / width[:, None].to(moved)).cpu())
     return torch.cat(found)
+
+
+def gram(vectors: Tensor) -> Tensor:
+    """Products of each two of the vectors [k, n], float64 [k, k], summed in float64 piece by piece."""
+    pieces = (piece.double() for piece in torch.split(vectors, PIECE, dim=1))
+    return torch.stack([piece @ piece.T for piece in pieces]).sum(0)
 
 
 def measure_half_steps(problem: AttackProblem) -> dict[str, float]:

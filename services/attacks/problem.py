@@ -45,6 +45,9 @@ class Evaluation:
 class Differences(Protocol):
     """Derivatives of images for a renderer that has none (`image_differences`)."""
 
+    metric: Tensor | None
+    """The metric of the newest gradient; see `AttackProblem.needs_metric`."""
+
     def render(self, problem: "AttackProblem", perturbation: Parameters) -> Tensor:
         """The image [1, H, W, 3] of a perturbation, with a graph to the perturbation's tensors."""
         ...
@@ -78,6 +81,8 @@ class AttackProblem:
     """Called before every rendering; raises Cancelled to stop."""
     differences: Differences | None = None
     """Differences of the image, by which `view` differentiates it if the renderer cannot; None if it can."""
+    needs_metric: bool = False
+    """Whether `differences` keeps the metric M [total, total] of each gradient: dᵀMd is p² of a small change d."""
     surrogate: Surrogate | None = None
     """The network whose gradients guide a method that searches by scores; None if there is none."""
     expectation: Expectation | None = None

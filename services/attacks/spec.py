@@ -128,6 +128,11 @@ class AttackSettings(Limits):
         return "log-odds"
 
     @property
+    def needs_metric(self) -> bool:
+        """Whether the method measures its steps by the change of the image (`AttackProblem.needs_metric`)."""
+        return False
+
+    @property
     def guide(self) -> str | None:
         """The target whose gradients guide the search; None: there is none."""
         return None

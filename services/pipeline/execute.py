@@ -131,6 +131,7 @@ def _problem(prepared: Prepared, interrupt: Callable[[], None]) -> AttackProblem
         limits=attack.bounds,
         loss=attack.objective,
         weight=attack.distance_weight,
+        needs_metric=attack.needs_metric,
         interrupt=interrupt,
     )
 

@@ -22,6 +22,7 @@ ATTACKS: dict[str, tuple[dict[str, Any], int]] = {
     "mi-fgsm": ({"groups": ["normals"], "truncation": 6, "constraint": "backtrack", "steps": 2}, 1),
     "apgd": ({"groups": ["normals", "illumination"], "loss": "dlr", "steps": 3, "restarts": 1}, 1),
     "cma-es": ({"renderer": "pyrender", "groups": ["color", "illumination"], "population": 6, "steps": 2}, 7),
+    "natural-gradient": ({"renderer": "pyrender", "steps": 3}, 1),
     "p-rgf": ({"renderer": "pyrender", "groups": ["color"], "steps": 2}, 9),
     "spsa": ({"renderer": "pyrender", "groups": ["rotation", "illumination"], "steps": 2}, 33),
     "square": (PIXELS | {"steps": 8}, 1),

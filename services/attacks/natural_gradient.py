@@ -1,0 +1,158 @@
+"""Natural gradient through a renderer without gradients: the steepest descent for each unit of perceptibility."""
+
+from __future__ import annotations
+
+from math import inf, sqrt
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from services.attacks.spec import AttackSettings, register
+from services.rendering.declaration import RENDERERS
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from services.attacks.problem import AttackProblem, Evaluation
+    from services.rendering.protocol import Parameters
+
+RADIUS = 0.01
+"""Default p of the first step where the request states no largest p."""
+RADIUS_IN_LIMIT = 0.25
+"""Default p of the first step as a share of the largest p."""
+GROWTH, CUT = 1.5, 0.5
+"""Factors on the radius after a step that lowered the objective, and after one that did not."""
+MOST_GROWTH, LEAST = 2.0, 1 / 64
+"""Range of the radius in first radii. Below it the radius begins anew."""
+DAMPING, LEAST_DAMPING, MOST_DAMPING = 0.3, 0.03, 30.0
+"""First damping and its range, as shares of the metric's diagonal."""
+RAISE, RELAX = 3.0, 3.0**-0.5
+"""Factors on the damping after a step that did not lower the objective, and after one that did."""
+
+
+class NaturalGradient(AttackSettings):
+    """Natural gradient (Amari 1998) in the metric of perceptibility, with a trust region: of all steps whose image
+    changes by the same p, the one that lowers the objective most to first order. It uses the differences of images from
+    which the gradient is taken anyway, so it is for renderers without gradients.
+    """
+
+    method: Literal["natural-gradient"] = "natural-gradient"
+    steps: Annotated[int, Field(ge=1, le=10_000)] = Field(30, description="largest number of steps")
+    radius: Annotated[float, Field(gt=0, le=sqrt(3), allow_inf_nan=False)] = Field(
+        RADIUS,
+        description="p by which the first step changes the image; later ones between 1/64 of it and twice it; default: "
+        f"a quarter of `perceptibility`, or {RADIUS:g} without it",
+    )
+
+    @classmethod
+    def complete(cls, data: dict[str, Any]) -> dict[str, Any]:
+        """Fills in the radius that follows from the largest p."""
+        limit = data.get("perceptibility")
+        if "radius" in data or not isinstance(limit, int | float) or not limit > 0:
+            return data
+        return data | {"radius": RADIUS_IN_LIMIT * limit}
+
+    @model_validator(mode="after")
+    def _through_differences_of_one_image(self) -> Self:
+        if RENDERERS[self.renderer].differentiable:
+            can = ", ".join(name for name, one in RENDERERS.items() if not one.differentiable)
+            raise ValueError(
+                f"renderer: natural-gradient takes differences of images, for renderers without gradients ({can}); "
+                "use fgsm or apgd"
+            )
+        if self.expectation is not None:
+            raise ValueError("expectation: the metric of natural-gradient is that of one image; use fgsm or mi-fgsm")
+        return self
+
+    @property
+    def needs_metric(self) -> bool:
+        """True: steps are measured in the change of the image."""
+        return True
+
+
+@register(NaturalGradient)
+class NaturalGradientMethod:
+    """d ∝ −(M + μ·diag M)⁻¹ ∇f, scaled to dᵀMd = r², from the best perturbation so far.
+
+    M is the metric: dᵀMd is the square of the p that a small step d changes the image by. The damping μ (Levenberg and
+    Marquardt) and the radius r (a trust region) follow from whether the last step lowered the objective: silhouettes
+    that cross pixels make differences of images and the objective disagree.
+    """
+
+    needs_gradient = True
+
+    def __init__(self, settings: NaturalGradient, problem: AttackProblem) -> None:
+        import torch
+
+        self.settings = settings
+        self.layout = problem.layout
+        self.delta = self.layout.flatten(problem.beginning)
+        self.best = self.delta
+        self.gradient = torch.zeros(self.layout.total, dtype=torch.float64)
+        self.metric = torch.zeros(self.layout.total, self.layout.total, dtype=torch.float64)
+        self.region = torch.tensor([inf, settings.radius, DAMPING], dtype=torch.float64)
+        """The objective of the best perturbation, the radius and the damping."""
+
+    @property
+    def perturbation(self) -> Parameters:
+        """The current perturbation, by group."""
+        return self.layout.unflatten(self.delta)
+
+    def start(self, problem: AttackProblem) -> dict[str, object]:  # noqa: ARG002 - nothing to measure
+        """Natural gradient measures no settings of its own."""
+        return {}
+
+    def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:
+        """Takes one step. Returns the number of groups whose gradient is zero throughout."""
+        import torch
+
+        from services.attacks.differences import clamped
+
+        least, radius, damping = self.region.tolist()
+        if view.objective < least:
+            assert problem.differences is not None
+            assert problem.differences.metric is not None
+            self.best = self.layout.flatten({g: value.detach() for g, value in view.perturbation.items()})
+            self.gradient = self.layout.flatten(view.gradients).double().cpu()
+            self.metric = problem.differences.metric
+            if step:
+                radius = min(GROWTH * radius, MOST_GROWTH * self.settings.radius)
+                damping = max(RELAX * damping, LEAST_DAMPING)
+            least = view.objective
+        else:
+            radius, damping = CUT * radius, min(RAISE * damping, MOST_DAMPING)
+            if radius < LEAST * self.settings.radius:
+                radius = self.settings.radius
+        self.region = torch.tensor([least, radius, damping], dtype=torch.float64)
+        change = radius * steepest(self.gradient, self.metric, damping)
+        self.delta = clamped(problem, (self.best.double() + change).to(self.best.dtype)[None])[0]
+        return sum(bool(gradient.min() == gradient.max() == 0) for gradient in view.gradients.values())
+
+    def state(self) -> dict[str, Tensor]:
+        """The perturbation, the best one with its gradient and metric, and the trust region."""
+        names = ("delta", "best", "gradient", "metric", "region")
+        return {name: getattr(self, name) for name in names}
+
+    def load(self, state: dict[str, Tensor]) -> None:
+        """Continues from `state()`."""
+        for name, value in state.items():
+            setattr(self, name, value)
+
+
+def steepest(gradient: Tensor, metric: Tensor, damping: float) -> Tensor:
+    """The direction d [total], float64, that lowers a function of this gradient [total] most for its length in the
+    metric [total, total]; dᵀ·metric·d is 1. Zeros where the gradient is zero or changes nothing of the image.
+
+    It solves (M + damping·diag M) d = −∇f in coordinates scaled to a diagonal of 1, so that a group's unit does not
+    matter. Coordinates that change nothing stay where they are.
+    """
+    import torch
+
+    scale = metric.diagonal().sqrt()
+    live = scale > 0
+    scale = scale.where(live, torch.ones_like(scale))
+    alike = metric / scale[:, None] / scale
+    alike = alike + torch.diag(damping * live + (~live).double())
+    found = -torch.linalg.solve(alike, gradient / scale * live) / scale
+    length = float((found @ metric @ found).sqrt())
+    return found / length if length > 0 else torch.zeros_like(found)

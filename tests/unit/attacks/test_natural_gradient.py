@@ -1,0 +1,161 @@
+"""The natural gradient against closed forms and autograd, and what it gains for the same perceptibility."""
+
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from services.attacks.fgsm import Fgsm, FgsmMethod
+from services.attacks.image_differences import ImageDifferences
+from services.attacks.loop import Budget, run
+from services.attacks.natural_gradient import NaturalGradient, NaturalGradientMethod, steepest
+from services.attacks.problem import AttackProblem
+from services.attacks.state import AttackState
+from services.attacks.verifier import Verifier
+from services.errors import Cancelled
+from services.pipeline.spec import parse
+from tests.unit.attacks.small import CurvedRenderer, LinearTarget, OpaqueCurvedRenderer, guided, problem
+
+RANDOM = torch.Generator().manual_seed(0)
+SETTINGS = NaturalGradient.model_construct(radius=0.005)
+HALF_STEPS = {"a": 1e-4, "b": 1e-4}
+
+
+def metric(total: int = 5) -> Tensor:
+    slopes = torch.randn(total, 40, generator=RANDOM, dtype=torch.float64)
+    return slopes @ slopes.T / 40
+
+
+def opaque(**settings: object) -> AttackProblem:
+    case = problem(OpaqueCurvedRenderer(), needs_metric=True, **settings)
+    case.differences = ImageDifferences(case, HALF_STEPS)
+    return case
+
+
+def test_undamped_it_is_the_closed_form_and_no_other_direction_descends_more() -> None:
+    m, g = metric(), torch.randn(5, generator=RANDOM, dtype=torch.float64)
+    found = steepest(g, m, 0.0)
+    inverse = torch.linalg.inv(m)
+    torch.testing.assert_close(found, -inverse @ g / (g @ inverse @ g).sqrt())
+    assert float(found @ m @ found) == pytest.approx(1.0)
+    others = torch.randn(1000, 5, generator=RANDOM, dtype=torch.float64)
+    others = others / (others @ m * others).sum(1, keepdim=True).sqrt()
+    assert float(g @ found) < float((others @ g).min())
+
+
+def test_the_units_of_a_coordinate_do_not_matter() -> None:
+    """A coordinate in units a thousand times smaller moves a thousand times as far, and the image does the same."""
+    m, g = metric(), torch.randn(5, generator=RANDOM, dtype=torch.float64)
+    scale = torch.tensor([1.0, 1e3, 1.0, 1e-4, 1.0], dtype=torch.float64)
+    other = steepest(g / scale, m / scale[:, None] / scale, 0.3)
+    torch.testing.assert_close(other / scale, steepest(g, m, 0.3))
+
+
+def test_a_coordinate_that_changes_nothing_stays() -> None:
+    m, g = metric(), torch.randn(5, generator=RANDOM, dtype=torch.float64)
+    m[2] = m[:, 2] = 0.0
+    found = steepest(g, m, 0.3)
+    kept = [0, 1, 3, 4]
+    torch.testing.assert_close(found[kept], steepest(g[kept], m[kept][:, kept], 0.3))
+    assert float(found[2]) == 0.0
+    assert not steepest(torch.zeros(5, dtype=torch.float64), m, 0.3).any()
+
+
+def test_the_metric_of_differences_is_that_of_autograd() -> None:
+    """dᵀMd = p², with M from the Jacobian of a renderer that has gradients, at a place other than the start."""
+    case, renderer = opaque(), CurvedRenderer()
+    at = {g: 0.1 * torch.randn(v.shape, generator=RANDOM, dtype=torch.float64).abs() for g, v in case.nothing().items()}
+    guided(case, at)
+    start = case.layout.flatten({g: case.initial[g] + value for g, value in at.items()})
+
+    def image(vector: Tensor) -> Tensor:
+        return renderer.render({g: value[None] for g, value in case.layout.unflatten(vector).items()}).flatten()
+
+    slopes: Tensor = torch.func.jacrev(image)(start)
+    assert case.differences is not None
+    assert case.differences.metric is not None
+    torch.testing.assert_close(case.differences.metric, slopes.T @ slopes / 20, rtol=1e-6, atol=1e-8)  # 4×5 pixels
+    small = 1e-4 * torch.randn(case.layout.total, generator=RANDOM, dtype=torch.float64)
+    p = float((image(start + small) - image(start)).square().sum() / 20) ** 0.5
+    assert float(small @ case.differences.metric @ small) ** 0.5 == pytest.approx(p, rel=1e-3)
+
+
+def test_no_metric_is_kept_for_a_method_that_needs_none() -> None:
+    case = opaque()
+    case.needs_metric = False
+    guided(case, case.nothing())
+    assert case.differences is not None
+    assert case.differences.metric is None
+
+
+def attack(case: AttackProblem, steps: int, path: Path | None = None) -> AttackState:
+    method = NaturalGradientMethod(SETTINGS, case)
+    return run(case, method, Verifier(case.renderer, case.target), Budget(steps), checkpoint_path=path)
+
+
+def test_the_first_step_changes_the_image_by_the_radius_and_a_failed_one_is_cut() -> None:
+    case = opaque()
+    method = NaturalGradientMethod(SETTINGS, case)
+    view = guided(case, method.perturbation)
+    method.advance(case, view, 0)
+    first = case.layout.flatten(method.perturbation)
+    change = case.view(method.perturbation).images - case.original
+    p = float(change.square().sum(-1).mean().sqrt())
+    assert p == pytest.approx(SETTINGS.radius, rel=0.1)  # the image is curved
+    worse = guided(case, method.perturbation)
+    worse = type(worse)(worse.perturbation, worse.images, worse.truncated, worse.gradients, view.objective + 1)
+    method.advance(case, worse, 1)
+    second = case.layout.flatten(method.perturbation)
+    assert float(second.norm()) < 0.8 * float(first.norm())  # from the start again, half as far
+    assert float(second @ first) > 0
+
+
+def test_it_lowers_the_objective_more_than_signs_do_at_the_same_p() -> None:
+    """Both are pulled back to the same largest p, with twelve queries each."""
+    falls = {}
+    hard = LinearTarget(scale=0.3)
+    for name in ("natural", "signs"):
+        case = problem(OpaqueCurvedRenderer(), hard, needs_metric=name == "natural", perceptibility=0.02)
+        signs = Fgsm.model_construct(learning_rate={"a": 0.005, "b": 0.005}, momentum=0.9, weight_decay=0.0)
+        method = NaturalGradientMethod(SETTINGS, case) if name == "natural" else FgsmMethod(signs, case)
+        found = run(case, method, Verifier(case.renderer, hard), Budget(12))
+        assert found.trace[found.stored_step].perceptibility <= 0.02
+        falls[name] = found.trace[0].advantage - min(row.advantage for row in found.trace)
+    assert falls["natural"] > 1.2 * falls["signs"] > 0
+
+
+def test_resumed_it_ends_in_the_same_bits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("services.attacks.checkpoint.EVERY", -1.0)  # after every step
+    hard = LinearTarget(scale=1e-3)
+
+    def case(interrupt: object = lambda: None) -> AttackProblem:
+        return problem(OpaqueCurvedRenderer(), hard, needs_metric=True, interrupt=interrupt)
+
+    whole, left = attack(case(), 8), iter(range(18))
+
+    def die() -> None:
+        if next(left, None) is None:
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        attack(case(die), 8, tmp_path / "checkpoint")
+    assert (tmp_path / "checkpoint").exists()
+    resumed = attack(case(), 8, tmp_path / "checkpoint")
+    for group, value in whole.stored.items():
+        assert torch.equal(value, resumed.stored[group])
+    assert [row.objective for row in whole.trace] == [row.objective for row in resumed.trace]
+
+
+def test_what_it_cannot_do_is_refused_with_what_can() -> None:
+    def asked(**more: object) -> dict[str, object]:
+        scene = {"objects": [{"mesh": "primitive/sphere"}]}
+        return {"scene": scene, "attack": {"method": "natural-gradient", "renderer": "pyrender"} | more}
+
+    assert parse(asked()).attack.radius == 0.01  # type: ignore[attr-defined]
+    limited = parse(asked(constraint="backtrack", perceptibility=0.02))
+    assert limited.attack.radius == 0.005  # type: ignore[attr-defined]
+    with pytest.raises(Exception, match="for renderers without gradients \\(pyrender\\); use fgsm"):
+        parse(asked(renderer="torch"))
+    with pytest.raises(Exception, match="the metric of natural-gradient is that of one image"):
+        parse(asked(expectation={"azimuth": 5}))
