@@ -17,10 +17,10 @@ def result(**changed: Any) -> Result:
 
 
 def test_a_case_has_the_papers_p_and_that_of_the_loop_at_the_stored_step() -> None:
-    stored = result(step=2, truncated=17, float_perceptibility=0.00251)
+    stored = result(step=1, truncated=17, float_perceptibility=0.00251)
     case = case_of(stored, "t", "a", run_seconds=3.0, reused=False)
-    assert stored.trace[2].perceptibility != stored.trace[-1].perceptibility
-    assert case.loop_perceptibility == stored.trace[2].perceptibility
+    assert stored.trace[1].perceptibility != stored.trace[-1].perceptibility
+    assert case.loop_perceptibility == stored.trace[1].perceptibility
     assert case.perceptibility == 0.00251 != stored.perceptibility
     assert (case.truncated, case.queries, case.seconds, case.run_seconds) == (17, stored.queries, stored.seconds, 3.0)
     assert curves_of(stored).advantage == [row.advantage for row in stored.trace]
