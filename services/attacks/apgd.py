@@ -112,14 +112,14 @@ class ApgdMethod:
         """
         from services.attacks.differences import clamped
 
-        at = self.layout.flatten({group: value.detach() for group, value in view.perturbation.items()})
+        at = self.layout.flatten(view.perturbation).detach()
         direction = -self.layout.flatten(view.gradients).sign()
         at, direction = self._judge(at, direction, view.objective, step)
         share = 1.0 if step == 0 else MOMENTUM
         stepped = clamped(problem, (at + self.step_size * self.radius * direction)[None])[0]
         moved = at + share * (stepped - at) + (1 - share) * (at - self.before)
         self.before, self.delta = at, clamped(problem, moved[None])[0]
-        return sum(not bool(gradient.any()) for gradient in view.gradients.values())
+        return view.n_flat
 
     def _judge(self, at: Tensor, direction: Tensor, objective: float, step: int) -> tuple[Tensor, Tensor]:
         """Records the objective of `at`; returns the point to go on from and its direction of descent."""

@@ -107,6 +107,11 @@ def clamped(problem: AttackProblem, vectors: Tensor) -> Tensor:
     return torch.cat([within[g].flatten(1) for g in problem.layout.groups], dim=1)
 
 
+def moved(problem: AttackProblem, at: Tensor, changes: Tensor) -> Tensor:
+    """The perturbation `at` [total] moved by each of `changes`, float64 [B, total], and clamped: [B, total]."""
+    return clamped(problem, (at.double() + changes).to(at.dtype))
+
+
 def measure_noise(problem: AttackProblem, delta: Tensor, samples: int = 8) -> float:
     """Noise floor of the objective at the perturbation `delta` [total]: its spread under floating-point rounding.
 

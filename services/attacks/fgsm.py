@@ -68,7 +68,7 @@ class FgsmMethod:
             self.velocity[group] = change.add_(self.velocity[group], alpha=self.settings.momentum)
             moved[group] = delta.sub(self.velocity[group], alpha=self.settings.learning_rate[group])
         self.perturbation = problem.clamp(moved)
-        return sum(bool(gradient.min() == gradient.max() == 0) for gradient in view.gradients.values())
+        return view.n_flat
 
     def state(self) -> dict[str, Tensor]:
         """The perturbation and the velocity of each group."""

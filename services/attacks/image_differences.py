@@ -117,8 +117,8 @@ def projected(
     `delta` [total] is the perturbation, `half_steps` [k] are the δ_d in the groups' units, `gradient` g is [H, W, 3]. A
     side that would leave the physical bounds is clamped to them, and the difference is divided by the distance that
     remains. ∂Y/∂x_d, [k, H·W·3] of the images' dtype, are appended to `slopes` where it is given. The images are
-    rendered in batches of at most `per_batch`, both sides of a coordinate in the same one; an
-    estimate depends on its own two images alone. Raises as `AttackProblem.render` does.
+    rendered in batches of at most `per_batch`, both sides of a coordinate in the same one; an estimate depends on its
+    own two images alone. Raises as `AttackProblem.render` does.
 
     Rounding moves a value of an image by at most its dtype's machine epsilon. The noise floor is `NOISE` standard
     deviations of ⟨g, rounding of both images⟩, were it uniform and independent from value to value.

@@ -106,13 +106,13 @@ class NaturalGradientMethod:
         """Takes one step. Returns the number of groups whose gradient is zero throughout."""
         import torch
 
-        from services.attacks.differences import clamped
+        from services.attacks.differences import moved
 
         least, radius, damping = self.region.tolist()
         if view.objective < least:
             assert problem.differences is not None
             assert problem.differences.metric is not None
-            self.best = self.layout.flatten({g: value.detach() for g, value in view.perturbation.items()})
+            self.best = self.layout.flatten(view.perturbation).detach()
             self.gradient = self.layout.flatten(view.gradients).double().cpu()
             self.metric = problem.differences.metric
             if step:
@@ -125,8 +125,8 @@ class NaturalGradientMethod:
                 radius = self.settings.radius
         self.region = torch.tensor([least, radius, damping], dtype=torch.float64)
         change = radius * steepest(self.gradient, self.metric, damping)
-        self.delta = clamped(problem, (self.best.double() + change).to(self.best.dtype)[None])[0]
-        return sum(bool(gradient.min() == gradient.max() == 0) for gradient in view.gradients.values())
+        self.delta = moved(problem, self.best, change[None])[0]
+        return view.n_flat
 
     def state(self) -> dict[str, Tensor]:
         """The perturbation, the best one with its gradient and metric, and the trust region."""

@@ -84,7 +84,7 @@ class PRgfMethod:
         """Takes one step. Returns the number of directions along which the objective does not change."""
         import torch
 
-        from services.attacks.differences import clamped
+        from services.attacks.differences import moved
         from services.attacks.spsa import draw_directions
 
         at = self.layout.flatten(view.perturbation)
@@ -95,7 +95,7 @@ class PRgfMethod:
                 prior = prior / prior.norm() * self.layout.total**0.5
                 directions = torch.cat([prior[None], directions])
         gradient, still = projected_gradient(problem, at, directions, self.half_steps)
-        self.delta = clamped(problem, (at.double() + self.adam.change(gradient, step)).to(at.dtype)[None])[0]
+        self.delta = moved(problem, at, self.adam.change(gradient, step)[None])[0]
         return still
 
     def state(self) -> dict[str, Tensor]:
@@ -126,12 +126,12 @@ def projected_gradient(
     """
     import torch
 
-    from services.attacks.differences import clamped, evaluate
+    from services.attacks.differences import evaluate, moved
 
     if not len(directions):
         return torch.zeros_like(half_steps), 0
     moves = directions * half_steps
-    forwards, backwards = (clamped(problem, (at.double() + sign * moves).to(at.dtype)) for sign in (1.0, -1.0))
+    forwards, backwards = (moved(problem, at, sign * moves) for sign in (1.0, -1.0))
     objectives = evaluate(problem, torch.stack([forwards, backwards], dim=1).flatten(0, 1)).reshape(-1, 2)
     change = objectives[:, 0] - objectives[:, 1]
     displacements = (forwards - backwards).double() / half_steps

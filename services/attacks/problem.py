@@ -41,6 +41,11 @@ class Evaluation:
     objective: float = nan
     """The objective of the image rounded to 8 bits, without an own query of the network; see `AttackProblem.loss`."""
 
+    @property
+    def n_flat(self) -> int:
+        """The number of groups whose gradient is zero throughout."""
+        return sum(bool(gradient.min() == gradient.max() == 0) for gradient in self.gradients.values())
+
 
 class Differences(Protocol):
     """Derivatives of images for a renderer that has none (`image_differences`)."""

@@ -58,14 +58,14 @@ class SpsaMethod:
 
     def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:
         """Takes one step. Returns the number of directions along which the objective does not change."""
-        from services.attacks.differences import clamped
+        from services.attacks.differences import moved
 
         at = self.layout.flatten(view.perturbation)
         kind = self.settings.directions
         directions = draw_directions(kind, self.settings.pairs, self.layout.total, problem.seed, step)
         estimates = estimate(problem, at, directions, self.half_steps, gaussian=kind == "gaussian")
         change = self.adam.change(estimates.mean(dim=0), step)
-        self.delta = clamped(problem, (at.double() + change).to(at.dtype)[None])[0]
+        self.delta = moved(problem, at, change[None])[0]
         return int((estimates == 0).all(dim=1).sum())
 
     def state(self) -> dict[str, Tensor]:
@@ -100,10 +100,10 @@ def estimate(problem: AttackProblem, at: Tensor, directions: Tensor, half_steps:
     """
     import torch
 
-    from services.attacks.differences import clamped, evaluate
+    from services.attacks.differences import evaluate, moved
 
     moves = directions * half_steps
-    forwards, backwards = (clamped(problem, (at.double() + sign * moves).to(at.dtype)) for sign in (1.0, -1.0))
+    forwards, backwards = (moved(problem, at, sign * moves) for sign in (1.0, -1.0))
     objectives = evaluate(problem, torch.stack([forwards, backwards], dim=1).flatten(0, 1)).reshape(-1, 2)
     change = (objectives[:, 0] - objectives[:, 1])[:, None]
     distance = (forwards - backwards).double()

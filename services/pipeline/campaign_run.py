@@ -19,12 +19,11 @@ from services.pipeline.campaign_result import CampaignResult
 from services.pipeline.campaign_select import FirstAnswer, choose
 from services.pipeline.campaign_spec import CampaignSpec
 from services.pipeline.campaign_views import first_answer, first_answers
-from services.pipeline.execute import execute
+from services.pipeline.execute import RESULT, execute
 from services.pipeline.result import Result
 from services.pipeline.spec import digest
 from services.scenes.library import Library
 
-RESULT = "result.json"
 DONE = "done.json"
 """Beside the result of a job: its run time and the digest of the campaign that ran it. It is written last."""
 

@@ -36,6 +36,7 @@ from services.scenes.library import Library
 from services.versions import versions
 
 PERTURBATION = "perturbation.safetensors"
+RESULT = "result.json"
 _VERSIONED = ("scene-attack", "torch", "numpy", "pyrender-maintained", "PyOpenGL", "trimesh", "OpenEXR", "safetensors")
 
 
@@ -200,7 +201,7 @@ def _write(
     save_file({group: value.contiguous() for group, value in found.stored.items()}, out / PERTURBATION)
     trace = ",\n".join(row.model_dump_json() for row in found.trace)
     (out / "trace.json").write_text(f"[{trace}]\n", "utf-8")
-    (out / "result.json").write_text(result.model_dump_json(indent=1) + "\n", "utf-8")
+    (out / RESULT).write_text(result.model_dump_json(indent=1) + "\n", "utf-8")
     return result
 
 

@@ -10,11 +10,9 @@ from torch import Tensor
 
 from services.analysis.images import load_png
 from services.errors import InvalidRequest
-from services.pipeline.execute import PERTURBATION
+from services.pipeline.execute import PERTURBATION, RESULT
 from services.pipeline.result import Result
 from services.rendering.protocol import Parameters
-
-RESULT = "result.json"
 
 
 @dataclass(frozen=True)

@@ -28,9 +28,7 @@ def map_error(surfaces: Sequence[Surface], own: tuple[Sky, Tensor], finest: tupl
             objects.setdefault(surface.name, []).append(subset(surface, PIXELS))
     worst = 0.0
     for parts in objects.values():
-        shaded, truth = (sum(_summed(part, *light) for part in parts) for light in (own, finest))
-        assert isinstance(shaded, Tensor)
-        assert isinstance(truth, Tensor)
+        shaded, truth = (torch.stack([_summed(part, *light) for part in parts]).sum(0) for light in (own, finest))
         worst = max(worst, displayed_error(shaded, truth, torch.ones_like(truth)))
     return worst
 

@@ -1,5 +1,6 @@
 """The natural gradient against closed forms and autograd, and what it gains for the same perceptibility."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -103,8 +104,7 @@ def test_the_first_step_changes_the_image_by_the_radius_and_a_failed_one_is_cut(
     change = case.view(method.perturbation).images - case.original
     p = float(change.square().sum(-1).mean().sqrt())
     assert p == pytest.approx(SETTINGS.radius, rel=0.1)  # the image is curved
-    worse = guided(case, method.perturbation)
-    worse = type(worse)(worse.perturbation, worse.images, worse.truncated, worse.gradients, view.objective + 1)
+    worse = replace(guided(case, method.perturbation), objective=view.objective + 1)
     method.advance(case, worse, 1)
     second = case.layout.flatten(method.perturbation)
     assert float(second.norm()) < 0.8 * float(first.norm())  # from the start again, half as far
