@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.study import curves, equal_p, examples, tables
+from benchmarks.study import curves, equal_p, examples, reasons, tables
 from benchmarks.study.record import Record, load
 
 TEXT = Path(__file__).with_name("classification.md")
@@ -168,6 +168,8 @@ _PARTS = {
     "differentiable": Part(_if_any(tables.differentiable), _BOTH),
     "orders": Part(_orders, _BOTH, says=False),
     "differentiable curves": Part(lambda study: _images(study, *_BOTH), _BOTH, says=False),
+    "coverage": Part(_if_any(reasons.by_coverage), _BOTH, says=False),
+    "confidence": Part(_if_any(reasons.by_confidence), _BOTH, says=False),
     "work": Part(_if_any(tables.work), _BOTH, says=False),
     "nondifferentiable": Part(_one(NONDIFFERENTIABLE, tables.nondifferentiable), (NONDIFFERENTIABLE,)),
     "nondifferentiable curves": Part(lambda study: _images(study, NONDIFFERENTIABLE), (NONDIFFERENTIABLE,), says=False),

@@ -51,6 +51,10 @@ class Job(_Record):
     queries: int | None = None
     seconds: float | None = None
     truncated: int | None = None
+    covered: int | None = None
+    """Pixels that show an object; the torch renderer's plan counts them."""
+    pixels: int | None = None
+    """Pixels of the image, where `covered` is known."""
     request: str
     scene: str = ""
 
@@ -72,6 +76,11 @@ class Job(_Record):
     def success(self) -> bool:
         """Whether the attack succeeded: right before, wrong afterwards, verified."""
         return self.outcome == SUCCESS and self.verified
+
+    @property
+    def share(self) -> float | None:
+        """The share of the image that objects cover."""
+        return None if self.covered is None or not self.pixels else self.covered / self.pixels
 
     def case(self) -> Case:
         """The job as a case of a campaign's table."""

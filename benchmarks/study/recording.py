@@ -94,8 +94,15 @@ def _job(job: PlannedJob, request: str, result: Result | None, answer: FirstAnsw
         queries=result.queries,
         seconds=_short(result.seconds),
         truncated=result.truncated,
+        **_covered(result),
         scene=result.provenance.scene_sha256[:DIGITS],
     )
+
+
+def _covered(result: Result) -> dict[str, Any]:
+    """The pixels that show an object and all pixels, if the plan says so."""
+    found = next((item for item in result.plan.items if item.what == "pixels"), None)
+    return {} if found is None else {"covered": found.kept, "pixels": found.of}
 
 
 def _views(found: list[View], answers: dict[int, FirstAnswer], chosen: list[int]) -> tuple[Views, ...]:

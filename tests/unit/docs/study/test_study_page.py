@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.study import equal_p, tables
+from benchmarks.study import equal_p, reasons, tables
 from benchmarks.study.chart import HEIGHT, WIDTH, Panel, Series, figure
 from benchmarks.study.page import FOLDER, PAGE, files
 from benchmarks.study.record import load
@@ -98,6 +98,36 @@ def test_the_papers_count_has_the_p_of_the_truncated_images(tmp_path: Path) -> N
     verified, counted = "**verified**", "paper's count"
     assert row(after, "ResNet-34", verified) == row(before, "ResNet-34", verified)
     assert row(after, "ResNet-34", counted)[3] == f"{100 / len(own):.1f}\u00a0·\u00a012.3"
+
+
+def test_successes_are_counted_by_the_share_of_the_image_that_shows_the_object(tmp_path: Path) -> None:
+    """A view lies in the range whose lower edge it reaches; the held one had half of its covered pixels beyond U."""
+    held = {"outcome": "held", "verified": False, "truncated": 45}
+    jobs = [
+        job(0.01, "a", attack="normals", scene="a", covered=90, pixels=1000, **held),
+        job(0.01, "b", attack="normals", scene="b", covered=150, pixels=1000),
+        job(0.01, "c", attack="combined", scene="b", covered=150, pixels=1000),
+        job(0.01, "d", attack="image", scene="d", covered=90, pixels=1000),
+    ]
+    whole = json.loads((SMALL / "differentiable.json").read_text("utf-8"))
+    whole["jobs"] = [one.model_dump(mode="json") for one in jobs]
+    (tmp_path / "r.json").write_text(json.dumps(whole), "utf-8")
+    record = load(tmp_path / "r.json")
+    _, _, thin, broad, _, said = reasons.by_coverage([record]).splitlines()
+    mesh = jobs[0].mesh.rpartition("/")[2]
+    assert [cell.strip() for cell in thin.split("|")][2:8] == [
+        "below 10 %",
+        mesh,
+        "1",
+        "0\u00a0of\u00a01",
+        "–",
+        "50\u00a0%",
+    ]
+    wins = ["15–20 %", "–", "1", "1\u00a0of\u00a01", "1\u00a0of\u00a01", "–"]
+    assert [cell.strip() for cell in broad.split("|")][2:8] == wins
+    assert said.endswith("fooled: t 100.0 % by normals and 100.0 % by combined.")
+    normals = next(line for line in reasons.by_confidence([record]).splitlines() if " normals " in line)
+    assert [cell.strip() for cell in normals.split("|")][3:9] == ["1", "100\u00a0%", "10.0", "1", "100\u00a0%", "10.0"]
 
 
 def test_only_a_success_within_the_limit_counts_at_equal_p() -> None:
