@@ -51,6 +51,8 @@ class Job(_Record):
     queries: int | None = None
     seconds: float | None = None
     truncated: int | None = None
+    lowered: bool | None = None
+    """Whether the objective that the method minimises was lower at some step than at the start."""
     covered: int | None = None
     """Pixels that show an object; the torch renderer's plan counts them."""
     pixels: int | None = None

@@ -94,9 +94,15 @@ def _job(job: PlannedJob, request: str, result: Result | None, answer: FirstAnsw
         queries=result.queries,
         seconds=_short(result.seconds),
         truncated=result.truncated,
+        lowered=_lowered(result),
         **_covered(result),
         scene=result.provenance.scene_sha256[:DIGITS],
     )
+
+
+def _lowered(result: Result) -> bool | None:
+    found = [row.objective for row in result.trace if row.objective is not None]
+    return min(found) < found[0] if found else None
 
 
 def _covered(result: Result) -> dict[str, Any]:

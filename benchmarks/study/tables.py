@@ -97,11 +97,13 @@ def nondifferentiable(record: Record) -> str:
             for name in ("image", "physical"):
                 rate = Rate.of_cases(theirs[name], stated["views"])
                 asked = f"paper: {name}, {theirs['steps']} steps"
-                rows.append([f"**{title(target)}**" if name == "image" else "", asked, *_counts(rate), "", "", ""])
+                rows.append([f"**{title(target)}**" if name == "image" else "", asked, *_counts(rate), "", "", "", ""])
         for attack in table.attacks:
             if (cell := table.cell(target, attack)) is not None:
                 loop = f"{cell.loop_success.count}{OF}{cell.loop_success.of}"
-                own = [job.queries for job in record.jobs if (job.target, job.attack) == (target, attack)]
+                jobs = [job for job in record.jobs if (job.target, job.attack) == (target, attack)]
+                queries = [job.queries for job in jobs if job.queries is not None]
+                lowered = [job.lowered for job in jobs if job.lowered is not None]
                 rows.append(
                     [
                         "",
@@ -109,10 +111,12 @@ def nondifferentiable(record: Record) -> str:
                         *map(_bold, _counts(cell.success)),
                         loop,
                         _milli(cell.perceptibility),
-                        _number(_middle([query for query in own if query is not None]), 0),
+                        _number(_middle(queries), 0),
+                        f"{sum(lowered)}{OF}{len(lowered)}" if lowered else NONE,
                     ]
                 )
-    columns = ("network", "attack", "verified", "%", "95 % interval", "in the loop", "p ×10⁻³", "queries, median")
+    counts = ("verified", "%", "95 % interval", "in the loop")
+    columns = ("network", "attack", *counts, "p ×10⁻³", "queries, median", "objective lowered")
     return markdown(columns, rows, texts=2)
 
 
