@@ -156,13 +156,25 @@ def views(records: Sequence[Record]) -> str:
 
 
 def orders(record: Record, target: str) -> str:
-    """The columns of a network from the highest to the lowest rate of success, and from the lowest to the highest p."""
-    cells = [cell for cell in record.table().cells if cell.target == target]
+    """The columns of a network from the highest to the lowest rate of success, and from the lowest to the highest p.
+
+    Attacks in another setting than the column's own are left out.
+    """
+    cells = [cell for cell in record.table().cells if cell.target == target and ", " not in cell.attack]
     by_success = sorted(cells, key=lambda cell: -(cell.success.rate or 0.0))
     by_p = sorted((c for c in cells if c.perceptibility is not None), key=lambda cell: cell.perceptibility or 0.0)
-    success = " > ".join(f"{cell.attack} {_percent(cell.success.rate)}" for cell in by_success)
-    p = " < ".join(f"{cell.attack} {_milli(cell.perceptibility)}" for cell in by_p)
+    success = _in_order([(cell.attack, _percent(cell.success.rate)) for cell in by_success], ">")
+    p = _in_order([(cell.attack, _milli(cell.perceptibility)) for cell in by_p], "<")
     return f"{title(target)}: {success} (per cent, verified); p {p} (×10⁻³)."
+
+
+def _in_order(named: Sequence[tuple[str, str]], sign: str) -> str:
+    """Names with their values and the sign between them; "=" where the values are written alike."""
+    text = ""
+    for place, (name, value) in enumerate(named):
+        between = "" if place == 0 else " = " if value == named[place - 1][1] else f" {sign} "
+        text += f"{between}{name} {value}"
+    return text
 
 
 def _most(cells: Sequence[Cell | None]) -> str:

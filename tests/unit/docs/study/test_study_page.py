@@ -130,6 +130,18 @@ def test_successes_are_counted_by_the_share_of_the_image_that_shows_the_object(t
     assert [cell.strip() for cell in normals.split("|")][3:9] == ["1", "100\u00a0%", "10.0", "1", "100\u00a0%", "10.0"]
 
 
+def test_the_order_of_columns_says_which_are_alike_and_leaves_out_other_settings(tmp_path: Path) -> None:
+    names = {"normals": 0.02, "combined, 448²": 0.01, "material": None, "image": 0.01}
+    held = {"outcome": "held", "verified": False}
+    jobs = [job(p or 0.03, name, attack=name, **({} if p else held)) for name, p in names.items()]
+    whole = json.loads((SMALL / "differentiable.json").read_text("utf-8"))
+    whole["jobs"] = [one.model_dump(mode="json") for one in jobs]
+    (tmp_path / "r.json").write_text(json.dumps(whole), "utf-8")
+    said = tables.orders(load(tmp_path / "r.json"), "t")
+    assert said.startswith("t: normals 100.0 = image 100.0 > material 0.0 (per cent, verified)")
+    assert said.endswith("p image 10.0 < normals 20.0 (×10⁻³).")
+
+
 def test_only_a_success_within_the_limit_counts_at_equal_p() -> None:
     jobs = [
         job(0.010, "a", azimuth=0.0, queries=30),
