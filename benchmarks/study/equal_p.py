@@ -76,13 +76,14 @@ def draw(record: Record, target: str) -> str:
     names = list(dict.fromkeys(run.attack for run in own))
     limits = sorted({run.limit for run in own})
     most = max([job.queries or 1 for run in own for job in run.jobs], default=10)
+    share = _top(max((len(run.won) / len(run.jobs) for run in own if run.jobs), default=0.0))
     against_p = Panel(
         f"{title(target)}: success against p",
         "p ×10⁻³ of the verified adversary",
         "% of all views",
         [_by_p(name, [run for run in own if run.attack == name]) for name in names],
         (0.0, limits[-1]),
-        (0.0, 100.0),
+        (0.0, share),
         lines=limits,
     )
     panels = [against_p]
@@ -99,11 +100,16 @@ def draw(record: Record, target: str) -> str:
                 "% of all views",
                 series,
                 (1.0, max(10.0, 1.05 * most)),
-                (0.0, 100.0),
+                (0.0, share),
                 logarithmic=True,
             )
         )
     return figure(panels, names)
+
+
+def _top(share: float) -> float:
+    """The upper end of an axis of per cent, the same on all panels of a figure: a fifth more than the largest share."""
+    return next((float(end) for end in (10, 20, 50) if end >= 120 * share), 100.0)
 
 
 def _by_p(name: str, own: Sequence[Run]) -> Series:
