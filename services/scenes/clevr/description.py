@@ -1,0 +1,99 @@
+"""Describes a CLEVR scene for the renderers: from its record to `services.scenes.description.Scene`.
+
+CLEVR's world has +z up, ours has +y up: a point (x, y, z) there is (x, z, −y) here, in the same units.
+"""
+
+from math import atan2, cos, pi, radians, remainder, sin
+from typing import Any
+
+from services.scenes.clevr.attributes import RGB, bounding_radius
+from services.scenes.clevr.records import ObjectRecord, SceneRecord
+from services.scenes.clevr.rig import IMAGE_SIZE, VERTICAL_FIELD_OF_VIEW, Rig, Vector
+from services.scenes.description import Camera, Lights, PointLight, Scene, SceneObject
+from services.scenes.mesh import FIT_RADIUS
+
+ENERGY = {"key": 130.0, "fill": 40.0, "back": 65.0}
+"""Radiant intensities, in the ratio 10 : 3 : 5 of CLEVR's lamps."""
+AMBIENT = 0.15
+FLOOR_COLOR = (0.6, 0.6, 0.6)
+FLOOR_SIZE = 100.0
+"""Side of the floor: its edge is beyond the highest row of the image for every camera within the jitter."""
+SHADOW_SOFTNESS = 0.25
+"""Radius of the lights: CLEVR's lamps are squares with sides of 0.5, the back one of 1."""
+METALLIC = {"rubber": 0.0, "metal": 1.0}
+ROUGHNESS = {"rubber": 0.7, "metal": 0.35}
+
+PRESETS = {"rubber": "matte", "metal": "brushed-metal"}
+"""DSBRDF presets near CLEVR's materials, for a description whose objects have no metallic factor."""
+
+HAS_SURFACES = "metallic" in SceneObject.model_fields
+HAS_FLOOR = "floor" in Scene.model_fields
+HAS_SHADOWS = "shadows" in Scene.model_fields
+
+
+def describe(record: SceneRecord, size: tuple[int, int] = IMAGE_SIZE) -> Scene:
+    """Returns the description of a scene. `size` is the height and width of its image in pixels.
+
+    A record without camera and lights, as official files have, gets those of CLEVR's base scene, turned about +z to the
+    direction in which its camera looked; its height and distance are not in the file.
+    """
+    rig = rig_of(record)
+    fields: dict[str, Any] = {
+        "camera": Camera(
+            azimuth=rig.azimuth,
+            elevation=rig.elevation,
+            distance=rig.distance,
+            field_of_view=VERTICAL_FIELD_OF_VIEW,
+            size=size,
+            viewer="perspective",
+        ),
+        "objects": tuple(_object(one) for one in record.objects),
+        "lights": Lights(
+            ambient=AMBIENT,
+            points=tuple(
+                PointLight(energy=energy, position=_ours(getattr(rig, name))) for name, energy in ENERGY.items()
+            ),
+        ),
+        "ground": FLOOR_COLOR,
+    }
+    return Scene.model_validate(fields | _floor() | ({"shadows": {"softness": SHADOW_SOFTNESS}} if HAS_SHADOWS else {}))
+
+
+def rig_of(record: SceneRecord) -> Rig:
+    """Returns a record's camera and lights; see `describe` for a record that has none."""
+    if record.rig is not None:
+        return record.rig
+    base = Rig()
+    x, y, _ = record.directions["behind"]
+    turn = atan2(-x, y) - base.azimuth
+    return Rig(*(_turned(point, turn) for point in (base.camera, base.key, base.fill, base.back)))
+
+
+def _object(one: ObjectRecord) -> dict[str, Any]:
+    surfaces = {"metallic": METALLIC[one.material], "roughness": ROUGHNESS[one.material]} if HAS_SURFACES else {}
+    red, green, blue = RGB[one.color]
+    return {
+        "mesh": f"primitive/{one.shape}",
+        "material": one.material if HAS_SURFACES else PRESETS[one.material],
+        "color": (red / 255, green / 255, blue / 255),
+        "translation": _ours(one.coords_3d),
+        "rotation": (0.0, remainder(radians(one.rotation), 2 * pi), 0.0),
+        "scale": bounding_radius(one.shape, one.size) / FIT_RADIUS,
+        **surfaces,
+    }
+
+
+def _floor() -> dict[str, Any]:
+    if not HAS_FLOOR:
+        return {}
+    surface = {"material": "matte", "metallic": 0.0, "roughness": 1.0}
+    return {"floor": {"size": FLOOR_SIZE, "height": 0.0, "color": FLOOR_COLOR, **surface}}
+
+
+def _ours(point: Vector) -> Vector:
+    return point[0], point[2], 0.0 - point[1]
+
+
+def _turned(point: Vector, angle: float) -> Vector:
+    x, y, z = point
+    return x * cos(angle) - y * sin(angle), x * sin(angle) + y * cos(angle), z
