@@ -1,0 +1,18 @@
+"""The answers and their kinds."""
+
+import pytest
+
+from services.errors import InvalidRequest
+from services.questions.answers import ANSWERS, KINDS, kind_of
+
+
+def test_there_are_28_different_answers() -> None:
+    assert len(ANSWERS) == len(set(ANSWERS)) == 28
+    assert {kind: len(answers) for kind, answers in KINDS.items()} == {
+        "boolean": 2, "integer": 11, "shape": 3, "size": 2, "color": 8, "material": 2,
+    }  # fmt: skip
+
+
+def test_an_unknown_answer_is_refused() -> None:
+    with pytest.raises(InvalidRequest, match="did you mean 'purple'"):
+        kind_of("purpel")
