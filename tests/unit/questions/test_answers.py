@@ -3,7 +3,7 @@
 import pytest
 
 from services.errors import InvalidRequest
-from services.questions.answers import ANSWERS, KINDS, kind_of
+from services.questions.answers import ANSWERS, KINDS, kind_asked, kind_of
 
 
 def test_there_are_28_different_answers() -> None:
@@ -11,6 +11,12 @@ def test_there_are_28_different_answers() -> None:
     assert {kind: len(answers) for kind, answers in KINDS.items()} == {
         "boolean": 2, "integer": 11, "shape": 3, "size": 2, "color": 8, "material": 2,
     }  # fmt: skip
+
+
+def test_a_question_s_answer_is_of_the_kind_its_program_asks_for(asked) -> None:
+    for _, questions in asked:
+        for question in questions:
+            assert kind_of(question.answer) == kind_asked(question.program)
 
 
 def test_an_unknown_answer_is_refused() -> None:

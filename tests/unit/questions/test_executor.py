@@ -1,14 +1,68 @@
 """The executor against brute force in predicate logic, on generated questions and on damaged ones."""
 
+import json
 import pickle
+from collections import Counter
+from random import Random
 
 import pytest
 
 from services.errors import InvalidRequest
 from services.questions.executor import IllPosed, answer, execute
 from services.questions.facts import Facts
+from services.questions.functions import FUNCTIONS
 from services.questions.program import InvalidProgram, Node, Program
 from services.scenes.clevr.generator import generate
+from services.scenes.clevr.records import SceneRecord
+from tests.unit.questions.brute_force import ILL_POSED, meaning
+
+
+def as_json(scene: SceneRecord) -> dict:
+    found = json.loads(scene.model_dump_json(by_alias=True))
+    del found["relationships"]
+    return found
+
+
+def executed(program: Program, facts: Facts) -> str:
+    try:
+        return answer(program, facts)
+    except IllPosed:
+        return ILL_POSED
+
+
+def test_generated_questions_have_the_answers_of_brute_force(asked) -> None:
+    count = 0
+    for scene, questions in asked:
+        facts, written = Facts.of(scene), as_json(scene)
+        for question in questions:
+            found = meaning(question.program.written(), written)
+            assert found == question.answer == answer(question.program, facts), question.question
+            count += 1
+    assert count > 5000
+
+
+def test_programs_with_other_values_and_functions_have_the_meaning_of_brute_force(asked) -> None:
+    random, outcomes = Random(0), Counter()
+    for scene, questions in asked[::2]:
+        facts, written = Facts.of(scene), as_json(scene)
+        for question in questions:
+            program = damaged(question.program, random)
+            found = meaning(program.written(), written)
+            assert executed(program, facts) == found, program
+            outcomes[found] += 1
+    assert outcomes[ILL_POSED] > 500
+    assert outcomes.total() - outcomes[ILL_POSED] > 500
+
+
+def damaged(program: Program, random: Random) -> Program:
+    """The program with up to two calls exchanged for others of the same type: still valid, often ill-posed."""
+    nodes = list(program.nodes)
+    for k in random.sample(range(len(nodes)), min(2, len(nodes))):
+        old = FUNCTIONS[nodes[k].function]
+        alike = [f for f in FUNCTIONS.values() if (f.inputs, f.output) == (old.inputs, old.output)]
+        new = random.choice(alike)
+        nodes[k] = Node(new.name, nodes[k].inputs, (random.choice(new.values),) if new.values else ())
+    return Program(tuple(nodes))
 
 
 @pytest.mark.parametrize(("color", "found"), [("red", 0), ("blue", 2)])

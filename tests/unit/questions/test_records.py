@@ -8,6 +8,7 @@ import pytest
 from services.errors import InvalidRequest
 from services.questions.program import Node
 from services.questions.records import QuestionFile
+from services.scenes.clevr.records import Info
 
 OFFICIAL = {
     "info": {
@@ -80,6 +81,15 @@ def test_the_generator_s_own_form_is_written_as_the_published_one(answer, word: 
     }
     expected = official | {"answer": word, "template_filename": "x.json", "image": "CLEVR_val_000002"}
     assert rewritten(tmp_path, stored(tmp_path, theirs)) == [expected]
+
+
+def test_generated_questions_are_read_as_they_were_written(asked, tmp_path: Path) -> None:
+    questions = tuple(question for _, of_scene in asked[:40] for question in of_scene)
+    file = QuestionFile(info=Info(split="new", version="1.0", date="", license=""), questions=questions)
+    file.write(tmp_path / "questions.json")
+    assert QuestionFile.read(tmp_path / "questions.json") == file
+    (first, *_) = json.loads((tmp_path / "questions.json").read_text())["questions"]
+    assert set(first) == set(OFFICIAL["questions"][0])
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,107 @@
+"""Generates questions about scenes, balanced over families, functions and answers."""
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from random import Random
+
+from services.questions.executor import answer
+from services.questions.facts import Facts
+from services.questions.program import Program
+from services.questions.records import QuestionRecord
+from services.questions.templates.build import build
+from services.questions.templates.families import FAMILIES, Family
+from services.questions.templates.phrases import Filled
+from services.questions.templates.search import instances
+from services.questions.templates.wording import word
+from services.scenes.clevr.records import SceneRecord
+
+TRIES = 8
+"""Questions of a family that are drawn in a scene until one has an answer given no more often than the mean."""
+
+_INDEX = {family: index for index, family in enumerate(FAMILIES)}
+
+
+class QuestionGenerator:
+    """Asks questions about one scene after another.
+
+    The families asked least often come first: by their kind, then by what they ask, then each by itself. Of TRIES
+    questions of a family, the one is taken whose answer was given least often to the same function in families of the
+    same kind. The questions depend on `seed`, on `families` (those that may be asked), and on the scenes so far.
+    """
+
+    def __init__(self, seed: int, families: Sequence[Family] = FAMILIES) -> None:
+        self._seed = seed
+        self._families = tuple(families)
+        self._asked: Counter[object] = Counter()
+        self._answers: dict[tuple[str, str], Counter[str]] = {}
+        self._count = 0
+
+    def ask(self, scene: SceneRecord, count: int) -> list[QuestionRecord]:
+        """Returns up to `count` different questions about a scene, of different families as long as there are some.
+
+        There are fewer if the search finds no more that are well-posed and not degenerate.
+        """
+        random = Random(f"questions/{self._seed}/{scene.split}/{scene.image_index}")
+        facts = Facts.of(scene)
+        found: dict[Program, QuestionRecord] = {}
+        before = -1
+        while before < len(found) < count:
+            before = len(found)
+            for family in self._in_turn(random):
+                made = self._question(family, facts, random)
+                if made is None or made[1] in found:
+                    continue
+                found[made[1]] = self._record(scene, family, *made, random)
+                if len(found) == count:
+                    break
+        return list(found.values())
+
+    def _in_turn(self, random: Random) -> Iterator[Family]:
+        """Yields each family once, each time the one that was asked least often of those that are left."""
+        left = list(self._families)
+        random.shuffle(left)
+        while left:
+            family = min(left, key=self._often)
+            left.remove(family)
+            yield family
+
+    def _often(self, family: Family) -> tuple[int, int, int]:
+        return self._asked[family.kind], self._asked[family.kind, family.asks], self._asked[family]
+
+    def _question(self, family: Family, facts: Facts, random: Random) -> tuple[tuple[Filled, ...], Program, str] | None:
+        given = self._answers.setdefault((family.kind, family.asks), Counter())
+        best: tuple[tuple[Filled, ...], Program, str] | None = None
+        for _ in range(TRIES):
+            phrases = next(instances(family, facts, random), None)
+            if phrases is None:
+                break
+            program = build(family, phrases)
+            made = phrases, program, answer(program, facts)
+            if best is None or given[made[2]] < given[best[2]]:
+                best = made
+            if given[best[2]] * len(given) <= given.total():
+                break
+        return best
+
+    def _record(
+        self,
+        scene: SceneRecord,
+        family: Family,
+        phrases: tuple[Filled, ...],
+        program: Program,
+        said: str,
+        random: Random,
+    ) -> QuestionRecord:
+        self._answers[family.kind, family.asks][said] += 1
+        self._asked.update((family.kind, (family.kind, family.asks), family))
+        self._count += 1
+        return QuestionRecord(
+            split=scene.split,
+            image_index=scene.image_index,
+            image_filename=scene.image_filename,
+            question_index=self._count - 1,
+            question_family_index=_INDEX[family],
+            question=word(family, phrases, random),
+            answer=said,
+            program=program,
+        )

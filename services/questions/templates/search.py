@@ -1,0 +1,155 @@
+"""Fills a family's phrases in a scene by depth-first search, and rejects ill-posed and degenerate choices.
+
+A choice is degenerate if a part of it changes nothing: an adjective that all remaining objects have, a relation without
+which the phrase stands for the same objects, or a phrase that adds nothing to another. A chain of references that comes
+back to an object is degenerate too, and so is a comparison whose outcome follows from the words.
+"""
+
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
+from itertools import combinations, islice
+from random import Random
+
+from services.questions.facts import Facts, Objects
+from services.questions.templates.families import Family
+from services.questions.templates.phrases import Filled, Phrase
+from services.scenes.clevr.attributes import ATTRIBUTES
+from services.scenes.clevr.relations import RELATIONS
+
+BREADTH = 4
+"""Fillings of each reference that are tried."""
+DRAWS = 12
+"""Combinations of adjectives tried for a phrase that stands for a set."""
+ABSENT = 0.4
+"""Share of those, for a phrase about all objects, whose values are drawn without regard to the objects there are."""
+
+
+def instances(family: Family, facts: Facts, random: Random) -> Iterator[tuple[Filled, ...]]:
+    """Yields fillings of a family's phrases in random order, depth first. Neighbours share their first choices."""
+    if len(family.phrases) == 1:
+        for filled in _fillings(family.phrases[0], facts, random):
+            yield (filled,)
+        return
+    for first in islice(_fillings(family.phrases[0], facts, random), BREADTH):
+        for second in _fillings(family.phrases[1], facts, random):
+            if _comparable(first, second):
+                yield first, second
+
+
+def _comparable(first: Filled, second: Filled) -> bool:
+    """Whether the outcome of a comparison of two phrases does not follow from their words."""
+    if first.phrase.one:
+        return first.only not in second.named_objects and second.only not in first.named_objects
+    return first.members != second.members and not _follows(first, second) and not _follows(second, first)
+
+
+def _follows(narrow: Filled, wide: Filled) -> bool:
+    """Whether `narrow` can stand for no object that `wide` does not."""
+    return set(wide.values) <= set(narrow.values) and (
+        wide.phrase.source == "scene"
+        or (wide.relations, wide.named_objects) == (narrow.relations, narrow.named_objects)
+    )
+
+
+def _fillings(phrase: Phrase, facts: Facts, random: Random) -> Iterator[Filled]:
+    for references, relations, candidates, weaker in _sources(phrase, facts, random):
+        choose = _single if phrase.one else _several
+        named = frozenset[int]().union(*(reference.named_objects for reference in references))
+        for values, members in choose(phrase, candidates, named, weaker, facts, random):
+            yield Filled(phrase, references, relations, values, members)
+
+
+Found = tuple[tuple[Filled, ...], tuple[str, ...], Objects, tuple[Objects, ...]]
+"""References, relations, the objects that they leave, and what each of these sets would be without one of the parts."""
+
+
+def _sources(phrase: Phrase, facts: Facts, random: Random) -> Iterator[Found]:
+    if phrase.source == "scene":
+        yield (), (), facts.everything, ()
+        return
+    for first in islice(_fillings(phrase.references[0], facts, random), BREADTH):
+        if phrase.source == "relate":
+            for relation in random.sample(RELATIONS, 4):
+                yield (first,), (relation,), facts.related[relation][first.only], (facts.everything - first.members,)
+        elif phrase.source == "same":
+            yield (first,), (), facts.same(phrase.shared, first.only), (facts.everything - first.members,)
+        else:
+            for second in islice(_fillings(phrase.references[1], facts, random), BREADTH):
+                yield from _joined(phrase, first, second, facts, random)
+
+
+def _joined(phrase: Phrase, first: Filled, second: Filled, facts: Facts, random: Random) -> Iterator[Found]:
+    if phrase.source == "either":
+        yield (first, second), (), first.members | second.members, (facts.everything, first.members, second.members)
+    elif first.only != second.only:
+        for relation in random.sample(RELATIONS, 4):
+            for other in random.sample(RELATIONS, 4):
+                one, two = facts.related[relation][first.only], facts.related[other][second.only]
+                if one & two:  # or adjectives have nothing to choose among
+                    yield (first, second), (relation, other), one & two, (one - second.members, two - first.members)
+
+
+Values = tuple[tuple[str, str], ...]
+
+
+def _single(
+    phrase: Phrase, candidates: Objects, named: Objects, weaker: Sequence[Objects], facts: Facts, random: Random
+) -> Iterator[tuple[Values, Objects]]:
+    """Yields a description of each candidate that has one, and that no reference names."""
+    targets = list(candidates - named)
+    random.shuffle(targets)
+    for target in targets:
+        subsets = _subsets(phrase.attributes, phrase.named)
+        for attributes in random.sample(subsets, len(subsets)):
+            values = tuple([(name, facts.values[name][target]) for name in attributes])
+            members = _described(values, candidates, weaker, facts)
+            if members is not None and len(members) == 1:
+                yield values, members
+                break
+
+
+def _several(
+    phrase: Phrase, candidates: Objects, _: Objects, weaker: Sequence[Objects], facts: Facts, random: Random
+) -> Iterator[tuple[Values, Objects]]:
+    """Yields sets of candidates, also empty ones, in words that mostly fit some object of the scene."""
+    subsets = _subsets(phrase.attributes, phrase.named)
+    absent = ABSENT if phrase.source == "scene" else 0.0
+    seen = set()
+    for _draw in range(DRAWS):
+        # The smaller of two draws: few adjectives are more frequent than many, and so are large sets.
+        attributes = subsets[int(min(random.random(), random.random()) * len(subsets))]
+        if random.random() < absent:
+            values = tuple(
+                (name, ATTRIBUTES[name][int(random.random() * len(ATTRIBUTES[name]))]) for name in attributes
+            )
+        else:
+            model = int(random.random() * len(facts.everything))
+            values = tuple([(name, facts.values[name][model]) for name in attributes])
+        if values in seen:
+            continue
+        seen.add(values)
+        members = _described(values, candidates, weaker, facts)
+        if members is not None:
+            yield values, members
+
+
+def _described(values: Values, candidates: Objects, weaker: Sequence[Objects], facts: Facts) -> Objects | None:
+    """Returns the candidates with these values; None if a value, or what `weaker` lacks, changes nothing."""
+    members = candidates
+    for value in values:
+        left = members & facts.having[value]
+        if len(left) == len(members):
+            return None
+        members = left
+    for others in weaker:
+        for value in values:
+            others = others & facts.having[value]
+        if others == members:
+            return None
+    return members
+
+
+@lru_cache
+def _subsets(attributes: tuple[str, ...], named: tuple[int, int]) -> list[tuple[str, ...]]:
+    least, most = named[0], min(named[1], len(attributes))
+    return [chosen for count in range(least, most + 1) for chosen in combinations(attributes, count)]
