@@ -1,0 +1,41 @@
+"""docs/vqa.md against the code: its example runs, its tables and numbers are those of the code."""
+
+import json
+import re
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from services.questions.answers import ANSWERS
+from services.questions.functions import FUNCTIONS
+from services.questions.templates.families import FAMILIES
+from services.questions.text import WORDS
+
+PAGE = (Path(__file__).parents[3] / "docs" / "vqa.md").read_text("utf-8")
+
+
+def test_the_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (example,) = re.findall(r"^```python\n(.*?)^```$", PAGE, re.M | re.S)
+    monkeypatch.chdir(tmp_path)
+    exec(compile(example.replace("range(100)", "range(3)"), "vqa.md", "exec"), {})
+    assert len(json.loads((tmp_path / "CLEVR_new_questions.json").read_text())["questions"]) == 30
+
+
+def test_every_function_is_in_the_table() -> None:
+    rows = re.findall(r"^\| (`.*?) \|", PAGE, re.M)
+    assert set(FUNCTIONS) <= {name for row in rows for name in re.findall(r"`(\w+)`", row)}
+
+
+def test_the_families_are_as_many_as_said() -> None:
+    said = {
+        kind: int(count)
+        for kinds, count in re.findall(r"^\| (`.*?) \| (\d+)(?: each)? \|", PAGE, re.M)
+        for kind in re.findall(r"`(\w+)`", kinds)
+    }
+    assert said == Counter(family.kind for family in FAMILIES)
+
+
+def test_words_and_answers_are_as_many_as_said() -> None:
+    assert f"has {len(WORDS) - 1} words" in PAGE
+    assert f"{len(ANSWERS)} answers" in PAGE
