@@ -10,7 +10,7 @@ from services.scenes.clevr.relations import directions
 from services.scenes.clevr.rig import Rig, Vector, Viewpoint
 
 REACH = 3.0
-"""Largest x and y of an object's centre, by size."""
+"""Largest absolute x and y of an object's centre."""
 MIN_GAP = 0.25
 """Smallest distance between the circles of two objects in the plane."""
 MARGIN = 0.4

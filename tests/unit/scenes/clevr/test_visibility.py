@@ -8,25 +8,21 @@ from services.rendering.opengl.gbuffer import rasterise
 from services.scenes.clevr.description import describe
 from services.scenes.clevr.generator import MIN_PIXELS, generate
 from services.scenes.clevr.layout import Placed
-from services.scenes.clevr.records import SceneRecord
+from services.scenes.clevr.placement import placed_in
 from services.scenes.clevr.rig import Rig
 from services.scenes.clevr.visibility import object_numbers, visible_pixels
 from services.scenes.primitives import primitive
-from tests.unit.rendering.shapes import placed as resolved
-
-
-def placed(scene: SceneRecord) -> list[Placed]:
-    return [Placed(o.shape, o.size, o.color, o.material, o.coords_3d, o.rotation) for o in scene.objects]
+from tests.unit.rendering.shapes import placed
 
 
 @pytest.mark.parametrize("index", range(4))
 def test_the_image_is_that_of_the_g_buffer_but_for_silhouettes(index: int) -> None:
     scene = generate(3, index)
     description = describe(scene)
-    buffer = rasterise(resolved(description, *(primitive(o.mesh.split("/")[1]) for o in description.objects)))
+    buffer = rasterise(placed(description, *(primitive(o.mesh.split("/")[1]) for o in description.objects)))
     drawn = np.where(buffer.coverage.numpy() >= 0.5, buffer.object_index.numpy(), -1)
     drawn[drawn >= len(scene.objects)] = -1  # a floor is no object
-    numbers = object_numbers(placed(scene), scene.rig)
+    numbers = object_numbers(placed_in(scene), scene.rig)
     silhouettes = np.zeros(numbers.shape, bool)
     for k in (-1, *range(len(scene.objects))):
         silhouettes |= binary_dilation(numbers == k) & (numbers != k)
@@ -39,7 +35,7 @@ def test_the_image_is_that_of_the_g_buffer_but_for_silhouettes(index: int) -> No
 def test_generated_objects_are_seen_in_enough_pixels() -> None:
     for index in range(40):
         scene = generate(4, index)
-        assert min(visible_pixels(placed(scene), scene.rig)) >= MIN_PIXELS
+        assert min(visible_pixels(placed_in(scene), scene.rig)) >= MIN_PIXELS
 
 
 def test_an_object_behind_another_is_hidden_by_it() -> None:
