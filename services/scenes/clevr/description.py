@@ -12,16 +12,17 @@ from services.scenes.clevr.rig import IMAGE_SIZE, VERTICAL_FIELD_OF_VIEW, Rig, V
 from services.scenes.description import Camera, Lights, PointLight, Scene, SceneObject
 from services.scenes.mesh import FIT_RADIUS
 
-ENERGY = {"key": 130.0, "fill": 40.0, "back": 65.0}
-"""Radiant intensities, in the ratio 10 : 3 : 5 of CLEVR's lamps."""
-AMBIENT = 0.15
+ENERGY = {"key": 100.0, "fill": 30.0, "back": 50.0}
+"""Radiant intensities. Together with AMBIENT they keep the plane and matte objects below white."""
+AMBIENT = 0.4
+"""Mean radiance from all around; without it metals, which reflect no surroundings here, would be nearly black."""
 FLOOR_COLOR = (0.6, 0.6, 0.6)
 FLOOR_SIZE = 100.0
 """Side of the floor: its edge is beyond the highest row of the image for every camera within the jitter."""
 SHADOW_SOFTNESS = 0.25
 """Radius of the lights: CLEVR's lamps are squares with sides of 0.5, the back one of 1."""
 METALLIC = {"rubber": 0.0, "metal": 1.0}
-ROUGHNESS = {"rubber": 0.7, "metal": 0.35}
+ROUGHNESS = {"rubber": 0.7, "metal": 0.4}
 
 PRESETS = {"rubber": "matte", "metal": "brushed-metal"}
 """DSBRDF presets near CLEVR's materials, for a description whose objects have no metallic factor."""

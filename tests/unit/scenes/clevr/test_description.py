@@ -71,6 +71,18 @@ def test_colours_are_clevr_s_as_linear_reflectances() -> None:
             assert placed.color == pytest.approx([c / 255 for c in RGB[one.color]])
 
 
+def test_metal_and_rubber_differ_in_each_renderer_s_terms() -> None:
+    expected = {"rubber": (0.0, 0.7), "metal": (1.0, 0.4)}
+    presets = {one.material: set() for scene in SCENES for one in scene.objects}
+    for scene in SCENES:
+        for one, placed in zip(scene.objects, describe(scene).objects, strict=True):
+            presets[one.material].add(placed.material)
+            if description.HAS_SURFACES:
+                assert (placed.metallic, placed.roughness) == expected[one.material]
+    assert len(presets["rubber"]) == len(presets["metal"]) == 1
+    assert presets["rubber"] != presets["metal"]
+
+
 def test_a_record_without_a_rig_gets_the_base_scene_s_from_its_own_side() -> None:
     for scene in SCENES:
         bare = scene.model_copy(update={"camera": None, "lights": None})
