@@ -1,0 +1,90 @@
+"""Trains the engine on questions, over features of a frozen trunk that were computed before."""
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
+
+from services.targets.iep.assembly import Question, assemble
+from services.targets.iep.engine import Engine
+from services.targets.iep.execution import Execution
+from services.training.iep.examples import Example
+from services.training.iep.losses import engine_loss
+
+SHORTEST, EVERYTHING_FROM = 8, 0.2
+"""Nodes of the programs that a training begins with, and the progress from which all programs are drawn."""
+
+
+def chances(examples: Sequence[Example]) -> NDArray[np.float64]:
+    """Returns how likely each example is drawn; the sum is 1.
+
+    An example's is proportional to 1/√(the share of examples with its rarest function), so rare functions are seen more
+    often than they are asked about.
+    """
+    labels = [{node.label for node in example.program.nodes} for example in examples]
+    counts = Counter(label for of_example in labels for label in of_example)
+    rarest = np.array([min(counts[label] for label in of_example) for of_example in labels], np.float64)
+    weights: NDArray[np.float64] = 1 / np.sqrt(rarest)
+    return weights / float(weights.sum())
+
+
+class Draw:
+    """Draws batches of examples: short programs first, rare functions more often, and several questions on an image."""
+
+    def __init__(self, examples: Sequence[Example], batch: int, per_image: int = 4):
+        """Prepares batches of `batch` examples, about `per_image` of them on each image."""
+        order = sorted(range(len(examples)), key=lambda one: examples[one].image)
+        self._images = np.array([examples[one].image for one in order])
+        self._order = np.array(order)
+        self._chances = chances([examples[one] for one in order])
+        self._lengths = np.array([len(examples[one].program.nodes) for one in order])
+        self._batch, self._per_image = min(batch, len(examples)), per_image
+
+    def __call__(self, progress: float, random: np.random.Generator) -> list[int]:
+        """Returns the indices of the examples of a batch at a progress in [0, 1]; none is in it twice."""
+        weights = self._chances * (self._lengths <= self.longest(progress))
+        n_first = min(self._n_images, int(np.count_nonzero(weights)))
+        first = random.choice(len(weights), n_first, replace=False, p=weights / weights.sum())
+        wanted = np.zeros(self._images[-1] + 1, np.bool_)
+        wanted[self._images[first]] = True
+        there = np.flatnonzero(wanted[self._images] & (weights > 0))
+        own = weights[there] / weights[there].sum()
+        chosen = random.choice(there, min(self._batch, len(there)), replace=False, p=own)
+        return [int(one) for one in self._order[np.sort(chosen)]]
+
+    def longest(self, progress: float) -> float:
+        """Returns the most nodes of a program that is drawn at a progress in [0, 1]."""
+        if progress >= EVERYTHING_FROM:
+            return np.inf
+        least, most = max(SHORTEST, self._lengths.min()), self._lengths.max()
+        return float(least + (most - least) * progress / EVERYTHING_FROM)
+
+    @property
+    def _n_images(self) -> int:
+        return -(-self._batch // self._per_image)
+
+
+def execute(engine: Engine, features: Tensor, examples: Sequence[Example]) -> Execution:
+    """Runs the programs of examples; `features` [V, 96, 15, 20] are of all images, in any floating type."""
+    images = sorted({example.image for example in examples})
+    place = {image: number for number, image in enumerate(images)}
+    assembly = assemble([Question(example.program, place[example.image]) for example in examples])
+    weights = next(engine.parameters())
+    execution: Execution = engine(features[images].to(weights.dtype).to(weights.device), assembly)
+    return execution
+
+
+def engine_step(
+    engine: Engine, features: Tensor, examples: Sequence[Example], cells: Sequence[Sequence[int]], batch: int
+) -> Callable[[float, np.random.Generator], tuple[Tensor, dict[str, float]]]:
+    """Returns the step of a training loop. cells: for each image those of its objects' centres."""
+    draw = Draw(examples, batch)
+
+    def step(progress: float, random: np.random.Generator) -> tuple[Tensor, dict[str, float]]:
+        chosen = [examples[one] for one in draw(progress, random)]
+        loss = engine_loss(execute(engine, features, chosen), chosen, [cells[one.image] for one in chosen])
+        return loss.total, loss.parts()
+
+    return step

@@ -1,0 +1,46 @@
+"""Trains the program generator on questions and their programs."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from services.errors import InvalidRequest
+from services.questions.text import encoded
+from services.targets.iep.prefix import TOKENS, to_prefix
+from services.targets.iep.program_generator import ProgramGenerator
+from services.training.iep.examples import Example
+
+PADDING = -1
+"""Marks the places after the end of a program; no loss is taken there."""
+NUMBERS = {token: number for number, token in enumerate(TOKENS)}
+
+
+def generator_step(
+    generator: ProgramGenerator, examples: Sequence[Example], batch: int
+) -> Callable[[float, np.random.Generator], tuple[Tensor, dict[str, float]]]:
+    """Returns the step of a training loop. Raises InvalidRequest for a question with a word outside the language."""
+    questions = [encoded(example.text) for example in examples]
+    programs = [torch.tensor([NUMBERS[token] for token in to_prefix(example.program)]) for example in examples]
+
+    def step(_: float, random: np.random.Generator) -> tuple[Tensor, dict[str, float]]:
+        chosen = random.choice(len(examples), min(batch, len(examples)), replace=False)
+        tokens = torch.nn.utils.rnn.pad_sequence([programs[one] for one in chosen], True, PADDING)
+        scores = generator([questions[one] for one in chosen], tokens.clamp_min(0))
+        loss = F.cross_entropy(scores.flatten(0, 1), tokens.flatten(), ignore_index=PADDING)
+        return loss, {"tokens": float(loss.detach())}
+
+    return step
+
+
+def right_programs(generator: ProgramGenerator, examples: Sequence[Example], batch: int = 256) -> list[bool]:
+    """Returns for each example whether the generator writes exactly its program."""
+    generator.eval()
+    right = []
+    for start in range(0, len(examples), batch):
+        some = examples[start : start + batch]
+        for example, found in zip(some, generator.generate([one.text for one in some]), strict=True):
+            right.append(not isinstance(found, InvalidRequest) and to_prefix(found) == to_prefix(example.program))
+    return right

@@ -1,0 +1,138 @@
+"""Trains the trunk to find objects' centres and attributes in its features; the heads for it are then thrown away.
+
+Where objects are and what they look like is known of rendered scenes, and all that a question can ask depends on it.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from services.scenes.clevr.attributes import ATTRIBUTES
+from services.targets.iep.engine import Engine
+from services.targets.iep.trunk import CHANNELS, GRID, STRIDE, Trunk
+from services.training.iep.examples import ObjectTruth
+from services.training.iep.losses import mask_loss, occupancy
+
+VALUES = tuple(value for values in ATTRIBUTES.values() for value in values)
+PLACE_WEIGHT = 1.0
+"""Weight of the loss on a centre's place in its cell."""
+HEAT_WEIGHT = 10.0
+"""Weight of the loss on the cells of centres: a mean over all cells, of which few matter."""
+
+
+class ObjectFinder(nn.Module):
+    """The trunk with a linear head: scores of a centre and of each attribute's values, and the place of the centre."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.trunk = Trunk()
+        self.head = nn.Conv1d(CHANNELS, 1 + len(VALUES) + 2, 1)
+
+    def forward(self, images: Tensor) -> Tensor:
+        """Maps images [B, 240, 320, 3] in [0,1] to [B, 300, 18], in the order of the class's description."""
+        found: Tensor = self.head(self.trunk(images).flatten(2)).transpose(1, 2)
+        return found
+
+
+def hand_over(finder: ObjectFinder, engine: Engine) -> None:
+    """Makes the finder's scores of a centre the engine's first mask of all objects, so that it sees them at once."""
+    with torch.no_grad():
+        engine.stem.mask.weight.copy_(finder.head.weight[:1])
+        assert engine.stem.mask.bias is not None
+        assert finder.head.bias is not None
+        engine.stem.mask.bias.copy_(finder.head.bias[:1])
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The objects of a batch of images.
+
+    centres: float32 [B, 300], 1 where there is one. images, cells: int64 [N], of each object. values: int64 [N, 4], the
+    index of each attribute's value. places: float32 [N, 2], of the centre in its cell, in [-1/2, 1/2].
+    """
+
+    centres: Tensor
+    images: Tensor
+    cells: Tensor
+    values: Tensor
+    places: Tensor
+
+    @classmethod
+    def of(cls, objects: Sequence[Sequence[ObjectTruth]]) -> "Truth":
+        """The objects of each image, one at least in all."""
+        every = [(image, one) for image, of_image in enumerate(objects) for one in of_image]
+        values = [[ATTRIBUTES[name].index(one.attributes[name]) for name in ATTRIBUTES] for _, one in every]
+        width = GRID[1]
+        places = [
+            (one.row / STRIDE - one.cell // width - 0.5, one.column / STRIDE - one.cell % width - 0.5)
+            for _, one in every
+        ]
+        return cls(
+            occupancy([[one.cell for one in of_image] for of_image in objects], torch.zeros(())),
+            torch.tensor([image for image, _ in every]),
+            torch.tensor([one.cell for _, one in every]),
+            torch.tensor(values),
+            torch.tensor(places).clamp(-0.5, 0.5),
+        )
+
+
+def trunk_loss(found: Tensor, truth: Truth) -> tuple[Tensor, dict[str, float]]:
+    """Returns the loss of what was found, [B, 300, 18], and its parts."""
+    there = found[truth.images, truth.cells]
+    attributes = sum(
+        F.cross_entropy(scores, truth.values[:, place]) for place, scores in enumerate(_by_attribute(there))
+    )
+    heat = mask_loss(found[:, :, 0], truth.centres)
+    place = F.smooth_l1_loss(there[:, 1 + len(VALUES) :], truth.places, beta=0.1)
+    assert isinstance(attributes, Tensor)
+    parts = {"heat": heat, "attributes": attributes, "place": place}
+    total = HEAT_WEIGHT * heat + attributes + PLACE_WEIGHT * place
+    return total, {name: float(value.detach()) for name, value in parts.items()}
+
+
+def trunk_accuracy(found: Tensor, truth: Truth) -> dict[str, float]:
+    """Returns the share of objects with each attribute right, with all right, and the share of cells of centres that
+    are among the highest of their image, of as many as there are objects.
+    """
+    there = found[truth.images, truth.cells]
+    right = {
+        name: scores.argmax(1) == truth.values[:, place]
+        for place, (name, scores) in enumerate(zip(ATTRIBUTES, _by_attribute(there), strict=True))
+    }
+    order = found[:, :, 0].argsort(1, descending=True).argsort(1)
+    counts = truth.centres.sum(1)
+    return {
+        **{name: float(of.double().mean()) for name, of in right.items()},
+        "all": float(torch.stack(list(right.values())).all(0).double().mean()),
+        "found": float((order[truth.images, truth.cells] < counts[truth.images]).double().mean()),
+    }
+
+
+def trunk_step(
+    module: ObjectFinder,
+    images: Callable[[NDArray[np.int64]], Tensor],
+    objects: Sequence[Sequence[ObjectTruth]],
+    batch: int,
+) -> Callable[[float, np.random.Generator], tuple[Tensor, dict[str, float]]]:
+    """Returns the step of a training loop. `images` returns the images of some scenes, [B, 240, 320, 3] in [0,1]."""
+
+    def step(_: float, random: np.random.Generator) -> tuple[Tensor, dict[str, float]]:
+        chosen = random.choice(len(objects), min(batch, len(objects)), replace=False)
+        shown = images(chosen)
+        with torch.autocast(shown.device.type, dtype=torch.bfloat16):
+            found = module(shown)
+        return trunk_loss(found.float(), Truth.of([objects[one] for one in chosen]))
+
+    return step
+
+
+def _by_attribute(there: Tensor) -> list[Tensor]:
+    """Returns the scores of each attribute's values, from rows of all 18."""
+    ends = np.cumsum([1, *(len(values) for values in ATTRIBUTES.values())]).tolist()
+    return [there[:, start:end] for start, end in pairwise(ends)]

@@ -1,0 +1,21 @@
+from pathlib import Path
+
+import pytest
+import torch
+
+from services.targets.iep.program_generator import ProgramGenerator
+from services.training.iep.generator_training import generator_step, right_programs
+from services.training.iep.loop import Schedule, TrainingLoop
+from tests.unit.training.iep.conftest import Data
+
+
+@pytest.mark.usefixtures("one_thread")
+def test_the_generator_learns_the_programs_of_questions(simple: tuple[Data, Data], tmp_path: Path) -> None:
+    training, test = simple
+    torch.manual_seed(0)
+    generator = ProgramGenerator()
+    assert sum(right_programs(generator, test.examples[:50])) <= 5
+    step = generator_step(generator, training.examples, 32)
+    TrainingLoop("generator", generator, Schedule(120, 5e-3), step, 0, tmp_path / "g").run(lambda _: None)
+    right = right_programs(generator, test.examples)
+    assert sum(right) / len(right) > 0.9
