@@ -15,7 +15,7 @@ PAGE = Path(__file__).parents[1] / "docs" / "benchmarks.md"
 
 def page() -> str:
     """The whole page as Markdown."""
-    sections = (_shading, _jobs, _image_attacks, _peer_attacks, _zoo, _rounded, _differences, _surrogates)
+    sections = (_shading, _jobs, _image_attacks, _peer_attacks, _zoo, _rounded, _differences, _surrogates, _questions)
     return "\n\n".join(["# Benchmarks", INTRODUCTION, *(part for section in sections for part in section())]) + "\n"
 
 
@@ -258,6 +258,29 @@ def _surrogates() -> list[str]:
         "a lower bound where that search held more often.",
         _table(("target, renderer, surrogate", "verified", "queries", "fall", "without"), rows),
         "Weights: " + ", ".join(f"{name} `{sha[:12]}`" for name, sha in result["weights"].items()) + ".",
+        _foot(result),
+    ]
+
+
+def _questions() -> list[str]:
+    result = _result("questions")
+    rows = [
+        [
+            row["case"],
+            f"{1e3 * row['seconds']['batch']:.0f}",
+            f"{1e3 * row['seconds']['one at a time']:.0f}",
+            f"{row['ratio']:.1f}",
+            f"{row['processor_ratio']:.1f}",
+            f"{row['largest_difference']:.1e}",
+        ]
+        for row in result["rows"]
+    ]
+    return [
+        "## Questions",
+        f"{result['questions']} questions of mixed programs, with {result['mean_nodes']:.1f} functions on average, to "
+        "IEP's network: as one batch and one at a time. The project accepts ratios of processor time from "
+        f"{result['least']:g} on. {result['note']}",
+        _table(("case", "batch ms", "one at a time ms", "ratio", "of processor time", "difference of scores"), rows),
         _foot(result),
     ]
 
