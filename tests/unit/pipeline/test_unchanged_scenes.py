@@ -1,0 +1,119 @@
+"""Scenes without a floor, without metallic and roughness: their requests, digests and images are what they always were.
+
+`unchanged_scenes.json` was written before these options existed, by
+
+    python -m tests.unit.pipeline.test_unchanged_scenes > tests/unit/pipeline/unchanged_scenes.json
+
+The exact images as they are saved, in 8 bits, are compared where the same OpenGL draws them; the bits of the floats,
+where the kernels are the same too. A driver's or a processor's arithmetic is part of them.
+"""
+
+import hashlib
+import json
+import re
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from services.pipeline.spec import digest, parse
+from services.rendering.color import to_bytes
+from services.rendering.factory import build
+from services.scenes.library import Library
+from services.scenes.resolve import canonical_json, resolve
+from services.settings import settings
+
+PINNED = Path(__file__).with_name("unchanged_scenes.json")
+SMALL = {"size": (48, 64), "distance": 2.4}
+LIGHTS = {
+    "points": [{"energy": 12, "position": (1, 2, 1)}],
+    "directional": [{"energy": 1, "direction": (0, -1, -1)}],
+    "spots": [{"energy": 20, "position": (0, 2, 2), "direction": (0, -1, -1)}],
+}
+SCENES: dict[str, dict[str, Any]] = {
+    "one cube": {"objects": [{"mesh": "primitive/cube"}], "camera": SMALL},
+    "two materials": {
+        "objects": [
+            {"mesh": "primitive/sphere", "material": "plastic", "color": (0.8, 0.2, 0.1), "translation": (-0.4, 0, 0)},
+            {"mesh": "primitive/cylinder", "material": "brushed-metal", "rotation": (0.3, 0.2, 0), "scale": 0.6},
+        ],
+        "camera": SMALL,
+    },
+    "three kinds of light": {"objects": [{"mesh": "primitive/torus"}], "camera": SMALL, "lights": LIGHTS},
+    "a textured mesh": {
+        "objects": [{"mesh": "furniture/soccer-ball"}],
+        "camera": SMALL | {"viewer": "perspective"},
+        "ground": (0.2, 0.4, 0.6),
+    },
+}
+RENDERERS = ("pyrender", "torch")
+
+
+def library(directory: Path) -> Library:
+    return Library(settings().cache_dir, directory)
+
+
+def described(name: str, assets: Library) -> dict[str, str]:
+    """The digests of a scene's request, canonical description and contents."""
+    spec = parse({"scene": SCENES[name]})
+    return {
+        "request": digest(spec),
+        "canonical": hashlib.sha256(canonical_json(spec.scene).encode()).hexdigest(),
+        "scene": resolve(spec.scene, assets).sha256,
+    }
+
+
+def drawn(name: str, renderer: str, assets: Library) -> dict[str, str]:
+    """The digests of the bits of a scene's images, and the backend that drew them, without its number of threads."""
+    made = build(resolve(parse({"scene": SCENES[name]}).scene, assets), renderer)
+    images = {"planned": made.render({})[0], "exact": made.exact().render({})[0]}
+    images["saved"] = to_bytes(images["exact"])
+    bits = {kind: hashlib.sha256(image.cpu().numpy().tobytes()).hexdigest() for kind, image in images.items()}
+    return bits | {"backend": re.sub(r" threads \d+", "", made.backend)}
+
+
+def opengl(backend: str) -> str:
+    """The part of a backend that names what draws the geometry."""
+    return backend[backend.index("llvmpipe") :] if "llvmpipe" in backend else backend
+
+
+@pytest.fixture(scope="module")
+def assets(tmp_path_factory: pytest.TempPathFactory) -> Library:
+    return library(tmp_path_factory.mktemp("data"))
+
+
+@pytest.fixture(scope="module")
+def pinned() -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(PINNED.read_text("utf-8"))
+    return found
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_digests_are_what_they_were(name: str, assets: Library, pinned: dict[str, Any]) -> None:
+    assert described(name, assets) == pinned["digests"][name]
+
+
+@pytest.mark.parametrize("renderer", RENDERERS)
+@pytest.mark.parametrize("name", SCENES)
+def test_images_are_what_they_were(name: str, renderer: str, assets: Library, pinned: dict[str, Any]) -> None:
+    before, now = pinned["images"][name][renderer], drawn(name, renderer, assets)
+    if opengl(now["backend"]) != opengl(before["backend"]):
+        pytest.skip(f"the pinned images were drawn by {before['backend']}")
+    assert now["saved"] == before["saved"]
+    assert now == before or now["backend"] != before["backend"]
+
+
+def main() -> None:
+    """Prints the digests of the code at hand."""
+    with tempfile.TemporaryDirectory() as directory:
+        assets = library(Path(directory))
+        found = {
+            "digests": {name: described(name, assets) for name in SCENES},
+            "images": {name: {kind: drawn(name, kind, assets) for kind in RENDERERS} for name in SCENES},
+        }
+    print(json.dumps(found, indent=1))
+
+
+if __name__ == "__main__":
+    main()
