@@ -162,6 +162,8 @@ def resolved_scene(spec: JobSpec, library: Library) -> ResolvedScene:
     """The scene of a spec with its assets. Raises InvalidRequest for an unknown material, and as `resolve` does."""
     for index, thing in enumerate(spec.scene.objects):
         preset(thing.material, f"scene.objects.{index}.material")
+    if spec.scene.floor is not None:
+        preset(spec.scene.floor.material, "scene.floor.material")
     scene = resolve(spec.scene, library)
     return scene if spec.scene.lights.environment.size != "auto" else _with_chosen_map(spec, scene, library)
 

@@ -34,10 +34,19 @@ MIN_LENGTH = 1e-3
 """Lower bound of a direction's largest absolute coordinate, below which rounding would change the direction."""
 
 
+METALLIC = "0: plastic, 1: metal (pyrender, by glTF's metallic-roughness BRDF)"
+ROUGHNESS = "0: smooth, 1: rough (pyrender, by the same BRDF); below 0.04 it is drawn as 0.04"
+
+
 class Model(BaseModel):
     """Base class of every part of a request: frozen, without unknown fields."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+def absent(value: object) -> bool:
+    """Whether an optional field was not given, so that a description leaves it out, as before there was the field."""
+    return value is None
 
 
 class Camera(Model):
@@ -75,6 +84,37 @@ class SceneObject(Model):
     rotation: Rotation = Field((0.0, 0.0, 0.0), description="rotation vector (axis times angle), radians")
     scale: Annotated[float, Field(ge=1e-3, le=100, allow_inf_nan=False)] = Field(
         1.0, description="size; at 1 the object's bounding sphere fits the frame at distance 1.8"
+    )
+    metallic: Unit | None = Field(
+        None,
+        exclude_if=absent,
+        description=f"{METALLIC}; null: the mesh's own surface, or 0 if `roughness` is given",
+    )
+    roughness: Unit | None = Field(
+        None,
+        exclude_if=absent,
+        description=f"{ROUGHNESS}; null: the mesh's own surface, or 0.5 if `metallic` is given",
+    )
+
+
+class Floor(Model):
+    """A level square under the objects. It is no object: attacks neither move nor recolour it."""
+
+    size: Annotated[float, Field(ge=0.01, le=200, allow_inf_nan=False)] = Field(
+        20.0, description="side, scene units; its middle is straight above or below the origin"
+    )
+    height: Coordinate = Field(0.0, description="y of its plane, scene units")
+    color: Colour = Field((0.5, 0.5, 0.5), description="linear RGB")
+    material: str = Field("matte", max_length=64, description="DSBRDF preset of the torch renderer")
+    metallic: Unit | None = Field(
+        None,
+        exclude_if=absent,
+        description=f"{METALLIC}; null: a Lambertian body under a coat, or 0 if `roughness` is given",
+    )
+    roughness: Unit | None = Field(
+        None,
+        exclude_if=absent,
+        description=f"{ROUGHNESS}; null: a Lambertian body under a coat, or 0.5 if `metallic` is given",
     )
 
 
@@ -182,6 +222,7 @@ class Scene(Model):
 
     camera: Camera = Camera()
     objects: tuple[SceneObject, ...] = Field(min_length=1, max_length=16)
+    floor: Floor | None = Field(None, exclude_if=absent, description="a floor for the objects to stand on; null: none")
     lights: Lights = Lights()
     ground: Colour = Field(
         (GROUND, GROUND, GROUND),

@@ -61,12 +61,14 @@ class MetallicRoughness(MaterialSettings):
     """A glTF 2.0 metallic-roughness material, and the vertex attributes that only such a material uses.
 
     tangents: float32 [V,4], unit, with the sign of the bitangent cross(n, t); zeros without a normal map. second_uv:
-    float32 [V,2], v upwards. vertex_colors: float32 [V,4], linear RGBA.
+    float32 [V,2], v upwards. vertex_colors: float32 [V,4], linear RGBA. given: whether it is not of a file, but what a
+    scene gives a surface that has none; its sides then count as those of any other surface.
     """
 
     tangents: Floats
     second_uv: Floats
     vertex_colors: Floats
+    given: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,16 +5,19 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from math import sin
 from typing import Any
 
 import numpy as np
 from pydantic import BaseModel
 
 from services.errors import InvalidRequest
-from services.scenes.description import MAP_SIZES, Scene
+from services.scenes.description import MAP_SIZES, Floor, Scene, SceneObject
 from services.scenes.environment import average
+from services.scenes.floor import floor_mesh
 from services.scenes.library import Library
 from services.scenes.mesh import FIT_RADIUS, Doubles, Floats, Mesh
+from services.scenes.metallic_roughness import with_surface
 from services.scenes.view import camera_to_world, model_matrix, projection, visible_area
 
 VISIBLE = 1.0
@@ -22,14 +25,35 @@ VISIBLE = 1.0
 
 
 @dataclass(frozen=True, eq=False)
+class PlacedMesh:
+    """A mesh where it is in the scene: one of the objects, or the floor.
+
+    name: "object 0", or "floor"; field: its path in a request. model: float64 [4,4], mesh to world. described: the part
+    of the scene's description that it is made of.
+    """
+
+    name: str
+    field: str
+    mesh: Mesh
+    model: Doubles
+    described: SceneObject | Floor
+
+    @property
+    def given_surface(self) -> bool:
+        """Whether the description gives its metallic or roughness."""
+        return self.described.metallic is not None or self.described.roughness is not None
+
+
+@dataclass(frozen=True, eq=False)
 class ResolvedScene:
     """A scene description with the loaded assets that it names.
 
-    meshes, models: one per object; models are float64 [4,4], mesh to world. view: float64 [4,4], camera to world.
-    projection: float64 [4,4], OpenGL. environment: float32 [rows, cols, 3], linear radiance in the directions of
-    services.scenes.environment, rotated and averaged down. source_map: the map at full resolution, float32 [h, w, 3],
-    or None if `environment` did not come from a library. map_credit: the map's attribution line, if it has one.
-    sha256: the hex digest of the canonical description and the contents of every mesh and map in it.
+    meshes, models: one per object, with the surface that the description gives it; models are float64 [4,4], mesh to
+    world. view: float64 [4,4], camera to world. projection: float64 [4,4], OpenGL. environment: float32
+    [rows, cols, 3], linear radiance in the directions of services.scenes.environment, rotated and averaged down.
+    source_map: the map at full resolution, float32 [h, w, 3], or None if `environment` did not come from a library.
+    map_credit: the map's attribution line, if it has one. sha256: the hex digest of the canonical description and the
+    contents of every mesh and map in it.
     """
 
     description: Scene
@@ -41,6 +65,19 @@ class ResolvedScene:
     map_credit: str | None
     sha256: str
     source_map: Floats | None = None
+
+    @cached_property
+    def placed(self) -> tuple[PlacedMesh, ...]:
+        """All that is drawn: the objects in their order, then the floor, if there is one."""
+        things = self.description.objects
+        placed = [
+            PlacedMesh(f"object {k}", f"scene.objects.{k}", mesh, model, thing)
+            for k, (mesh, model, thing) in enumerate(zip(self.meshes, self.models, things, strict=True))
+        ]
+        floor = self.description.floor
+        if floor is not None:
+            placed.append(PlacedMesh("floor", "scene.floor", floor_mesh(floor), np.eye(4), floor))
+        return tuple(placed)
 
     @cached_property
     def finest_environment(self) -> Floats | None:
@@ -67,10 +104,10 @@ def resolve(scene: Scene, library: Library) -> ResolvedScene:
     """Loads the assets that the scene names and computes their transforms.
 
     Raises InvalidRequest with the path of the invalid field: "scene.objects.0.mesh" for an unknown mesh,
-    "scene.objects.0" for an object outside the frame or smaller than a pixel, "scene.lights.environment.map" for an
-    unknown map.
+    "scene.objects.0" for an object outside the frame or smaller than a pixel, "scene.floor" for a floor of which as
+    little can be seen, "scene.lights.environment.map" for an unknown map.
     """
-    meshes = tuple(_mesh(library, k, placed.mesh) for k, placed in enumerate(scene.objects))
+    meshes = _meshes(library, scene)
     light = scene.lights.environment
     try:
         source = library.environment(light.map)
@@ -81,6 +118,8 @@ def resolve(scene: Scene, library: Library) -> ResolvedScene:
     lens = projection(scene.camera, _far(scene, view))
     for k, (mesh, model) in enumerate(zip(meshes, models, strict=True)):
         _in_view(scene, k, mesh, lens @ np.linalg.inv(view) @ model)
+    if scene.floor is not None:
+        _floor_in_view(scene, scene.floor, lens @ np.linalg.inv(view))
     return ResolvedScene(
         description=scene,
         meshes=meshes,
@@ -112,6 +151,16 @@ def fingerprint(description: BaseModel, contents: Sequence[str]) -> str:
     return hashlib.sha256("\n".join([canonical_json(description), *contents]).encode()).hexdigest()
 
 
+def _meshes(library: Library, scene: Scene) -> tuple[Mesh, ...]:
+    """The objects' meshes; objects of the same mesh and surface share one, so that it is uploaded once."""
+    made: dict[tuple[str, float | None, float | None], Mesh] = {}
+    for k, thing in enumerate(scene.objects):
+        key = thing.mesh, thing.metallic, thing.roughness
+        if key not in made:
+            made[key] = with_surface(_mesh(library, k, thing.mesh), thing.metallic, thing.roughness)
+    return tuple(made[thing.mesh, thing.metallic, thing.roughness] for thing in scene.objects)
+
+
 def _mesh(library: Library, index: int, name: str) -> Mesh:
     try:
         return library.mesh(name)
@@ -120,10 +169,14 @@ def _mesh(library: Library, index: int, name: str) -> Mesh:
 
 
 def _far(scene: Scene, view: Doubles) -> float:
-    """Returns the distance of a far plane behind all objects, with room for objects that an attack moves."""
-    reach = (
+    """Returns the distance of a far plane behind all objects, with room for objects that an attack moves, and behind
+    the floor."""
+    reach = [
         float(np.linalg.norm(np.subtract(o.translation, view[:3, 3]))) + o.scale * FIT_RADIUS for o in scene.objects
-    )
+    ]
+    if scene.floor is not None:
+        corner = np.array([scene.floor.size / 2, scene.floor.height, scene.floor.size / 2])
+        reach.append(float(np.linalg.norm(np.abs(view[:3, 3]) + np.abs(corner))))
     return 2 * max(reach) + 10
 
 
@@ -138,3 +191,12 @@ def _in_view(scene: Scene, index: int, mesh: Mesh, to_clip: Doubles) -> None:
         f"out of view: {why}; the camera looks at the origin from a distance of {scene.camera.distance:g}, and the "
         f"object of scale {placed.scale:g} is at ({', '.join(f'{x:g}' for x in placed.translation)})",
     )
+
+
+def _floor_in_view(scene: Scene, floor: Floor, to_clip: Doubles) -> None:
+    if visible_area(floor_mesh(floor), to_clip, scene.camera.size, VISIBLE) < VISIBLE:
+        raise InvalidRequest(
+            "scene.floor",
+            f"out of view: less than a pixel of it shows; it is {floor.size:g} wide at a height of {floor.height:g}, "
+            f"and the camera is at a height of {scene.camera.distance * sin(scene.camera.elevation):g}",
+        )

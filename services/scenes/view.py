@@ -97,7 +97,7 @@ def visible_area(mesh: Mesh, to_clip: Doubles, size: tuple[int, int], enough: fl
         for face in part.faces[~whole & np.all(inside.any(axis=1), axis=1)]:
             if total >= enough:
                 return total
-            polygon = _cut(points[face])
+            polygon = clipped(points[face])
             if len(polygon) >= 3:
                 flat = polygon[:, :2] / polygon[:, 3:] * pixels
                 fan = np.stack([np.broadcast_to(flat[0], flat[2:].shape), flat[1:-1], flat[2:]], axis=1)
@@ -111,8 +111,9 @@ def _areas(triangles: Doubles) -> Doubles:
     return areas
 
 
-def _cut(polygon: Doubles) -> Doubles:
-    """Clips a convex polygon [n,4] in clip space to the frustum (Sutherland and Hodgman 1974)."""
+def clipped(polygon: Doubles) -> Doubles:
+    """Returns a convex polygon [n,4] in clip space, clipped to the frustum (Sutherland and Hodgman 1974); [0,4] if
+    nothing of it is inside."""
     for axis in range(3):
         for sign in (1, -1):
             if not len(polygon):

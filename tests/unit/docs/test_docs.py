@@ -14,6 +14,7 @@ from services.scenes.description import (
     Camera,
     DirectionalLight,
     Environment,
+    Floor,
     Lights,
     PointLight,
     SceneObject,
@@ -45,7 +46,7 @@ def test_operations_has_every_setting_and_its_default() -> None:
 
 
 @pytest.mark.parametrize(
-    "model", [Camera, SceneObject, Lights, PointLight, DirectionalLight, SpotLight, Environment, Goal]
+    "model", [Camera, SceneObject, Floor, Lights, PointLight, DirectionalLight, SpotLight, Environment, Goal]
 )
 def test_scene_page_has_every_field_as_it_is_described(model: type[BaseModel]) -> None:
     page = text("scene.md")
