@@ -59,8 +59,9 @@ def cast(scene: ResolvedScene, samples: int, pixels: Longs | None = None) -> Hit
     eye, rays = scene.view[:3, 3], _rays(scene, samples, pixels)
     depth = np.full(len(rays), np.inf)
     normals, colors, planes = (np.zeros((len(rays), 3)) for _ in range(3))
-    for mesh, model, placed in zip(scene.meshes, scene.models, scene.description.objects, strict=True):
-        for part in mesh.parts:
+    for placed in scene.placed:
+        model = placed.model
+        for part in placed.mesh.parts:
             corners = (part.vertices.astype(np.float64) @ model[:3, :3].T + model[:3, 3] - eye)[part.faces]
             own = (part.normals.astype(np.float64) @ np.linalg.inv(model[:3, :3]))[part.faces]
             step = max(1, RAYS_AT_ONCE // len(rays))
@@ -69,7 +70,7 @@ def cast(scene: ResolvedScene, samples: int, pixels: Longs | None = None) -> Hit
                 seen = t < depth
                 face += start
                 depth[seen] = t[seen]
-                colors[seen] = part.color[:3].astype(np.float64) * placed.color
+                colors[seen] = part.color[:3].astype(np.float64) * placed.described.color
                 normals[seen] = (weights[:, :, None] * own[face]).sum(axis=1)[seen]
                 a, b, c = corners[face[seen]].swapaxes(0, 1)
                 planes[seen] = np.cross(b - a, c - a)

@@ -15,6 +15,7 @@ from services.rendering.opengl import context
 from services.rendering.opengl.camera import CameraMatrices
 from services.rendering.opengl.screen_bounds import Rectangle, rectangle
 from services.rendering.opengl.watertight import has_holes
+from services.scenes.mesh import Part
 from services.scenes.resolve import ResolvedScene
 
 if TYPE_CHECKING:
@@ -69,16 +70,19 @@ def rasterise(scene: ResolvedScene, drawing: "Drawing | None" = None) -> GBuffer
 
     `drawing` holds the scene's meshes, for a caller that draws many views of them: they are then uploaded once.
 
-    Raises InvalidRequest("scene.objects") when no sample meets an object.
+    The floor is one more object after the others.
+
+    Raises InvalidRequest("scene.objects") when no pixel shows an object, or none but the floor.
     """
     current = context.current()
     from services.rendering.opengl.mesh_upload import Drawing
 
     height, width = scene.description.camera.size
-    count = len(scene.meshes)
+    count = len(scene.placed)
+    poses = np.asarray([placed.model for placed in scene.placed])
     view = CameraMatrices.of(scene.view, scene.projection)
-    drawing = Drawing(scene.meshes) if drawing is None else drawing
-    colors = np.array([o.color for o in scene.description.objects], np.float64)
+    drawing = Drawing([placed.mesh for placed in scene.placed]) if drawing is None else drawing
+    colors = np.array([placed.described.color for placed in scene.placed], np.float64)
     images = {
         "normals": torch.zeros(height, width, 3),
         "coverage": torch.zeros(height, width),
@@ -86,13 +90,13 @@ def rasterise(scene: ResolvedScene, drawing: "Drawing | None" = None) -> GBuffer
         "depth": torch.zeros(height, width),
         "object_index": torch.full((height, width), -1, dtype=torch.int64),
     }
-    covered = rectangle(drawing.points, list(view.clip_from_world @ np.asarray(scene.models)), (height, width))
+    covered = rectangle(drawing.points, list(view.clip_from_world @ poses), (height, width))
     for rows, columns in _tiles(covered):
         geometry, surface = current.renderer.draw(
             drawing,
             "gbuffer.frag",
             CameraMatrices(_crop(rows, columns, height, width) @ view.clip_from_world, view.eye, view.forward),
-            np.asarray(scene.models),
+            poses,
             colors[None],
             {"forward": view.forward, "factor": FACTOR, "thresholds[0]": THRESHOLDS},
             {"object_number": [float(i + 1) for i in range(count)]},
@@ -105,7 +109,7 @@ def rasterise(scene: ResolvedScene, drawing: "Drawing | None" = None) -> GBuffer
             torch.from_numpy(geometry), torch.from_numpy(surface), count, view.forward
         ).items():
             images[name][rows, columns] = tile.flip(0)  # OpenGL's first row is the bottom one
-    if not images["coverage"].any():
+    if not (images["object_index"].ge(0) & images["object_index"].lt(len(scene.meshes))).any():
         raise InvalidRequest("scene.objects", "out of view: no object covers any part of the image")
     return GBuffer(**images, backend=f"{current.backend}; {FACTOR}x{FACTOR} samples per pixel")
 
@@ -113,12 +117,21 @@ def rasterise(scene: ResolvedScene, drawing: "Drawing | None" = None) -> GBuffer
 def check_in_view(scene: ResolvedScene) -> None:
     """Raises InvalidRequest("scene.objects"), as `rasterise` does, when no surface covers any part of the image.
 
-    The scene's triangles are in the frame already. What need not show all the same is drawn to find out: glTF surfaces,
-    which may be seen from one side only or through a mask, and surfaces with holes or of an opacity below 1.
+    The scene's triangles are in the frame already. What need not show all the same is drawn to find out: glTF surfaces
+    that are seen from one side only or through a mask, surfaces with holes or of an opacity below 1, and what a floor
+    may hide.
     """
     parts = [part for mesh in scene.meshes for part in mesh.parts]
-    if all(part.metallic_roughness is not None or part.color[3] < 1 or has_holes(part) for part in parts):
+    if scene.description.floor is not None or not any(_shows(part) for part in parts):
         rasterise(scene)
+
+
+def _shows(part: Part) -> bool:
+    """Whether a part shows wherever a ray meets it."""
+    material = part.metallic_roughness
+    if material is not None:
+        return material.double_sided and material.alpha_mode == "OPAQUE"
+    return bool(part.color[3] >= 1) and not has_holes(part)
 
 
 def _tiles(covered: Rectangle) -> Iterator[tuple[slice, slice]]:

@@ -17,8 +17,11 @@ def has_holes(part: Part) -> bool:
 
 
 def _is_opaque(part: Part) -> bool:
-    """Whether nothing shows through a part. A glTF material has sides of its own, so that it counts as see-through."""
-    return bool(part.color[3] >= 1) and not has_holes(part) and part.metallic_roughness is None
+    """Whether nothing shows through a part. A file's glTF material has sides of its own, and counts as see-through."""
+    material = part.metallic_roughness
+    if material is not None:
+        return material.given and material.alpha_mode == "OPAQUE"
+    return bool(part.color[3] >= 1) and not has_holes(part)
 
 
 def outsides(mesh: Mesh) -> list[tuple[Integers, int]]:

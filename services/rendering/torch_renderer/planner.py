@@ -6,7 +6,7 @@ narrower than its mesh, which the measurement may miss. During the attack a samp
 (sampled_check), and the plan states the error that this check enforces.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -66,13 +66,12 @@ def compile_plan(
     groups: Sequence[str],
     tolerance: Tolerance,
     size: tuple[int, int],
-    file_materials: int = 0,
+    ignored: Iterable[Item] = (),
 ) -> tuple[list[Recipe], Plan]:
     """Chooses a recipe for each object or layer; returns the recipes and the plan that describes them.
 
-    `illumination` [D] holds the scene's own intensities; `size` is the image's height and width; `file_materials` is
-    the number of mesh parts with a metallic-roughness material, of which only base colour and normals are used. The
-    choice is deterministic.
+    `illumination` [D] holds the scene's own intensities; `size` is the image's height and width; `ignored` are items of
+    what the scene says of its surfaces and no recipe uses. The choice is deterministic.
     """
     recipes, items, stages, gradients = [], [], [], []
     covered = {surface.name: len(surface.angles) for surface in surfaces}
@@ -81,9 +80,7 @@ def compile_plan(
     seen = sum(count > 0 for count in covered.values())
     if seen < len(covered):
         items.append(Item(what="objects", kept=seen, of=len(covered), why="the others are seen by no pixel"))
-    if file_materials:
-        why = "metallic, roughness, emission and occlusion are ignored: the torch renderer has materials of its own"
-        items.append(Item(what="materials of the file", kept=0, of=file_materials, why=why))
+    items += ignored
     why = "the other groups keep their values" if len(groups) < len(TORCH.groups) else "all are attacked"
     items.append(Item(what="gradients", kept=len(groups), of=len(TORCH.groups), why=why))
     for surface in surfaces:
@@ -93,12 +90,13 @@ def compile_plan(
                 stages.append(radiance_stage(surface, recipe, len(surface.angles), "exact, as asked", 0.0))
         else:
             own = tolerance * surface.share
-            needs = _needs(surface, sky, illumination, groups, own)
+            moving = [group for group in groups if not (group == "material" and surface.fixed_material)]
+            needs = _needs(surface, sky, illumination, moving, own)
             items += needs.items
-            recipe, chosen = _cheapest(surface, sky, illumination, groups, own, needs)
+            recipe, chosen = _cheapest(surface, sky, illumination, moving, own, needs)
             stages += chosen
             exact = exact_recipe(sky, surface.material.shape[1])
-            gradients += gradient_errors(surface, sky, illumination, groups, recipe, exact)
+            gradients += gradient_errors(surface, sky, illumination, moving, recipe, exact)
         recipes.append(recipe)
     return recipes, Plan.of("torch", groups, size, tolerance, items, stages, gradients)
 

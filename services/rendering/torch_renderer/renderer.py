@@ -11,7 +11,7 @@ to the camera: a modelling choice of the paper, under which θ_d depends on the 
 decided by a plan (planner) when the renderer is made.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import torch
 from torch import Tensor
@@ -21,7 +21,7 @@ from services.rendering.compositing import Canvas
 from services.rendering.declaration import BuildRequest, DeclaredRenderer
 from services.rendering.kernels import compiled
 from services.rendering.opengl.gbuffer import GBuffer, rasterise
-from services.rendering.plan import DEFAULT_TOLERANCE, Plan, Tolerance
+from services.rendering.plan import DEFAULT_TOLERANCE, Item, Plan, Tolerance
 from services.rendering.protocol import Parameters
 from services.rendering.torch_renderer import dsbrdf, lookup_table
 from services.rendering.torch_renderer.declaration import TORCH
@@ -81,9 +81,9 @@ class TorchRenderer(DeclaredRenderer):
         to_camera = torch.as_tensor(scene.view, dtype=torch.float64)[:3, :3].to(self._device)
         light = illumination(torch.as_tensor(scene.environment).to(self._device))
         sky = sky_of(light, to_camera)
-        names = [thing.material for thing in scene.description.objects]
-        self._layers = layers(names)
-        materials = [preset(name) for name in names]
+        n_objects = len(scene.description.objects)
+        materials = [preset(placed.described.material, f"{placed.field}.material") for placed in scene.placed]
+        self._layers = layers([placed.described.material for placed in scene.placed])
         coverage = gbuffer.coverage.flatten()
         normals = gbuffer.normals.to(torch.float64) @ to_camera
         initial = {
@@ -95,6 +95,8 @@ class TorchRenderer(DeclaredRenderer):
         # Round to float32 whatever the dtype, so that the exact twin renders the same scene.
         rounded = {group: value.to(torch.float32).to(torch.float64) for group, value in initial.items()}
         self._initial = {group: value.to(dtype) for group, value in rounded.items()}
+        # The floor, which is last, is no object: its material is no value of the group.
+        self._initial["material"], self._fixed = self._initial["material"].tensor_split([n_objects])
 
         # Sort pixels by object and then by normal, so that neighbours see the same light.
         angles = rounded["normals"].reshape(-1, 2)
@@ -115,13 +117,14 @@ class TorchRenderer(DeclaredRenderer):
         near = scene.description.camera.viewer == "perspective"
         surfaces = [
             Surface(
-                f"object {layer.owner}",
+                scene.placed[layer.owner].name,
                 own,
                 layer.base_color(color.double()),
                 layer.material(material),
                 own_viewers if near else None,
                 layer.words,
                 layer.share,
+                fixed_material=layer.owner >= n_objects,
             )
             for parts, own, color, material, own_viewers in zip(
                 self._layers,
@@ -134,8 +137,7 @@ class TorchRenderer(DeclaredRenderer):
             for layer in parts
         ]
         intensity = rounded["illumination"].flatten()
-        own = sum(part.metallic_roughness is not None for mesh in scene.meshes for part in mesh.parts)
-        recipes, plan = compile_plan(surfaces, sky, intensity, groups, tolerance, self.size, own)
+        recipes, plan = compile_plan(surfaces, sky, intensity, groups, tolerance, self.size, _ignored(scene))
         self.shaders = [
             Shader(recipe, sky, surface, intensity) for recipe, surface in zip(recipes, surfaces, strict=True)
         ]
@@ -211,12 +213,24 @@ class TorchRenderer(DeclaredRenderer):
             intensity = (intensity + given["illumination_rgb"].reshape(-1, 3).T).clamp_min(0.0)  # [3, D]
         shaders = iter(self.shaders)
         shaded = []
+        materials = [*values["material"], *self._fixed]
         for parts, own, color, material in zip(
-            self._layers, torch.split(angles, self._counts), self._colors, values["material"], strict=True
+            self._layers, torch.split(angles, self._counts), self._colors, materials, strict=True
         ):
             found = [next(shaders)(own, intensity, layer.material(material)).to(self._dtype) for layer in parts]
             shaded.append(found[0] if len(parts) == 1 else color * found[0] + found[1])
         return self._canvas.image(torch.cat(shaded) if len(shaded) > 1 else shaded[0])
+
+
+def _ignored(scene: ResolvedScene) -> Iterator[Item]:
+    """What the scene says of its surfaces and the renderer does not use, as items of its plan."""
+    why = "metallic, roughness, emission and occlusion are ignored: the torch renderer has materials of its own"
+    parts = [part for placed in scene.placed if not placed.given_surface for part in placed.mesh.parts]
+    if own := sum(part.metallic_roughness is not None for part in parts):
+        yield Item(what="materials of the file", kept=0, of=own, why=why)
+    if given := sum(placed.given_surface for placed in scene.placed):
+        why = "the fields are pyrender's: the torch renderer has materials of its own, named in `material`"
+        yield Item(what="metallic and roughness", kept=0, of=given, why=why)
 
 
 def sky_of(light: Illumination, to_camera: Tensor) -> Sky:

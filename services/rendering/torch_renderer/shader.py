@@ -86,6 +86,7 @@ class Surface:
 
     `viewers` [P, 3] are unit vectors to the camera where each pixel has its own, None for a distant viewer. `layer`
     says on plans which lobes these are, "" for all, and `share` is the part of the tolerance that its error may take.
+    A fixed material is not among the values of the group `material`.
     """
 
     name: str
@@ -95,6 +96,7 @@ class Surface:
     viewers: Tensor | None = None
     layer: str = ""
     share: float = 1.0
+    fixed_material: bool = False
 
     def with_layer(self, what: str) -> str:
         """Returns the words of a plan for `what` of this surface: with those of its layer, if it is one of several."""

@@ -10,9 +10,9 @@ from services.rendering.torch_renderer.dsbrdf import COSINE_FLOOR
 from services.rendering.torch_renderer.units import ILLUMINATION_MEAN, MATERIAL_UNIT, WHITE
 from services.scenes.description import Camera, Scene, SceneObject
 from services.scenes.resolve import ResolvedScene
-from tests.unit.rendering.shapes import placed
+from tests.unit.rendering.shapes import mesh, placed
 
-UNCOLORED = {"plastic": (1, 2), "glossy-paint": (1, 2)}
+UNCOLORED = {"plastic": (1, 2), "glossy-paint": (1, 2), "rubber": (1, 2)}
 """Lobes by preset that the mesh's colour does not multiply."""
 GROUND = (51 / 255, 102 / 255, 204 / 255)
 
@@ -25,7 +25,7 @@ def sphere_scene(
         objects=tuple(SceneObject(mesh="primitive/sphere", material=m) for m in materials),
         ground=GROUND,
     )
-    scene = placed(description)
+    scene = placed(description, *(mesh() for _ in materials))  # its G-buffer is made without them
     object.__setattr__(scene, "environment", sky() if environment is None else environment)
     return scene
 

@@ -1,0 +1,122 @@
+"""The torch renderer's floor: shaded, lit and bent like an object, with a material that is no value of a group."""
+
+from math import pi, sqrt
+from typing import Any
+
+import pytest
+import torch
+
+from services.errors import InvalidRequest
+from services.rendering.opengl.gbuffer import rasterise
+from services.rendering.torch_renderer.physical import changes
+from services.rendering.torch_renderer.renderer import TorchRenderer
+from services.scenes.description import Scene
+from services.scenes.library import Library
+from services.scenes.mesh import FIT_RADIUS
+from services.scenes.resolve import resolve
+from services.settings import settings
+
+SIDE = 2.5
+BALL = {"mesh": "primitive/sphere", "material": "matte", "scale": 0.5, "color": (0.8, 0.3, 0.1)}
+UNDER = {"size": SIDE, "height": -0.4, "color": (0.4, 0.5, 0.6), "material": "plastic"}
+AS_OBJECT = {
+    "mesh": "primitive/plane",
+    "rotation": (-pi / 2, 0.0, 0.0),
+    "scale": SIDE / (sqrt(2) * FIT_RADIUS),
+    "translation": (0.0, -0.4, 0.0),
+    "color": (0.4, 0.5, 0.6),
+    "material": "plastic",
+}
+GROUPS = ("normals", "illumination", "material")
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Library:
+    return Library(settings().cache_dir, tmp_path_factory.mktemp("data"))
+
+
+def renderer(library: Library, *objects: dict[str, Any], groups: tuple[str, ...] = GROUPS, **more: Any) -> Any:
+    camera = {"size": (24, 32), "azimuth": 0.4, "elevation": 0.5, "distance": 2.6}
+    light = {"environment": {"map": "uniform", "size": (8, 16), "rotation": 0.3}}
+    given = {"camera": camera, "lights": light, "objects": objects} | more
+    scene = resolve(Scene.model_validate(given), library)
+    return TorchRenderer(scene, rasterise(scene), groups)
+
+
+@pytest.fixture(scope="module")
+def floored(library: Library) -> TorchRenderer:
+    found: TorchRenderer = renderer(library, BALL, floor=UNDER)
+    return found
+
+
+@pytest.fixture(scope="module")
+def plane(library: Library) -> TorchRenderer:
+    """The same square as an object."""
+    found: TorchRenderer = renderer(library, BALL, AS_OBJECT)
+    return found
+
+
+def test_it_looks_like_the_same_square_as_an_object(floored: TorchRenderer, plane: TorchRenderer) -> None:
+    one, two = floored.exact().render({})[0], plane.exact().render({})[0]
+    # Its corners are rounded to float32 in another space: a sample at an edge may fall to the other side.
+    assert float(((one - two).abs().amax(-1) > 1e-6).double().mean()) < 0.01
+    assert float((one - 128 / 255).abs().amax(-1).gt(0.01).double().mean()) > 0.4
+
+
+def test_its_light_and_normals_are_attacked_and_its_material_is_not(
+    floored: TorchRenderer, plane: TorchRenderer
+) -> None:
+    assert floored.initial()["material"].shape == (1, 3, 3, 2, 6)
+    gradients = []
+    for made in (floored, plane):
+        start = {group: value[None].requires_grad_() for group, value in made.exact().initial().items()}
+        image = made.exact().render(start)
+        weights = torch.linspace(-1, 1, image.numel(), dtype=image.dtype).reshape(image.shape)
+        (image * weights).sum().backward()
+        gradients.append({group: value.grad[0] for group, value in start.items() if value.grad is not None})
+    one, two = gradients
+    assert torch.equal(one["material"][0], two["material"][0])
+    apart = (one["normals"] - two["normals"]).abs().amax(-1) > 1e-6
+    assert float(apart.double().mean()) < 0.01
+    assert float((one["normals"] != 0).any(-1)[-1].double().mean()) > 0.5  # the last row is floor
+    torch.testing.assert_close(one["illumination"], two["illumination"], rtol=0.01, atol=1e-3)
+
+
+@pytest.mark.parametrize("groups", [("material",), ("illumination",), ("normals",), GROUPS])
+def test_every_set_of_groups_is_within_its_plan_s_error(library: Library, groups: tuple[str, ...]) -> None:
+    made = renderer(library, BALL, floor=UNDER, groups=groups)
+    moved = {group: 1.01 * value[None] for group, value in made.initial().items() if group in groups}
+    exact = {group: value.double() for group, value in moved.items()}
+    off = (made.render(moved).double() - made.exact().render(exact)).abs().max()
+    assert float(off) <= made.plan.error
+    assert {stage.part for stage in made.plan.stages} == {"object 0", "floor"}
+    measured = {(one.part, one.group) for one in made.plan.gradients if one.part.startswith("floor")}
+    assert {group for _, group in measured} == set(groups) - {"material"}
+
+
+def test_physical_changes_and_plans_leave_its_material_out(floored: TorchRenderer, library: Library) -> None:
+    change = {"material": torch.full((1, 3, 3, 2, 6), 0.5)}
+    scene = resolve(Scene.model_validate({"objects": [BALL], "floor": UNDER}), library)
+    assert {one.subject for one in changes(scene, floored, change)} == {"object 0 κ", "object 0 γ"}
+    with pytest.raises(ValueError, match="material"):
+        floored.render({"material": torch.zeros(1, 2, 3, 3, 2, 6)})
+
+
+def test_the_plan_says_that_metallic_and_roughness_are_pyrender_s(library: Library) -> None:
+    made = renderer(library, BALL | {"metallic": 1.0}, BALL, floor=UNDER | {"roughness": 0.3})
+    [item] = [item for item in made.plan.items if item.what == "metallic and roughness"]
+    assert (item.kept, item.of) == (0, 2)
+    assert not [item for item in made.plan.items if item.what == "materials of the file"]
+
+
+def test_an_unknown_material_is_refused_by_its_field(library: Library) -> None:
+    with pytest.raises(InvalidRequest, match="glossy-paint") as refused:
+        renderer(library, BALL, floor=UNDER | {"material": "glosy-paint"})
+    assert refused.value.field == "scene.floor.material"
+
+
+def test_objects_that_the_floor_hides_are_out_of_view(library: Library) -> None:
+    buried = BALL | {"scale": 0.1, "translation": (0.0, -0.6, 0.0)}
+    with pytest.raises(InvalidRequest, match="no object covers") as refused:
+        renderer(library, buried, floor=UNDER)
+    assert refused.value.field == "scene.objects"
