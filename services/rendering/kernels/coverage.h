@@ -28,6 +28,7 @@ struct Piece {
     const int32_t *triangles;  // [faces, 3]
     int64_t holes;
     double opacity;
+    double metallic, roughness;  // in [0,1]; metallic is -1 for a Lambertian body under a coat
     Texture texture;
 };
 

@@ -20,7 +20,10 @@ inline Floats dot(Vector a, Vector b) { return a.x * b.x + a.y * b.y + a.z * b.z
 inline Vector unit(Vector a) { return a * (1.0f / root<float>(dot(a, a))); }
 inline Vector all(const float *v) { return {Floats{} + v[0], Floats{} + v[1], Floats{} + v[2]}; }
 
+inline Floats fifth_power(Floats x) { return x * x * (x * x) * x; }
+
 constexpr float PI = 3.14159265358979f, ROUGHNESS = 0.45f, NORMAL_REFLECTANCE = 0.04f;
+constexpr float MIN_ROUGHNESS = 0.04f;  // of metallic-roughness surfaces
 constexpr float A2 = ROUGHNESS * ROUGHNESS * ROUGHNESS * ROUGHNESS;
 
 inline Floats fresnel(float grazing, Floats cosine) {
@@ -60,6 +63,38 @@ inline BrdfTerms radiance(const Pass &pass, int64_t image, Vector position, Vect
         sum.coat += irradiance * coat(n, v, l);
     }
     return sum;
+}
+
+// The same of metallic-roughness surfaces (`image` and `reflected` of radiance.frag): base colours `color` to radiances.
+inline void metallic_radiance(const Pass &pass, int64_t image, Vector position, Vector v, Vector n, Floats metallic,
+                              Floats roughness, Floats *color) {
+    const auto clamped = [](Floats x, float low) { return least<float>(at_least(x, low), Floats{} + 1.0f); };
+    const Floats rough = at_least(roughness, MIN_ROUGHNESS), a2 = rough * rough * rough * rough;
+    const Floats k = (rough + 1.0f) * (rough + 1.0f) / 8.0f, facing = dot(n, v), nv = most<float>(facing, -facing);
+    const Floats around = 1.0f + n.y / 3.0f, mirrored = 1.0f + (2.0f * facing * n.y - v.y) / 2.0f;
+    const Floats rise = fifth_power(1.0f - clamped(nv, 0.0f)), ambient = Floats{} + pass.ambients[image];
+    Floats body[3], f0[3];
+    for (int c = 0; c < 3; ++c) {
+        body[c] = color[c] * ((1.0f - metallic) * (1.0f - NORMAL_REFLECTANCE));
+        f0[c] = NORMAL_REFLECTANCE * (1.0f - metallic) + color[c] * metallic;
+        const Floats sheen = f0[c] + (most<float>(1.0f - rough, f0[c]) - f0[c]) * rise;
+        const Floats sky = mirrored * (1.0f - rough) + around * rough;
+        color[c] = ambient * ((1.0f - sheen) * body[c] * around + sheen * sky);
+    }
+    const float *points = pass.points + 4 * pass.lights * image;
+    for (const float *point = points; point < points + 4 * pass.lights; point += 4) {
+        const Vector to_light = all(point + 1) - position;
+        const Floats distance2 = at_least(dot(to_light, to_light), 1e-6f);
+        const Vector l = to_light * (1.0f / root<float>(distance2)), h = unit(l + v);
+        const Floats nl = at_least(dot(n, l), 0.0f), nh = clamped(dot(n, h), 0.0f);
+        const Floats q = nh * nh * (a2 - 1.0f) + 1.0f, irradiance = point[0] * nl / distance2;
+        const Floats visibility = 0.25f / ((nl * (1.0f - k) + k) * (clamped(nv, 1e-3f) * (1.0f - k) + k));
+        const Floats gloss = a2 / (PI * q * q) * visibility, schlick = fifth_power(1.0f - clamped(dot(v, h), 0.0f));
+        for (int c = 0; c < 3; ++c) {
+            const Floats fresnel = f0[c] + (1.0f - f0[c]) * schlick;
+            color[c] += irradiance * ((1.0f - fresnel) * body[c] / PI + fresnel * gloss);
+        }
+    }
 }
 
 }  // namespace

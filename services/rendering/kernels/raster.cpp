@@ -125,8 +125,10 @@ struct Drawing {
             const Pixel *group = pixels.data() + first;
             const int together = std::min<int64_t>(WIDTH, pixels.size() - first);
             Floats position[3] = {}, normal[3] = {}, flat[3] = {}, texels[3] = {};
+            Floats metallic = {}, roughness = {};
             for (int i = 0; i < together; ++i) {
                 const Pixel &f = group[i];
+                metallic[i] = piece(f).metallic, roughness[i] = piece(f).roughness;
                 if (first + i == 0 || f.face != group[i - 1].face) {
                     surface = this->surface(faces[f.face]);
                     ++faces_seen;
@@ -141,15 +143,24 @@ struct Drawing {
             }
             const Vector p = vector(position), v = unit(all(pass.eye) - p);
             const Vector n = surface_normal(vector(normal), vector(flat), v);
+            const uint32_t metals = bits_of(metallic >= 0.0f), all_of_them = (1u << together) - 1;
             for (int64_t k = 0; k < pass.n_images; ++k) {
-                const BrdfTerms terms = radiance(pass, k, p, v, n);
+                const auto base = [&](int i) { return pass.colors + 3 * (k * frame.pieces + faces[group[i].face].piece); };
+                BrdfTerms terms{};
+                if (~metals & all_of_them) terms = radiance(pass, k, p, v, n);
+                Floats reflected[3] = {};
+                if (metals & all_of_them) {
+                    for (int i = 0; i < together; ++i)
+                        for (int c = 0; c < 3; ++c) reflected[c][i] = base(i)[c] * texels[c][i];
+                    metallic_radiance(pass, k, p, v, n, metallic, roughness, reflected);
+                }
                 for (int i = 0; i < together; ++i) {
                     const Pixel &f = group[i];
-                    const float *base = pass.colors + 3 * (k * frame.pieces + faces[f.face].piece);
                     const float opacity = piece(f).opacity;
                     float *out = pass.images + ((k * high + f.y - pass.part[0]) * wide + f.x - pass.part[2]) * 4;
                     for (int c = 0; c < 3; ++c)
-                        out[c] += f.weight * (base[c] * texels[c][i] * opacity * terms.body[i] + terms.coat[i]);
+                        out[c] += f.weight * (metals >> i & 1 ? reflected[c][i]
+                                                              : base(i)[c] * texels[c][i] * opacity * terms.body[i] + terms.coat[i]);
                     out[3] += f.weight * opacity;
                 }
             }
@@ -172,7 +183,8 @@ EXPORT void raster_float(const Frame *frame, int64_t passes, const Pass *pass, i
 STRUCTURE(Texture, Texture, "Texture", FIELD(Texture, levels) FIELD(Texture, texels) FIELD(Texture, sizes))
 STRUCTURE(Piece, Piece, "Piece",
           FIELD(Piece, corners) FIELD(Piece, faces) FIELD(Piece, positions) FIELD(Piece, normals) FIELD(Piece, uv)
-          FIELD(Piece, triangles) FIELD(Piece, holes) FIELD(Piece, opacity) FIELD(Piece, texture))
+          FIELD(Piece, triangles) FIELD(Piece, holes) FIELD(Piece, opacity) FIELD(Piece, metallic)
+          FIELD(Piece, roughness) FIELD(Piece, texture))
 STRUCTURE(Frame, Frame, "Frame",
           FIELD(Frame, width) FIELD(Frame, height) FIELD(Frame, pieces) FIELD(Frame, piece) FIELD(Frame, x)
           FIELD(Frame, y))

@@ -30,11 +30,17 @@ _LIGHTS = (
 
 
 class SceneParameters:
-    """Values, bounds and meaning of the groups; `PyrenderRenderer` has their shapes and units."""
+    """Values, bounds and meaning of the groups; `PyrenderRenderer` has their shapes and units.
+
+    A floor is drawn with its own colour where it is: no group has a coordinate of it.
+    """
 
     def __init__(self, resolved: ResolvedScene) -> None:
         scene = resolved.description
         self._scales = np.array([o.scale for o in scene.objects])
+        fixed = resolved.placed[len(scene.objects) :]
+        self._fixed_poses = np.array([one.model for one in fixed]).reshape(-1, 4, 4)
+        self._fixed_colors = np.array([one.described.color for one in fixed]).reshape(-1, 3)
         self._camera = MovingCamera(resolved)
         given = scene.lights
         self._counts: LightCounts = (len(given.points), len(given.directional), len(given.spots))
@@ -108,7 +114,9 @@ class SceneParameters:
         poses: NDArray[np.float64],
         part: Rectangle,
     ) -> RenderPass:
-        """A pass that draws images of those illuminations [images, coordinates] and colours."""
+        """A pass that draws images of those illuminations [images, coordinates] and colours [images, objects, 3]; for
+        `poses` see there. The floor's colour is added.
+        """
         kinds, start = [], 1
         for count, (_, words, unit) in zip(self._counts, _LIGHTS, strict=True):
             stop = start + count * len(words)
@@ -120,6 +128,8 @@ class SceneParameters:
         directionals[..., 1:] = -_unit(directionals[..., 1:])
         cones = np.broadcast_to(self._cones, (*spots.shape[:2], 2))
         spots = np.concatenate([spots[..., :4], _unit(spots[..., 4:]), cones], axis=-1)
+        fixed = np.broadcast_to(self._fixed_colors, (len(colors), *self._fixed_colors.shape))
+        colors = np.concatenate([colors, fixed], axis=1)
         return RenderPass(view, poses, part, illuminations[:, 0], points, colors, directionals, spots)
 
     def _lights(self) -> list[tuple[str, str]]:
@@ -134,8 +144,10 @@ class SceneParameters:
         return self._camera.matrices(camera)
 
     def poses(self, translations: NDArray[np.float64], rotations: NDArray[np.float64]) -> NDArray[np.float64]:
-        """World from object [objects, 4, 4]: scaled, turned, moved; of translations and rotations [objects, 3]."""
-        return model_matrices(translations, rotations, self._scales)
+        """World from object of all that is drawn, [objects, 4, 4]: scaled, turned, moved; of translations and rotations
+        [objects, 3]. The floor's, which stays, is the last.
+        """
+        return np.concatenate([model_matrices(translations, rotations, self._scales), self._fixed_poses])
 
 
 def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:

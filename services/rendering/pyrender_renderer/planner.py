@@ -1,6 +1,6 @@
 """The plan of the pyrender renderer: which stage each coordinate touches, and what is not drawn."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -123,6 +123,7 @@ def compile_plan(
             of=len(drawing.pieces),
             why="the others have none",
         ),
+        *_surfaces(drawing, len(start["color"])),
     ]
     stages = [
         Stage(
@@ -161,6 +162,19 @@ def compile_plan(
         items=tuple(items),
         stages=tuple(stages),
     )
+
+
+def _surfaces(drawing: "Drawing", n_objects: int) -> Iterator[Item]:
+    """Items of what the options of a scene add to its objects' own surfaces."""
+    pieces = drawing.pieces
+    given = sum(piece.metallic_roughness is not None and piece.metallic_roughness.given for piece in pieces)
+    if given:
+        why = "their metallic and roughness are the scene's, by the metallic-roughness BRDF; the others have their own"
+        yield Item(what="parts with a given surface", kept=given, of=len(pieces), why=why)
+    floor = sum(piece.faces for piece in pieces if piece.index >= n_objects)
+    if floor:
+        why = "no coordinate moves or recolours them; every image is drawn with them, for lights and objects do"
+        yield Item(part="floor", what="faces", kept=floor, of=floor, why=why)
 
 
 def _rasterise(rasterised: Rasterised, faces: int) -> Stage:

@@ -8,6 +8,7 @@ is measured when a plan is made (errors.py). The image that is judged is OpenGL'
 
 import ctypes
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from services.rendering.kernels import compiled
 from services.rendering.opengl.camera import RenderPass, n_watertight_faces, ordered
+from services.scenes.view import clipped
 
 if TYPE_CHECKING:
     from services.rendering.opengl.mesh_upload import Drawing, Piece
@@ -24,14 +26,19 @@ Image = NDArray[np.float32]
 
 SAMPLES = 4
 """MSAA samples per pixel. Fixed at compile time in the kernel."""
+GUARD = 1.5
+"""How much wider and higher than the frame the part of a floor is that is drawn, so that its edges stay outside."""
 
 
 def refusal(drawing: "Drawing", lit: RenderPass) -> str | None:
     """Why the rasteriser cannot draw this scene in this light, as a clause; None where it can."""
     if compiled.library() is None:
         return "there are no compiled kernels"
-    if any(piece.metallic_roughness is not None for piece in drawing.pieces):
+    materials = [piece.metallic_roughness for piece in drawing.pieces]
+    if any(material is not None and not material.given for material in materials):
         return "it does not know the materials of glTF files"
+    if any(material is not None and (material.maps or material.alpha_mode != "OPAQUE") for material in materials):
+        return "it knows a given metallic and roughness of opaque surfaces without textures only"
     if any(lit.light_counts[1:]):
         return "it knows no lights but point lights"
     return None
@@ -43,15 +50,21 @@ def draw(
     size: tuple[int, int],
     samples: NDArray[np.float64],
     watertight: bool,
+    floor: bool = False,
 ) -> list[tuple[Image, int] | None]:
     """The radiance [images, rows, columns, 4] of each pass's part, the bottom row first, and how many faces are seen.
     None for a pass in which a face reaches to the near plane or far beyond the frame, or is seen from its edge.
 
     `size` (height, width) of the whole image; samples [4, 2], x and y in a pixel from its lower left corner;
-    `watertight`: backfaces of watertight surfaces are culled. OpenGL must have drawn the drawing before: its mipmaps
-    are used.
+    `watertight`: backfaces of watertight surfaces are culled. `floor`: the last piece is a scene's floor, which is
+    clipped to what the camera sees of it, since it may reach to the camera and far beyond the frame. OpenGL must have
+    drawn the drawing before: its mipmaps are used.
     """
+    if floor and passes and any((one.view.clip_from_world != passes[0].view.clip_from_world).any() for one in passes):
+        return [found for one in passes for found in draw(drawing, [one], size, samples, watertight, floor)]
     pieces = [_piece(piece) for piece in drawing.pieces]
+    if floor and passes:
+        pieces[-1] = _piece(_clipped(drawing.pieces[-1], passes[0].view.clip_from_world))
     sizes = {"height": size[0], "width": size[1], "pieces": len(pieces)}
     frame = compiled.structure("Frame", piece=pieces, x=samples[:, 0], y=samples[:, 1], **sizes)
     made = [_pass(drawing, lit, size[0], watertight) for lit in passes]
@@ -62,6 +75,7 @@ def draw(
 
 def _piece(piece: "Piece") -> ctypes.Structure:
     part, levels = piece.part, [] if piece.texture is None else piece.texture.levels()
+    material = piece.metallic_roughness
     sizes = np.array([level.shape[:2] for level in levels], np.int64)
     return compiled.structure(
         "Piece",
@@ -73,8 +87,22 @@ def _piece(piece: "Piece") -> ctypes.Structure:
         triangles=piece.triangles,
         holes=piece.holes,
         opacity=float(part.color[3]),
+        metallic=-1.0 if material is None else material.metallic,
+        roughness=0.0 if material is None else material.roughness,
         texture=compiled.structure("Texture", levels=len(levels), texels=levels, sizes=sizes),
     )
+
+
+def _clipped(piece: "Piece", clip_from_world: NDArray[np.float64]) -> "Piece":
+    """A flat convex piece in world space as the part of it that is within GUARD times the frame, as a fan."""
+    part = piece.part
+    outline = np.append(part.vertices.astype(np.float64), np.ones((len(part.vertices), 1)), axis=1)
+    to_clip = np.diag([1 / GUARD, 1 / GUARD, 1.0, 1.0]) @ clip_from_world
+    seen = np.linalg.solve(to_clip, clipped(outline @ to_clip.T).T).T
+    faces = np.array([(0, k, k + 1) for k in range(1, len(seen) - 1)], np.int32).reshape(-1, 3)
+    vertices = (seen[:, :3] / seen[:, 3:]).astype(np.float32)
+    normals = np.tile(part.normals[0], (len(seen), 1))
+    return replace(piece, part=replace(part, vertices=vertices, normals=normals), triangles=faces)
 
 
 def _pass(drawing: "Drawing", lit: RenderPass, height: int, watertight: bool) -> tuple[ctypes.Structure, Image]:

@@ -74,8 +74,10 @@ class PyrenderRenderer(DeclaredRenderer):
 
         description = scene.description
         self.size = description.camera.size
-        self.drawing = Drawing(scene.meshes, watertight=True)  # public, for passes of one's own over it
+        meshes = [placed.mesh for placed in scene.placed]
+        self.drawing = Drawing(meshes, watertight=True)  # public, for passes of one's own over it
         self._ground = torch.tensor(description.ground, dtype=torch.float32)
+        self._has_floor = description.floor is not None
         self._numbers = SceneParameters(scene)
         samples = rasteriser.SAMPLES * self.size[0] * self.size[1]
         self._most = max(1, min(MAX_IMAGES_PER_PASS, MAX_SAMPLE_BYTES // (16 * samples)))
@@ -254,7 +256,7 @@ class PyrenderRenderer(DeclaredRenderer):
 
     def _by_rasteriser(self, passes: Sequence[RenderPass]) -> list[tuple[NDArray[np.float32], int] | None]:
         positions = context.current().renderer.sample_positions
-        return rasteriser.draw(self.drawing, passes, self.size, positions, self._watertight)
+        return rasteriser.draw(self.drawing, passes, self.size, positions, self._watertight, self._has_floor)
 
     def _by_opengl(self, lit: RenderPass) -> NDArray[np.float32]:
         """The radiance of one pass as `_frames` has it, drawn by OpenGL."""

@@ -15,6 +15,8 @@ from tests.unit.jobs.small import LIBRARY, SPHERE, spec
 
 SOMEWHERE_ELSE = {"mesh": "primitive/sphere", "translation": [50, 0, 0]}
 
+HIDDEN = {"objects": [{"mesh": "primitive/sphere", "scale": 0.3}], "floor": {"height": 0.4}}
+
 REFUSED: list[tuple[str, dict[str, Any]]] = [
     ("scene.objects.0.mesh", {"scene": {"objects": [{"mesh": "furniture/no-such-thing"}]}}),
     ("scene.objects.0.mesh", {"scene": {"objects": [{"mesh": "sha256:" + "0" * 64}]}}),
@@ -22,6 +24,11 @@ REFUSED: list[tuple[str, dict[str, Any]]] = [
     ("scene.objects.0.material", {"scene": {"objects": [{"mesh": "primitive/sphere", "material": "gold"}]}}),
     ("scene.lights.environment.map", {"scene": SPHERE | {"lights": {"environment": {"map": "moon"}}}}),
     ("scene.objects.0", {"scene": {"objects": [SOMEWHERE_ELSE]}}),
+    ("scene.objects.0.metallic", {"scene": {"objects": [{"mesh": "primitive/sphere", "metallic": 2}]}}),
+    ("scene.floor.roughness", {"scene": SPHERE | {"floor": {"roughness": -1}}}),
+    ("scene.floor.material", {"scene": SPHERE | {"floor": {"height": -0.7, "material": "marble"}}}),
+    ("scene.floor", {"scene": SPHERE | {"floor": {"height": 90, "size": 1}}}),
+    ("scene.objects", {"scene": HIDDEN}),
     ("target.name", {"target": {"name": "alexnet"}}),
     ("target.question", {"target": {"name": "efficientnet-lite0", "question": "how many?"}}),
     ("goal.leave", {"goal": {"leave": "grand piano"}}),  # the network says something else of a sphere

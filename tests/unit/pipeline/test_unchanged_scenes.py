@@ -20,6 +20,7 @@ import pytest
 from services.pipeline.spec import digest, parse
 from services.rendering.color import to_bytes
 from services.rendering.factory import build
+from services.rendering.kernels import compiled
 from services.scenes.library import Library
 from services.scenes.resolve import canonical_json, resolve
 from services.settings import settings
@@ -65,17 +66,19 @@ def described(name: str, assets: Library) -> dict[str, str]:
 
 
 def drawn(name: str, renderer: str, assets: Library) -> dict[str, str]:
-    """The digests of the bits of a scene's images, and the backend that drew them, without its number of threads."""
+    """The digests of the bits of a scene's images, the OpenGL that drew them and the kernels that shaded them."""
     made = build(resolve(parse({"scene": SCENES[name]}).scene, assets), renderer)
     images = {"planned": made.render({})[0], "exact": made.exact().render({})[0]}
     images["saved"] = to_bytes(images["exact"])
     bits = {kind: hashlib.sha256(image.cpu().numpy().tobytes()).hexdigest() for kind, image in images.items()}
-    return bits | {"backend": re.sub(r" threads \d+", "", made.backend)}
+    return bits | {"opengl": opengl(made.backend), "kernels": compiled.backend()}
 
 
 def opengl(backend: str) -> str:
-    """The part of a backend that names what draws the geometry."""
-    return backend[backend.index("llvmpipe") :] if "llvmpipe" in backend else backend
+    """The driver that draws the geometry, as a backend names it."""
+    found = re.search(r"(egl|osmesa) [^;]+; OpenGL [^;]+", backend)
+    assert found is not None
+    return found[0]
 
 
 @pytest.fixture(scope="module")
@@ -98,10 +101,11 @@ def test_digests_are_what_they_were(name: str, assets: Library, pinned: dict[str
 @pytest.mark.parametrize("name", SCENES)
 def test_images_are_what_they_were(name: str, renderer: str, assets: Library, pinned: dict[str, Any]) -> None:
     before, now = pinned["images"][name][renderer], drawn(name, renderer, assets)
-    if opengl(now["backend"]) != opengl(before["backend"]):
-        pytest.skip(f"the pinned images were drawn by {before['backend']}")
+    if now["opengl"] != before["opengl"]:
+        pytest.skip(f"the pinned images were drawn by {before['opengl']}")
     assert now["saved"] == before["saved"]
-    assert now == before or now["backend"] != before["backend"]
+    if now["kernels"] == before["kernels"]:
+        assert now == before
 
 
 def main() -> None:
