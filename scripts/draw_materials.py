@@ -42,7 +42,7 @@ def main() -> None:
                 }
             )
             scene = resolve(description, library)
-            row.append(to_bytes(TorchRenderer(scene, rasterise(scene)).render({})[0]))
+            row.append(to_bytes(TorchRenderer(scene, rasterise(scene), tolerance="exact").render({})[0]))
         rows.append(torch.cat(row, dim=1))
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     Image.fromarray(torch.cat(rows).numpy()).save(arguments.out, optimize=True)

@@ -144,6 +144,10 @@ REFERENCES = {
         "Lambertian, albedo 0.95, under a GGX dielectric of index 1.5, α 0.12", 1, 2, False, 0.95, 0.04, 0.12
     ),
     "brushed-metal": Reference("GGX conductor, reflectance 0.92 (aluminium), α 0.3", 0, 3, True, 0.0, 0.92, 0.3),
+    "rubber": Reference(
+        "Lambertian, albedo 0.95, under a GGX dielectric of index 1.5, α 0.49", 1, 2, False, 0.95, 0.04, 0.49
+    ),
+    "metal": Reference("GGX conductor, reflectance 1 (the base colour), α 0.16", 0, 3, True, 0.0, 1.0, 0.16),
 }
 
 

@@ -13,7 +13,7 @@ from services.rendering.torch_renderer.presets import colored_lobes, preset, pre
 from tests.unit.rendering.shading import reference_brdf
 
 Array = NDArray[np.float64]
-NAMES = ["matte", "plastic", "glossy-paint", "brushed-metal"]
+NAMES = ["matte", "plastic", "glossy-paint", "brushed-metal", "rubber", "metal"]
 
 
 def surface(n_i: Array, n_o: Array, h_n: Array, h_i: Array, alpha: float, f0: float) -> Array:
@@ -39,7 +39,13 @@ def outgoing(incidence: float, rows: int = 400, columns: int = 200) -> tuple[Arr
     return n_o, half[..., 2], half @ light, weight
 
 
-SURFACES = {"plastic": (0.3, 0.04, 0.95), "glossy-paint": (0.12, 0.04, 0.95), "brushed-metal": (0.3, 0.92, 0.0)}
+SURFACES = {
+    "plastic": (0.3, 0.04, 0.95),
+    "glossy-paint": (0.12, 0.04, 0.95),
+    "brushed-metal": (0.3, 0.92, 0.0),
+    "rubber": (0.49, 0.04, 0.95),
+    "metal": (0.16, 1.0, 0.0),
+}
 
 
 def test_names_and_shapes() -> None:
@@ -51,7 +57,7 @@ def test_unknown_names_are_refused_with_the_nearest() -> None:
     with pytest.raises(InvalidRequest, match="glossy-paint") as refused:
         preset("glosy-paint", "scene.objects.3.material")
     assert refused.value.field == "scene.objects.3.material"
-    with pytest.raises(InvalidRequest, match="matte, plastic, glossy-paint, brushed-metal"):
+    with pytest.raises(InvalidRequest, match="matte, plastic, glossy-paint, brushed-metal, rubber, metal"):
         preset("xyzzy")
 
 
@@ -78,7 +84,7 @@ def test_presets_are_the_surfaces_they_are_named_after(name: str, theta_d: float
     assert found == pytest.approx(wanted, rel=0.06)
 
 
-@pytest.mark.parametrize("name", ["plastic", "glossy-paint"])
+@pytest.mark.parametrize("name", ["plastic", "glossy-paint", "rubber"])
 @pytest.mark.parametrize("incidence", [0.0, 30.0, 60.0])
 def test_colourless_lobes_reflect_what_the_surface_alone_does(name: str, incidence: float) -> None:
     """The share of light that the gloss reflects is that of the GGX surface, to a hundredth of the light: the lobes of
