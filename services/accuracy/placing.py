@@ -9,6 +9,7 @@ import numpy as np
 from services.scenes.description import Scene
 from services.scenes.library import Library
 from services.scenes.mesh import Floats, Mesh, Part
+from services.scenes.metallic_roughness import with_surface
 from services.scenes.resolve import ResolvedScene, resolve
 from services.settings import settings
 
@@ -31,11 +32,13 @@ def placed(
     thing: dict[str, Any] | None = None,
     lights: dict[str, Any] | None = None,
     ground: tuple[float, float, float] | None = None,
+    floor: dict[str, Any] | None = None,
 ) -> ResolvedScene:
     """Resolves a scene of one object, whose mesh is given by name or by its parts.
 
-    `size` is the image's height and width in pixels. `camera`, `thing` (the object), `lights` and `ground` are fields
-    of the scene's description. `radiance` [rows, cols, 3] replaces the environment map. Raises as `resolve` does.
+    `size` is the image's height and width in pixels. `camera`, `thing` (the object), `lights`, `ground` and `floor` are
+    fields of the scene's description. `radiance` [rows, cols, 3] replaces the environment map. Raises as `resolve`
+    does.
     """
     description = Scene.model_validate(
         {
@@ -43,11 +46,12 @@ def placed(
             "objects": [{"mesh": mesh if isinstance(mesh, str) else "primitive/sphere"} | (thing or {})],
             "lights": {"environment": {"map": "uniform", "size": (8, 16)}} | (lights or {}),
         }
-        | ({} if ground is None else {"ground": ground})
+        | {name: value for name, value in (("ground", ground), ("floor", floor)) if value is not None}
     )
     scene = resolve(description, library())
     if not isinstance(mesh, str):
-        scene = replace(scene, meshes=(Mesh(parts=mesh, sha256="0" * 64, credit=None),))
+        own, described = Mesh(parts=mesh, sha256="0" * 64, credit=None), description.objects[0]
+        scene = replace(scene, meshes=(with_surface(own, described.metallic, described.roughness),))
     return scene if radiance is None else replace(scene, environment=radiance)
 
 

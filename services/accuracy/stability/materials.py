@@ -12,15 +12,20 @@ from services.accuracy.stability.lamps import expected
 from services.accuracy.stability.metallic_roughness import Surface
 from services.accuracy.stability.textures import TEXEL, decoded
 from services.errors import InvalidRequest
+from services.rendering.opengl import context
 from services.rendering.opengl.gbuffer import rasterise
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
-from services.scenes.mesh import Bytes, Doubles
+from services.scenes.mesh import Bytes, Doubles, Part, fitted
 from services.scenes.reading import read_mesh
 from services.scenes.resolve import ResolvedScene
 
 FORMULA = 1e-5
 """Relative error of a radiance: float32 positions and two dozen float32 products (measured: 2e-6, and 7e-6 where the
 highlight is narrow)."""
+
+FLOOR = 0.01
+"""The same of a floor of two triangles: OpenGL shades both where they meet, each up to a quarter pixel from the middle.
+The rasteriser, which shades the middle, is off by 2e-7."""
 
 CAMERA = {"azimuth": 0.4, "elevation": 0.3}
 LIGHTS: dict[str, Any] = {
@@ -92,6 +97,32 @@ def _plain(metallic: float, roughness: float, **more: Any) -> Measured:
     """A surface of factors alone."""
     surface = Surface(metallic, roughness, emission=more.get("emissiveFactor", (0.0, 0.0, 0.0)))
     return _against_formula(_scene(_material(metallic, roughness, **more), {}, {}), surface)
+
+
+def _given(metallic: float, roughness: float) -> Measured:
+    """A surface of factors alone, which the scene gives to a triangle that has no glTF material."""
+    arrays = [TRIANGLE[name].astype(np.float32) for name in ("POSITION", "NORMAL")]
+    color = np.array([*BASE, 1.0], np.float32)
+    part = Part(arrays[0], arrays[1], TRIANGLE["indices"].astype(np.int32)[None], None, color, None)
+    thing = {"color": COLOR, "metallic": metallic, "roughness": roughness}
+    scene = placed(fitted((part,)), size=(33, 33), camera=CAMERA, thing=thing, lights=LIGHTS)
+    return _against_formula(scene, Surface(metallic, roughness))
+
+
+def _floor() -> Measured:
+    """A cube over a floor that reaches behind the camera, both of one given surface, in the light of a point alone,
+    which the rasteriser knows too."""
+    given = {"metallic": 0.5, "roughness": 0.4}
+    thing = {"color": COLOR, "scale": 0.5, "rotation": (0.3, 0.5, 0.2)} | given
+    floor = {"size": 8.0, "height": -0.4, "color": COLOR} | given
+    light = {"ambient": 0.3, "points": LIGHTS["points"]}
+    camera = CAMERA | {"elevation": 0.6}
+    scene = placed("primitive/cube", size=(33, 33), camera=camera, thing=thing, lights=light, floor=floor)
+    seen = rasterise(scene).object_index
+    need(bool((seen == 0).any() and (seen == 1).any()), "the cube or the floor is not seen")
+    if context.current().software:
+        need(PyrenderRenderer(scene).rasterises, "the rasteriser does not draw")
+    return _against_formula(scene, Surface(0.5, 0.4), FLOOR)
 
 
 def _default() -> Measured:
@@ -225,6 +256,14 @@ def cases() -> list[Case]:
             formula,
             lambda: _plain(0.5, 0.55, emissiveFactor=(0.1, 0.2, 0.4)),
         ),
+        Case(
+            "given metal, roughness 0.3",
+            family,
+            "a surface that the scene gives",
+            formula,
+            lambda: _given(1.0, 0.3),
+        ),
+        Case("given surfaces on a floor", family, "a floor behind the camera; the rasteriser too", formula, _floor),
         Case("no factors", family, "the file's defaults", "white metal of roughness 1", _default),
         Case("every map", family, "five maps and vertex colours", formula, _maps),
         Case("second texture coordinates", family, "another set than the first", formula, _second_set),

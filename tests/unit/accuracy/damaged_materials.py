@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from services.rendering.pyrender_renderer import parameters
-from services.scenes import gltf
+from services.accuracy import placing
+from services.rendering.kernels import compiled
+from services.rendering.pyrender_renderer import parameters, renderer
+from services.scenes import floor, gltf, resolve
 from tests.unit.accuracy.damaged_shaders import shader
 
 # light
@@ -94,3 +96,25 @@ def unseen_mirrors(patch) -> None:
 def all_double_sided(patch) -> None:
     true = gltf.read_material
     patch.setattr(gltf, "read_material", lambda *given: replace(true(*given), double_sided=True))
+
+
+# what a scene gives
+def files_own_surface(patch) -> None:
+    """A given metallic and roughness are not used: neither of meshes by name or by their parts, nor of the floor."""
+
+    def own(mesh, *_):
+        return mesh
+
+    for module in (resolve, placing, floor):
+        patch.setattr(module, "with_surface", own)
+
+
+def rasteriser_without_metal(patch) -> None:
+    """The rasteriser draws every surface as a Lambertian body under a coat, and nobody measures its error."""
+    true = compiled.structure
+    patch.setattr(compiled, "structure", lambda name, **fields: true(name, **_plain(fields)))
+    patch.setattr(renderer.ImageError, "within", lambda *_: True)
+
+
+def _plain(fields):
+    return fields | {"metallic": -1.0} if "metallic" in fields else fields

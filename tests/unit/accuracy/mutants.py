@@ -8,7 +8,8 @@ from tests.unit.accuracy import damaged_steps as steps
 DIFFERENCES = ["difference, λ 3, δ 0.05", "difference, λ 0.3, δ 0.01", "difference, λ 10, δ 0.1"]
 FILES = ["pixel 15 of row 2 lit", "pixel 2 of row 5 lit", "pixel 31 of row 8 lit", "pixel 30 of row 12 lit"]
 QUARTERS = ["four quarters", "repeated three times", "four quarters from a file"]
-FACTORS = ["metal, roughness 0.3", "dielectric, roughness 0.8", "half metal, emissive"]
+GIVEN = "given surfaces on a floor"
+FACTORS = ["metal, roughness 0.3", "dielectric, roughness 0.8", "half metal, emissive", "given metal, roughness 0.3"]
 NORMAL_MAPS = [
     "normal map",
     "normal map, mirrored texture",
@@ -46,8 +47,10 @@ MUTANTS = [
     (materials.spots_without_distance, {"lights": [SUNS], "materials": FACTORS}),
     (materials.suns_from_behind, {"lights": [SUNS], "materials": FACTORS}),
     (materials.no_inner_angle, {"lights": [SUNS], "materials": FACTORS}),
-    (materials.rough_alpha, {"materials": FACTORS}),
-    (materials.other_shadowing, {"materials": FACTORS}),
+    (materials.rough_alpha, {"materials": [*FACTORS, GIVEN]}),
+    (materials.other_shadowing, {"materials": [*FACTORS, GIVEN]}),
+    (materials.files_own_surface, {"materials": ["given metal, roughness 0.3", GIVEN]}),
+    (materials.rasteriser_without_metal, {"materials": [GIVEN]}),
     (materials.metal_with_a_body, {"materials": ["metal, roughness 0.3", "half metal, emissive", "no factors"]}),
     (materials.white_metal, {"materials": ["metal, roughness 0.3", "half metal, emissive", "no factors"]}),
     (materials.sky_not_mirrored, {"materials": FACTORS}),
