@@ -61,14 +61,25 @@ class MetallicRoughness(MaterialSettings):
     """A glTF 2.0 metallic-roughness material, and the vertex attributes that only such a material uses.
 
     tangents: float32 [V,4], unit, with the sign of the bitangent cross(n, t); zeros without a normal map. second_uv:
-    float32 [V,2], v upwards. vertex_colors: float32 [V,4], linear RGBA. given: whether it is not of a file, but what a
-    scene gives a surface that has none; its sides then count as those of any other surface.
+    float32 [V,2], v upwards. vertex_colors: float32 [V,4], linear RGBA. given: whether its metallic and roughness are
+    given by a scene, and not a file's.
     """
 
     tangents: Floats
     second_uv: Floats
     vertex_colors: Floats
     given: bool = False
+
+    @property
+    def solid(self) -> bool:
+        """Whether nothing shows through it, from either side."""
+        return self.alpha_mode == "OPAQUE" and self.double_sided
+
+    @property
+    def plain(self) -> bool:
+        """Whether it is solid, and base colour, metallic and roughness are all there is to it."""
+        dark = not any(self.emissive)
+        return self.solid and dark and not self.maps and bool((self.vertex_colors == 1).all())
 
 
 @dataclass(frozen=True, eq=False)

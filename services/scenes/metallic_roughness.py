@@ -31,7 +31,9 @@ def _with_surface(part: Part, metallic: float, roughness: float) -> Part:
     own = part.metallic_roughness
     if own is not None:
         maps: dict[MapName, TextureMap] = {k: one for k, one in own.maps.items() if k != "metallic_roughness"}
-        return replace(part, metallic_roughness=replace(own, metallic=metallic, roughness=roughness, maps=maps))
+        return replace(
+            part, metallic_roughness=replace(own, metallic=metallic, roughness=roughness, maps=maps, given=True)
+        )
     count = len(part.vertices)
     return replace(
         part,

@@ -106,7 +106,7 @@ def _given(metallic: float, roughness: float) -> Measured:
     part = Part(arrays[0], arrays[1], TRIANGLE["indices"].astype(np.int32)[None], None, color, None)
     thing = {"color": COLOR, "metallic": metallic, "roughness": roughness}
     scene = placed(fitted((part,)), size=(33, 33), camera=CAMERA, thing=thing, lights=LIGHTS)
-    return _against_formula(scene, Surface(metallic, roughness))
+    return _against_formula(scene, Surface(metallic, roughness, given=True))
 
 
 def _floor() -> Measured:
@@ -122,7 +122,7 @@ def _floor() -> Measured:
     need(bool((seen == 0).any() and (seen == 1).any()), "the cube or the floor is not seen")
     if context.current().software:
         need(PyrenderRenderer(scene).rasterises, "the rasteriser does not draw")
-    return _against_formula(scene, Surface(0.5, 0.4), FLOOR)
+    return _against_formula(scene, Surface(0.5, 0.4, given=True), FLOOR)
 
 
 def _default() -> Measured:

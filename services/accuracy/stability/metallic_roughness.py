@@ -19,7 +19,8 @@ SMOOTHEST = 0.04
 
 @dataclass(frozen=True)
 class Surface:
-    """A material: `texel` [3] multiplies the base colour; `normal` [3], a unit vector, replaces the geometry's."""
+    """A material: `texel` [3] multiplies the base colour; `normal` [3], a unit vector, replaces the geometry's. If
+    `given`, its metallic and roughness are a scene's, and its shadowing is Smith's, height-correlated (Heitz 2014)."""
 
     metallic: float
     roughness: float
@@ -27,6 +28,7 @@ class Surface:
     emission: tuple[float, float, float] = (0.0, 0.0, 0.0)
     occlusion: float = 1.0
     normal: tuple[float, float, float] | None = None
+    given: bool = False
 
     def radiance(self, positions: Doubles, normals: Doubles, colors: Doubles, eye: Doubles, lamps: Lamps) -> Doubles:
         """Linear radiance [P, 3] as `lamps.radiance` has it, of base colours [P, 3].
@@ -52,6 +54,10 @@ class Surface:
             k = (rough + 1) ** 2 / 8
             # Each side's shadowing over its cosine, which cancels the cosine of the microfacet formula.
             shadowing = 1 / (seen * (1 - k) + k) / (lit * (1 - k) + k)
+            if self.given:
+                tangents = [np.sqrt(1 / np.maximum(one, 1e-9) ** 2 - 1) for one in (seen, lit)]
+                beneath = sum((np.sqrt(1 + (alpha * one) ** 2) - 1) / 2 for one in tangents)
+                shadowing = 1 / (1 + beneath) / (seen * np.maximum(lit, 1e-9))
             fresnel = f0 + (1 - f0) * (1 - _cosine(to_eye, half)) ** 5
             total = total + facing_it * lit * ((1 - fresnel) * body / pi + fresnel * distribution * shadowing / 4)
         return np.asarray(total)

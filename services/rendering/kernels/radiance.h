@@ -65,12 +65,13 @@ inline BrdfTerms radiance(const Pass &pass, int64_t image, Vector position, Vect
     return sum;
 }
 
-// The same of metallic-roughness surfaces (`image` and `reflected` of radiance.frag): base colours `color` to radiances.
+// The same of metallic-roughness surfaces that a scene gives (`image` and `reflected` of radiance.frag): base colours
+// `color` to radiances.
 inline void metallic_radiance(const Pass &pass, int64_t image, Vector position, Vector v, Vector n, Floats metallic,
                               Floats roughness, Floats *color) {
     const auto clamped = [](Floats x, float low) { return least<float>(at_least(x, low), Floats{} + 1.0f); };
     const Floats rough = at_least(roughness, MIN_ROUGHNESS), a2 = rough * rough * rough * rough;
-    const Floats k = (rough + 1.0f) * (rough + 1.0f) / 8.0f, facing = dot(n, v), nv = most<float>(facing, -facing);
+    const Floats facing = dot(n, v), nv = most<float>(facing, -facing), seen = clamped(nv, 1e-3f);
     const Floats around = 1.0f + n.y / 3.0f, mirrored = 1.0f + (2.0f * facing * n.y - v.y) / 2.0f;
     const Floats rise = fifth_power(1.0f - clamped(nv, 0.0f)), ambient = Floats{} + pass.ambients[image];
     Floats body[3], f0[3];
@@ -88,7 +89,8 @@ inline void metallic_radiance(const Pass &pass, int64_t image, Vector position, 
         const Vector l = to_light * (1.0f / root<float>(distance2)), h = unit(l + v);
         const Floats nl = at_least(dot(n, l), 0.0f), nh = clamped(dot(n, h), 0.0f);
         const Floats q = nh * nh * (a2 - 1.0f) + 1.0f, irradiance = point[0] * nl / distance2;
-        const Floats visibility = 0.25f / ((nl * (1.0f - k) + k) * (clamped(nv, 1e-3f) * (1.0f - k) + k));
+        const auto smith = [&](Floats cosine) { return root<float>(cosine * cosine * (1.0f - a2) + a2); };
+        const Floats visibility = 0.5f / (nl * smith(seen) + seen * smith(nl));
         const Floats gloss = a2 / (PI * q * q) * visibility, schlick = fifth_power(1.0f - clamped(dot(v, h), 0.0f));
         for (int c = 0; c < 3; ++c) {
             const Floats fresnel = f0[c] + (1.0f - f0[c]) * schlick;

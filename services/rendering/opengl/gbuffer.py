@@ -130,7 +130,7 @@ def _shows(part: Part) -> bool:
     """Whether a part shows wherever a ray meets it."""
     material = part.metallic_roughness
     if material is not None:
-        return material.double_sided and material.alpha_mode == "OPAQUE"
+        return material.solid
     return bool(part.color[3] >= 1) and not has_holes(part)
 
 

@@ -36,7 +36,8 @@ class UploadedMaterial:
         """See `metallic_roughness.frag`."""
         maps = self.material.maps
         sets = {f"{name.upper()}_MAP": maps[name].uv_set + 1 if name in maps else 0 for name in _NAMES}
-        return {"METALLIC_ROUGHNESS": 1, "ALPHA_MODE": _MODES[self.material.alpha_mode], **sets}
+        kind = {"ALPHA_MODE": _MODES[self.material.alpha_mode], "GIVEN": int(self.material.given)}
+        return {"METALLIC_ROUGHNESS": 1, **kind, **sets}
 
     def bind(self, program: Program) -> None:
         """Set the uniforms that the program uses, and bind the textures."""

@@ -20,7 +20,7 @@ def _is_opaque(part: Part) -> bool:
     """Whether nothing shows through a part. A file's glTF material has sides of its own, and counts as see-through."""
     material = part.metallic_roughness
     if material is not None:
-        return material.given and material.alpha_mode == "OPAQUE"
+        return material.given and material.solid
     return bool(part.color[3] >= 1) and not has_holes(part)
 
 

@@ -37,8 +37,8 @@ def refusal(drawing: "Drawing", lit: RenderPass) -> str | None:
     materials = [piece.metallic_roughness for piece in drawing.pieces]
     if any(material is not None and not material.given for material in materials):
         return "it does not know the materials of glTF files"
-    if any(material is not None and (material.maps or material.alpha_mode != "OPAQUE") for material in materials):
-        return "it knows a given metallic and roughness of opaque surfaces without textures only"
+    if any(material is not None and not material.plain for material in materials):
+        return "of surfaces whose metallic and roughness are given, it knows opaque ones without textures only"
     if any(lit.light_counts[1:]):
         return "it knows no lights but point lights"
     return None

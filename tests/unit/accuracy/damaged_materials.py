@@ -99,6 +99,9 @@ def all_double_sided(patch) -> None:
 
 
 # what a scene gives
+files_shadowing = shader("radiance.frag", "#if GIVEN", "#if 0")
+
+
 def files_own_surface(patch) -> None:
     """A given metallic and roughness are not used: neither of meshes by name or by their parts, nor of the floor."""
 

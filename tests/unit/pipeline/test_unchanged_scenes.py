@@ -17,6 +17,7 @@ from typing import Any
 
 import pytest
 
+from benchmarks.gltf_models import MODELS
 from services.pipeline.spec import digest, parse
 from services.rendering.color import to_bytes
 from services.rendering.factory import build
@@ -47,12 +48,18 @@ SCENES: dict[str, dict[str, Any]] = {
         "camera": SMALL | {"viewer": "perspective"},
         "ground": (0.2, 0.4, 0.6),
     },
+    "a file's materials": {
+        "objects": [{"mesh": "sha256:" + hashlib.sha256(MODELS["two materials"]()).hexdigest()}],
+        "camera": SMALL,
+    },
 }
 RENDERERS = ("pyrender", "torch")
 
 
 def library(directory: Path) -> Library:
-    return Library(settings().cache_dir, directory)
+    found = Library(settings().cache_dir, directory)
+    found.add_mesh(MODELS["two materials"](), "glb")
+    return found
 
 
 def described(name: str, assets: Library) -> dict[str, str]:

@@ -1,6 +1,6 @@
 // A glTF 2.0 metallic-roughness material at a fragment. Joined behind `surface.frag` by `Program`.
 //
-// Compiled for: ALPHA_MODE (0 OPAQUE, 1 MASK, 2 BLEND) and, for each of its maps, the set of texture coordinates that it
+// Compiled for: ALPHA_MODE (0 OPAQUE, 1 MASK, 2 BLEND), GIVEN (1: a scene gives metallic and roughness) and, for each of its maps, the set of texture coordinates that it
 // is laid out in: BASE_COLOR_MAP, METALLIC_ROUGHNESS_MAP, NORMAL_MAP, OCCLUSION_MAP, EMISSIVE_MAP (0: there is no map,
 // 1: TEXCOORD_0, 2: TEXCOORD_1).
 

@@ -67,16 +67,21 @@ float spot_irradiance(int i, out vec3 l) {
 #if METALLIC_ROUGHNESS
 // pyrender's BRDF, 1/sr: a diffuse body of (1 - F) C (1 - metallic) (1 - 0.04) / pi under GGX reflection, with Schlick's
 // F from f0 = mix(0.04, C, metallic), alpha = roughness^2, and Schlick's approximation of Smith's shadowing with
-// k = (roughness + 1)^2 / 8 (Karis 2013).
+// k = (roughness + 1)^2 / 8 (Karis 2013). Where a scene gives the surface, the shadowing is glTF's own, as the coat's:
+// Smith's, height-correlated (Heitz 2014). The approximation is up to a third too dark on smooth metals.
 vec3 reflected(Material m, vec3 body, vec3 f0, vec3 n, vec3 v, vec3 l) {
     float a2 = m.roughness * m.roughness * m.roughness * m.roughness;
     vec3 h = normalize(l + v);
     float nh = clamp(dot(n, h), 0.0, 1.0), nl = max(dot(n, l), 0.0), nv = clamp(abs(dot(n, v)), 1e-3, 1.0);
     float q = nh * nh * (a2 - 1.0) + 1.0;
     float distribution = a2 / (PI * q * q);
-    float k = (m.roughness + 1.0) * (m.roughness + 1.0) / 8.0;
     // G over 4 (n.l)(n.v), in one.
+#if GIVEN
+    float visibility = 0.5 / (nl * sqrt(nv * nv * (1.0 - a2) + a2) + nv * sqrt(nl * nl * (1.0 - a2) + a2));
+#else
+    float k = (m.roughness + 1.0) * (m.roughness + 1.0) / 8.0;
     float visibility = 0.25 / ((nl * (1.0 - k) + k) * (nv * (1.0 - k) + k));
+#endif
     vec3 fresnel = f0 + (1.0 - f0) * fifth_power(1.0 - clamp(dot(v, h), 0.0, 1.0));
     return (1.0 - fresnel) * body / PI + fresnel * (distribution * visibility);
 }

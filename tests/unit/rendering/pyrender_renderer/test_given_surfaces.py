@@ -38,7 +38,7 @@ def scene(
 
 def ggx(points: Array, normals: Array, eye: Array, base: tuple[float, ...], metallic: float, roughness: float) -> Array:
     """Radiance [..., 3] under the point light, from the papers: D and the half vector of Walter et al. (2007), in terms
-    of the tangent; F of Schlick (1994); G of Schlick (1994) with Karis's k (2013); the body of the glTF specification.
+    of the tangent; F of Schlick (1994); the height-correlated G of Heitz (2014), which glTF's specification names.
     """
     to_light, to_eye = np.array(PLACE) - points, eye - points
     distance = np.linalg.norm(to_light, axis=-1, keepdims=True)
@@ -50,8 +50,8 @@ def ggx(points: Array, normals: Array, eye: Array, base: tuple[float, ...], meta
     fresnel = f0 + (1 - f0) * (1 - vh) ** 5
     alpha, tangent2 = roughness**2, 1 / nh**2 - 1
     facets = 1 / (pi * alpha**2 * nh**4 * (1 + tangent2 / alpha**2) ** 2)
-    k = (roughness + 1) ** 2 / 8
-    shadowing = np.prod([c / (c * (1 - k) + k) for c in (np.maximum(nl, 1e-9), nv)], axis=0)
+    beneath = sum((np.sqrt(1 + alpha**2 * (1 / np.maximum(c, 1e-9) ** 2 - 1)) - 1) / 2 for c in (nl, nv))
+    shadowing = 1 / (1 + beneath)
     gloss = facets * fresnel * shadowing / (4 * np.maximum(nl, 1e-9) * nv)
     body = (1 - fresnel) * 0.96 * (1 - metallic) * color / pi
     return np.asarray(ENERGY / distance**2 * np.maximum(nl, 0) * (body + gloss))
