@@ -217,6 +217,28 @@ class Lights(Model):
     environment: Environment = Environment()
 
 
+class Shadows(Model):
+    """Shadows that objects cast on each other and on themselves."""
+
+    softness: Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)] = Field(
+        0.1, description="radius of each point and spot light as seen by what it shades, scene units (pyrender)"
+    )
+    angle: Annotated[float, Field(ge=0, le=0.5, allow_inf_nan=False)] = Field(
+        0.02, description="angular radius of each directional light, radians; the sun's is 0.005 (pyrender)"
+    )
+    resolution: Annotated[int, Field(ge=64, le=4096, multiple_of=8)] = Field(
+        512, description="texels a side of each shadow map, a multiple of 8 (pyrender)"
+    )
+    samples: Annotated[int, Field(ge=1, le=64)] = Field(
+        16, description="points of each light whose shadows are averaged (pyrender)"
+    )
+    texel_samples: Annotated[int, Field(ge=1, le=8)] = Field(
+        2,
+        description="directions a side of each texel of the environment map, a square grid of them, whose shadows are "
+        "averaged (torch)",
+    )
+
+
 class Scene(Model):
     """A complete scene. Only `objects` has no default."""
 
@@ -224,6 +246,7 @@ class Scene(Model):
     objects: tuple[SceneObject, ...] = Field(min_length=1, max_length=16)
     floor: Floor | None = Field(None, exclude_if=absent, description="a floor for the objects to stand on; null: none")
     lights: Lights = Lights()
+    shadows: Shadows | None = Field(None, exclude_if=absent, description="shadows of the objects; null: none are drawn")
     ground: Colour = Field(
         (GROUND, GROUND, GROUND),
         description="displayed colour behind the objects; rounded to k/255, so that 8-bit images keep it exactly",
