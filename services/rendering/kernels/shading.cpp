@@ -2,6 +2,7 @@
 
 #include "lanes.h"
 #include "layout.h"
+#include "seen.h"
 
 namespace {
 
@@ -14,6 +15,7 @@ template <class T> struct Scene {
     const T *light;              // [3, directions]
     const T *base, *tilt;        // [channels, directions]: sum of linearised lobes, base + tilt * log n.h
     const T *log_kappa, *gamma;  // [channels, lobes, directions]
+    const uint8_t *visibility;   // [directions, count], in units of 1/255; null without shadows
     T cosine_floor, lowest, highest;  // bounds of n.h, and of the logarithm of a lobe's exponent
 
     const T *lobe(const T *of, int c, int l) const { return of + (c * lobes + l) * directions; }
@@ -55,7 +57,7 @@ template <class T> struct BrdfTerms {
     }
 };
 
-template <class T, int C> void forward(const Scene<T> &s, T *out, int threads) {
+template <class T, int C, bool SHADOWS> void forward(const Scene<T> &s, T *out, int threads) {
     const int n = Lanes<T>::count;
     const int64_t D = s.directions, blocks = (s.count + n - 1) / n;
 #pragma omp parallel for schedule(dynamic, 4) num_threads(threads)
@@ -65,6 +67,7 @@ template <class T, int C> void forward(const Scene<T> &s, T *out, int threads) {
         for (int64_t d = 0; d < D; ++d) {
             BrdfTerms<T> m(s, block, d);
             if (m.dark) continue;
+            if (SHADOWS) m.cosine *= seen<T>(s.visibility, d, s.count, b * n);
             for (int c = 0; c < C; ++c) {
                 V<T> rho = m.reflected(s, c, d);
                 if (C == 3) {
@@ -82,7 +85,7 @@ template <class T, int C> void forward(const Scene<T> &s, T *out, int threads) {
 constexpr int64_t TILE = 64;    // directions per tile: their sums fit in the second-level cache
 
 // d_light [3, D], d_kappa and d_gamma [C, lobes, D], d_normals [count, 3]; any of the three may be null.
-template <class T, int C>
+template <class T, int C, bool SHADOWS>
 void backward(const Scene<T> &s, const T *d_out, T *d_light, T *d_kappa, T *d_gamma, T *d_normals, int threads) {
     const int n = Lanes<T>::count;
     const int64_t D = s.directions, parts = (s.count + PART - 1) / PART;
@@ -97,14 +100,17 @@ void backward(const Scene<T> &s, const T *d_out, T *d_light, T *d_kappa, T *d_ga
             std::fill(sums.begin(), sums.end(), V<T>{});
             for (int64_t first = part * PART; first < end; first += n) {
                 Block<T> block(s.normals, s.count, first);
-                V<T> g[3] = {}, nx{}, ny{}, nz{};
+                V<T> d_pixel[3] = {}, nx{}, ny{}, nz{};
                 for (int i = 0; i < n && first + i < end; ++i)
-                    for (int k = 0; k < 3; ++k) g[k][i] = d_out[3 * (first + i) + k];
+                    for (int k = 0; k < 3; ++k) d_pixel[k][i] = d_out[3 * (first + i) + k];
                 for (int64_t d = tile; d < last; ++d) {
                     BrdfTerms<T> m(s, block, d);
                     if (m.dark) continue;
                     V<T> *to = sums.data() + (d - tile) * width;
                     V<T> lit[3], d_cosine{}, d_log{};
+                    V<T> g[3] = {d_pixel[0], d_pixel[1], d_pixel[2]};
+                    if (SHADOWS)
+                        for (int k = 0; k < 3; ++k) g[k] *= seen<T>(s.visibility, d, s.count, first);
                     for (int k = 0; k < 3; ++k) lit[k] = g[k] * s.light[k * D + d];
                     if (C == 1) lit[0] += lit[1] + lit[2];
                     for (int c = 0; c < C; ++c) {
@@ -157,8 +163,8 @@ void backward(const Scene<T> &s, const T *d_out, T *d_light, T *d_kappa, T *d_ga
             }
 }
 
-// Writes reflectance times cosine to out [C, D, count].
-template <class T, int C> void transport(const Scene<T> &s, T *out, int threads) {
+// Writes reflectance times cosine and visibility to out [C, D, count].
+template <class T, int C, bool SHADOWS> void transport(const Scene<T> &s, T *out, int threads) {
     const int n = Lanes<T>::count;
     const int64_t D = s.directions, blocks = (s.count + n - 1) / n;
 #pragma omp parallel for schedule(dynamic, 4) num_threads(threads)
@@ -169,6 +175,7 @@ template <class T, int C> void transport(const Scene<T> &s, T *out, int threads)
             BrdfTerms<T> m(s, block, d);
             for (int c = 0; c < C; ++c) {
                 V<T> rho = m.dark ? V<T>{} : m.reflected(s, c, d);
+                if (SHADOWS) rho *= seen<T>(s.visibility, d, s.count, b * n);
                 std::memcpy(out + (c * D + d) * s.count + b * n, &rho, lanes * sizeof(T));
             }
         }
@@ -179,15 +186,14 @@ template <class T, int C> void transport(const Scene<T> &s, T *out, int threads)
 
 #define BOTH(T, NAME)                                                                                                  \
     EXPORT void shade_##NAME(const Scene<T> *s, T *out, int threads) {                                                 \
-        s->channels == 1 ? forward<T, 1>(*s, out, threads) : forward<T, 3>(*s, out, threads);                          \
+        CHOOSE(forward, T, *s, out, threads);                                                                          \
     }                                                                                                                  \
     EXPORT void shade_backward_##NAME(const Scene<T> *s, const T *d_out, T *d_light, T *d_kappa, T *d_gamma,           \
                                       T *d_normals, int threads) {                                                     \
-        s->channels == 1 ? backward<T, 1>(*s, d_out, d_light, d_kappa, d_gamma, d_normals, threads)                    \
-                         : backward<T, 3>(*s, d_out, d_light, d_kappa, d_gamma, d_normals, threads);                   \
+        CHOOSE(backward, T, *s, d_out, d_light, d_kappa, d_gamma, d_normals, threads);                                 \
     }                                                                                                                  \
     EXPORT void transport_##NAME(const Scene<T> *s, T *out, int threads) {                                             \
-        s->channels == 1 ? transport<T, 1>(*s, out, threads) : transport<T, 3>(*s, out, threads);                      \
+        CHOOSE(transport, T, *s, out, threads);                                                                        \
     }
 
 #define DESCRIBE(T)                                                                                                    \
@@ -195,6 +201,7 @@ template <class T, int C> void transport(const Scene<T> &s, T *out, int threads)
               FIELD(Scene<T>, count) FIELD(Scene<T>, directions) FIELD(Scene<T>, channels) FIELD(Scene<T>, lobes)      \
               FIELD(Scene<T>, normals) FIELD(Scene<T>, towards) FIELD(Scene<T>, half) FIELD(Scene<T>, light)           \
               FIELD(Scene<T>, base) FIELD(Scene<T>, tilt) FIELD(Scene<T>, log_kappa) FIELD(Scene<T>, gamma)            \
+              FIELD(Scene<T>, visibility)                                                                              \
               FIELD(Scene<T>, cosine_floor) FIELD(Scene<T>, lowest) FIELD(Scene<T>, highest))                          \
     FUNCTION(shade_##T) FUNCTION(shade_backward_##T) FUNCTION(transport_##T)
 

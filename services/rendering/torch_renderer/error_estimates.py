@@ -126,6 +126,7 @@ def float32_error(surface: Surface, sky: Sky, illumination: Tensor, recipe: Reci
             angles=torch.cat([sample.angles, anywhere]),
             base_color=sample.base_color.repeat(2, 1),
             viewers=None if sample.viewers is None else sample.viewers.repeat(2, 1),
+            visibility=None if sample.visibility is None else sample.visibility.repeat(1, 2),
         )
     values = [
         Shader(replace(recipe, method="summed", rows=None, moving=True, dtype=dtype), sky, sample, illumination)(
@@ -191,7 +192,8 @@ def spread(surface: Surface, moving: bool, random: torch.Generator) -> Surface:
             torch.rand(angles.shape, generator=random, dtype=torch.float64).to(angles.device) for _ in range(again - 1)
         ]
         angles = torch.cat([angles, *(angles + MAX_PERTURBATION["normals"] * (2 * step - 1) for step in steps)])
-    return replace(surface, angles=angles, base_color=surface.base_color.repeat(again, 1))
+    seen = None if surface.visibility is None else surface.visibility.repeat(1, again)
+    return replace(surface, angles=angles, base_color=surface.base_color.repeat(again, 1), visibility=seen)
 
 
 def _signs(like: Tensor, random: torch.Generator) -> Tensor:
@@ -206,7 +208,9 @@ def subset(surface: Surface, max_pixels: int) -> Surface:
 def _every(surface: Surface, stride: int) -> Surface:
     """Returns the surface at every `stride`-th of its pixels."""
     viewers = None if surface.viewers is None else surface.viewers[::stride]
-    return replace(surface, angles=surface.angles[::stride], base_color=surface.base_color[::stride], viewers=viewers)
+    seen = None if surface.visibility is None else surface.visibility[:, ::stride]
+    angles, color = surface.angles[::stride], surface.base_color[::stride]
+    return replace(surface, angles=angles, base_color=color, viewers=viewers, visibility=seen)
 
 
 def _brightest_texels(illumination: Tensor, groups: Sequence[str]) -> Tensor:

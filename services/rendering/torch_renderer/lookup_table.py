@@ -6,6 +6,7 @@ repeat in reverse order, shifted by half a turn of azimuth. Values between nodes
 in both angles, which are once continuously differentiable.
 """
 
+from dataclasses import dataclass
 from functools import lru_cache
 from math import isqrt, pi
 from typing import Any
@@ -62,6 +63,20 @@ def node_vectors(rows: int, device: torch.device = CPU) -> Tensor:
     azimuth = (torch.arange(2 * rows, dtype=torch.float64) + 0.5) * (pi / rows) - pi
     grid = torch.stack(torch.meshgrid(polar, azimuth, indexing="ij"), dim=-1).reshape(-1, 2)
     return to_vectors(grid.flip(-1)).to(device)
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """Nodes of a table: their places in the flattened table [N] and their normals [N, 3]."""
+
+    places: Tensor
+    vectors: Tensor
+
+
+def nodes_of(wanted: Tensor, rows: int, dtype: torch.dtype) -> Nodes:
+    """Returns the nodes of the tiles that `wanted` (bool, as `touched` returns) names; their normals have `dtype`."""
+    places = tiles(rows, wanted.device)[wanted].flatten()
+    return Nodes(places, node_vectors(rows, wanted.device)[places].to(dtype))
 
 
 def nearest(angles: Tensor, rows: int) -> Tensor:

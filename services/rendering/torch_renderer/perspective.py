@@ -19,40 +19,51 @@ CHUNK = 2**16
 """Number of pixels times directions per chunk in torch, where each pair stores about a hundred numbers."""
 
 
-def radiance(normals: Tensor, viewers: Tensor, light: Tensor, material: Tensor, towards: Tensor) -> Tensor:
-    """Sums Σ_ω ρ(θ_h, θ_d) · light · max(0, n·ω) at each pixel, [P, 3].
+def radiance(
+    normals: Tensor,
+    viewers: Tensor,
+    light: Tensor,
+    material: Tensor,
+    towards: Tensor,
+    visibility: Tensor | None = None,
+) -> Tensor:
+    """Sums Σ_ω ρ(θ_h, θ_d) · light · max(0, n·ω) · visibility at each pixel, [P, 3].
 
     normals and viewers are unit vectors [P, 3], the viewers towards the camera; light is [3, D], radiance times solid
     angle; material [C, LOBES, 2, 6] holds natural logarithms of κ and γ, with C = 1 where the channels are the same;
     `towards` holds the directions to the light [3, D]. The sum is differentiable (once) in normals (along the sphere),
-    light and material.
+    light and material. `visibility` is uint8 [D, P] in units of 1/255, None where nothing is hidden.
     """
-    result: Tensor = _Radiance.apply(normals, viewers, light, material, towards)  # type: ignore[no-untyped-call]
+    result: Tensor = _Radiance.apply(  # type: ignore[no-untyped-call]
+        normals, viewers, light, material, towards, visibility
+    )
     return result
 
 
 class _Radiance(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, *inputs: Tensor) -> Tensor:
-        held = tuple(value.contiguous() for value in inputs)
+    def forward(ctx: Any, *inputs: Any) -> Tensor:
+        held: tuple[Any, ...] = tuple(None if value is None else value.contiguous() for value in inputs)
         ctx.save_for_backward(*held)
-        normals, viewers, light, material, towards = held
+        normals, viewers, light, material, towards, visibility = held
         if compiled.runs(normals):
             result = torch.empty_like(normals)
             compiled.call("shade_perspective", normals.dtype, _packed(*held), result, compiled.threads())
             return result
         step = max(16, CHUNK // max(1, towards.shape[1]))
-        parts = zip(torch.split(normals, step), torch.split(viewers, step), strict=True)
-        return torch.cat([_chunk(n, v, light, material, towards) for n, v in parts])
+        parts = [slice(start, start + step) for start in range(0, len(normals), step)]
+        return torch.cat(
+            [_chunk(normals[p], viewers[p], light, material, towards, _shares(visibility, p)) for p in parts]
+        )
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
-        normals, viewers, light, material, towards = ctx.saved_tensors
+        normals, viewers, light, material, towards, visibility = ctx.saved_tensors
         gradients = [torch.zeros_like(value) for value in (light, material, normals)]
         gradient = gradient.contiguous()
         if compiled.runs(normals):
-            packed = _packed(normals, viewers, light, material, towards)
+            packed = _packed(normals, viewers, light, material, towards, visibility)
             compiled.call("shade_perspective_backward", normals.dtype, packed, gradient, *gradients, compiled.threads())
         else:
             step = max(16, CHUNK // max(1, towards.shape[1]))
@@ -60,16 +71,24 @@ class _Radiance(torch.autograd.Function):
                 some = slice(start, start + step)
                 leaves = [value.detach().requires_grad_() for value in (light, material, normals[some])]
                 with torch.enable_grad():
-                    shaded = _chunk(leaves[2], viewers[some], leaves[0], leaves[1], towards)
+                    seen = _shares(visibility, some)
+                    shaded = _chunk(leaves[2], viewers[some], leaves[0], leaves[1], towards, seen)
                 d_light, d_material, d_normals = torch.autograd.grad(shaded, leaves, gradient[some])
                 gradients[0] += d_light
                 gradients[1] += d_material
                 gradients[2][some] = d_normals
-        return gradients[2], None, gradients[0], gradients[1], None
+        return gradients[2], None, gradients[0], gradients[1], None, None
 
 
-def _chunk(normals: Tensor, viewers: Tensor, light: Tensor, material: Tensor, towards: Tensor) -> Tensor:
-    """Computes the sum at a chunk of pixels, [P, 3], for all pairs of pixel and direction at once.
+def _shares(visibility: Tensor | None, some: slice) -> Tensor | None:
+    """Returns the visible shares [D, P] of some pixels."""
+    return None if visibility is None else visibility[:, some].double() / 255
+
+
+def _chunk(
+    normals: Tensor, viewers: Tensor, light: Tensor, material: Tensor, towards: Tensor, seen: Tensor | None
+) -> Tensor:
+    """Computes the sum at a chunk of pixels, [P, 3], for all pairs of pixel and direction at once; `seen` [D, P].
 
     Angles are computed in float64, as a lobe of γ = 1e5 varies where 1 − n·h is 1e-5. Vectors are normalised in float64
     too: else the angle between two nearly parallel vectors would be off by 3e-4.
@@ -91,10 +110,14 @@ def _chunk(normals: Tensor, viewers: Tensor, light: Tensor, material: Tensor, to
     log_kappa, gamma = (curve.reshape(*curve.shape[:-1], *cosine.shape) for curve in dsbrdf.lobes(material, curves))
     log_half = half.clamp(dsbrdf.COSINE_FLOOR, 1.0).log().to(dtype)
     rho = dsbrdf.reflectance(log_half, log_kappa, gamma).sum(1) * cosine.clamp_min(0.0).to(dtype)
+    if seen is not None:
+        rho = rho * seen.T.to(dtype)
     return torch.einsum("cpd,cd->pc", rho.expand(3, -1, -1), light)
 
 
-def _packed(normals: Tensor, viewers: Tensor, light: Tensor, material: Tensor, towards: Tensor) -> ctypes.Structure:
+def _packed(
+    normals: Tensor, viewers: Tensor, light: Tensor, material: Tensor, towards: Tensor, visibility: Tensor | None
+) -> ctypes.Structure:
     lowest, highest = dsbrdf.LOG_EXPONENT_RANGE
     channels, lobes = material.shape[:2]
     return compiled.structure(
@@ -108,6 +131,7 @@ def _packed(normals: Tensor, viewers: Tensor, light: Tensor, material: Tensor, t
         towards=towards,
         light=light,
         material=material,
+        visibility=visibility,
         cosine_floor=dsbrdf.COSINE_FLOOR,
         lowest=lowest,
         highest=highest,

@@ -20,7 +20,8 @@ from services.rendering.torch_renderer.environment_light import attacks_light
 from services.rendering.torch_renderer.gradient_error import gradient_errors
 from services.rendering.torch_renderer.lookup_table import tiles, touched
 from services.rendering.torch_renderer.normals import to_vectors
-from services.rendering.torch_renderer.plan_stages import HEADROOM, radiance_stage, table_stages
+from services.rendering.torch_renderer.plan_stages import HEADROOM, radiance_stage, shadow_items, table_stages
+from services.rendering.torch_renderer.regions import IN_SHADOW
 from services.rendering.torch_renderer.shader import Method, Recipe, Shader, Sky, Surface, checked_pixels
 
 TABLE_ROWS = (24, 32, 48, 64, 96, 128, 192, 256)
@@ -77,9 +78,11 @@ def compile_plan(
     covered = {surface.name: len(surface.angles) for surface in surfaces}
     pixels = sum(covered.values())
     items.append(Item(what="pixels", kept=pixels, of=size[0] * size[1], why="the others show the ground alone"))
-    seen = sum(count > 0 for count in covered.values())
-    if seen < len(covered):
-        items.append(Item(what="objects", kept=seen, of=len(covered), why="the others are seen by no pixel"))
+    unseen = sum(count == 0 for count in covered.values())
+    if unseen:
+        objects = len({name.removesuffix(IN_SHADOW) for name in covered})
+        items.append(Item(what="objects", kept=objects - unseen, of=objects, why="the others are seen by no pixel"))
+    items += shadow_items(surfaces)
     items += ignored
     why = "the other groups keep their values" if len(groups) < len(TORCH.groups) else "all are attacked"
     items.append(Item(what="gradients", kept=len(groups), of=len(TORCH.groups), why=why))
@@ -145,6 +148,11 @@ def _directions(surface: Surface, sky: Sky, illumination: Tensor, groups: Sequen
         above = torch.stack([(v @ sky.directions.towards).amax(0) for v in torch.split(vectors, 8192)]).amax(0) > 0
     dark, below = int((~lit).sum()), int((lit & ~above).sum())
     words = [f"{dark} carry no light"] * bool(dark) + [f"{below} are below the horizon of every normal"] * bool(below)
+    if surface.visibility is not None:
+        shown = (surface.visibility > 0).any(1)
+        hidden = int((lit & above & ~shown).sum())
+        words += [f"{hidden} are hidden from every pixel"] * bool(hidden)
+        above &= shown
     return (lit & above).nonzero()[:, 0], ", ".join(words) or "all carry light that some normal may see"
 
 
@@ -160,6 +168,9 @@ def _cheapest(
     if rounding > left:
         wide = replace(direct, dtype=torch.float64)
         return wide, [radiance_stage(surface, wide, pixels, f"float32 would be off by {rounding:.0e}", 0.0)]
+    if surface.visibility is not None:
+        why = "objects hide part of the light: radiance depends on the pixel, not on its normal alone"
+        return direct, [radiance_stage(surface, direct, pixels, why, rounding)]
     if surface.viewers is not None:
         why = "the viewer is near: radiance depends on the pixel, not on its normal alone"
         return direct, [radiance_stage(surface, direct, pixels, why, rounding)]

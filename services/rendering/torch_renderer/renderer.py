@@ -32,9 +32,11 @@ from services.rendering.torch_renderer.map_error import map_error
 from services.rendering.torch_renderer.normals import MAX_ANGLE, to_angles
 from services.rendering.torch_renderer.planner import compile_plan
 from services.rendering.torch_renderer.presets import preset
+from services.rendering.torch_renderer.regions import regions
 from services.rendering.torch_renderer.shader import Shader, Sky, Surface
 from services.rendering.torch_renderer.shading import Directions
 from services.rendering.torch_renderer.units import MATERIAL_UNIT
+from services.rendering.torch_renderer.visibility import visibility
 from services.scenes.resolve import ResolvedScene
 
 
@@ -59,13 +61,15 @@ class TorchRenderer(DeclaredRenderer):
         gbuffer: GBuffer,
         groups: Sequence[str] = TORCH.default_groups,
         tolerance: Tolerance = DEFAULT_TOLERANCE,
+        seen: Tensor | None = None,
     ) -> None:
         """Plans the rendering of `scene`, rasterised in `gbuffer`, for attacks on `groups`.
 
         Only these groups may then be rendered with other values than the scene's own, unless `tolerance` is "exact".
-        "exact" computes in float64 throughout; with a number images are float32.
+        "exact" computes in float64 throughout; with a number images are float32. `seen` is the visibility of a renderer
+        of the same scene, so that it is found once; None: it is found here.
 
-        Raises InvalidRequest for an unknown material preset.
+        Raises InvalidRequest for an unknown material preset, and as `visibility` does.
         """
         dtype = torch.float64 if tolerance == "exact" else torch.float32
         self._attacked, self._dtype, self._device = tuple(groups), dtype, device()
@@ -77,13 +81,13 @@ class TorchRenderer(DeclaredRenderer):
             f"torch {torch.__version__} {where} {str(dtype).removeprefix('torch.')} threads {torch.get_num_threads()}, "
             f"shading {shaded_by}; {gbuffer.backend}"
         )
-        gbuffer = gbuffer.to(self._device)  # OpenGL drew it on the CPU
+        drawn, gbuffer = gbuffer, gbuffer.to(self._device)  # OpenGL drew it on the CPU
         to_camera = torch.as_tensor(scene.view, dtype=torch.float64)[:3, :3].to(self._device)
         light = illumination(torch.as_tensor(scene.environment).to(self._device))
         sky = sky_of(light, to_camera)
         n_objects = len(scene.description.objects)
         materials = [preset(placed.described.material, f"{placed.field}.material") for placed in scene.placed]
-        self._layers = layers([placed.described.material for placed in scene.placed])
+        of_objects = layers([placed.described.material for placed in scene.placed])
         coverage = gbuffer.coverage.flatten()
         normals = gbuffer.normals.to(torch.float64) @ to_camera
         initial = {
@@ -103,45 +107,53 @@ class TorchRenderer(DeclaredRenderer):
         owner = torch.where(coverage > 0, gbuffer.object_index.flatten(), -1)
         order = torch.argsort(owner * lookup_table.N_SORT_KEYS + lookup_table.normal_sort_keys(angles), stable=True)
         pixels = order[owner[order] >= 0]
-        self._counts = torch.bincount(owner[pixels], minlength=len(materials)).tolist()
+        if seen is None:
+            seen = visibility(scene, drawn, pixels.cpu())
+        names = [placed.name for placed in scene.placed]
+        parts = regions(owner[pixels], None if seen is None else seen.to(self._device), names)
+        pixels, self._owners, self._counts = pixels[parts.order], parts.owners, parts.counts
+        self._layers = [of_objects[k] for k in parts.owners]
         base_color = gbuffer.base_color.reshape(-1, 3)[pixels]
         ground = torch.tensor(scene.description.ground, dtype=dtype, device=self._device)
         self._colors = torch.split(base_color.to(dtype), self._counts)
         # The radiance of an object with layers has its colours already.
         own_colors = [
-            color if len(parts) == 1 else torch.ones_like(color)
-            for color, parts in zip(self._colors, self._layers, strict=True)
+            color if len(own) == 1 else torch.ones_like(color)
+            for color, own in zip(self._colors, self._layers, strict=True)
         ]
         self._canvas = Canvas(self.size, pixels, torch.cat(own_colors), coverage[pixels, None].to(dtype), ground)
 
         near = scene.description.camera.viewer == "perspective"
         surfaces = [
             Surface(
-                scene.placed[layer.owner].name,
+                name,
                 own,
                 layer.base_color(color.double()),
                 layer.material(material),
                 own_viewers if near else None,
                 layer.words,
                 layer.share,
+                hidden,
                 fixed_material=layer.owner >= n_objects,
             )
-            for parts, own, color, material, own_viewers in zip(
+            for name, own_layers, own, color, material, own_viewers, hidden in zip(
+                parts.names,
                 self._layers,
                 torch.split(angles[pixels], self._counts),
                 torch.split(base_color, self._counts),
-                rounded["material"],
+                [rounded["material"][k] for k in parts.owners],
                 torch.split(viewers_of(scene, self.size).to(self._device)[pixels], self._counts),
+                parts.visibilities,
                 strict=True,
             )
-            for layer in parts
+            for layer in own_layers
         ]
         intensity = rounded["illumination"].flatten()
         recipes, plan = compile_plan(surfaces, sky, intensity, groups, tolerance, self.size, _ignored(scene))
         self.shaders = [
             Shader(recipe, sky, surface, intensity) for recipe, surface in zip(recipes, surfaces, strict=True)
         ]
-        self._twin = self if tolerance == "exact" else TorchRenderer(scene, gbuffer, tolerance="exact")
+        self._twin = self if tolerance == "exact" else TorchRenderer(scene, gbuffer, tolerance="exact", seen=seen)
         if self._twin is self:
             map_error = _map_error(scene, surfaces, (sky, intensity), to_camera)
         else:
@@ -211,12 +223,12 @@ class TorchRenderer(DeclaredRenderer):
         angles, intensity = self._canvas.covered(values["normals"]), values["illumination"].flatten()
         if "illumination_rgb" in given:
             intensity = (intensity + given["illumination_rgb"].reshape(-1, 3).T).clamp_min(0.0)  # [3, D]
-        shaders = iter(self.shaders)
+        shaders, materials = iter(self.shaders), [*values["material"], *self._fixed]
         shaded = []
-        materials = [*values["material"], *self._fixed]
-        for parts, own, color, material in zip(
-            self._layers, torch.split(angles, self._counts), self._colors, materials, strict=True
+        for parts, own, color, owner in zip(
+            self._layers, torch.split(angles, self._counts), self._colors, self._owners, strict=True
         ):
+            material = materials[owner]
             found = [next(shaders)(own, intensity, layer.material(material)).to(self._dtype) for layer in parts]
             shaded.append(found[0] if len(parts) == 1 else color * found[0] + found[1])
         return self._canvas.image(torch.cat(shaded) if len(shaded) > 1 else shaded[0])

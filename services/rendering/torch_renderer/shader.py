@@ -21,7 +21,7 @@ from torch import Tensor
 from services.rendering.color import to_display
 from services.rendering.kernels import compiled
 from services.rendering.torch_renderer import dsbrdf, perspective
-from services.rendering.torch_renderer.lookup_table import TILE, look_up, node_vectors, tiles, touched
+from services.rendering.torch_renderer.lookup_table import TILE, look_up, nodes_of, tiles, touched
 from services.rendering.torch_renderer.normals import to_vectors
 from services.rendering.torch_renderer.sampled_check import chosen_pixels
 from services.rendering.torch_renderer.shading import Directions, Lobes, radiance, transport
@@ -86,7 +86,8 @@ class Surface:
 
     `viewers` [P, 3] are unit vectors to the camera where each pixel has its own, None for a distant viewer. `layer`
     says on plans which lobes these are, "" for all, and `share` is the part of the tolerance that its error may take.
-    A fixed material is not among the values of the group `material`.
+    `visibility` uint8 [D of the whole map, P] is each texel's share that a pixel sees, in units of 1/255; None where
+    nothing is hidden. A fixed material is not among the values of the group `material`.
     """
 
     name: str
@@ -96,6 +97,7 @@ class Surface:
     viewers: Tensor | None = None
     layer: str = ""
     share: float = 1.0
+    visibility: Tensor | None = None
     fixed_material: bool = False
 
     def with_layer(self, what: str) -> str:
@@ -116,11 +118,12 @@ class Shader:
         pixels = None if recipe.moving else to_vectors(angles)
         frozen = (surface.material, illumination)
         still = pixels if recipe.rows is None else None
-        self._whole = _Sum(recipe, recipe.active_texels, sky, frozen, still, surface.viewers)
+        self._whole = _Sum(recipe, recipe.active_texels, sky, frozen, still, surface.viewers, surface.visibility)
         if recipe.rows is not None:
             among = torch.isin(recipe.active_texels, recipe.per_pixel_texels.to(recipe.active_texels.device))
             self._still_tiles = None if recipe.moving else touched(angles, recipe.rows)
-            self._still_nodes = None if self._still_tiles is None else _of_tiles(self._still_tiles, recipe)
+            still_tiles = self._still_tiles
+            self._still_nodes = None if still_tiles is None else nodes_of(still_tiles, recipe.rows, recipe.dtype)
             at_nodes = None if self._still_nodes is None else self._still_nodes.vectors
             self._smooth = _Sum(recipe, recipe.active_texels[~among], sky, frozen, at_nodes)
             self._sharp = _Sum(recipe, recipe.active_texels[among], sky, frozen, pixels)
@@ -171,13 +174,13 @@ class Shader:
         recipe = self.recipe
         assert recipe.rows is not None
         if recipe.method != "cached_table":
-            nodes = self._still_nodes or _of_tiles(wanted, recipe)
+            nodes = self._still_nodes or nodes_of(wanted, recipe.rows, recipe.dtype)
             return self._table.index_copy(0, nodes.places, self._smooth(nodes.vectors, illumination, material))
         missing = wanted & ~self._known
         if bool(missing.any()):
             if not compiled.runs(self._table):  # in torch a value's last bits depend on its neighbours: all at once
                 missing = torch.ones_like(missing)
-            nodes = _of_tiles(missing, recipe)
+            nodes = nodes_of(missing, recipe.rows, recipe.dtype)
             values = self._smooth(nodes.vectors, illumination, material)
             self._table = self._table.index_copy(0, nodes.places, values)  # a graph may still hold the old one
             self._known |= missing
@@ -201,11 +204,13 @@ class _Sum:
         frozen: tuple[Tensor, Tensor],
         normals: Tensor | None,
         viewers: Tensor | None = None,
+        visibility: Tensor | None = None,
     ) -> None:
         """`frozen` are the scene's own material and illumination; `normals` [N, 3] where they do not change; `viewers`
-        [N, 3] where each normal has its own."""
+        [N, 3] where each normal has its own; `visibility` as in `Surface`."""
         self._recipe, self._kept = recipe, kept
         self._viewers = None if viewers is None else viewers.to(recipe.dtype)
+        self._visibility = None if visibility is None else visibility[kept].contiguous()
         self._directions = sky.directions.only(kept).to(recipe.dtype)
         self._curves, self._power = sky.curves[kept].to(recipe.dtype), sky.power[:, kept].to(recipe.dtype)
         self._plain = bool(recipe.varying.all()) and not bool(recipe.straight.any())
@@ -216,7 +221,7 @@ class _Sum:
             self._light = self._light_of(frozen[1])
         if recipe.method == "precomputed_transport" and normals is not None:
             assert self._lobes is not None
-            self._factors = transport(normals, self._lobes, self._directions)
+            self._factors = transport(normals, self._lobes, self._directions, self._visibility)
 
     def __call__(self, normals: Tensor, illumination: Tensor, material: Tensor) -> Tensor:
         """Radiance [N, 3]; `normals` are ignored where factors for them are stored."""
@@ -232,9 +237,10 @@ class _Sum:
         light = self._light_of(illumination) if self._light is None else self._light
         if self._viewers is not None:
             own = material[: 1 if self._alike(material) else dsbrdf.CHANNELS].to(self._recipe.dtype) / MATERIAL_UNIT
-            return perspective.radiance(normals, self._viewers, light, own, self._directions.towards)
+            towards = self._directions.towards
+            return perspective.radiance(normals, self._viewers, light, own, towards, self._visibility)
         lobes = self._lobes_of(material.to(self._recipe.dtype)) if self._lobes is None else self._lobes
-        return radiance(normals, light, lobes, self._directions)
+        return radiance(normals, light, lobes, self._directions, self._visibility)
 
     def _light_of(self, illumination: Tensor) -> Tensor:
         return self._power * illumination[..., self._kept].to(self._recipe.dtype)
@@ -250,20 +256,6 @@ class _Sum:
             return straightened(log_kappa, gamma, self._recipe.varying, self._recipe.straight)
         flat = log_kappa.new_zeros(len(log_kappa), log_kappa.shape[-1])
         return Lobes(flat, flat, log_kappa, gamma)
-
-
-@dataclass(frozen=True)
-class _Nodes:
-    """Nodes of a table: their places in the flattened table [N] and their normals [N, 3]."""
-
-    places: Tensor
-    vectors: Tensor
-
-
-def _of_tiles(wanted: Tensor, recipe: Recipe) -> _Nodes:
-    assert recipe.rows is not None
-    places = tiles(recipe.rows, wanted.device)[wanted].flatten()
-    return _Nodes(places, node_vectors(recipe.rows, wanted.device)[places].to(recipe.dtype))
 
 
 def straightened(log_kappa: Tensor, gamma: Tensor, varying: Tensor, straight: Tensor) -> Lobes:

@@ -62,22 +62,26 @@ class Lobes:
     gamma: Tensor
 
 
-def radiance(normals: Tensor, light: Tensor, lobes: Lobes, directions: Directions) -> Tensor:
-    """Sums Σ_ω ρ(θ_h, θ_d) · light · max(0, n·ω) at each normal, [N, 3].
+def radiance(
+    normals: Tensor, light: Tensor, lobes: Lobes, directions: Directions, visibility: Tensor | None = None
+) -> Tensor:
+    """Sums Σ_ω ρ(θ_h, θ_d) · light · max(0, n·ω) · visibility at each normal, [N, 3].
 
     normals are unit vectors [N, 3]; light [3, D] is radiance times solid angle per channel; all have one dtype. The sum
     is differentiable (once) in normals (only the gradient's component tangential to the sphere is meaningful), light,
     log κ and γ. Gradients are zero where n·ω < 0, where n·h < COSINE_FLOOR and where a lobe is clamped
-    (LOG_EXPONENT_RANGE).
+    (LOG_EXPONENT_RANGE). `visibility` is uint8 [D, N] in units of 1/255, None where nothing is hidden.
     """
+    of_lobes = lobes.log_kappa, lobes.gamma, lobes.base, lobes.tilt
     result: Tensor = _Radiance.apply(  # type: ignore[no-untyped-call]
-        normals, light, lobes.log_kappa, lobes.gamma, lobes.base, lobes.tilt, directions.towards, directions.half
+        normals, light, *of_lobes, directions.towards, directions.half, visibility
     )
     return result
 
 
-def transport(normals: Tensor, lobes: Lobes, directions: Directions) -> Tensor:
-    """Returns ρ(θ_h, θ_d) · max(0, n·ω) of every direction and normal, [C, D, N]: radiance per unit of light."""
+def transport(normals: Tensor, lobes: Lobes, directions: Directions, visibility: Tensor | None = None) -> Tensor:
+    """Returns ρ(θ_h, θ_d) · max(0, n·ω) · visibility of every direction and normal, [C, D, N]: radiance per unit of
+    light. For `visibility` see `radiance`."""
     out = normals.new_empty(len(lobes.base), directions.towards.shape[1], len(normals))
     if compiled.runs(normals):
         packed = _packed(
@@ -89,6 +93,7 @@ def transport(normals: Tensor, lobes: Lobes, directions: Directions) -> Tensor:
             lobes.tilt,
             directions.towards,
             directions.half,
+            visibility,
         )
         compiled.call("transport", normals.dtype, packed, out, compiled.threads())
         return out
@@ -96,6 +101,8 @@ def transport(normals: Tensor, lobes: Lobes, directions: Directions) -> Tensor:
     for start in range(0, len(normals), step):
         n = normals[start : start + step]
         cosine, log_half = (n @ directions.towards).clamp_min_(0.0), _log_half(n, directions.half)
+        if visibility is not None:
+            cosine *= _seen(visibility, start, cosine)
         for c in range(len(out)):
             rho = torch.addcmul(lobes.base[c], lobes.tilt[c], log_half)
             for log_kappa, gamma in zip(lobes.log_kappa[c], lobes.gamma[c], strict=True):
@@ -108,7 +115,7 @@ class _Radiance(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *inputs: Tensor) -> Tensor:
         ctx.save_for_backward(*inputs)
-        normals, light, log_kappa, gamma, base, tilt, towards, half = inputs
+        normals, light, log_kappa, gamma, base, tilt, towards, half, visibility = inputs
         result = torch.empty_like(normals)
         if compiled.runs(normals):
             packed = _packed(*inputs)
@@ -120,6 +127,8 @@ class _Radiance(torch.autograd.Function):
             n, out = normals[start : start + step], result[start : start + step]
             cosine, lobe, rho = buffers[:, : len(n)]
             torch.mm(n, towards, out=cosine).clamp_min_(0.0)
+            if visibility is not None:
+                cosine *= _seen(visibility, start, cosine)
             log_half = _log_half(n, half)
             for c in range(3):
                 if c < len(base):
@@ -150,10 +159,7 @@ class _Radiance(torch.autograd.Function):
             d_light if of_light else None,
             d_kappa if of_kappa else None,
             d_gamma if of_gamma else None,
-            None,
-            None,
-            None,
-            None,
+            *(None,) * (len(inputs) - 4),
         )
 
 
@@ -166,7 +172,7 @@ def _gradients(
 
     d log κ = Σ_normals A exp(exp x) exp x,  d γ = the same with log n·h,  d log n·h = Σ_lobes A exp(exp x) exp x γ.
     """
-    normals, light, log_kappa, gamma, base, tilt, towards, half = inputs
+    normals, light, log_kappa, gamma, base, tilt, towards, half, visibility = inputs
     d_normals, d_light, d_kappa, d_gamma = into
     channels = len(base)
     step = _at_once(light.shape[1])
@@ -175,12 +181,15 @@ def _gradients(
         n, g = normals[start : start + step], gradient[start : start + step]
         cosine, x, lobe, rho, lit, weight, d_log_half = buffers[:, : len(n)]
         torch.mm(n, towards, out=cosine).clamp_min_(0.0)
+        share = None if visibility is None else _seen(visibility, start, cosine)
         log_half = _log_half(n, half)
         d_cosine = torch.zeros_like(cosine)
         d_log_half.zero_()
         for c in range(channels):
             # one channel stands for all three: add up their weights
             torch.mm(g, light, out=lit) if channels == 1 else torch.mul(g[:, c, None], light[c], out=lit)
+            if share is not None:
+                lit.mul_(share)
             torch.mul(lit, cosine, out=weight)
             d_log_half.addcmul_(weight, tilt[c])
             torch.addcmul(base[c], tilt[c], log_half, out=rho)
@@ -195,7 +204,7 @@ def _gradients(
                     d_kappa[c, l] += x.sum(0)
                     d_gamma[c, l] += x.mul_(log_half).sum(0)
             d_cosine.addcmul_(rho, lit)
-            rho.mul_(cosine)
+            rho.mul_(cosine if share is None else cosine * share)
             for k in range(3) if channels == 1 else (c,):
                 d_light[k] += g[:, k] @ rho
         if of_normals:
@@ -214,6 +223,11 @@ def _log_half(normals: Tensor, half: Tensor) -> Tensor:
     return wide.clamp_(COSINE_FLOOR, 1.0).log_().to(normals.dtype)
 
 
+def _seen(visibility: Tensor, start: int, like: Tensor) -> Tensor:
+    """Returns the visibility [N, D] of a chunk of normals that begins at `start`, in the shape and dtype of `like`."""
+    return visibility[:, start : start + len(like)].T.to(like.dtype) / 255
+
+
 def _packed(
     normals: Tensor,
     light: Tensor | None,
@@ -223,9 +237,10 @@ def _packed(
     tilt: Tensor,
     towards: Tensor,
     half: Tensor,
+    visibility: Tensor | None = None,
 ) -> ctypes.Structure:
     given = {"normals": normals, "towards": towards, "half": half, "light": light, "base": base, "tilt": tilt}
-    given |= {"log_kappa": log_kappa, "gamma": gamma}
+    given |= {"log_kappa": log_kappa, "gamma": gamma, "visibility": visibility}
     lowest, highest = LOG_EXPONENT_RANGE
     return compiled.structure(
         f"shading.Scene.{compiled.NAMES[normals.dtype]}",

@@ -1,0 +1,127 @@
+"""Which texels of the environment map the surface at each pixel sees past the scene's objects.
+
+Geometry is fixed in the torch renderer, so visibility is found once: from every covered pixel a ray runs towards a
+square grid of directions within each texel (kernels/visibility.cpp), and the share of rays that meet nothing is a
+factor of the texel's light. Directions below a pixel's own horizon, be it that of its normal or of the triangle that it
+is on, are left to the cosine. They count as visible, so that a convex object alone has no shadow, and a normal that an
+attack tilts towards them sees their light as it does in a scene without shadows.
+
+Objects cast shadows as they stand in the scene; a part of an opacity below 1 casts none, and the holes of a texture are
+taken for closed. A surface point is where the ray through the middle of its pixel first meets the triangles, or, at an
+outline where it meets none of the pixel's object, where the G-buffer's depth says.
+"""
+
+from math import pi
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from services.errors import InvalidRequest
+from services.rendering.kernels import compiled
+from services.rendering.opengl.gbuffer import GBuffer
+from services.scenes.mesh import Floats
+from services.scenes.resolve import ResolvedScene
+
+OFFSET = 1e-3
+"""Distance of a ray's start from the surface along the normal, times the object's scale: more than a finely divided
+mesh is off from the round surface that its normals are of, so that its faces cast no shadow on their neighbours."""
+SIDE = 4
+"""Pixels a side of the squares whose rays run together."""
+WHOLE = 255
+"""Stored visibility of a texel that nothing hides."""
+
+
+def visibility(scene: ResolvedScene, gbuffer: GBuffer, pixels: Tensor) -> Tensor | None:
+    """Returns the visibility of each texel from each of `pixels` [P] (flat indices of covered ones), uint8 [D, P] in
+    units of 1 / WHOLE; None if the scene has no shadows.
+
+    Raises InvalidRequest("scene.shadows") if there are no compiled kernels.
+    """
+    shadows = scene.description.shadows
+    if shadows is None:
+        return None
+    if compiled.library() is None:
+        raise InvalidRequest(
+            "scene.shadows", "the torch renderer needs its compiled kernels for shadows; none are here"
+        )
+    rows, columns = scene.environment.shape[:2]
+    towards = texel_directions(rows, columns, shadows.texel_samples).numpy().astype(np.float32)
+    triangles, owners = casters(scene)
+    order = _in_squares(pixels, gbuffer.coverage.shape[1])
+    starts = _surface(scene, gbuffer, pixels[order], triangles, owners)
+    seen = torch.empty(rows * columns, len(pixels), dtype=torch.uint8)
+    rays = (len(order), *starts, len(towards), towards.shape[1], towards)
+    compiled.call("visibility", torch.float32, len(triangles), triangles, *rays, seen, compiled.threads())
+    return seen[:, order.argsort()]
+
+
+def texel_directions(rows: int, columns: int, side: int) -> Tensor:
+    """Returns `side`² unit vectors within each texel, at the middles of parts of equal solid angle, world space,
+    float64 [rows·columns, side², 3]."""
+    edges = torch.cos(torch.arange(rows + 1, dtype=torch.float64) * (pi / rows))
+    middle = (torch.arange(side, dtype=torch.float64) + 0.5) / side
+    height = edges[:-1, None] + (edges[1:] - edges[:-1])[:, None] * middle
+    if side == 1:  # the texel's own direction, which is at the middle of its angle
+        height = torch.cos((torch.arange(rows, dtype=torch.float64) + 0.5) * (pi / rows))[:, None]
+    azimuth = (torch.arange(columns, dtype=torch.float64)[:, None] + middle) * (2 * pi / columns)
+    y = height[:, None, :, None].expand(rows, columns, side, side)
+    phi = azimuth[None, :, None, :].expand(rows, columns, side, side)
+    across = (1 - y.square()).clamp_min(0.0).sqrt()
+    vectors = torch.stack((across * phi.sin(), y, across * phi.cos()), dim=-1)
+    return vectors.reshape(rows * columns, side * side, 3)
+
+
+def casters(scene: ResolvedScene) -> tuple[Floats, Floats]:
+    """Returns the triangles that cast shadows, float32 [F, 3, 3] in world space, and the object of each, int64 [F]."""
+    found, owners = [np.zeros((0, 3, 3), np.float32)], [np.zeros(0, np.int64)]
+    for index, placed in enumerate(scene.placed):
+        model = placed.model
+        for part in placed.mesh.parts:
+            material = part.metallic_roughness
+            if part.color[3] < 1 or (material is not None and material.alpha_mode == "BLEND"):
+                continue
+            corners = part.vertices.astype(np.float64) @ model[:3, :3].T + model[:3, 3]
+            found.append(corners[part.faces].astype(np.float32))
+            owners.append(np.full(len(part.faces), index))
+    return np.ascontiguousarray(np.concatenate(found)), np.concatenate(owners)
+
+
+def _in_squares(pixels: Tensor, width: int) -> Tensor:
+    """Returns the order of pixels [P] by squares of SIDE × SIDE of the image."""
+    row, column = pixels // width, pixels % width
+    across = -(-width // SIDE)
+    square = (row // SIDE) * across + column // SIDE
+    return torch.argsort(square * SIDE**2 + (row % SIDE) * SIDE + column % SIDE)
+
+
+def _surface(
+    scene: ResolvedScene, gbuffer: GBuffer, pixels: Tensor, triangles: Floats, owners: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Returns the starts of the pixels' rays, the G-buffer's normals, and those of the triangles that the pixels are
+    on, float32 [P, 3], world space."""
+    height, width = gbuffer.coverage.shape
+    row, column = (pixels // width).numpy(), (pixels % width).numpy()
+    x = ((column + 0.5) * 2 / width - 1) / scene.projection[0, 0]
+    y = (1 - (row + 0.5) * 2 / height) / scene.projection[1, 1]
+    rays = np.stack([x, y, -np.ones_like(x)], axis=1) @ scene.view[:3, :3].T
+    lengths = np.linalg.norm(rays, axis=1)
+    units = np.ascontiguousarray(rays / lengths[:, None], np.float32)
+    eye = np.ascontiguousarray(scene.eye, np.float32)
+    distances, faces = np.empty(len(units), np.float32), np.empty(len(units), np.int32)
+    found = (len(triangles), triangles, len(units), eye, units, distances, faces)
+    compiled.call("nearest_hits", torch.float32, *found, compiled.threads())
+    index = gbuffer.object_index.flatten()[pixels].numpy()
+    own = (faces >= 0) & (np.append(owners, -1)[faces] == index)
+    depths = gbuffer.depth.flatten()[pixels].numpy()
+    along = np.where(own, distances / lengths, depths)
+    normals = gbuffer.normals.reshape(-1, 3)[pixels].numpy()
+    models = [placed.model for placed in scene.placed]
+    scales = np.array([np.linalg.norm(model[:3, 0]) for model in models])[index]
+    points = scene.eye + rays * along[:, None] + normals * (OFFSET * scales)[:, None]
+    a, b, c = np.moveaxis(triangles[np.where(own, faces, 0)].astype(np.float64), 1, 0)
+    facets = np.cross(b - a, c - a)
+    facets *= -np.sign((facets * rays).sum(axis=1, keepdims=True))
+    facets = np.where(own[:, None], facets, normals)
+    points, normals, facets = (np.ascontiguousarray(of, np.float32) for of in (points, normals, facets))
+    return points, normals, facets
