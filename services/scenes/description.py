@@ -227,7 +227,7 @@ class Shadows(Model):
         0.02, description="angular radius of each directional light, radians; the sun's is 0.005 (pyrender)"
     )
     resolution: Annotated[int, Field(ge=64, le=4096, multiple_of=8)] = Field(
-        512, description="texels a side of each shadow map, a multiple of 8 (pyrender)"
+        1024, description="texels a side of each shadow map, a multiple of 8 (pyrender)"
     )
     samples: Annotated[int, Field(ge=1, le=64)] = Field(
         16, description="points of each light whose shadows are averaged (pyrender)"

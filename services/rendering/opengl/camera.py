@@ -10,6 +10,7 @@ from services.rendering.opengl.screen_bounds import Rectangle, is_in_front
 
 if TYPE_CHECKING:
     from services.rendering.opengl.mesh_upload import Drawing
+    from services.scenes.description import Shadows
 
 Array = NDArray[np.float64]
 
@@ -54,7 +55,7 @@ class RenderPass:
 
     points [images, lights, 4]: intensity, then x, y, z. directionals [images, lights, 4]: irradiance, then the unit
     vector towards the light. spots [images, lights, 9]: intensity, position, unit vector along the axis, and the
-    scale and offset of the fall-off (`radiance.frag`).
+    scale and offset of the fall-off (`radiance.frag`). shadows: how they are drawn; None: they are not.
     """
 
     view: CameraMatrices
@@ -65,6 +66,7 @@ class RenderPass:
     colors: Array
     directionals: Array = field(default_factory=lambda: np.zeros((1, 0, 4)))
     spots: Array = field(default_factory=lambda: np.zeros((1, 0, 9)))
+    shadows: "Shadows | None" = None
 
     @property
     def light_counts(self) -> LightCounts:

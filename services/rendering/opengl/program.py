@@ -9,6 +9,10 @@ from OpenGL import GL
 from pyrender.shader_program import ShaderProgram
 
 SHADERS = Path(__file__).parent / "shaders"
+JOINED = {"METALLIC_ROUGHNESS": "metallic_roughness.frag", "SHADOWS": "shadows.frag"}
+"""Files that are joined behind `surface.frag` where a constant is 1."""
+EXTENSIONS = ("shading_language_420pack", "texture_gather")
+"""What `shadows.frag` needs beyond OpenGL 3.3."""
 
 
 class Program(ShaderProgram):  # type: ignore[misc]
@@ -19,8 +23,9 @@ class Program(ShaderProgram):  # type: ignore[misc]
     """
 
     def __init__(self, fragment: str, constants: Mapping[str, int]) -> None:
-        self._metallic_roughness = constants["METALLIC_ROUGHNESS"]
-        self._head = "".join(f"#define {name} {value}\n" for name, value in constants.items())
+        self._joined = [name for constant, name in JOINED.items() if constants[constant]]
+        needed = "".join(f"#extension GL_ARB_{name} : require\n" for name in EXTENSIONS) * constants["SHADOWS"]
+        self._head = needed + "".join(f"#define {name} {value}\n" for name, value in constants.items())
         super().__init__(str(SHADERS / "surface.vert"), str(SHADERS / fragment))
         self._locations: dict[str, int] = {}
         self._add_to_context()
@@ -28,8 +33,7 @@ class Program(ShaderProgram):  # type: ignore[misc]
     def _load(self, path: str) -> str:
         whole = Path(path).read_text()
         if path.endswith(".frag"):
-            shared = ["surface.frag"] + ["metallic_roughness.frag"] * self._metallic_roughness
-            whole = "".join((SHADERS / name).read_text() for name in shared) + whole
+            whole = "".join((SHADERS / name).read_text() for name in ("surface.frag", *self._joined)) + whole
         version, rest = whole.split("\n", 1)
         return f"{version}\n{self._head}{rest}"
 

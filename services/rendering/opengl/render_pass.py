@@ -19,9 +19,11 @@ from pyrender.renderer import Renderer
 from services.rendering.opengl.camera import CameraMatrices, LightCounts, n_watertight_faces, ordered
 from services.rendering.opengl.framebuffer import Framebuffer
 from services.rendering.opengl.material_upload import NO_MATERIAL, UploadedMaterial
-from services.rendering.opengl.mesh_upload import Array, Drawing
+from services.rendering.opengl.mesh_upload import Array, Drawing, Piece
 from services.rendering.opengl.program import Program
 from services.rendering.opengl.screen_bounds import Rectangle
+from services.rendering.opengl.shadow_maps import ShadowMaps
+from services.rendering.opengl.shadows import PassShadows
 
 Image = NDArray[np.float32]
 Backfaces = Literal["draw", "behind", "cull"]
@@ -41,6 +43,7 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
         self._programs: dict[tuple[str, tuple[int, ...]], Program] = {}
         self._framebuffer: Framebuffer | None = None
         self._resident: Drawing | None = None
+        self._shadow_maps: ShadowMaps | None = None
 
     def __del__(self) -> None:
         """Nothing: the renderer lives as long as the process, and at its end the context may be gone already."""
@@ -60,12 +63,14 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
         n_images: int,
         lights: LightCounts,
         material: UploadedMaterial | None = None,
+        shadows: bool = False,
     ) -> Program:
         """A fragment shader compiled for a kind of surface, a number of images and of lights; compiled once."""
         constants = {
             "TEXTURED": int(textured),
             "HOLES": int(holes),
             "IMAGES": n_images,
+            "SHADOWS": int(shadows),
             **dict(zip(("LIGHTS", "DIRECTIONAL_LIGHTS", "SPOT_LIGHTS"), lights, strict=True)),
             **(NO_MATERIAL if material is None else material.constants),
         }
@@ -73,6 +78,23 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
         if key not in self._programs:
             self._programs[key] = Program(fragment, constants)
         return self._programs[key]
+
+    def _shadowed(self, drawing: Drawing, poses: Array, shadows: PassShadows) -> dict[str, Any]:
+        """The shadow maps of a pass, drawn and bound, as uniforms."""
+        if self._shadow_maps is None:
+            self._shadow_maps = ShadowMaps(self._depth_program)
+        return self._shadow_maps.uniforms(drawing, poses, shadows)
+
+    def _depth_program(self, piece: Piece) -> Program:
+        textured = piece.holes and piece.texture is not None
+        of: dict[str, Any] = {
+            "textured": textured,
+            "holes": piece.holes,
+            "n_images": 1,
+            "lights": (0, 0, 0),
+            "material": piece.material,
+        }
+        return self.program("shadow_depth.frag", **of)
 
     def _target(self, size: tuple[int, int], samples: int, outputs: int) -> Framebuffer:
         held = self._framebuffer
@@ -100,6 +122,7 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
         lights: LightCounts = (0, 0, 0),
         rectangle: Rectangle | None = None,
         backfaces: Backfaces = "draw",
+        shadows: PassShadows | None = None,
     ) -> Image:
         """One pass over the geometry: what the fragment shader writes to each output, 0 where nothing is;
         [outputs, height, width, 4], or a `rectangle` of it. The first row is the bottom one, as OpenGL has it.
@@ -115,6 +138,8 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
         if self._resident is not drawing:
             self._update_context(drawing, 0)
             self._resident = drawing
+        if shadows is not None:
+            uniforms = {**uniforms, **self._shadowed(drawing, poses, shadows)}
         framebuffer = self._target(size, samples, outputs)
         framebuffer.begin(outputs)
         GL.glEnable(GL.GL_DEPTH_TEST)
@@ -136,6 +161,7 @@ class FloatRenderer(Renderer):  # type: ignore[misc]
                 n_images=len(colors),
                 lights=lights,
                 material=piece.material,
+                shadows=shadows is not None,
             )
             program._bind()
             if program not in ready:

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from services.rendering.opengl import context
 from services.rendering.opengl.camera import RenderPass
+from services.rendering.opengl.shadows import pass_shadows
 from services.rendering.pyrender_renderer.rasteriser import SAMPLES
 
 if TYPE_CHECKING:
@@ -34,5 +35,6 @@ def draw(drawing: "Drawing", lit: RenderPass, size: tuple[int, int], backfaces: 
         lights=lit.light_counts,
         rectangle=lit.part,
         backfaces=backfaces,
+        shadows=None if lit.shadows is None else pass_shadows(lit, lit.shadows),
     )
     return images

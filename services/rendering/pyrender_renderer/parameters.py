@@ -1,6 +1,7 @@
 """The numbers of a scene that the pyrender renderer is a function of: lights, colours, poses, the camera."""
 
 from collections.abc import Mapping
+from copy import copy
 from math import cos, inf
 
 import numpy as np
@@ -42,6 +43,7 @@ class SceneParameters:
         self._fixed_poses = np.array([one.model for one in fixed]).reshape(-1, 4, 4)
         self._fixed_colors = np.array([one.described.color for one in fixed]).reshape(-1, 3)
         self._camera = MovingCamera(resolved)
+        self.shadows = scene.shadows
         given = scene.lights
         self._counts: LightCounts = (len(given.points), len(given.directional), len(given.spots))
         lights = [given.ambient]
@@ -130,7 +132,13 @@ class SceneParameters:
         spots = np.concatenate([spots[..., :4], _unit(spots[..., 4:]), cones], axis=-1)
         fixed = np.broadcast_to(self._fixed_colors, (len(colors), *self._fixed_colors.shape))
         colors = np.concatenate([colors, fixed], axis=1)
-        return RenderPass(view, poses, part, illuminations[:, 0], points, colors, directionals, spots)
+        return RenderPass(view, poses, part, illuminations[:, 0], points, colors, directionals, spots, self.shadows)
+
+    def unshadowed(self) -> "SceneParameters":
+        """The same for a scene without shadows."""
+        plain = copy(self)
+        plain.shadows = None
+        return plain
 
     def _lights(self) -> list[tuple[str, str]]:
         """For each coordinate of the group `illumination` its light and its name there."""

@@ -39,6 +39,8 @@ def refusal(drawing: "Drawing", lit: RenderPass) -> str | None:
         return "it does not know the materials of glTF files"
     if any(material is not None and not material.plain for material in materials):
         return "of surfaces whose metallic and roughness are given, it knows opaque ones without textures only"
+    if lit.shadows is not None:
+        return "it draws no shadows"
     if any(lit.light_counts[1:]):
         return "it knows no lights but point lights"
     return None

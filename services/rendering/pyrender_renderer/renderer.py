@@ -18,6 +18,7 @@ from services.rendering.image_error import ImageError, image_error
 from services.rendering.opengl import context, gbuffer
 from services.rendering.opengl.camera import CameraMatrices, RenderPass
 from services.rendering.opengl.screen_bounds import Rectangle, beyond, rectangle
+from services.rendering.opengl.shadows import check_size, images_per_pass
 from services.rendering.plan import DEFAULT_TOLERANCE, Plan, Tolerance
 from services.rendering.protocol import InactiveCoordinate, Parameters
 from services.rendering.pyrender_renderer import opengl_pass, rasteriser
@@ -80,7 +81,8 @@ class PyrenderRenderer(DeclaredRenderer):
         self._has_floor = description.floor is not None
         self._numbers = SceneParameters(scene)
         samples = rasteriser.SAMPLES * self.size[0] * self.size[1]
-        self._most = max(1, min(MAX_IMAGES_PER_PASS, MAX_SAMPLE_BYTES // (16 * samples)))
+        most = min(MAX_IMAGES_PER_PASS, MAX_SAMPLE_BYTES // (16 * samples), images_per_pass(description))
+        self._most = max(1, most)
         groups = tuple(groups or self.declaration.default_groups)
         self._tolerance: Tolerance = "exact"
         self._rasterises = False
@@ -95,7 +97,9 @@ class PyrenderRenderer(DeclaredRenderer):
 
     @classmethod
     def build(cls, request: BuildRequest) -> "PyrenderRenderer":
-        """The renderer of a scene. Raises InvalidRequest("scene.objects") if nothing of it can be seen."""
+        """The renderer of a scene. Raises InvalidRequest("scene.objects") if nothing of it can be seen, and
+        InvalidRequest("scene.shadows.resolution") if its shadow maps would take too much memory."""
+        check_size(request.scene.description)
         gbuffer.check_in_view(request.scene)
         return cls(request.scene, request.groups, request.tolerance)
 
@@ -216,8 +220,14 @@ class PyrenderRenderer(DeclaredRenderer):
         return beyond(corners, view.clip_from_world, margin * (1 + ROUNDING) + ROUNDING)
 
     def inactive(self, parameters: Mapping[str, Tensor], reach: Mapping[str, float]) -> list[InactiveCoordinate]:
-        """See `inactive_coordinates`."""
-        return inactive_coordinates(self, parameters, reach)
+        """See `inactive_coordinates`. With shadows: what is inactive without them, as a shadow only takes light
+        away; but an object out of the frame may cast its shadow into it.
+        """
+        plain = copy(self)
+        plain._numbers = self._numbers.unshadowed()
+        found = inactive_coordinates(plain, parameters, reach)
+        moves = () if self._numbers.shadows is None else ("translation", "rotation")
+        return [one for one in found if one.group not in moves]
 
     def _draw(self, parameters: Mapping[str, Tensor], empty: Tensor, finish: Callable[[Tensor], Tensor]) -> Tensor:
         """Images [B, H, W, C]: `empty` [C] where no object is, and `finish` of radiance [..., 4] elsewhere.
@@ -273,7 +283,7 @@ class PyrenderRenderer(DeclaredRenderer):
         self._watertight = False
         if not any(piece.n_watertight_faces for piece in self.drawing.pieces):
             return False
-        start = replace(self._at_start(), part=(0, self.size[0], 0, self.size[1]))
+        start = replace(self._at_start(), part=(0, self.size[0], 0, self.size[1]), shadows=None)
         natural, self._watertight = self._by_opengl(start), True
         changed = np.abs(EXPOSURE * (self._by_opengl(start) - natural)).max(axis=-1) > 1 / 255
         return bool(changed.sum() <= MAX_BACKFACE_MISMATCH * (natural[..., 3] > 0).sum())

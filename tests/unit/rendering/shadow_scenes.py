@@ -53,12 +53,15 @@ def ground_points(scene: ResolvedScene) -> tuple[np.ndarray, np.ndarray, np.ndar
     return points, on & (distance_to_line(points, eye - points, CENTRE) > 1.1 * RADIUS), eye
 
 
-def distance_to_line(points: np.ndarray, towards: np.ndarray, centre: np.ndarray) -> np.ndarray:
-    """Distance of a centre from the half-lines from points [..., 3] towards a direction [..., 3]; infinite behind."""
-    units = towards / np.linalg.norm(towards, axis=-1, keepdims=True)
+def distance_to_line(points: np.ndarray, towards: np.ndarray, centre: np.ndarray, whole: bool = False) -> np.ndarray:
+    """Distance of a centre from the half-lines from points [..., 3] towards a direction [..., 3]; infinite behind, and
+    with `whole` beyond the direction's end."""
+    lengths = np.linalg.norm(towards, axis=-1, keepdims=True)
+    units = towards / lengths
     away = centre - points
     along = (away * units).sum(-1)
-    return np.where(along > 0, np.linalg.norm(away - along[..., None] * units, axis=-1), np.inf)
+    there = (along > 0) & (~np.bool_(whole) | (along < lengths[..., 0]))
+    return np.where(there, np.linalg.norm(away - along[..., None] * units, axis=-1), np.inf)
 
 
 def meets(origins: np.ndarray, directions: np.ndarray, triangles: np.ndarray, reach: float = np.inf) -> np.ndarray:

@@ -11,6 +11,12 @@
 //
 // A glTF material has another BRDF, pyrender's; see `reflected`.
 
+#if !SHADOWS
+#define POINT_SEEN(i) 1.0
+#define DIRECTIONAL_SEEN(i) 1.0
+#define SPOT_SEEN(i) 1.0
+#endif
+
 const float ROUGHNESS = 0.45;        // alpha is its square
 const float NORMAL_REFLECTANCE = 0.04;
 
@@ -102,19 +108,20 @@ vec4 image(int k, Material m, vec3 v, vec3 n) {
         vec3 to_light = positions[i] - world_position;
         float distance2 = max(dot(to_light, to_light), 1e-6);
         vec3 l = to_light * inversesqrt(distance2);
-        radiance += intensities[i] * max(dot(n, l), 0.0) / distance2 * reflected(m, body, f0, n, v, l);
+        float irradiance = intensities[i] * max(dot(n, l), 0.0) / distance2 * POINT_SEEN(i);
+        radiance += irradiance * reflected(m, body, f0, n, v, l);
     }
 #endif
 #if DIRECTIONAL_LIGHTS
     for (int i = k * DIRECTIONAL_LIGHTS; i < (k + 1) * DIRECTIONAL_LIGHTS; ++i) {
         vec3 l = to_suns[i];
-        radiance += irradiances[i] * max(dot(n, l), 0.0) * reflected(m, body, f0, n, v, l);
+        radiance += irradiances[i] * max(dot(n, l), 0.0) * DIRECTIONAL_SEEN(i) * reflected(m, body, f0, n, v, l);
     }
 #endif
 #if SPOT_LIGHTS
     for (int i = k * SPOT_LIGHTS; i < (k + 1) * SPOT_LIGHTS; ++i) {
         vec3 l;
-        float irradiance = spot_irradiance(i, l) * max(dot(n, l), 0.0);
+        float irradiance = spot_irradiance(i, l) * max(dot(n, l), 0.0) * SPOT_SEEN(i);
         radiance += irradiance * reflected(m, body, f0, n, v, l);
     }
 #endif
@@ -129,7 +136,7 @@ vec4 image(int k, vec3 texel, vec3 v, vec3 n) {
         vec3 to_light = positions[i] - world_position;
         float distance2 = max(dot(to_light, to_light), 1e-6);
         vec3 l = to_light * inversesqrt(distance2);
-        float irradiance = intensities[i] * max(dot(n, l), 0.0) / distance2;
+        float irradiance = intensities[i] * max(dot(n, l), 0.0) / distance2 * POINT_SEEN(i);
         body += irradiance / PI;
         gloss += irradiance * coat(n, v, l);
     }
@@ -137,7 +144,7 @@ vec4 image(int k, vec3 texel, vec3 v, vec3 n) {
 #if DIRECTIONAL_LIGHTS
     for (int i = k * DIRECTIONAL_LIGHTS; i < (k + 1) * DIRECTIONAL_LIGHTS; ++i) {
         vec3 l = to_suns[i];
-        float irradiance = irradiances[i] * max(dot(n, l), 0.0);
+        float irradiance = irradiances[i] * max(dot(n, l), 0.0) * DIRECTIONAL_SEEN(i);
         body += irradiance / PI;
         gloss += irradiance * coat(n, v, l);
     }
@@ -145,7 +152,7 @@ vec4 image(int k, vec3 texel, vec3 v, vec3 n) {
 #if SPOT_LIGHTS
     for (int i = k * SPOT_LIGHTS; i < (k + 1) * SPOT_LIGHTS; ++i) {
         vec3 l;
-        float irradiance = spot_irradiance(i, l) * max(dot(n, l), 0.0);
+        float irradiance = spot_irradiance(i, l) * max(dot(n, l), 0.0) * SPOT_SEEN(i);
         body += irradiance / PI;
         gloss += irradiance * coat(n, v, l);
     }
@@ -162,6 +169,9 @@ void main() {
 #else
     vec3 surface = surface_texel();
     vec3 n = surface_normal(v);
+#endif
+#if SHADOWS
+    find_shadows(n);
 #endif
     // Written out: a loop of this size stays a loop, and takes twice as long.
     images[0] = image(0, surface, v, n);

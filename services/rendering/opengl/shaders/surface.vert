@@ -1,7 +1,7 @@
 #version 330 core
 
 // Compiled for: TEXTURED (1: the surface has a texture), HOLES (1: with texels of less than half alpha), IMAGES (drawn
-// at once, one to each output), LIGHTS (point lights), DIRECTIONAL_LIGHTS, SPOT_LIGHTS, and METALLIC_ROUGHNESS (1: a
+// at once, one to each output), LIGHTS (point lights), DIRECTIONAL_LIGHTS, SPOT_LIGHTS, SHADOWS (1: they are drawn), and METALLIC_ROUGHNESS (1: a
 // material of a glTF file, see `metallic_roughness.frag` for the constants that it has besides).
 //
 // Matrices are multiplied on the host in float64, so that a small move of an object survives the rounding to float32.
