@@ -21,6 +21,8 @@ ENERGY = 30.0
 """Unit of a point or spot light's energy in the group `illumination`, so that all its coordinates are near 1."""
 IRRADIANCE = 3.0
 """Unit of a directional light's energy there."""
+FINER = 2
+"""By how much shadow maps are finer, a side, in the image that a plan compares the scene's own shadows with."""
 _PLACE, _DIRECTION = ("x", "y", "z"), ("direction x", "direction y", "direction z")
 _LIGHTS = (
     ("point", ("energy", *_PLACE), ENERGY),
@@ -139,6 +141,15 @@ class SceneParameters:
         plain = copy(self)
         plain.shadows = None
         return plain
+
+    def with_finer_shadows(self) -> "SceneParameters":
+        """The same with shadow maps of FINER² times as many texels and samples, as far as a scene may have them."""
+        finer = copy(self)
+        if self.shadows is not None:
+            resolution = min(FINER * self.shadows.resolution, 4096)
+            samples = min(FINER**2 * self.shadows.samples, 64)
+            finer.shadows = self.shadows.model_copy(update={"resolution": resolution, "samples": samples})
+        return finer
 
     def _lights(self) -> list[tuple[str, str]]:
         """For each coordinate of the group `illumination` its light and its name there."""

@@ -28,6 +28,7 @@ from services.rendering.pyrender_renderer.errors import MARGIN, is_sampled, meas
 from services.rendering.pyrender_renderer.inactive import inactive_coordinates
 from services.rendering.pyrender_renderer.parameters import SceneParameters
 from services.rendering.pyrender_renderer.planner import Rasterised, compile_plan
+from services.rendering.pyrender_renderer.shadow_plan import shadow_error, with_shadows
 from services.scenes.resolve import ResolvedScene
 
 EXPOSURE = 0.5
@@ -88,6 +89,9 @@ class PyrenderRenderer(DeclaredRenderer):
         self._rasterises = False
         self._sampled: ImageError | None = None
         self._watertight = self._is_watertight_at_start()
+        finer = copy(self)
+        finer._numbers = self._numbers.with_finer_shadows()
+        self._shadow_error = 0.0 if description.shadows is None else shadow_error(self, finer)
         self.plan = self._compile(groups, None)
         self._twin: PyrenderRenderer = self
         if tolerance != "exact":
@@ -104,7 +108,7 @@ class PyrenderRenderer(DeclaredRenderer):
         return cls(request.scene, request.groups, request.tolerance)
 
     def _compile(self, groups: tuple[str, ...], rasterised: Rasterised | None) -> Plan:
-        return compile_plan(
+        plan = compile_plan(
             self,
             self.drawing,
             groups,
@@ -115,6 +119,7 @@ class PyrenderRenderer(DeclaredRenderer):
             most=self._most,
             idle=[] if self._plain else self.inactive(self.initial(), {}),
         )
+        return with_shadows(plan, self.drawing, self._at_start(), self._shadow_error)
 
     def _try_rasteriser(self, groups: tuple[str, ...], tolerance: float) -> Rasterised:
         """Whether the rasteriser draws within the tolerance, and with which error; sets `_rasterises`."""

@@ -3,6 +3,7 @@
 from tests.unit.accuracy import damaged_materials as materials
 from tests.unit.accuracy import damaged_scenes as scenes
 from tests.unit.accuracy import damaged_shaders as shaders
+from tests.unit.accuracy import damaged_shadows as shadows
 from tests.unit.accuracy import damaged_steps as steps
 
 DIFFERENCES = ["difference, λ 3, δ 0.05", "difference, λ 0.3, δ 0.01", "difference, λ 10, δ 0.1"]
@@ -34,6 +35,14 @@ MUTANTS = [
     (scenes.half_energy, {"lights": ["0.5 to 3 away", "energy of 1e-30 to 1e6"]}),
     (scenes.swapped_axes, {"lights": ["0.5 to 3 away", "1e-4 above the surface"]}),
     (scenes.channels_swapped, {"textures": ["four quarters"]}),
+    # shadows
+    (
+        shadows.no_maps,
+        {"shadows": ["a ball on the ground", "light 3° above the ground", "an object moved out of the map"]},
+    ),
+    (shadows.no_casters, {"shadows": ["light among the objects", "light inside an object", "a light 1e5 away"]}),
+    (shadows.too_near, {"shadows": ["no occluder", "no occluder, grazing", "a ball alone"]}),
+    (shadows.rays_miss, {"shadows": ["every texel over the ground"]}),
     # textures
     (shaders.texture_upside_down, {"textures": [*QUARTERS, "a quarter cut out"]}),
     (shaders.texture_mirrored, {"textures": [*QUARTERS, "a quarter cut out"]}),

@@ -108,20 +108,20 @@ vec4 image(int k, Material m, vec3 v, vec3 n) {
         vec3 to_light = positions[i] - world_position;
         float distance2 = max(dot(to_light, to_light), 1e-6);
         vec3 l = to_light * inversesqrt(distance2);
-        float irradiance = intensities[i] * max(dot(n, l), 0.0) / distance2 * POINT_SEEN(i);
+        float irradiance = POINT_SEEN(i) * intensities[i] * max(dot(n, l), 0.0) / distance2;
         radiance += irradiance * reflected(m, body, f0, n, v, l);
     }
 #endif
 #if DIRECTIONAL_LIGHTS
     for (int i = k * DIRECTIONAL_LIGHTS; i < (k + 1) * DIRECTIONAL_LIGHTS; ++i) {
         vec3 l = to_suns[i];
-        radiance += irradiances[i] * max(dot(n, l), 0.0) * DIRECTIONAL_SEEN(i) * reflected(m, body, f0, n, v, l);
+        radiance += DIRECTIONAL_SEEN(i) * irradiances[i] * max(dot(n, l), 0.0) * reflected(m, body, f0, n, v, l);
     }
 #endif
 #if SPOT_LIGHTS
     for (int i = k * SPOT_LIGHTS; i < (k + 1) * SPOT_LIGHTS; ++i) {
         vec3 l;
-        float irradiance = spot_irradiance(i, l) * max(dot(n, l), 0.0) * SPOT_SEEN(i);
+        float irradiance = SPOT_SEEN(i) * spot_irradiance(i, l) * max(dot(n, l), 0.0);
         radiance += irradiance * reflected(m, body, f0, n, v, l);
     }
 #endif
@@ -136,7 +136,7 @@ vec4 image(int k, vec3 texel, vec3 v, vec3 n) {
         vec3 to_light = positions[i] - world_position;
         float distance2 = max(dot(to_light, to_light), 1e-6);
         vec3 l = to_light * inversesqrt(distance2);
-        float irradiance = intensities[i] * max(dot(n, l), 0.0) / distance2 * POINT_SEEN(i);
+        float irradiance = POINT_SEEN(i) * intensities[i] * max(dot(n, l), 0.0) / distance2;
         body += irradiance / PI;
         gloss += irradiance * coat(n, v, l);
     }
@@ -144,7 +144,7 @@ vec4 image(int k, vec3 texel, vec3 v, vec3 n) {
 #if DIRECTIONAL_LIGHTS
     for (int i = k * DIRECTIONAL_LIGHTS; i < (k + 1) * DIRECTIONAL_LIGHTS; ++i) {
         vec3 l = to_suns[i];
-        float irradiance = irradiances[i] * max(dot(n, l), 0.0) * DIRECTIONAL_SEEN(i);
+        float irradiance = DIRECTIONAL_SEEN(i) * irradiances[i] * max(dot(n, l), 0.0);
         body += irradiance / PI;
         gloss += irradiance * coat(n, v, l);
     }
@@ -152,7 +152,7 @@ vec4 image(int k, vec3 texel, vec3 v, vec3 n) {
 #if SPOT_LIGHTS
     for (int i = k * SPOT_LIGHTS; i < (k + 1) * SPOT_LIGHTS; ++i) {
         vec3 l;
-        float irradiance = spot_irradiance(i, l) * max(dot(n, l), 0.0) * SPOT_SEEN(i);
+        float irradiance = SPOT_SEEN(i) * spot_irradiance(i, l) * max(dot(n, l), 0.0);
         body += irradiance / PI;
         gloss += irradiance * coat(n, v, l);
     }

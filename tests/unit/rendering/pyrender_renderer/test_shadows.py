@@ -212,3 +212,23 @@ def test_too_large_maps_are_refused() -> None:
     with pytest.raises(InvalidRequest, match="GiB") as refused:
         PyrenderRenderer.build(BuildRequest(scene, ("illumination",), 1e-3, None))
     assert refused.value.field == "scene.shadows.resolution"
+
+
+def test_the_plan_says_which_objects_are_in_the_maps_and_what_the_maps_leave_out() -> None:
+    """The ground is in no map. Fewer texels and samples leave out more."""
+    errors = []
+    for shadows in (
+        Shadows(softness=0.2, resolution=64, samples=2),
+        Shadows(softness=0.2, resolution=1024, samples=16),
+    ):
+        renderer = PyrenderRenderer(over_ground(ball(), shadows=shadows, lights=lights("point")))
+        [item] = [item for item in renderer.plan.items if item.what == "shadow casters"]
+        assert (item.kept, item.of) == (1, 2)
+        [stage] = [stage for stage in renderer.plan.stages if stage.name == "shadow maps"]
+        assert stage.evaluations == shadows.resolution**2
+        [drawn] = [item for item in renderer.plan.items if item.what == "passes through OpenGL"]
+        assert "it draws no shadows" in drawn.why
+        errors.append(float(stage.why.split("displayed values by ")[1].split()[0]))
+    assert 0 < errors[1] < errors[0] / 2
+    plain = PyrenderRenderer(over_ground(ball(), shadows=None, lights=lights("point")))
+    assert not any("shadow" in stage.name for stage in plain.plan.stages)
