@@ -11,6 +11,7 @@ from services.accuracy.work_precision import (
     gradients_torch,
     map_resolution,
     network_signs,
+    shadow_resolution,
 )
 from services.accuracy.work_precision.attack_runs import AttackRow
 from services.accuracy.work_precision.convergence import OrderRow, shading_orders, smooth_orders
@@ -28,6 +29,7 @@ from services.accuracy.work_precision.progress import Progress
 from services.accuracy.work_precision.shading_methods import TOO_MANY, ShadingMethod, methods
 from services.accuracy.work_precision.shading_rows import CannotRunRow, ShadingRow, row, truth
 from services.accuracy.work_precision.shading_subject import subject
+from services.accuracy.work_precision.shadow_resolution import ShadowRow
 from services.accuracy.work_precision.success import SuccessRow, success_rows
 from services.versions import versions
 
@@ -98,6 +100,7 @@ class Found:
     shading: list[ShadingRow] = field(default_factory=list)
     cannot_run: list[CannotRunRow] = field(default_factory=list)
     maps: list[MapRow] = field(default_factory=list)
+    shadows: list[ShadowRow] = field(default_factory=list)
     orders: list[OrderRow] = field(default_factory=list)
     signs: list[SignRow] = field(default_factory=list)
     references: list[Reference] = field(default_factory=list)
@@ -119,6 +122,7 @@ def collect(extent: Extent, progress: Progress | None = None) -> Found:
     )
     found.orders.extend([*smooth, *shading_orders(found.shading)])
     found.maps.extend(progress.rows("maps", MapRow, lambda: list(map_resolution.rows(mesh, size))))
+    found.shadows.extend(progress.rows("shadows", ShadowRow, lambda: list(shadow_resolution.rows(size, extent.enough))))
     found.signs.extend(progress.rows("signs", SignRow, lambda: list(network_signs.rows(*extent.gradients))))
     estimates(extent, progress, found)
     found.attacks.extend(attacks(extent, progress))

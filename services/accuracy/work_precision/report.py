@@ -18,6 +18,7 @@ from services.accuracy.work_precision.independent_check import IndependentRow
 from services.accuracy.work_precision.map_resolution import MapRow
 from services.accuracy.work_precision.network_signs import SignRow
 from services.accuracy.work_precision.shading_rows import CannotRunRow, ShadingRow
+from services.accuracy.work_precision.shadow_resolution import ShadowRow
 from services.accuracy.work_precision.success import SuccessRow
 from services.accuracy.work_precision.words import OMISSIONS, conclusions
 from services.versions import versions
@@ -38,6 +39,7 @@ class Report(BaseModel):
     success: list[SuccessRow]
     independent: list[IndependentRow]
     maps: list[MapRow]
+    shadows: list[ShadowRow]
     orders: list[OrderRow]
     signs: list[SignRow]
     shading: list[ShadingRow]
@@ -96,7 +98,8 @@ def markdown(made: Report) -> str:
     lines += [f"- {words}" for words in conclusions(found)]
     lines += ["", f"![Error against seconds, evaluations and steps]({NAME}.png)", ""]
     lines += [*tables.success(made.success), "", *tables.independent(made.independent), ""]
-    lines += [*tables.maps(made.maps), "", *tables.orders(made.orders), "", *tables.signs(made.signs), ""]
+    lines += [*tables.maps(made.maps), "", *tables.shadows(made.shadows), ""]
+    lines += [*tables.orders(made.orders), "", *tables.signs(made.signs), ""]
     lines += [*tables.shading(made.shading, made.cannot_run), "", *tables.gradients(made.gradients, made.references)]
     lines += ["", *tables.attacks(made.attacks), "", "## What is left out", "", *(f"- {words}" for words in OMISSIONS)]
     return "\n".join([*lines, "", *_provenance(made)]) + "\n"

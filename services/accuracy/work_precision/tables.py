@@ -9,6 +9,7 @@ from services.accuracy.work_precision.independent_check import IndependentRow
 from services.accuracy.work_precision.map_resolution import MapRow
 from services.accuracy.work_precision.network_signs import SignRow
 from services.accuracy.work_precision.shading_rows import CannotRunRow, ShadingRow
+from services.accuracy.work_precision.shadow_resolution import ShadowRow
 from services.accuracy.work_precision.success import SuccessRow
 from services.accuracy.work_precision.timing import Times
 from services.accuracy.work_precision.words import interval
@@ -78,6 +79,25 @@ def maps(rows: Sequence[MapRow]) -> Iterator[str]:
             [
                 *(row.mesh, row.material, _map(row.map), _map(row.reference), f"{row.pixels:,}"),
                 *(_small(row.largest), _small(row.rms)),
+            ]
+            for row in rows
+        ],
+    )
+
+
+def shadows(rows: Sequence[ShadowRow]) -> Iterator[str]:
+    """What coarse shadow maps and few samples leave out."""
+    yield from ("## Resolution of shadows", "")
+    yield "Exact images of a ball and a cube on the ground beside those with the finest shadows; differences of"
+    yield "displayed values over covered pixels. Seconds are of an image (pyrender) or of the visibility, found once"
+    yield "(torch)."
+    yield ""
+    yield from _table(
+        ("renderer", "shadows", "beside", "pixels>", "mean>", "largest>", "seconds>"),
+        [
+            [
+                *(row.renderer, row.fineness, row.reference, f"{row.pixels:,}"),
+                *(_small(row.mean), _small(row.largest), f"{row.seconds:.3g}"),
             ]
             for row in rows
         ],

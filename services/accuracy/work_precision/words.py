@@ -28,7 +28,7 @@ OMISSIONS = (
     "Mitsuba has no material of this model, so it cannot be a second reference; docs/benchmarks.md compares its speed "
     "on a problem of the same size.",
     "The viewer is far away, as is the default; one at the camera (`viewer: perspective`) is summed pixel by pixel.",
-    "The renderers draw no shadows, so a moved light or object changes no shadow.",
+    "Gradients and attacks are measured without shadows.",
 )
 
 

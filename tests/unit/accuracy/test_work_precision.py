@@ -192,6 +192,7 @@ def test_the_report_says_everything(tmp_path: Path) -> None:
     assert sum(page.count(f"\n| {SCENES[0][0]} | {method} | ") for method in ("fgsm", "zoo")) == len(made.attacks) == 9
     for heading in (
         *("Work to a verified adversary", "The reference", "Resolution of the environment map"),
+        "Resolution of shadows",
         *(
             "Orders of convergence",
             "Signs that FGSM takes",
