@@ -51,7 +51,7 @@ def _scene(size: tuple[int, int], shadows: Shadows) -> ResolvedScene:
     """A ball and a cube on the ground, under two point lights or the studio map."""
     ground = {"mesh": "primitive/plane", "rotation": (-pi / 2, 0, 0), "scale": 3 * 2**0.5 / FIT_RADIUS}
     ball = {"mesh": "primitive/sphere", "translation": (-0.5, 0.4, 0.2), "scale": 0.4 / FIT_RADIUS}
-    cube = {"mesh": "primitive/cube", "translation": (0.5, 0.3, -0.2), "rotation": (0, 0.5, 0)}
+    cube: dict[str, object] = {"mesh": "primitive/cube", "translation": (0.5, 0.3, -0.2), "rotation": (0, 0.5, 0)}
     cube["scale"] = 0.3 * 3**0.5 / FIT_RADIUS
     described = {
         "camera": {"size": size, "elevation": 0.6, "distance": 3.0},
