@@ -1,8 +1,10 @@
 """What the pyrender renderer's plan says of shadows: which objects are in the maps, and what the maps leave out."""
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Protocol
 
 import torch
+from torch import Tensor
 
 from services.rendering.opengl.camera import RenderPass
 from services.rendering.opengl.shadow_views import box_corners, casters, shadow_views
@@ -12,7 +14,6 @@ from services.rendering.pyrender_renderer.parameters import FINER
 
 if TYPE_CHECKING:
     from services.rendering.opengl.mesh_upload import Drawing
-    from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 
 
 def with_shadows(plan: Plan, drawing: "Drawing", lit: RenderPass, error: float) -> Plan:
@@ -51,7 +52,19 @@ def with_shadows(plan: Plan, drawing: "Drawing", lit: RenderPass, error: float) 
     return plan.model_copy(update={"items": (*plan.items, item), "stages": (*plan.stages, stage)})
 
 
-def shadow_error(renderer: "PyrenderRenderer", finer: "PyrenderRenderer") -> float:
+class Drawn(Protocol):
+    """The part of the renderer that its shadows' error is measured by."""
+
+    def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
+        """Images [B, H, W, 3]."""
+        ...
+
+    def radiance(self, parameters: Mapping[str, Tensor]) -> Tensor:
+        """Radiance times coverage, and coverage, [B, H, W, 4]."""
+        ...
+
+
+def shadow_error(renderer: Drawn, finer: Drawn) -> float:
     """The mean difference of displayed values between the scene's own image and that of a renderer with finer maps,
     over covered pixels; 0 if nothing is covered."""
     coverage = renderer.radiance({})[0, ..., 3]

@@ -237,8 +237,7 @@ class _Sum:
         light = self._light_of(illumination) if self._light is None else self._light
         if self._viewers is not None:
             own = material[: 1 if self._alike(material) else dsbrdf.CHANNELS].to(self._recipe.dtype) / MATERIAL_UNIT
-            towards = self._directions.towards
-            return perspective.radiance(normals, self._viewers, light, own, towards, self._visibility)
+            return perspective.radiance(normals, self._viewers, light, own, self._directions.towards, self._visibility)
         lobes = self._lobes_of(material.to(self._recipe.dtype)) if self._lobes is None else self._lobes
         return radiance(normals, light, lobes, self._directions, self._visibility)
 
