@@ -4,12 +4,11 @@ CLEVR's world has +z up, ours has +y up: a point (x, y, z) there is (x, z, −y)
 """
 
 from math import atan2, cos, pi, radians, remainder, sin
-from typing import Any
 
 from services.scenes.clevr.attributes import RGB, bounding_radius
 from services.scenes.clevr.records import ObjectRecord, SceneRecord
 from services.scenes.clevr.rig import IMAGE_SIZE, VERTICAL_FIELD_OF_VIEW, Rig, Vector
-from services.scenes.description import Camera, Lights, PointLight, Scene, SceneObject
+from services.scenes.description import Camera, Floor, Lights, PointLight, Scene, SceneObject, Shadows
 from services.scenes.mesh import FIT_RADIUS
 
 ENERGY = {"key": 100.0, "fill": 30.0, "back": 50.0}
@@ -24,13 +23,6 @@ SHADOW_SOFTNESS = 0.25
 METALLIC = {"rubber": 0.0, "metal": 1.0}
 ROUGHNESS = {"rubber": 0.7, "metal": 0.4}
 
-PRESETS = {"rubber": "matte", "metal": "brushed-metal"}
-"""DSBRDF presets near CLEVR's materials, for a description whose objects have no metallic factor."""
-
-HAS_SURFACES = "metallic" in SceneObject.model_fields
-HAS_FLOOR = "floor" in Scene.model_fields
-HAS_SHADOWS = "shadows" in Scene.model_fields
-
 
 def describe(record: SceneRecord, size: tuple[int, int] = IMAGE_SIZE) -> Scene:
     """Returns the description of a scene. `size` is the height and width of its image in pixels.
@@ -39,8 +31,8 @@ def describe(record: SceneRecord, size: tuple[int, int] = IMAGE_SIZE) -> Scene:
     direction in which its camera looked; its height and distance are not in the file.
     """
     rig = rig_of(record)
-    fields: dict[str, Any] = {
-        "camera": Camera(
+    return Scene(
+        camera=Camera(
             azimuth=rig.azimuth,
             elevation=rig.elevation,
             distance=rig.distance,
@@ -48,16 +40,17 @@ def describe(record: SceneRecord, size: tuple[int, int] = IMAGE_SIZE) -> Scene:
             size=size,
             viewer="perspective",
         ),
-        "objects": tuple(_object(one) for one in record.objects),
-        "lights": Lights(
+        objects=tuple(_object(one) for one in record.objects),
+        lights=Lights(
             ambient=AMBIENT,
             points=tuple(
                 PointLight(energy=energy, position=_ours(getattr(rig, name))) for name, energy in ENERGY.items()
             ),
         ),
-        "ground": FLOOR_COLOR,
-    }
-    return Scene.model_validate(fields | _floor() | ({"shadows": {"softness": SHADOW_SOFTNESS}} if HAS_SHADOWS else {}))
+        ground=FLOOR_COLOR,
+        floor=Floor(size=FLOOR_SIZE, height=0.0, color=FLOOR_COLOR, material="matte", metallic=0.0, roughness=1.0),
+        shadows=Shadows(softness=SHADOW_SOFTNESS),
+    )
 
 
 def rig_of(record: SceneRecord) -> Rig:
@@ -70,25 +63,18 @@ def rig_of(record: SceneRecord) -> Rig:
     return Rig(*(_turned(point, turn) for point in (base.camera, base.key, base.fill, base.back)))
 
 
-def _object(one: ObjectRecord) -> dict[str, Any]:
-    surfaces = {"metallic": METALLIC[one.material], "roughness": ROUGHNESS[one.material]} if HAS_SURFACES else {}
+def _object(one: ObjectRecord) -> SceneObject:
     red, green, blue = RGB[one.color]
-    return {
-        "mesh": f"primitive/{one.shape}",
-        "material": one.material if HAS_SURFACES else PRESETS[one.material],
-        "color": (red / 255, green / 255, blue / 255),
-        "translation": _ours(one.coords_3d),
-        "rotation": (0.0, remainder(radians(one.rotation), 2 * pi), 0.0),
-        "scale": bounding_radius(one.shape, one.size) / FIT_RADIUS,
-        **surfaces,
-    }
-
-
-def _floor() -> dict[str, Any]:
-    if not HAS_FLOOR:
-        return {}
-    surface = {"material": "matte", "metallic": 0.0, "roughness": 1.0}
-    return {"floor": {"size": FLOOR_SIZE, "height": 0.0, "color": FLOOR_COLOR, **surface}}
+    return SceneObject(
+        mesh=f"primitive/{one.shape}",
+        material=one.material,
+        metallic=METALLIC[one.material],
+        roughness=ROUGHNESS[one.material],
+        color=(red / 255, green / 255, blue / 255),
+        translation=_ours(one.coords_3d),
+        rotation=(0.0, remainder(radians(one.rotation), 2 * pi), 0.0),
+        scale=bounding_radius(one.shape, one.size) / FIT_RADIUS,
+    )
 
 
 def _ours(point: Vector) -> Vector:
