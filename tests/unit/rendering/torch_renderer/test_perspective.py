@@ -121,7 +121,7 @@ def test_a_curve_at_its_end_has_no_slope(which: int) -> None:
 def seen(viewer: str, distance: float, field_of_view: float, tolerance: Tolerance = "exact") -> TorchRenderer:
     scene = sphere_scene((48, 48), sky(8, 16), ("glossy-paint",))
     camera = Camera(size=(48, 48), distance=distance, field_of_view=field_of_view, viewer=viewer)
-    scene = placed(scene.description.model_copy(update={"camera": camera}))
+    scene = placed(scene.description.model_copy(update={"camera": camera}), *scene.meshes)
     object.__setattr__(scene, "environment", sky(8, 16))
     return TorchRenderer(scene, sphere_gbuffer(scene, albedo=(0.3, 0.25, 0.2)), tolerance=tolerance)
 
