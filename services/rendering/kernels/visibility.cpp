@@ -1,222 +1,81 @@
 // Which directions the surface at each pixel sees past the scene's triangles, and where rays from the camera meet them
 // (services/rendering/torch_renderer/visibility.py).
 //
-// Rays run in packets, one to a lane, through a tree of bounding boxes. The rays of a shadow packet are parallel and
-// start at neighbouring pixels, so that they mostly meet the same boxes.
+// The rays of a shadow packet are parallel and start at neighbouring pixels, so that they mostly meet the same boxes.
 
-#include <numeric>
-
-#include "lanes.h"
+#include "cones.h"
 #include "layout.h"
 
 namespace {
 
-typedef float F;
-typedef V<F> Vec;
-typedef I<F> Mask;
-constexpr int N = Lanes<F>::count;
-constexpr int LEAF = 4, BINS = 16, DEEPEST = 64;
-constexpr F FAR = 3e38f;
-constexpr F FLAT = 1e-20f;  // |det| of a ray and a triangle below which it runs along it
-
-struct Box {
-    F low[3] = {FAR, FAR, FAR}, high[3] = {-FAR, -FAR, -FAR};
-
-    void add(const F *p) {
-        for (int k = 0; k < 3; ++k) low[k] = std::min(low[k], p[k]), high[k] = std::max(high[k], p[k]);
-    }
-    void add(const Box &b) { add(b.low), add(b.high); }
-    F area() const {
-        F x = high[0] - low[0], y = high[1] - low[1], z = high[2] - low[2];
-        return x < 0 ? 0 : x * y + y * z + z * x;
-    }
-};
-
-struct Node {
-    Box box;
-    int32_t first, count;  // of a leaf its triangles; of another node count is 0, and its second child is at `first`
-};
-
-// A tree of bounding boxes, split where the surface area heuristic says (Wald 2007).
-struct Tree {
-    std::vector<Node> nodes;
-    std::vector<int32_t> order;
-    std::vector<F> corners;  // [triangles, 9] in the order of the leaves
-
-    Tree(int64_t count, const F *given) : order(count) {
-        std::iota(order.begin(), order.end(), 0);
-        std::vector<Box> boxes(count);
-        for (int64_t i = 0; i < count; ++i)
-            for (int v = 0; v < 3; ++v) boxes[i].add(given + 9 * i + 3 * v);
-        nodes.reserve(2 * count + 1);
-        if (count) split(boxes, 0, (int32_t)count, 0);
-        corners.resize(9 * count);
-        for (int64_t i = 0; i < count; ++i) std::memcpy(&corners[9 * i], given + 9 * (int64_t)order[i], 9 * sizeof(F));
-    }
-
-    void split(const std::vector<Box> &boxes, int32_t first, int32_t last, int depth) {
-        const size_t here = nodes.size();
-        nodes.push_back({});
-        Box whole, middles;
-        for (int32_t i = first; i < last; ++i) {
-            const Box &b = boxes[order[i]];
-            F m[3];
-            for (int k = 0; k < 3; ++k) m[k] = b.low[k] + b.high[k];
-            whole.add(b), middles.add(m);
-        }
-        nodes[here].box = whole;
-        int axis = 0;
-        for (int k = 1; k < 3; ++k)
-            if (middles.high[k] - middles.low[k] > middles.high[axis] - middles.low[axis]) axis = k;
-        const F low = middles.low[axis], extent = middles.high[axis] - low;
-        if (last - first <= LEAF || !(extent > 0) || depth >= DEEPEST) {
-            nodes[here].first = first, nodes[here].count = last - first;
-            return;
-        }
-        auto bin = [&](int32_t i) {
-            const Box &b = boxes[i];
-            return std::min(BINS - 1, (int)((b.low[axis] + b.high[axis] - low) / extent * BINS));
-        };
-        Box of[BINS];
-        int32_t counts[BINS] = {};
-        for (int32_t i = first; i < last; ++i) of[bin(order[i])].add(boxes[order[i]]), ++counts[bin(order[i])];
-        F cost[BINS] = {}, best = FAR;
-        Box after;
-        int32_t n = 0;
-        for (int b = BINS - 1; b > 0; --b) after.add(of[b]), n += counts[b], cost[b] = n * after.area();
-        Box before;
-        int cut = BINS / 2;
-        n = 0;
-        for (int b = 1; b < BINS; ++b) {
-            before.add(of[b - 1]), n += counts[b - 1];
-            if (n && n < last - first && cost[b] + n * before.area() < best) best = cost[b] + n * before.area(), cut = b;
-        }
-        auto middle = std::stable_partition(order.begin() + first, order.begin() + last, [&](int32_t i) { return bin(i) < cut; });
-        const int32_t where = (int32_t)(middle - order.begin());
-        split(boxes, first, where, depth + 1);
-        nodes[here].first = (int32_t)nodes.size(), nodes[here].count = 0;
-        split(boxes, where, last, depth + 1);
-    }
-};
-
-inline bool any(Mask m) {
-    bool found = false;
-    for (int i = 0; i < N; ++i) found |= m[i] != 0;
-    return found;
-}
-
-struct Packet {
-    Vec o[3], d[3], inverse[3], nearest;  // origins, directions, their reciprocals, distance of the nearest hit
-    Mask running;                         // rays that still look for one
-
-    void aim(int lane, const F *direction) {
-        for (int k = 0; k < 3; ++k) {
-            F c = direction[k];
-            d[k][lane] = c, inverse[k][lane] = 1 / (std::abs(c) > 1e-20f ? c : std::copysign(1e-20f, c));
-        }
-    }
-
-    Mask meets(const Box &b) const {
-        Vec from{}, to = nearest;
-        for (int k = 0; k < 3; ++k) {
-            Vec one = (b.low[k] - o[k]) * inverse[k], other = (b.high[k] - o[k]) * inverse[k];
-            from = most<F>(from, least<F>(one, other)), to = least<F>(to, most<F>(one, other));
-        }
-        return (from <= to) & running;
-    }
-
-    // Lanes whose rays meet a triangle before `nearest`, and where (Möller and Trumbore 1997).
-    Mask meets(const F *c, Vec &distance) const {
-        F e[3], g[3];
-        for (int k = 0; k < 3; ++k) e[k] = c[3 + k] - c[k], g[k] = c[6 + k] - c[k];
-        Vec px = d[1] * g[2] - d[2] * g[1], py = d[2] * g[0] - d[0] * g[2], pz = d[0] * g[1] - d[1] * g[0];
-        Vec det = px * e[0] + py * e[1] + pz * e[2];
-        Mask flat = (det < FLAT) & (det > -FLAT);
-        Vec scale = F(1) / choose<F>(flat, all<F>(1), det);
-        Vec x = o[0] - c[0], y = o[1] - c[1], z = o[2] - c[2];
-        Vec u = (x * px + y * py + z * pz) * scale;
-        Vec qx = y * e[2] - z * e[1], qy = z * e[0] - x * e[2], qz = x * e[1] - y * e[0];
-        Vec v = (d[0] * qx + d[1] * qy + d[2] * qz) * scale;
-        distance = (qx * g[0] + qy * g[1] + qz * g[2]) * scale;
-        return ~flat & (u >= F(0)) & (v >= F(0)) & (u + v <= F(1)) & (distance > F(0)) & (distance < nearest) & running;
-    }
-
-    // Runs the rays through the tree; with `first` a ray stops at any hit, else at the nearest, whose face it notes.
-    void run(const Tree &tree, bool first, int32_t *faces) {
-        if (tree.nodes.empty()) return;
-        int32_t stack[2 * DEEPEST + 4];
-        int top = 0;
-        stack[top++] = 0;
-        while (top) {
-            const int32_t at = stack[--top];
-            const Node &node = tree.nodes[at];
-            if (!any(meets(node.box))) continue;
-            if (!node.count) {
-                stack[top++] = node.first, stack[top++] = at + 1;
-                continue;
-            }
-            for (int32_t i = node.first; i < node.first + node.count; ++i) {
-                Vec distance;
-                Mask hit = meets(&tree.corners[9 * (int64_t)i], distance);
-                if (!any(hit)) continue;
-                nearest = choose<F>(hit, distance, nearest);
-                if (first) {
-                    running &= ~hit;
-                    if (!any(running)) return;
-                } else {
-                    for (int l = 0; l < N; ++l)
-                        if (hit[l]) faces[l] = tree.order[i];
-                }
-            }
-        }
-    }
-};
-
 // out [directions, pixels]: 255 times the share of a direction's samples that nothing hides, among those above the
 // pixel's own horizon, of its normal and of the triangle that it is on; 255 where none is. Triangles [faces, 3, 3];
-// origins, normals and facets (the triangles' normals) [pixels, 3]; towards [directions, samples, 3], unit.
-void visibility(int64_t faces, const F *triangles, int64_t pixels, const F *origins, const F *normals,
-                const F *facets, int64_t directions, int64_t samples, const F *towards, uint8_t *out, int threads) {
-    const Tree tree(faces, triangles);
+// origins, normals and facets (the triangles' normals) [pixels, 3]; towards [directions, samples, 3], unit. A pixel's
+// place in a row of `out` is in `columns` and in `owners` [pixels] the convex
+// object that it is on, which casts no shadow there, or -1. `ends` [objects + 1] are as in Tree; balls
+// [objects, 4] are inside the objects: centre and radius, which may be 0.
+void visibility(int64_t objects, const int64_t *ends, const F *triangles, const F *balls, int64_t pixels,
+                const F *origins, const F *normals, const F *facets, const int64_t *owners, const int64_t *columns,
+                int64_t directions, int64_t samples, const F *towards, uint8_t *out, int threads) {
+    const Tree tree(objects, ends, triangles);
+    const Cover cover(tree);
+    const Cones cones(directions, samples, towards);
     const int64_t blocks = (pixels + N - 1) / N;
-#pragma omp parallel for schedule(dynamic, 4) num_threads(threads)
-    for (int64_t block = 0; block < blocks; ++block) {
-        const int64_t first = block * N;
-        const int here = (int)std::min<int64_t>(N, pixels - first);
-        Packet packet;
-        Vec n[3], f[3];
-        Mask real{};
-        for (int l = 0; l < N; ++l) {
-            const int64_t p = first + std::min(l, here - 1);
-            for (int k = 0; k < 3; ++k) {
-                packet.o[k][l] = origins[3 * p + k];
-                n[k][l] = normals[3 * p + k], f[k][l] = facets[3 * p + k];
+#pragma omp parallel num_threads(threads)
+    {
+        std::vector<Mask> met(cones.cosine.size());
+#pragma omp for schedule(dynamic, 4)
+        for (int64_t block = 0; block < blocks; ++block) {
+            const int64_t first = block * N;
+            const int here = (int)std::min<int64_t>(N, pixels - first);
+            Packet packet;
+            Vec n[3], f[3];
+            Mask real{}, owner{};
+            Box from;
+            for (int l = 0; l < N; ++l) {
+                const int64_t p = first + std::min(l, here - 1);
+                from.add(origins + 3 * p);
+                for (int k = 0; k < 3; ++k) {
+                    packet.o[k][l] = origins[3 * p + k];
+                    n[k][l] = normals[3 * p + k], f[k][l] = facets[3 * p + k];
+                }
+                real[l] = l < here ? -1 : 0, owner[l] = (int32_t)owners[p];
             }
-            real[l] = l < here ? -1 : 0;
-        }
-        for (int64_t d = 0; d < directions; ++d) {
-            int above[N] = {}, seen[N] = {};
-            for (int64_t s = 0; s < samples; ++s) {
-                const F *w = towards + 3 * (d * samples + s);
-                Mask up = (n[0] * w[0] + n[1] * w[1] + n[2] * w[2] > F(0)) & real;
-                up &= f[0] * w[0] + f[1] * w[1] + f[2] * w[2] > F(0);
-                if (!any(up)) continue;
-                for (int l = 0; l < N; ++l) packet.aim(l, w);
-                packet.nearest = all<F>(FAR), packet.running = up;
-                packet.run(tree, true, nullptr);
-                for (int l = 0; l < here; ++l) above[l] -= up[l], seen[l] -= up[l] & packet.running[l];
+            cones.meet(tree, cover, from, met);
+            for (int64_t d = 0; d < directions; ++d) {
+                int above[N] = {}, seen[N] = {};
+                uint8_t *row = out + d * pixels;
+                const uint32_t nodes = (uint32_t)met[d / N][d % N];
+                for (int64_t s = 0; nodes && s < samples; ++s) {
+                    const F *w = towards + 3 * (d * samples + s);
+                    Mask up = (n[0] * w[0] + n[1] * w[1] + n[2] * w[2] > F(0)) & real;
+                    up &= f[0] * w[0] + f[1] * w[1] + f[2] * w[2] > F(0);
+                    if (!any(up)) continue;
+                    packet.aim(w);
+                    packet.nearest = all<F>(FAR), packet.running = up;
+                    for (uint32_t left = nodes; left; left &= left - 1) {
+                        const int node = __builtin_ctz(left);
+                        const Mask apart = packet.running & (owner == cover.owners[node]);
+                        packet.running &= ~apart;
+                        packet.stop_at(balls + 4 * cover.owners[node]);
+                        if (any(packet.running)) packet.run(tree, cover.nodes[node], true, nullptr);
+                        packet.running |= apart;
+                    }
+                    for (int l = 0; l < here; ++l) above[l] -= up[l], seen[l] -= up[l] & packet.running[l];
+                }
+                for (int l = 0; l < here; ++l)
+                    row[columns[first + l]] =
+                        above[l] ? (uint8_t)((510 * seen[l] + above[l]) / (2 * above[l])) : 255;
             }
-            for (int l = 0; l < here; ++l)
-                out[d * pixels + first + l] = above[l] ? (uint8_t)((510 * seen[l] + above[l]) / (2 * above[l])) : 255;
         }
     }
 }
 
 // Where rays from one point first meet the triangles: distances [rays], 3e38 where they do not, and the faces' numbers
-// there. directions [rays, 3], unit.
-void nearest(int64_t faces, const F *triangles, int64_t rays, const F *from, const F *directions, F *distances,
-             int32_t *found, int threads) {
-    const Tree tree(faces, triangles);
+// there. directions [rays, 3], unit; `ends` as in Tree.
+void nearest(int64_t objects, const int64_t *ends, const F *triangles, int64_t rays, const F *from, const F *directions,
+             F *distances, int32_t *found, int threads) {
+    const Tree tree(objects, ends, triangles);
     const int64_t blocks = (rays + N - 1) / N;
 #pragma omp parallel for schedule(dynamic, 4) num_threads(threads)
     for (int64_t block = 0; block < blocks; ++block) {
@@ -230,21 +89,24 @@ void nearest(int64_t faces, const F *triangles, int64_t rays, const F *from, con
             own[l] = -1;
         }
         packet.nearest = all<F>(FAR), packet.running = ~Mask{};
-        packet.run(tree, false, own);
+        for (int32_t root : tree.roots) packet.run(tree, root, false, own);
         for (int l = 0; l < here; ++l) distances[first + l] = packet.nearest[l], found[first + l] = own[l];
     }
 }
 
 }  // namespace
 
-EXPORT void visibility_float(int64_t faces, const float *triangles, int64_t pixels, const float *origins,
-                             const float *normals, const float *facets, int64_t directions, int64_t samples,
+EXPORT void visibility_float(int64_t objects, const int64_t *ends, const float *triangles,
+                             const float *balls, int64_t pixels, const float *origins, const float *normals, const float *facets,
+                             const int64_t *owners, const int64_t *columns, int64_t directions, int64_t samples,
                              const float *towards, uint8_t *out, int threads) {
-    visibility(faces, triangles, pixels, origins, normals, facets, directions, samples, towards, out, threads);
+    visibility(objects, ends, triangles, balls, pixels, origins, normals, facets, owners, columns, directions,
+               samples, towards, out, threads);
 }
-EXPORT void nearest_hits_float(int64_t faces, const float *triangles, int64_t rays, const float *from,
-                               const float *directions, float *distances, int32_t *found, int threads) {
-    nearest(faces, triangles, rays, from, directions, distances, found, threads);
+EXPORT void nearest_hits_float(int64_t objects, const int64_t *ends, const float *triangles, int64_t rays,
+                               const float *from, const float *directions, float *distances, int32_t *found,
+                               int threads) {
+    nearest(objects, ends, triangles, rays, from, directions, distances, found, threads);
 }
 FUNCTION(visibility_float)
 FUNCTION(nearest_hits_float)

@@ -31,16 +31,18 @@ class Regions:
     visibilities: list[Tensor | None]
 
 
-def regions(owner: Tensor, visibility: Tensor | None, names: Sequence[str]) -> Regions:
+def regions(owner: Tensor, visibility: Tensor | None, names: Sequence[str], by_shadow: bool = True) -> Regions:
     """Splits pixels that are sorted by their objects' indices, `owner` [P], by their `visibility` [D, P]; `names` are
     those of the objects.
 
-    Every object has a region, be it empty; one with pixels of both kinds has two, the unshadowed pixels first.
+    Every object has a region, be it empty; one with pixels of both kinds has two, the unshadowed pixels first. Without
+    `by_shadow` it has one all the same: where the viewer is near, all pixels are summed directly.
     """
-    if visibility is None:
+    if visibility is None or not by_shadow:
         counts = torch.bincount(owner, minlength=len(names)).tolist()
         order = torch.arange(len(owner), device=owner.device)
-        return Regions(order, list(range(len(names))), counts, list(names), [None] * len(names))
+        own = [None] * len(names) if visibility is None else list(torch.split(visibility, counts, dim=1))
+        return Regions(order, list(range(len(names))), counts, list(names), own)
     shadowed = (visibility < WHOLE).any(0)
     found = Regions(torch.argsort(2 * owner + shadowed, stable=True), [], [], [], [])
     for k, name in enumerate(names):

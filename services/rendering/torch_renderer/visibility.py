@@ -12,20 +12,25 @@ outline where it meets none of the pixel's object, where the G-buffer's depth sa
 """
 
 from math import pi
+from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from services.errors import InvalidRequest
 from services.rendering.kernels import compiled
 from services.rendering.opengl.gbuffer import GBuffer
+from services.scenes.convexity import is_convex
 from services.scenes.mesh import Floats
 from services.scenes.resolve import ResolvedScene
 
 OFFSET = 1e-3
 """Distance of a ray's start from the surface along the normal, times the object's scale: more than a finely divided
 mesh is off from the round surface that its normals are of, so that its faces cast no shadow on their neighbours."""
+INSIDE = 1e-4
+"""Share of a ball's radius by which it is taken smaller, so that rounding makes no ray meet it that misses the mesh."""
 SIDE = 4
 """Pixels a side of the squares whose rays run together."""
 WHOLE = 255
@@ -51,9 +56,35 @@ def visibility(scene: ResolvedScene, gbuffer: GBuffer, pixels: Tensor) -> Tensor
     order = _in_squares(pixels, gbuffer.coverage.shape[1])
     starts = _surface(scene, gbuffer, pixels[order], triangles, owners)
     seen = torch.empty(rows * columns, len(pixels), dtype=torch.uint8)
-    rays = (len(order), *starts, len(towards), towards.shape[1], towards)
-    compiled.call("visibility", torch.float32, len(triangles), triangles, *rays, seen, compiled.threads())
-    return seen[:, order.argsort()]
+    rays = (len(order), *starts, order, len(towards), towards.shape[1], towards)
+    objects = (*_by_object(scene, triangles, owners), inner_balls(scene, triangles, owners))
+    compiled.call("visibility", torch.float32, *objects, *rays, seen, compiled.threads())
+    return seen
+
+
+def inner_balls(scene: ResolvedScene, triangles: Floats, owners: NDArray[np.int64]) -> Floats:
+    """Returns a ball inside each convex object, centre and radius, float32 [objects, 4]; radius 0 for other objects.
+
+    A ray through the ball is stopped by the object whatever triangle it meets: few rays need the others.
+    """
+    found = np.zeros((len(scene.placed), 4), np.float32)
+    for index, placed in enumerate(scene.placed):
+        own = triangles[owners == index].astype(np.float64)
+        if not len(own) or not is_convex(placed.mesh):
+            continue
+        centre = (own.min(axis=(0, 1)) + own.max(axis=(0, 1))) / 2
+        a, b, c = np.moveaxis(own, 1, 0)
+        across = np.cross(b - a, c - a)
+        lengths = np.linalg.norm(across, axis=1)
+        heights = ((a - centre) * across).sum(axis=1)[lengths > 0] / lengths[lengths > 0]
+        found[index] = *centre, max(0.0, (1 - INSIDE) * float(heights.min()))
+    return found
+
+
+def _by_object(scene: ResolvedScene, triangles: Floats, owners: NDArray[np.int64]) -> tuple[Any, ...]:
+    """Returns the triangles as the kernels take them: the number of objects, where each one's end, and all of them."""
+    count = len(scene.placed)
+    return count, np.searchsorted(owners, np.arange(count + 1)).astype(np.int64), triangles
 
 
 def texel_directions(rows: int, columns: int, side: int) -> Tensor:
@@ -72,8 +103,9 @@ def texel_directions(rows: int, columns: int, side: int) -> Tensor:
     return vectors.reshape(rows * columns, side * side, 3)
 
 
-def casters(scene: ResolvedScene) -> tuple[Floats, Floats]:
-    """Returns the triangles that cast shadows, float32 [F, 3, 3] in world space, and the object of each, int64 [F]."""
+def casters(scene: ResolvedScene) -> tuple[Floats, NDArray[np.int64]]:
+    """Returns the triangles that cast shadows, float32 [F, 3, 3] in world space, and the object of each, int64 [F],
+    ascending."""
     found, owners = [np.zeros((0, 3, 3), np.float32)], [np.zeros(0, np.int64)]
     for index, placed in enumerate(scene.placed):
         model = placed.model
@@ -96,10 +128,10 @@ def _in_squares(pixels: Tensor, width: int) -> Tensor:
 
 
 def _surface(
-    scene: ResolvedScene, gbuffer: GBuffer, pixels: Tensor, triangles: Floats, owners: Floats
-) -> tuple[Floats, Floats, Floats]:
+    scene: ResolvedScene, gbuffer: GBuffer, pixels: Tensor, triangles: Floats, owners: NDArray[np.int64]
+) -> tuple[Floats, Floats, Floats, NDArray[np.int64]]:
     """Returns the starts of the pixels' rays, the G-buffer's normals, and those of the triangles that the pixels are
-    on, float32 [P, 3], world space."""
+    on, float32 [P, 3], world space; and the convex objects that the pixels show from outside, int64 [P], or -1."""
     height, width = gbuffer.coverage.shape
     row, column = (pixels // width).numpy(), (pixels % width).numpy()
     x = ((column + 0.5) * 2 / width - 1) / scene.projection[0, 0]
@@ -109,7 +141,7 @@ def _surface(
     units = np.ascontiguousarray(rays / lengths[:, None], np.float32)
     eye = np.ascontiguousarray(scene.eye, np.float32)
     distances, faces = np.empty(len(units), np.float32), np.empty(len(units), np.int32)
-    found = (len(triangles), triangles, len(units), eye, units, distances, faces)
+    found = (*_by_object(scene, triangles, owners), len(units), eye, units, distances, faces)
     compiled.call("nearest_hits", torch.float32, *found, compiled.threads())
     index = gbuffer.object_index.flatten()[pixels].numpy()
     own = (faces >= 0) & (np.append(owners, -1)[faces] == index)
@@ -121,7 +153,9 @@ def _surface(
     points = scene.eye + rays * along[:, None] + normals * (OFFSET * scales)[:, None]
     a, b, c = np.moveaxis(triangles[np.where(own, faces, 0)].astype(np.float64), 1, 0)
     facets = np.cross(b - a, c - a)
-    facets *= -np.sign((facets * rays).sum(axis=1, keepdims=True))
-    facets = np.where(own[:, None], facets, normals)
+    away = (facets * rays).sum(axis=1, keepdims=True)
+    convex = np.array([is_convex(placed.mesh) for placed in scene.placed])[index]
+    outside = np.where(convex & ~(own & (away[:, 0] > 0)), index, -1)
+    facets = np.where(own[:, None], -np.sign(away) * facets, normals)
     points, normals, facets = (np.ascontiguousarray(of, np.float32) for of in (points, normals, facets))
-    return points, normals, facets
+    return points, normals, facets, outside
