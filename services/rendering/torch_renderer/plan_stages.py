@@ -4,6 +4,7 @@ from collections.abc import Iterator, Sequence
 
 from services.rendering.plan import Item, Stage
 from services.rendering.torch_renderer.shader import Method, Recipe, Surface, checked_pixels
+from services.rendering.torch_renderer.visibility import WHOLE
 
 HEADROOM = 4.0
 """Assumed ratio of the largest error over all pixels to the largest error over the sampled pixels, both when a plan is
@@ -25,9 +26,10 @@ def shadow_items(surfaces: Sequence[Surface]) -> Iterator[Item]:
     shadowed = {surface.name: surface.visibility for surface in surfaces if surface.visibility is not None}
     pixels = {surface.name: len(surface.angles) for surface in surfaces}
     if shadowed:
+        hidden = sum(int((seen.amin(0) < WHOLE).sum()) for seen in shadowed.values())
         yield Item(
             what="pixels that see all of the light",
-            kept=sum(pixels.values()) - sum(pixels[name] for name in shadowed),
+            kept=sum(pixels.values()) - hidden,
             of=sum(pixels.values()),
             why="from the others objects hide some of it: they are summed directly, by a visibility of each texel from "
             "each pixel that is found once",
@@ -37,14 +39,15 @@ def shadow_items(surfaces: Sequence[Surface]) -> Iterator[Item]:
 def radiance_stage(surface: Surface, recipe: Recipe, count: int, why: str, error: float) -> Stage:
     """Returns the stage that sums radiance at `count` normals, for the reason `why` and with the estimated `error`."""
     pairs = count * (len(recipe.active_texels) - len(recipe.per_pixel_texels)) * recipe.channels
+    words = "sum over directions" if recipe.lambert else METHOD_WORDS[recipe.method]
     kind = str(recipe.dtype).removeprefix("torch.")
     return Stage(
         part=surface.name,
         name=surface.with_layer("radiance"),
-        method=f"{METHOD_WORDS[recipe.method]}, {kind}, at {count} normals",
+        method=f"{words}, {kind}, at {count} normals",
         when="once" if recipe.method == "cached_table" else "every image",
         evaluations=pairs if recipe.method == "precomputed_transport" else pairs * max(recipe.lobes, 1),
-        unit="products" if recipe.method == "precomputed_transport" else "lobe values",
+        unit="products" if recipe.lambert or recipe.method == "precomputed_transport" else "lobe values",
         why=why,
         error=error,
     )

@@ -18,6 +18,7 @@ from services.rendering.torch_renderer import error_estimates as errors
 from services.rendering.torch_renderer.declaration import TORCH
 from services.rendering.torch_renderer.environment_light import attacks_light
 from services.rendering.torch_renderer.gradient_error import gradient_errors
+from services.rendering.torch_renderer.lambert_error import alike_from_all_sides
 from services.rendering.torch_renderer.lookup_table import tiles, touched
 from services.rendering.torch_renderer.normals import to_vectors
 from services.rendering.torch_renderer.plan_stages import HEADROOM, radiance_stage, shadow_items, table_stages
@@ -41,6 +42,8 @@ FLOAT32_ERROR = 2e-5
 """Largest displayed error of a float32 sum under smooth lobes. The error under sharp lobes is measured and added."""
 LOBES_SHARE = 0.2
 """Share of the tolerance that may be spent on leaving out lobes or replacing them by straight lines."""
+LAMBERT_SHARE = 0.9
+"""Share of the tolerance that may be spent on leaving out all lobes: little else is then off."""
 LOOKUP_COST = 100
 """Cost of a table lookup, in lobe evaluations."""
 PRODUCT_COST = 1.0
@@ -94,7 +97,8 @@ def compile_plan(
         else:
             own = tolerance * surface.share
             moving = [group for group in groups if not (group == "material" and surface.fixed_material)]
-            needs = _needs(surface, sky, illumination, moving, own)
+            alike = alike_from_all_sides(surface, sky, illumination, moving, LAMBERT_SHARE * own)
+            needs = _needs(surface, sky, illumination, moving, own, alike)
             items += needs.items
             recipe, chosen = _cheapest(surface, sky, illumination, moving, own, needs)
             stages += chosen
@@ -116,11 +120,18 @@ class _Needs:
         return sum(item.error for item in self.items)
 
 
-def _needs(surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str], tolerance: float) -> _Needs:
+def _needs(
+    surface: Surface, sky: Sky, illumination: Tensor, groups: Sequence[str], tolerance: float, alike: float | None
+) -> _Needs:
     kept, why = _directions(surface, sky, illumination, groups)
     items = [_item(surface, "directions", len(kept), sky.power.shape[1], why)]
     every = torch.ones(surface.material.shape[:2], dtype=torch.bool, device=sky.power.device)
     varying, straight, gray = every, ~every, False
+    if alike is not None:
+        why = "the material reflects the same share of light in every direction"
+        items.append(_item(surface, "lobes", 0, every.numel(), why, alike))
+        recipe = Recipe(kept, False, ~every, ~every, "summed", moving="normals" in groups, lambert=True)
+        return _Needs(recipe, items)
     if "material" not in groups and surface.viewers is None:
         bounds = errors.lobe_bounds(surface, sky, illumination, groups, kept)
         small = LOBES_SHARE * tolerance / every.shape[1]
@@ -161,6 +172,9 @@ def _cheapest(
 ) -> tuple[Recipe, list[Stage]]:
     """Returns the cheapest recipe whose estimated error fits in the tolerance that the items leave, and its stages."""
     left, pixels = tolerance - needs.error, len(surface.angles)
+    if needs.recipe.lambert:
+        why = "without lobes the sum costs a cosine for each direction"
+        return needs.recipe, [radiance_stage(surface, needs.recipe, pixels, why, FLOAT32_ERROR)]
     direct = replace(
         needs.recipe, method=_method(needs.recipe, groups, pixels, looked_up=False, near=surface.viewers is not None)
     )

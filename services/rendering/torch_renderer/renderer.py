@@ -12,6 +12,7 @@ decided by a plan (planner) when the renderer is made.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -110,7 +111,9 @@ class TorchRenderer(DeclaredRenderer):
         if seen is None:
             seen = visibility(scene, drawn, pixels.cpu())
         names = [placed.name for placed in scene.placed]
-        parts = regions(owner[pixels], None if seen is None else seen.to(self._device), names)
+        near = scene.description.camera.viewer == "perspective"
+        seen = None if seen is None else seen.to(self._device)
+        parts = regions(owner[pixels], seen, names, by_shadow=not near)
         pixels, self._owners, self._counts = pixels[parts.order], parts.owners, parts.counts
         self._layers = [of_objects[k] for k in parts.owners]
         base_color = gbuffer.base_color.reshape(-1, 3)[pixels]
@@ -123,7 +126,6 @@ class TorchRenderer(DeclaredRenderer):
         ]
         self._canvas = Canvas(self.size, pixels, torch.cat(own_colors), coverage[pixels, None].to(dtype), ground)
 
-        near = scene.description.camera.viewer == "perspective"
         surfaces = [
             Surface(
                 name,
@@ -153,11 +155,9 @@ class TorchRenderer(DeclaredRenderer):
         self.shaders = [
             Shader(recipe, sky, surface, intensity) for recipe, surface in zip(recipes, surfaces, strict=True)
         ]
-        self._twin = self if tolerance == "exact" else TorchRenderer(scene, gbuffer, tolerance="exact", seen=seen)
-        if self._twin is self:
-            map_error = _map_error(scene, surfaces, (sky, intensity), to_camera)
-        else:
-            map_error = self._twin.plan.environment_map_error
+        self._made_of = scene, gbuffer, seen
+        self._is_exact = tolerance == "exact"
+        map_error = _map_error(scene, surfaces, (sky, intensity), to_camera)
         self.plan: Plan = plan.model_copy(update={"environment_map_error": map_error})
 
     @classmethod
@@ -199,7 +199,7 @@ class TorchRenderer(DeclaredRenderer):
             if group not in self._initial or value.shape[1:] != self._initial[group].shape:
                 wanted = {name: ("B", *initial.shape) for name, initial in self._initial.items()}
                 raise ValueError(f"group {group!r} of shape {tuple(value.shape)}; wanted {wanted}")
-            if group not in self._attacked and self._twin is not self:  # the exact renderer takes every group
+            if group not in self._attacked and not self._is_exact:  # the exact renderer takes every group
                 raise ValueError(f"group {group!r} is not among {self._attacked}, which this renderer is compiled for")
         # One image at a time: its operations and shapes, and so its bits, do not depend on the rest of the batch.
         images = [
@@ -209,8 +209,16 @@ class TorchRenderer(DeclaredRenderer):
         return torch.stack(images) if len(images) > 1 else images[0][None]
 
     def exact(self) -> "TorchRenderer":
-        """Returns the exact renderer of the same scene, which computes in float64 without shortcuts."""
+        """Returns the exact renderer of the same scene, which computes in float64 without shortcuts.
+
+        It is made when it is first asked for: who only draws a scene never asks.
+        """
         return self._twin
+
+    @cached_property
+    def _twin(self) -> "TorchRenderer":
+        scene, gbuffer, seen = self._made_of
+        return self if self._is_exact else TorchRenderer(scene, gbuffer, tolerance="exact", seen=seen)
 
     @property
     def failed_checks(self) -> int:

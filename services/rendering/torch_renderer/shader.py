@@ -20,7 +20,7 @@ from torch import Tensor
 
 from services.rendering.color import to_display
 from services.rendering.kernels import compiled
-from services.rendering.torch_renderer import dsbrdf, perspective
+from services.rendering.torch_renderer import dsbrdf, lambert, perspective
 from services.rendering.torch_renderer.lookup_table import TILE, look_up, nodes_of, tiles, touched
 from services.rendering.torch_renderer.normals import to_vectors
 from services.rendering.torch_renderer.sampled_check import chosen_pixels
@@ -54,7 +54,8 @@ class Recipe:
     varying, straight: bool [3, lobes], the lobes that are summed and those that are a straight line in log n·h; the
     others are left out. rows: of the table over normals, None where there is no table. per_pixel_texels: those active
     texels that are summed at the pixels beside the table [K]. moving: whether normals are attacked. guard: the
-    displayed error at a checked pixel beyond which the whole image is summed directly, None for no check.
+    displayed error at a checked pixel beyond which the whole image is summed directly, None for no check. lambert:
+    whether the reflectance is taken to be the same for all directions of light and viewer.
     """
 
     active_texels: Tensor
@@ -67,6 +68,7 @@ class Recipe:
     per_pixel_texels: Tensor = field(default_factory=lambda: torch.zeros(0, dtype=torch.int64))
     dtype: torch.dtype = torch.float32
     guard: float | None = None
+    lambert: bool = False
 
     @property
     def channels(self) -> int:
@@ -213,6 +215,7 @@ class _Sum:
         self._visibility = None if visibility is None else visibility[kept].contiguous()
         self._directions = sky.directions.only(kept).to(recipe.dtype)
         self._curves, self._power = sky.curves[kept].to(recipe.dtype), sky.power[:, kept].to(recipe.dtype)
+        self._albedo = lambert.albedo(frozen[0]) if recipe.lambert else None
         self._plain = bool(recipe.varying.all()) and not bool(recipe.straight.any())
         self._lobes = self._light = self._factors = None
         if recipe.method != "summed":
@@ -235,6 +238,9 @@ class _Sum:
     def summed(self, normals: Tensor, illumination: Tensor, material: Tensor) -> Tensor:
         """Radiance [N, 3] at any normals."""
         light = self._light_of(illumination) if self._light is None else self._light
+        if self._albedo is not None:
+            reflected = light * self._albedo[:, None].to(light.dtype)
+            return lambert.radiance(normals, reflected, self._directions.towards, self._visibility)
         if self._viewers is not None:
             own = material[: 1 if self._alike(material) else dsbrdf.CHANNELS].to(self._recipe.dtype) / MATERIAL_UNIT
             return perspective.radiance(normals, self._viewers, light, own, self._directions.towards, self._visibility)
