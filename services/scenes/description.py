@@ -185,7 +185,12 @@ def _direction(value: tuple[float, float, float]) -> tuple[float, float, float]:
 class Environment(Model):
     """A high-dynamic-range environment map: the light of the torch renderer."""
 
-    map: str = Field("studio", min_length=1, max_length=200, description="name of a built-in map")
+    map: str = Field(
+        "studio",
+        min_length=1,
+        max_length=200,
+        description="name of a built-in map; `lights`: the scene's own lights as the origin sees them",
+    )
     size: tuple[Annotated[int, Field(ge=1, le=64)], Annotated[int, Field(ge=1, le=128)]] | Literal["auto"] = Field(
         (16, 32),
         description="rows (polar angle) and columns (azimuth) it is averaged down to; `auto`: the smallest of 4×8, "

@@ -12,8 +12,9 @@ import numpy as np
 from pydantic import BaseModel
 
 from services.errors import InvalidRequest
+from services.scenes import lights_map
 from services.scenes.description import MAP_SIZES, Floor, Scene, SceneObject
-from services.scenes.environment import average
+from services.scenes.environment import EnvironmentMap, average
 from services.scenes.floor import floor_mesh
 from services.scenes.library import Library
 from services.scenes.mesh import FIT_RADIUS, Doubles, Floats, Mesh
@@ -109,10 +110,7 @@ def resolve(scene: Scene, library: Library) -> ResolvedScene:
     """
     meshes = _meshes(library, scene)
     light = scene.lights.environment
-    try:
-        source = library.environment(light.map)
-    except InvalidRequest as error:
-        raise InvalidRequest("scene.lights.environment.map", error.detail) from error
+    source = _environment(library, scene)
     models = tuple(model_matrix(placed) for placed in scene.objects)
     view = camera_to_world(scene.camera)
     lens = projection(scene.camera, _far(scene, view))
@@ -159,6 +157,16 @@ def _meshes(library: Library, scene: Scene) -> tuple[Mesh, ...]:
         if key not in made:
             made[key] = with_surface(_mesh(library, k, thing.mesh), thing.metallic, thing.roughness)
     return tuple(made[thing.mesh, thing.metallic, thing.roughness] for thing in scene.objects)
+
+
+def _environment(library: Library, scene: Scene) -> EnvironmentMap:
+    name = scene.lights.environment.map
+    if name == lights_map.NAME:
+        return lights_map.lights_map(scene.lights)
+    try:
+        return library.environment(name)
+    except InvalidRequest as error:
+        raise InvalidRequest("scene.lights.environment.map", error.detail) from error
 
 
 def _mesh(library: Library, index: int, name: str) -> Mesh:

@@ -8,7 +8,7 @@ from math import atan2, cos, pi, radians, remainder, sin
 from services.scenes.clevr.attributes import RGB, bounding_radius
 from services.scenes.clevr.records import ObjectRecord, SceneRecord
 from services.scenes.clevr.rig import IMAGE_SIZE, VERTICAL_FIELD_OF_VIEW, Rig, Vector
-from services.scenes.description import Camera, Floor, Lights, PointLight, Scene, SceneObject, Shadows
+from services.scenes.description import Camera, Environment, Floor, Lights, PointLight, Scene, SceneObject, Shadows
 from services.scenes.mesh import FIT_RADIUS
 
 ENERGY = {"key": 100.0, "fill": 30.0, "back": 50.0}
@@ -20,6 +20,8 @@ FLOOR_SIZE = 100.0
 """Side of the floor: its edge is beyond the highest row of the image for every camera within the jitter."""
 SHADOW_SOFTNESS = 0.25
 """Radius of the lights: CLEVR's lamps are squares with sides of 0.5, the back one of 1."""
+MAP_SIZE = (16, 32)
+"""Rows and columns of the torch renderer's light: as fine as the spots that stand for the lamps are wide."""
 METALLIC = {"rubber": 0.0, "metal": 1.0}
 ROUGHNESS = {"rubber": 0.7, "metal": 0.4}
 
@@ -46,6 +48,7 @@ def describe(record: SceneRecord, size: tuple[int, int] = IMAGE_SIZE) -> Scene:
             points=tuple(
                 PointLight(energy=energy, position=_ours(getattr(rig, name))) for name, energy in ENERGY.items()
             ),
+            environment=Environment(map="lights", size=MAP_SIZE),
         ),
         ground=FLOOR_COLOR,
         floor=Floor(size=FLOOR_SIZE, height=0.0, color=FLOOR_COLOR, material="matte", metallic=0.0, roughness=1.0),
