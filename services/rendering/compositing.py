@@ -23,6 +23,10 @@ class Canvas:
     size: the image's height and width H, W. pixels: flat indices of the covered pixels, int64 [P], each once.
     base_color: linear RGB of these pixels [P, 3]. coverage: their coverage [P, 1] in [0,1]. ground: the displayed
     colour behind the objects [3].
+
+    Where a pixel shows several surfaces it is listed once for each, with the share of each as its coverage, and
+    `ranks` holds the places in the list, int64: of the first surface of each pixel, of the second of those that have
+    one, and so on. It is empty where each pixel is listed once.
     """
 
     size: tuple[int, int]
@@ -30,6 +34,12 @@ class Canvas:
     base_color: Tensor
     coverage: Tensor
     ground: Tensor
+    ranks: tuple[Tensor, ...] = ()
+
+    @property
+    def n_pixels(self) -> int:
+        """Number of covered pixels."""
+        return len(self.ranks[0]) if self.ranks else len(self.pixels)
 
     @cached_property
     def under(self) -> Tensor:
@@ -44,7 +54,7 @@ class Canvas:
 
     def covered(self, values: Tensor) -> Tensor:
         """Gathers the covered pixels of `values` [H, W, C]: [P, C]. It is differentiable (once)."""
-        result: Tensor = _Covered.apply(values, self.pixels)  # type: ignore[no-untyped-call]
+        result: Tensor = _Covered.apply(values, self.pixels, self.ranks)  # type: ignore[no-untyped-call]
         return result
 
     def image(self, radiance: Tensor) -> Tensor:
@@ -75,19 +85,29 @@ def over_ground(radiance: Tensor, exposure: float, ground: Tensor) -> Tensor:
 
 class _Covered(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, values: Tensor, pixels: Tensor) -> Tensor:
+    def forward(ctx: Any, values: Tensor, pixels: Tensor, ranks: tuple[Tensor, ...]) -> Tensor:
         ctx.save_for_backward(pixels)
+        ctx.ranks = ranks
         ctx.shape = values.shape
         return values.reshape(-1, values.shape[-1]).index_select(0, pixels)
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, grad_output: Tensor) -> tuple[Tensor, None]:
-        # Each index occurs once, so copying suffices and no sums are needed.
+    def backward(ctx: Any, grad_output: Tensor) -> tuple[Tensor, None, None]:
         [pixels] = ctx.saved_tensors
         whole = grad_output.new_zeros(ctx.shape)
-        whole.view(-1, ctx.shape[-1]).index_copy_(0, pixels, grad_output)
-        return whole, None
+        if ctx.ranks:
+            _add(whole.view(-1, ctx.shape[-1]), pixels, grad_output, ctx.ranks)
+        else:  # each index occurs once, so copying suffices and no sums are needed
+            whole.view(-1, ctx.shape[-1]).index_copy_(0, pixels, grad_output)
+        return whole, None, None
+
+
+def _add(image: Tensor, pixels: Tensor, values: Tensor, ranks: tuple[Tensor, ...]) -> None:
+    """Adds values [P, C] to those of their pixels, rank by rank: in one order, whatever the device."""
+    for rank in ranks:
+        at = pixels[rank]
+        image.index_copy_(0, at, image.index_select(0, at) + values.index_select(0, rank))
 
 
 class _Image(torch.autograd.Function):
@@ -97,7 +117,10 @@ class _Image(torch.autograd.Function):
         ctx.canvas = canvas
         ctx.save_for_backward(radiance)
         image = canvas.empty.clone()
-        if compiled.runs(radiance):
+        if canvas.ranks:
+            shown = to_display(radiance * canvas.base_color)
+            _add(image, canvas.pixels, canvas.coverage * (shown - canvas.ground), canvas.ranks)
+        elif compiled.runs(radiance):
             inputs = (canvas.base_color, canvas.coverage, canvas.under, canvas.pixels)
             compiled.call("composite", radiance.dtype, len(radiance), radiance, *inputs, image, compiled.threads())
         else:

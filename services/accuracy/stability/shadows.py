@@ -138,7 +138,7 @@ def _texels() -> Measured:
     gbuffer = rasterise(scene)
     points, clear = _ground(scene, balls)
     pixels = torch.from_numpy(clear.ravel()).nonzero()[:, 0]
-    found = visibility(scene, gbuffer, pixels)
+    found = visibility(scene, gbuffer.at(pixels))
     assert found is not None
     points = points.reshape(-1, 3)[clear.ravel()]
     wrong = hidden = compared = 0

@@ -13,6 +13,7 @@ from services.errors import InvalidRequest
 from services.rendering.kernels import compiled
 from services.rendering.opengl import context
 from services.rendering.opengl.camera import CameraMatrices
+from services.rendering.opengl.fragments import Fragments, fragments
 from services.rendering.opengl.screen_bounds import Rectangle, rectangle
 from services.rendering.opengl.watertight import has_holes
 from services.scenes.mesh import Part
@@ -38,7 +39,8 @@ class GBuffer:
 
     normals float32 [H, W, 3], unit, world space, on the viewer's side; coverage float32 [H, W] in [0,1];
     base_color float32 [H, W, 3], linear; depth float32 [H, W], along the viewing direction, scene units;
-    object_index int64 [H, W], -1 outside; backend names the driver and library versions.
+    object_index int64 [H, W], -1 outside; backend names the driver and library versions. fragments: the surfaces of
+    each pixel by themselves, in scenes with a floor; None in others, where a pixel is shaded as its mean surface.
     """
 
     normals: Tensor
@@ -47,6 +49,7 @@ class GBuffer:
     depth: Tensor
     object_index: Tensor
     backend: str
+    fragments: Fragments | None = None
 
     def to(self, device: torch.device) -> "GBuffer":
         """The same on a device; itself where it is there already."""
@@ -57,6 +60,24 @@ class GBuffer:
             base_color=self.base_color.to(device),
             depth=self.depth.to(device),
             object_index=self.object_index.to(device),
+            fragments=None if self.fragments is None else self.fragments.to(device),
+        )
+
+    def surfaces(self) -> Fragments:
+        """What there is to shade: the surfaces of each covered pixel, or its mean surface where they are not apart."""
+        return self.at((self.coverage.flatten() > 0).nonzero()[:, 0]) if self.fragments is None else self.fragments
+
+    def at(self, pixels: Tensor) -> Fragments:
+        """Returns the mean surfaces of pixels, by their flat indices [P]."""
+        return Fragments(
+            pixels=pixels,
+            rank=torch.zeros_like(pixels),
+            share=self.coverage.flatten()[pixels],
+            normals=self.normals.reshape(-1, 3)[pixels],
+            base_color=self.base_color.reshape(-1, 3)[pixels],
+            depth=self.depth.flatten()[pixels],
+            object_index=self.object_index.flatten()[pixels],
+            place=torch.full((len(pixels), 2), 0.5, device=pixels.device),
         )
 
 
@@ -90,6 +111,8 @@ def rasterise(scene: ResolvedScene, drawing: "Drawing | None" = None) -> GBuffer
         "depth": torch.zeros(height, width),
         "object_index": torch.full((height, width), -1, dtype=torch.int64),
     }
+    apart: list[Fragments] = []
+    numbers = torch.arange(height * width).reshape(height, width)
     covered = rectangle(drawing.points, list(view.clip_from_world @ poses), (height, width))
     for rows, columns in _tiles(covered):
         geometry, surface = current.renderer.draw(
@@ -105,13 +128,16 @@ def rasterise(scene: ResolvedScene, drawing: "Drawing | None" = None) -> GBuffer
             outputs=2,
             blend=False,
         )
-        for name, tile in average_samples(
-            torch.from_numpy(geometry), torch.from_numpy(surface), count, view.forward
-        ).items():
+        samples = torch.from_numpy(geometry), torch.from_numpy(surface)
+        means = average_samples(*samples, count, view.forward)
+        for name, tile in means.items():
             images[name][rows, columns] = tile.flip(0)  # OpenGL's first row is the bottom one
+        if scene.description.floor is not None:
+            apart.append(fragments(*samples, means, FACTOR, numbers[rows, columns].flip(0)))
     if not (images["object_index"].ge(0) & images["object_index"].lt(len(scene.meshes))).any():
         raise InvalidRequest("scene.objects", "out of view: no object covers any part of the image")
-    return GBuffer(**images, backend=f"{current.backend}; {FACTOR}x{FACTOR} samples per pixel")
+    surfaces = Fragments.joined(apart) if apart else None
+    return GBuffer(**images, fragments=surfaces, backend=f"{current.backend}; {FACTOR}x{FACTOR} samples per pixel")
 
 
 def check_in_view(scene: ResolvedScene) -> None:

@@ -71,15 +71,17 @@ def compile_plan(
     tolerance: Tolerance,
     size: tuple[int, int],
     ignored: Iterable[Item] = (),
+    n_covered: int | None = None,
 ) -> tuple[list[Recipe], Plan]:
     """Chooses a recipe for each object or layer; returns the recipes and the plan that describes them.
 
     `illumination` [D] holds the scene's own intensities; `size` is the image's height and width; `ignored` are items of
-    what the scene says of its surfaces and no recipe uses. The choice is deterministic.
+    what the scene says of its surfaces and no recipe uses; `n_covered` is the number of covered pixels where some show
+    several surfaces. The choice is deterministic.
     """
     recipes, items, stages, gradients = [], [], [], []
     covered = {surface.name: len(surface.angles) for surface in surfaces}
-    pixels = sum(covered.values())
+    pixels = sum(covered.values()) if n_covered is None else n_covered
     items.append(Item(what="pixels", kept=pixels, of=size[0] * size[1], why="the others show the ground alone"))
     unseen = sum(count == 0 for count in covered.values())
     if unseen:

@@ -41,8 +41,10 @@ def regions(owner: Tensor, visibility: Tensor | None, names: Sequence[str], by_s
     if visibility is None or not by_shadow:
         counts = torch.bincount(owner, minlength=len(names)).tolist()
         order = torch.arange(len(owner), device=owner.device)
-        own = [None] * len(names) if visibility is None else list(torch.split(visibility, counts, dim=1))
-        return Regions(order, list(range(len(names))), counts, list(names), own)
+        parts: list[Tensor | None] = [None] * len(names)
+        if visibility is not None:
+            parts = [*torch.split(visibility, counts, dim=1)]
+        return Regions(order, list(range(len(names))), counts, list(names), parts)
     shadowed = (visibility < WHOLE).any(0)
     found = Regions(torch.argsort(2 * owner + shadowed, stable=True), [], [], [], [])
     for k, name in enumerate(names):

@@ -11,7 +11,7 @@ to the camera: a modelling choice of the paper, under which θ_d depends on the 
 decided by a plan (planner) when the renderer is made.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 
 import torch
@@ -22,15 +22,16 @@ from services.rendering.compositing import Canvas
 from services.rendering.declaration import BuildRequest, DeclaredRenderer
 from services.rendering.kernels import compiled
 from services.rendering.opengl.gbuffer import GBuffer, rasterise
-from services.rendering.plan import DEFAULT_TOLERANCE, Item, Plan, Tolerance
+from services.rendering.plan import DEFAULT_TOLERANCE, Plan, Tolerance
 from services.rendering.protocol import Parameters
-from services.rendering.torch_renderer import dsbrdf, lookup_table
+from services.rendering.torch_renderer import dsbrdf
 from services.rendering.torch_renderer.declaration import TORCH
 from services.rendering.torch_renderer.directions import directions, solid_angles
 from services.rendering.torch_renderer.environment_light import Illumination, illumination
 from services.rendering.torch_renderer.layers import layers
 from services.rendering.torch_renderer.map_error import map_error
-from services.rendering.torch_renderer.normals import MAX_ANGLE, to_angles
+from services.rendering.torch_renderer.normals import MAX_ANGLE
+from services.rendering.torch_renderer.plan_items import ignored_items, surface_items
 from services.rendering.torch_renderer.planner import compile_plan
 from services.rendering.torch_renderer.presets import preset
 from services.rendering.torch_renderer.regions import regions
@@ -38,6 +39,7 @@ from services.rendering.torch_renderer.shader import Shader, Sky, Surface
 from services.rendering.torch_renderer.shading import Directions
 from services.rendering.torch_renderer.units import MATERIAL_UNIT
 from services.rendering.torch_renderer.visibility import visibility
+from services.rendering.torch_renderer.visible_surfaces import visible_surfaces
 from services.scenes.resolve import ResolvedScene
 
 
@@ -82,17 +84,16 @@ class TorchRenderer(DeclaredRenderer):
             f"torch {torch.__version__} {where} {str(dtype).removeprefix('torch.')} threads {torch.get_num_threads()}, "
             f"shading {shaded_by}; {gbuffer.backend}"
         )
-        drawn, gbuffer = gbuffer, gbuffer.to(self._device)  # OpenGL drew it on the CPU
+        gbuffer = gbuffer.to(self._device)  # OpenGL drew it on the CPU
         to_camera = torch.as_tensor(scene.view, dtype=torch.float64)[:3, :3].to(self._device)
         light = illumination(torch.as_tensor(scene.environment).to(self._device))
         sky = sky_of(light, to_camera)
         n_objects = len(scene.description.objects)
         materials = [preset(placed.described.material, f"{placed.field}.material") for placed in scene.placed]
         of_objects = layers([placed.described.material for placed in scene.placed])
-        coverage = gbuffer.coverage.flatten()
-        normals = gbuffer.normals.to(torch.float64) @ to_camera
+        visible = visible_surfaces(gbuffer, to_camera)
         initial = {
-            "normals": to_angles(normals) * (gbuffer.coverage > 0)[..., None],
+            "normals": visible.image,
             "illumination": light.intensity,
             "illumination_rgb": torch.zeros_like(light.chroma),
             "material": torch.stack(materials).to(self._device) * MATERIAL_UNIT,
@@ -103,20 +104,18 @@ class TorchRenderer(DeclaredRenderer):
         # The floor, which is last, is no object: its material is no value of the group.
         self._initial["material"], self._fixed = self._initial["material"].tensor_split([n_objects])
 
-        # Sort pixels by object and then by normal, so that neighbours see the same light.
-        angles = rounded["normals"].reshape(-1, 2)
-        owner = torch.where(coverage > 0, gbuffer.object_index.flatten(), -1)
-        order = torch.argsort(owner * lookup_table.N_SORT_KEYS + lookup_table.normal_sort_keys(angles), stable=True)
-        pixels = order[owner[order] >= 0]
         if seen is None:
-            seen = visibility(scene, drawn, pixels.cpu())
+            seen = visibility(scene, visible.shown.to(torch.device("cpu")))
         names = [placed.name for placed in scene.placed]
         near = scene.description.camera.viewer == "perspective"
         seen = None if seen is None else seen.to(self._device)
-        parts = regions(owner[pixels], seen, names, by_shadow=not near)
-        pixels, self._owners, self._counts = pixels[parts.order], parts.owners, parts.counts
+        parts = regions(visible.shown.object_index, seen, names, by_shadow=not near)
+        self._owners, self._counts = parts.owners, parts.counts
+        visible = visible.ordered(parts.order)
+        shown, pixels = visible.shown, visible.shown.pixels
+        self._turns = None if visible.turns is None else visible.turns.to(dtype)
         self._layers = [of_objects[k] for k in parts.owners]
-        base_color = gbuffer.base_color.reshape(-1, 3)[pixels]
+        base_color = shown.base_color
         ground = torch.tensor(scene.description.ground, dtype=dtype, device=self._device)
         self._colors = torch.split(base_color.to(dtype), self._counts)
         # The radiance of an object with layers has its colours already.
@@ -124,7 +123,8 @@ class TorchRenderer(DeclaredRenderer):
             color if len(own) == 1 else torch.ones_like(color)
             for color, own in zip(self._colors, self._layers, strict=True)
         ]
-        self._canvas = Canvas(self.size, pixels, torch.cat(own_colors), coverage[pixels, None].to(dtype), ground)
+        covered = shown.share[:, None].to(dtype)
+        self._canvas = Canvas(self.size, pixels, torch.cat(own_colors), covered, ground, visible.ranks)
 
         surfaces = [
             Surface(
@@ -141,7 +141,7 @@ class TorchRenderer(DeclaredRenderer):
             for name, own_layers, own, color, material, own_viewers, hidden in zip(
                 parts.names,
                 self._layers,
-                torch.split(angles[pixels], self._counts),
+                torch.split(visible.angles, self._counts),
                 torch.split(base_color, self._counts),
                 [rounded["material"][k] for k in parts.owners],
                 torch.split(viewers_of(scene, self.size).to(self._device)[pixels], self._counts),
@@ -151,7 +151,10 @@ class TorchRenderer(DeclaredRenderer):
             for layer in own_layers
         ]
         intensity = rounded["illumination"].flatten()
-        recipes, plan = compile_plan(surfaces, sky, intensity, groups, tolerance, self.size, _ignored(scene))
+        items = [*ignored_items(scene), *surface_items(visible)]
+        recipes, plan = compile_plan(
+            surfaces, sky, intensity, groups, tolerance, self.size, items, self._canvas.n_pixels
+        )
         self.shaders = [
             Shader(recipe, sky, surface, intensity) for recipe, surface in zip(recipes, surfaces, strict=True)
         ]
@@ -229,6 +232,8 @@ class TorchRenderer(DeclaredRenderer):
         """Renders one image [H, W, 3]; groups that are not given keep the scene's own values."""
         values = self._initial | given
         angles, intensity = self._canvas.covered(values["normals"]), values["illumination"].flatten()
+        if self._turns is not None:
+            angles = angles + self._turns
         if "illumination_rgb" in given:
             intensity = (intensity + given["illumination_rgb"].reshape(-1, 3).T).clamp_min(0.0)  # [3, D]
         shaders, materials = iter(self.shaders), [*values["material"], *self._fixed]
@@ -240,17 +245,6 @@ class TorchRenderer(DeclaredRenderer):
             found = [next(shaders)(own, intensity, layer.material(material)).to(self._dtype) for layer in parts]
             shaded.append(found[0] if len(parts) == 1 else color * found[0] + found[1])
         return self._canvas.image(torch.cat(shaded) if len(shaded) > 1 else shaded[0])
-
-
-def _ignored(scene: ResolvedScene) -> Iterator[Item]:
-    """What the scene says of its surfaces and the renderer does not use, as items of its plan."""
-    why = "metallic, roughness, emission and occlusion are ignored: the torch renderer has materials of its own"
-    parts = [part for placed in scene.placed if not placed.given_surface for part in placed.mesh.parts]
-    if own := sum(part.metallic_roughness is not None for part in parts):
-        yield Item(what="materials of the file", kept=0, of=own, why=why)
-    if given := sum(placed.given_surface for placed in scene.placed):
-        why = "the fields are pyrender's: the torch renderer has materials of its own, named in `material`"
-        yield Item(what="metallic and roughness", kept=0, of=given, why=why)
 
 
 def sky_of(light: Illumination, to_camera: Tensor) -> Sky:

@@ -7,8 +7,8 @@ is on, are left to the cosine. They count as visible, so that a convex object al
 attack tilts towards them sees their light as it does in a scene without shadows.
 
 Objects cast shadows as they stand in the scene; a part of an opacity below 1 casts none, and the holes of a texture are
-taken for closed. A surface point is where the ray through the middle of its pixel first meets the triangles, or, at an
-outline where it meets none of the pixel's object, where the G-buffer's depth says.
+taken for closed. A surface point is where the ray through the middle of its samples in the pixel first meets the
+triangles, or, at an outline where it meets none of the surface's object, where the G-buffer's depth says.
 """
 
 from math import pi
@@ -21,8 +21,9 @@ from torch import Tensor
 
 from services.errors import InvalidRequest
 from services.rendering.kernels import compiled
-from services.rendering.opengl.gbuffer import GBuffer
+from services.rendering.opengl.fragments import Fragments
 from services.scenes.convexity import is_convex
+from services.scenes.description import Floor
 from services.scenes.mesh import Floats
 from services.scenes.resolve import ResolvedScene
 
@@ -37,9 +38,9 @@ WHOLE = 255
 """Stored visibility of a texel that nothing hides."""
 
 
-def visibility(scene: ResolvedScene, gbuffer: GBuffer, pixels: Tensor) -> Tensor | None:
-    """Returns the visibility of each texel from each of `pixels` [P] (flat indices of covered ones), uint8 [D, P] in
-    units of 1 / WHOLE; None if the scene has no shadows.
+def visibility(scene: ResolvedScene, shown: Fragments) -> Tensor | None:
+    """Returns the visibility of each texel from each of the surfaces `shown`, on the CPU, uint8 [D, surfaces] in units
+    of 1 / WHOLE; None if the scene has no shadows.
 
     Raises InvalidRequest("scene.shadows") if there are no compiled kernels.
     """
@@ -53,9 +54,9 @@ def visibility(scene: ResolvedScene, gbuffer: GBuffer, pixels: Tensor) -> Tensor
     rows, columns = scene.environment.shape[:2]
     towards = texel_directions(rows, columns, shadows.texel_samples).numpy().astype(np.float32)
     triangles, owners = casters(scene)
-    order = _in_squares(pixels, gbuffer.coverage.shape[1])
-    starts = _surface(scene, gbuffer, pixels[order], triangles, owners)
-    seen = torch.empty(rows * columns, len(pixels), dtype=torch.uint8)
+    order = _in_squares(shown.pixels, scene.description.camera.size[1])
+    starts = tuple(of[order.numpy()] for of in _surface(scene, shown, triangles, owners))
+    seen = torch.empty(rows * columns, len(order), dtype=torch.uint8)
     rays = (len(order), *starts, order, len(towards), towards.shape[1], towards)
     objects = (*_by_object(scene, triangles, owners), inner_balls(scene, triangles, owners))
     compiled.call("visibility", torch.float32, *objects, *rays, seen, compiled.threads())
@@ -128,14 +129,15 @@ def _in_squares(pixels: Tensor, width: int) -> Tensor:
 
 
 def _surface(
-    scene: ResolvedScene, gbuffer: GBuffer, pixels: Tensor, triangles: Floats, owners: NDArray[np.int64]
+    scene: ResolvedScene, shown: Fragments, triangles: Floats, owners: NDArray[np.int64]
 ) -> tuple[Floats, Floats, Floats, NDArray[np.int64]]:
-    """Returns the starts of the pixels' rays, the G-buffer's normals, and those of the triangles that the pixels are
-    on, float32 [P, 3], world space; and the convex objects that the pixels show from outside, int64 [P], or -1."""
-    height, width = gbuffer.coverage.shape
-    row, column = (pixels // width).numpy(), (pixels % width).numpy()
-    x = ((column + 0.5) * 2 / width - 1) / scene.projection[0, 0]
-    y = (1 - (row + 0.5) * 2 / height) / scene.projection[1, 1]
+    """Returns the starts of the surfaces' rays, the G-buffer's normals, and those of the triangles that they are
+    on, float32 [P, 3], world space; and the convex objects that are seen from outside there, int64 [P], or -1."""
+    height, width = scene.description.camera.size
+    right, down = shown.place.double().numpy().T
+    row, column = (shown.pixels // width).numpy() + down, (shown.pixels % width).numpy() + right
+    x = (column * 2 / width - 1) / scene.projection[0, 0]
+    y = (1 - row * 2 / height) / scene.projection[1, 1]
     rays = np.stack([x, y, -np.ones_like(x)], axis=1) @ scene.view[:3, :3].T
     lengths = np.linalg.norm(rays, axis=1)
     units = np.ascontiguousarray(rays / lengths[:, None], np.float32)
@@ -143,18 +145,18 @@ def _surface(
     distances, faces = np.empty(len(units), np.float32), np.empty(len(units), np.int32)
     found = (*_by_object(scene, triangles, owners), len(units), eye, units, distances, faces)
     compiled.call("nearest_hits", torch.float32, *found, compiled.threads())
-    index = gbuffer.object_index.flatten()[pixels].numpy()
+    index = shown.object_index.numpy()
     own = (faces >= 0) & (np.append(owners, -1)[faces] == index)
-    depths = gbuffer.depth.flatten()[pixels].numpy()
-    along = np.where(own, distances / lengths, depths)
-    normals = gbuffer.normals.reshape(-1, 3)[pixels].numpy()
+    along = np.where(own, distances / lengths, shown.depth.numpy())
+    normals = shown.normals.numpy()
     models = [placed.model for placed in scene.placed]
     scales = np.array([np.linalg.norm(model[:3, 0]) for model in models])[index]
     points = scene.eye + rays * along[:, None] + normals * (OFFSET * scales)[:, None]
     a, b, c = np.moveaxis(triangles[np.where(own, faces, 0)].astype(np.float64), 1, 0)
     facets = np.cross(b - a, c - a)
     away = (facets * rays).sum(axis=1, keepdims=True)
-    convex = np.array([is_convex(placed.mesh) for placed in scene.placed])[index]
+    flat = [isinstance(placed.described, Floor) for placed in scene.placed]
+    convex = np.logical_or(flat, [is_convex(placed.mesh) for placed in scene.placed])[index]
     outside = np.where(convex & ~(own & (away[:, 0] > 0)), index, -1)
     facets = np.where(own[:, None], -np.sign(away) * facets, normals)
     points, normals, facets = (np.ascontiguousarray(of, np.float32) for of in (points, normals, facets))

@@ -75,3 +75,31 @@ def test_radiance_over_the_ground(dtype: torch.dtype) -> None:
     shown = over_ground(torch.cat([surface * coverage, coverage], dim=-1), 0.5, ground)
     expected = coverage * to_display(0.5 * surface) + (1 - coverage) * ground.to(dtype)
     torch.testing.assert_close(shown, expected, rtol=0, atol=13 * 4 * torch.finfo(dtype).eps)  # 13: the curve's slope
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.usefixtures("kernel")
+def test_surfaces_that_share_a_pixel_add_up(dtype: torch.dtype) -> None:
+    """Pixels of one, two and three surfaces, whose parameters are those of the pixel."""
+    pixels = torch.tensor([4, 11, 4, 20, 11, 4])
+    shares = torch.tensor([0.5, 0.75, 0.25, 1.0, 0.25, 0.125], dtype=dtype)[:, None]
+    ranks = tuple(torch.tensor(places) for places in ([0, 1, 3], [2, 4], [5]))
+    plain = canvas(6, dtype)
+    of = Canvas(SIZE, pixels, plain.base_color, shares, plain.ground, ranks)
+    assert of.n_pixels == 3
+    radiance = lit(6, dtype)
+    shown = to_display(radiance * of.base_color)
+    expected = of.ground.expand(SIZE[0] * SIZE[1], 3).clone()
+    for pixel in (4, 11, 20):
+        own = pixels == pixel
+        expected[pixel] = (shares[own] * shown[own]).sum(0) + (1 - shares[own].sum()) * of.ground
+    close = 8 * torch.finfo(dtype).eps
+    torch.testing.assert_close(of.image(radiance), expected.reshape(*SIZE, 3), rtol=0, atol=close)
+    values = torch.rand(*SIZE, 2, dtype=dtype, requires_grad=True)
+    weights = torch.rand(6, 2, dtype=dtype)
+    (of.covered(values) * weights).sum().backward()
+    wanted = torch.zeros(SIZE[0] * SIZE[1], 2, dtype=dtype).index_add(0, pixels, weights)
+    assert values.grad is not None
+    torch.testing.assert_close(values.grad.reshape(-1, 2), wanted, rtol=0, atol=close)
+    if dtype == torch.float64:
+        assert torch.autograd.gradcheck(of.image, (0.1 + 0.2 * lit(6, dtype) / 3).requires_grad_())

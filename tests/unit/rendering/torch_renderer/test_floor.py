@@ -1,5 +1,6 @@
 """The torch renderer's floor: shaded, lit and bent like an object, with a material that is no value of a group."""
 
+from dataclasses import replace
 from math import pi, sqrt
 from typing import Any
 
@@ -40,7 +41,8 @@ def renderer(library: Library, *objects: dict[str, Any], groups: tuple[str, ...]
     light = {"environment": {"map": "uniform", "size": (8, 16), "rotation": 0.3}}
     given = {"camera": camera, "lights": light, "objects": objects} | more
     scene = resolve(Scene.model_validate(given), library)
-    return TorchRenderer(scene, rasterise(scene), groups)
+    # Outlines as without a floor, where a pixel shows the mean of its surfaces.
+    return TorchRenderer(scene, replace(rasterise(scene), fragments=None), groups)
 
 
 @pytest.fixture(scope="module")
@@ -120,3 +122,53 @@ def test_objects_that_the_floor_hides_are_out_of_view(library: Library) -> None:
     with pytest.raises(InvalidRequest, match="no object covers") as refused:
         renderer(library, buried, floor=UNDER)
     assert refused.value.field == "scene.objects"
+
+
+def test_an_outline_is_the_mean_of_the_colours_that_meet_there(library: Library) -> None:
+    """A cube on a floor: each pixel is between the colours of its surfaces, drawn by themselves."""
+    cube = BALL | {"mesh": "primitive/cube", "rotation": (0.0, 0.6, 0.0)}
+    camera = {"size": (24, 32), "azimuth": 0.4, "elevation": 0.5, "distance": 2.6}
+    lights = {"ambient": 0.1, "environment": {"map": "lights", "size": (8, 16)}}
+    given = {"camera": camera, "lights": lights, "objects": [cube], "floor": UNDER | {"material": "matte"}}
+    scene = resolve(Scene.model_validate(given), library)
+    gbuffer = rasterise(scene)
+    assert gbuffer.fragments is not None
+    renderer = TorchRenderer(scene, gbuffer, ("normals",))
+    image = renderer.exact().render({})[0].reshape(-1, 3)
+    shown = gbuffer.fragments
+    expected = torch.zeros_like(image)
+    for k in range(int(shown.rank.max()) + 1):
+        own = shown.rank == k
+        flat = {"normals": torch.zeros(24 * 32, 3), "base_color": torch.zeros(24 * 32, 3)}
+        index = torch.full((24 * 32,), -1)
+        flat["normals"][shown.pixels[own]], flat["base_color"][shown.pixels[own]] = (
+            shown.normals[own],
+            shown.base_color[own],
+        )
+        index[shown.pixels[own]] = shown.object_index[own]
+        covered = (index >= 0).float().reshape(24, 32)
+        alone = replace(
+            gbuffer,
+            normals=flat["normals"].reshape(24, 32, 3),
+            base_color=flat["base_color"].reshape(24, 32, 3),
+            object_index=index.reshape(24, 32),
+            coverage=covered,
+            fragments=None,
+        )
+        colors = TorchRenderer(scene, alone, tolerance="exact").render({})[0].reshape(-1, 3)
+        expected[shown.pixels[own]] += shown.share[own, None] * colors[shown.pixels[own]]
+    ground = torch.tensor(scene.description.ground, dtype=torch.float64)
+    expected += (1 - gbuffer.coverage.reshape(-1, 1)) * ground
+    assert float((image - expected).abs().max()) < 1e-6
+    assert int(shown.rank.max()) >= 2
+    # A change of a pixel's angles turns all of its surfaces: gradients by differences, at pixels of two or more.
+    pixel = int(shown.pixels[shown.rank == 1][3])
+    start = renderer.exact().initial()["normals"]
+    way = torch.zeros_like(start)
+    way[pixel // 32, pixel % 32, 1] = 1.0
+    leaf = start[None].clone().requires_grad_()
+    renderer.exact().render({"normals": leaf}).sum().backward()
+    up, down = (renderer.exact().render({"normals": (start + s * 1e-6 * way)[None]}).sum() for s in (1, -1))
+    assert leaf.grad is not None
+    assert float((up - down) / 2e-6) == pytest.approx(float((leaf.grad[0] * way).sum()), rel=1e-5)
+    assert float(leaf.grad.abs().sum()) > 0

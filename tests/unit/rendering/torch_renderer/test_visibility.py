@@ -22,7 +22,7 @@ def found(scene) -> tuple[torch.Tensor, torch.Tensor]:
     """Covered pixels [P], and their visibility [D, P]."""
     gbuffer = rasterise(scene)
     pixels = (gbuffer.coverage.flatten() > 0).nonzero()[:, 0]
-    seen = visibility(scene, gbuffer, pixels)
+    seen = visibility(scene, gbuffer.at(pixels))
     assert seen is not None
     return pixels, seen
 
@@ -113,5 +113,5 @@ def test_without_kernels_it_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     gbuffer = rasterise(scene)
     monkeypatch.setattr(compiled, "library", lambda: None)
     with pytest.raises(InvalidRequest, match="compiled kernels") as refused:
-        visibility(scene, gbuffer, torch.zeros(1, dtype=torch.int64))
+        visibility(scene, gbuffer.at(torch.zeros(1, dtype=torch.int64)))
     assert refused.value.field == "scene.shadows"
