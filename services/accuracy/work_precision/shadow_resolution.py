@@ -84,13 +84,12 @@ def _texels(size: tuple[int, int], enough: float) -> Iterator[ShadowRow]:
     scene = _scene(size, Shadows(texel_samples=FINEST_TEXEL))
     gbuffer = rasterise(scene)
     covered = gbuffer.coverage > 0
-    pixels = covered.flatten().nonzero()[:, 0]
     wanted = TorchRenderer(scene, gbuffer, tolerance="exact").render({})[0][covered]
     for side in TEXELS:
         shadows = Shadows(texel_samples=side)
         coarse = replace(scene, description=scene.description.model_copy(update={"shadows": shadows}))
         found = TorchRenderer(coarse, gbuffer, tolerance="exact").render({})[0][covered]
-        seconds = repeated(partial(visibility, coarse, gbuffer, pixels), enough).median
+        seconds = repeated(partial(visibility, coarse, gbuffer.surfaces()), enough).median
         yield _row("torch", _texel_words(side), _texel_words(FINEST_TEXEL), found, wanted, seconds)
 
 
