@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -84,20 +85,17 @@ class PyrenderRenderer(DeclaredRenderer):
         samples = rasteriser.SAMPLES * self.size[0] * self.size[1]
         most = min(MAX_IMAGES_PER_PASS, MAX_SAMPLE_BYTES // (16 * samples), images_per_pass(description))
         self._most = max(1, most)
-        groups = tuple(groups or self.declaration.default_groups)
+        self._attacked = tuple(groups or self.declaration.default_groups)
         self._tolerance: Tolerance = "exact"
+        self._rasterised: Rasterised | None = None
         self._rasterises = False
         self._sampled: ImageError | None = None
         self._watertight = self._is_watertight_at_start()
-        finer = copy(self)
-        finer._numbers = self._numbers.with_finer_shadows()
-        self._shadow_error = 0.0 if description.shadows is None else shadow_error(self, finer)
-        self.plan = self._compile(groups, None)
         self._twin: PyrenderRenderer = self
         if tolerance != "exact":
             self._twin = copy(self)
             self._twin._twin, self._tolerance = self._twin, tolerance
-            self.plan = self._compile(groups, self._try_rasteriser(groups, tolerance))
+            self._rasterised = self._try_rasteriser(self._attacked, tolerance)
 
     @classmethod
     def build(cls, request: BuildRequest) -> "PyrenderRenderer":
@@ -107,19 +105,24 @@ class PyrenderRenderer(DeclaredRenderer):
         gbuffer.check_in_view(request.scene)
         return cls(request.scene, request.groups, request.tolerance)
 
-    def _compile(self, groups: tuple[str, ...], rasterised: Rasterised | None) -> Plan:
+    @cached_property
+    def plan(self) -> Plan:
+        """The plan, compiled when first asked for: to state the error of shadows, finer ones are drawn."""
         plan = compile_plan(
             self,
             self.drawing,
-            groups,
+            self._attacked,
             self._tolerance,
             extent=self.extent(self.initial()),
             watertight=self._watertight,
-            rasterised=rasterised,
+            rasterised=self._rasterised,
             most=self._most,
             idle=[] if self._plain else self.inactive(self.initial(), {}),
         )
-        return with_shadows(plan, self.drawing, self._at_start(), self._shadow_error)
+        finer = copy(self._twin)
+        finer._numbers = self._numbers.with_finer_shadows()
+        error = 0.0 if self._numbers.shadows is None else shadow_error(self._twin, finer)
+        return with_shadows(plan, self.drawing, self._at_start(), error)
 
     def _try_rasteriser(self, groups: tuple[str, ...], tolerance: float) -> Rasterised:
         """Whether the rasteriser draws within the tolerance, and with which error; sets `_rasterises`."""

@@ -232,3 +232,14 @@ def test_the_plan_says_which_objects_are_in_the_maps_and_what_the_maps_leave_out
     assert 0 < errors[1] < errors[0] / 2
     plain = PyrenderRenderer(over_ground(ball(), shadows=None, lights=lights("point")))
     assert not any("shadow" in stage.name for stage in plain.plan.stages)
+
+
+def test_finer_shadows_are_drawn_for_the_plan_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[bool] = []
+    monkeypatch.setattr(f"{PyrenderRenderer.__module__}.shadow_error", lambda *_: asked.append(True) or 0.25)
+    renderer = PyrenderRenderer(over_ground(ball(), shadows=HARD, lights=lights("point")), tolerance="exact")
+    renderer.exact().render({})
+    assert not asked
+    assert any("by 2.5e-01 in the mean" in stage.why for stage in renderer.plan.stages)
+    assert renderer.plan is renderer.plan
+    assert asked == [True]
