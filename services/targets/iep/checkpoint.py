@@ -1,26 +1,31 @@
 """The checkpoint of IEP: the weights of trunk, engine and program generator in one safetensors file of flat names.
 
-Its metadata states what the weights stand for: the answers, the modules of each kind, the words, the cells. A file
-with other answers, modules or words is refused, as its weights would be read as those of others.
+Weights are in 8 bits (`services.targets.quantized`), with a scale for each output of each module; biases and
+normalisation are in float32. The metadata states what the weights stand for: the answers, the modules of each kind, the
+words, the cells. A file with other answers, modules or words is refused, as its weights would be read as those of
+others.
 """
 
 import json
 from dataclasses import dataclass
 from pathlib import Path
 
-import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
+from services.errors import summary
 from services.questions.answers import ANSWERS
 from services.questions.text import WORDS
 from services.targets.iep.network import Network
 from services.targets.iep.prefix import TOKENS
 from services.targets.iep.program_generator import ProgramGenerator
 from services.targets.iep.vocabulary import KINDS
+from services.targets.quantized import dequantize, quantize
 
 MAX_BYTES = 10_000_000
+COUNTS = "num_batches_tracked"
+"""Ends the names of the buffers of batch normalisation that no checkpoint has."""
 
 
 @dataclass(frozen=True)
@@ -32,17 +37,21 @@ class Checkpoint:
 
 
 def to_bytes(network: Network, generator: ProgramGenerator) -> bytes:
-    """Returns the checkpoint file, weights in float32. Raises ValueError if it has more than MAX_BYTES."""
+    """Returns the checkpoint file. Raises ValueError if it has more than MAX_BYTES."""
     tensors = {
-        f"{part}.{name}": value.detach().float().contiguous()
+        f"{part}.{name}": value
         for part, module in (("network", network), ("generator", generator))
-        for name, value in module.state_dict().items()
-        if not name.endswith("num_batches_tracked")
+        for name, value in _stored(module).items()
     }
     data: bytes = save(tensors, _fixed() | {"cells": json.dumps(network.engine.stem.cells)})
     if len(data) > MAX_BYTES:
         raise ValueError(f"the checkpoint has {len(data)} bytes, more than {MAX_BYTES}")
     return data
+
+
+def round_weights(module: nn.Module) -> None:
+    """Rounds the weights of trunk, engine or generator to those that a checkpoint of them would have."""
+    _restore(module, _stored(module))
 
 
 def load(path: Path) -> Checkpoint:
@@ -64,12 +73,35 @@ def load(path: Path) -> Checkpoint:
 
 def _load_into(module: nn.Module, part: str, tensors: dict[str, Tensor]) -> None:
     own = {name.removeprefix(f"{part}."): value for name, value in tensors.items() if name.startswith(f"{part}.")}
-    counts = {name: torch.tensor(0) for name in module.state_dict() if name.endswith("num_batches_tracked")}
     try:
-        module.load_state_dict(own | counts)
+        _restore(module, own)
     except RuntimeError as error:
-        raise ValueError(f"the weights do not fit: {error}") from error
+        raise ValueError(f"the weights do not fit: {summary(error)}") from error
     module.requires_grad_(False).eval()
+
+
+def _stored(module: nn.Module) -> dict[str, Tensor]:
+    """Returns the tensors of a module's weights as they are in a file."""
+    state = {name: value.detach().float() for name, value in module.state_dict().items()}
+    return quantize({name: _by_output(name, value) for name, value in state.items() if not name.endswith(COUNTS)})
+
+
+def _restore(module: nn.Module, stored: dict[str, Tensor]) -> None:
+    """Loads tensors of a file into a module. Raises RuntimeError if they are not those of its weights."""
+    state = module.state_dict()
+    values = {
+        name: value.view_as(state[name]) if name in state and value.numel() == state[name].numel() else value
+        for name, value in dequantize(stored).items()
+        if value.is_floating_point()  # others have no scale
+    }
+    module.load_state_dict(values | {name: value for name, value in state.items() if name.endswith(COUNTS)})
+
+
+def _by_output(name: str, value: Tensor) -> Tensor:
+    """Returns weights so that the first axis is the outputs, of all modules of a stack; a bias as a vector."""
+    if name.endswith("bias"):
+        return value.flatten()
+    return value.flatten(0, 1) if value.dim() == 3 and value.shape[2] > 1 else value
 
 
 def _fixed() -> dict[str, str]:
