@@ -5,6 +5,7 @@ and resumed ends in the same bits.
 """
 
 import io
+import pickle
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -16,7 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from services import atomic_write
-from services.errors import InvalidRequest
+from services.errors import InvalidRequest, summary
 
 CHECKPOINT_SECONDS = 120.0
 """Time between checkpoints."""
@@ -61,16 +62,18 @@ Step = Callable[[float, np.random.Generator], tuple[Tensor, dict[str, float]]]
 
 
 class TrainingLoop:
-    """A training of a module that can be resumed from its checkpoint file."""
+    """A training of a module that can be resumed from its checkpoint file; `seconds` is how long its steps took."""
 
-    def __init__(self, name: str, module: nn.Module, schedule: Schedule, loss: Step, seed: int, path: Path):
-        """Begins, or goes on from the checkpoint at `path` if there is one.
+    def __init__(
+        self, name: str, module: nn.Module, schedule: Schedule, loss: Step, seed: int, path: Path, data: str = ""
+    ):
+        """Begins, or goes on from the checkpoint at `path` if there is one. data: the digest of what is trained on.
 
-        Raises InvalidRequest("--out") if that checkpoint is of another part, schedule or seed.
+        Raises InvalidRequest("--out") if that checkpoint is damaged, or of another part, schedule, seed or data.
         """
-        self.module, self.schedule, self.step = module, schedule, 0
+        self.module, self.schedule, self.step, self.seconds = module, schedule, 0, 0.0
         self._loss, self._seed, self._path = loss, seed, path
-        self._about = {"name": name, "schedule": asdict(schedule), "seed": seed}
+        self._about = {"name": name, "schedule": asdict(schedule), "seed": seed, "data": data}
         groups = [
             {"params": [p for p in module.parameters() if p.dim() > 1], "weight_decay": schedule.decay},
             {"params": [p for p in module.parameters() if p.dim() <= 1], "weight_decay": 0.0},
@@ -85,13 +88,14 @@ class TrainingLoop:
         `said` gets a report every few steps. `stop` is asked after each step, with its number, whether to end early; no
         checkpoint is then written.
         """
-        began = saved = time.monotonic()
+        began = saved = last = time.monotonic()
         first, losses = self.step, []
         self.module.train()
         while self.step < self.schedule.steps:
             losses.append(self._take())
             self.step += 1
             now = time.monotonic()
+            self.seconds, last = self.seconds + now - last, now
             if self.step % REPORT_STEPS == 0:
                 means = {name: float(np.mean([one[name] for one in losses])) for name in losses[0]}
                 said(Report(self.step, self.schedule.steps, means, (self.step - first) / (now - began)))
@@ -107,18 +111,22 @@ class TrainingLoop:
         """Writes the checkpoint: after a kill the file is the old or the new one, complete."""
         buffer = io.BytesIO()
         state = {"module": self.module.state_dict(), "optimiser": self._optimiser.state_dict()}
-        torch.save(state | {"about": self._about, "step": self.step}, buffer)
+        torch.save(state | {"about": self._about, "step": self.step, "seconds": self.seconds}, buffer)
         atomic_write.write(self._path, buffer.getvalue())
 
     def _load(self) -> None:
-        state = torch.load(self._path, weights_only=True)
+        try:
+            state = torch.load(self._path, weights_only=True)
+        except (RuntimeError, EOFError, OSError, ValueError, pickle.UnpicklingError) as error:
+            why = f"{self._path} is damaged ({summary(error)}); delete it, and that part is trained anew"
+            raise InvalidRequest("--out", why) from error
         if state["about"] != self._about:
             raise InvalidRequest(
                 "--out", f"{self._path} is a checkpoint of {state['about']}, not of {self._about}; move it away"
             )
         self.module.load_state_dict(state["module"])
         self._optimiser.load_state_dict(state["optimiser"])
-        self.step = state["step"]
+        self.step, self.seconds = state["step"], state["seconds"]
 
     def _take(self) -> dict[str, float]:
         """Takes one step; returns the parts of its loss."""

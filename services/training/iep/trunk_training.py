@@ -114,20 +114,20 @@ def trunk_accuracy(found: Tensor, truth: Truth) -> dict[str, float]:
     }
 
 
+Views = Callable[[NDArray[np.int64], np.random.Generator], tuple[Tensor, Sequence[Sequence[ObjectTruth]]]]
+"""Returns images of some scenes, [B, 240, 320, 3] in [0,1], and their objects; it may change both at random."""
+
+
 def trunk_step(
-    module: ObjectFinder,
-    images: Callable[[NDArray[np.int64]], Tensor],
-    objects: Sequence[Sequence[ObjectTruth]],
-    batch: int,
+    module: ObjectFinder, views: Views, n_scenes: int, batch: int
 ) -> Callable[[float, np.random.Generator], tuple[Tensor, dict[str, float]]]:
-    """Returns the step of a training loop. `images` returns the images of some scenes, [B, 240, 320, 3] in [0,1]."""
+    """Returns the step of a training loop on `n_scenes` scenes."""
 
     def step(_: float, random: np.random.Generator) -> tuple[Tensor, dict[str, float]]:
-        chosen = random.choice(len(objects), min(batch, len(objects)), replace=False)
-        shown = images(chosen)
-        with torch.autocast(shown.device.type, dtype=torch.bfloat16):
-            found = module(shown)
-        return trunk_loss(found.float(), Truth.of([objects[one] for one in chosen]))
+        images, objects = views(random.choice(n_scenes, min(batch, n_scenes), replace=False), random)
+        with torch.autocast(images.device.type, dtype=torch.bfloat16):
+            found = module(images)
+        return trunk_loss(found.float(), Truth.of(objects))
 
     return step
 

@@ -1,7 +1,9 @@
 """Small worlds as training data: features of a perfect trunk, and questions with the true results of their programs."""
 
+import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from random import Random
 
 import pytest
@@ -10,9 +12,12 @@ from torch import Tensor
 
 from services.questions.program import Node
 from services.questions.text import WORDS
+from services.scenes.library import Library
 from services.targets.iep.prefix import TOKENS
 from services.training.iep.examples import Example
+from services.training.iep.stages import Stages
 from tests.unit.targets.iep import world
+from tests.unit.training.iep.small import stages
 
 
 @dataclass(frozen=True)
@@ -63,3 +68,27 @@ def simple() -> tuple[Data, Data]:
 @pytest.fixture(scope="session")
 def mixed() -> Data:
     return data(3, 40)
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("training") / "iep"
+
+
+@pytest.fixture(scope="session")
+def whole(folder: Path, library: Library) -> Stages:
+    """A finished training of `small.RECIPE` in `folder`."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    made = stages(folder, library)
+    assert made.run()
+    torch.set_num_threads(before)
+    return made
+
+
+@pytest.fixture
+def copied(whole: Stages, folder: Path, tmp_path: Path) -> Path:
+    """A folder with what `whole` left in `folder`."""
+    assert set(whole.seconds) == {"trunk", "engine", "generator"}
+    shutil.copytree(folder, tmp_path / "iep")
+    return tmp_path / "iep"

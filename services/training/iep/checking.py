@@ -1,0 +1,116 @@
+"""What a checkpoint can do on scenes that it was never trained on: from the text of a question to its answer."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+from services.errors import InvalidRequest
+from services.questions.answers import ANSWERS
+from services.questions.program import Program
+from services.rendering.color import from_bytes
+from services.targets.iep.assembly import Question, assemble
+from services.targets.iep.checkpoint import Checkpoint
+from services.targets.iep.prefix import to_prefix
+from services.training.iep.data import DataFolder, Images, Said, examples_of
+from services.training.iep.examples import Example
+from services.training.iep.metrics import OVERALL, Share, by_family
+from services.training.iep.recipe import Split
+from services.training.iep.shards import Shard
+
+AT_ONCE = 20
+"""Images that the network sees together, with all questions about them."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A question and what came of it. group, renderer: of its scene. right: the answer is; program_right: the program
+    is the true one, function by function."""
+
+    example: Example
+    group: str
+    renderer: str
+    right: bool
+    program_right: bool
+
+
+def outcomes(checkpoint: Checkpoint, data: DataFolder, split: Split, said: Said) -> list[Outcome]:
+    """Returns what came of every question of a split."""
+    found: list[Outcome] = []
+    pieces = data.pieces(split)
+    for number, piece in enumerate(pieces):
+        shard, part = data.read(piece), piece.part
+        group = f"{part.objects[0]}-{part.objects[1]}"
+        examples = list(examples_of([shard]))
+        for example, (answer, program) in zip(examples, answered(checkpoint, shard, examples), strict=True):
+            program_right = program is not None and to_prefix(program) == to_prefix(example.program)
+            found.append(Outcome(example, group, part.renderer, answer == example.answer, program_right))
+        said("answering questions", number + 1, len(pieces), "")
+    return found
+
+
+@torch.no_grad()
+def answered(
+    checkpoint: Checkpoint, shard: Shard, examples: Sequence[Example]
+) -> list[tuple[str | None, Program | None]]:
+    """Returns for each question about a shard's images the answer and the program; None where no program was made."""
+    images = Images([shard])
+    programs = checkpoint.generator.generate([example.text for example in examples])
+    answers: dict[int, str] = {}
+    for start in range(0, len(images), AT_ONCE):
+        shown = range(start, min(start + AT_ONCE, len(images)))
+        asked, questions = [], []
+        for place, (example, program) in enumerate(zip(examples, programs, strict=True)):
+            if example.image in shown and not isinstance(program, InvalidRequest):
+                asked.append(place)
+                questions.append(Question(program, example.image - start))
+        if questions:
+            seen = from_bytes(torch.from_numpy(images(shown)))
+            scores = checkpoint.network(seen, assemble(questions)).scores
+            answers |= {place: ANSWERS[best] for place, best in zip(asked, scores.argmax(1).tolist(), strict=True)}
+    return [
+        (answers.get(place), None if isinstance(program, InvalidRequest) else program)
+        for place, program in enumerate(programs)
+    ]
+
+
+def figures(found: Sequence[Outcome]) -> dict[str, Any]:
+    """Returns the shares of right answers by number of objects, each overall and by family; those by renderer; and the
+    share of right programs."""
+    groups = sorted({one.group for one in found}, key=lambda group: [int(end) for end in group.split("-")])
+    return {
+        "answers": {group: _by_family([one for one in found if one.group == group]) for group in groups},
+        "by_renderer": {
+            name: _written(Share(sum(one.right for one in found if one.renderer == name), count))
+            for name, count in sorted(Counter(one.renderer for one in found).items())
+        },
+        "programs": _written(Share(sum(one.program_right for one in found), len(found))),
+    }
+
+
+def disagreements(found: Mapping[str, Any], committed: Mapping[str, Any]) -> list[str]:
+    """Returns a sentence for each share that is outside the committed 95 % interval, or that only one has."""
+    ours, theirs = dict(_flat(found)), dict(_flat(committed))
+    said = [f"{name} is not in both" for name in sorted(set(ours) ^ set(theirs))]
+    for name in sorted(set(ours) & set(theirs)):
+        low, high = theirs[name]["wilson"]
+        if not low <= ours[name]["share"] <= high:
+            said.append(f"{name} is {ours[name]['share']:.4f}, not within {low:.4f} and {high:.4f}")
+    return said
+
+
+def _flat(value: Mapping[str, Any], name: str = "") -> list[tuple[str, Mapping[str, Any]]]:
+    if "wilson" in value:
+        return [(name, value)]
+    return [one for key, of in value.items() for one in _flat(of, f"{name} {key}".strip())]
+
+
+def _by_family(found: Sequence[Outcome]) -> dict[str, dict[str, Any]]:
+    shares = by_family([one.example for one in found], [one.right for one in found])
+    return {OVERALL: _written(shares.pop(OVERALL))} | {name: _written(share) for name, share in shares.items()}
+
+
+def _written(share: Share) -> dict[str, Any]:
+    return {"right": share.right, "of": share.of, "share": share.share, "wilson": list(share.interval)}

@@ -1,0 +1,106 @@
+"""The training of IEP from nothing to its parts: data, trunk, features, engine, program generator.
+
+Each stage goes on where it was, so that a training that is ended and begun again ends in the same bits.
+"""
+
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import torch
+from torch import nn
+
+from services.scenes.library import Library
+from services.targets.iep.checkpoint import round_weights
+from services.targets.iep.network import Network
+from services.targets.iep.program_generator import ProgramGenerator
+from services.training.iep import features
+from services.training.iep.data import DataFolder, Images, Said, examples_of, objects_of
+from services.training.iep.engine_training import engine_step
+from services.training.iep.generator_training import generator_step
+from services.training.iep.loop import Report, Schedule, Step, TrainingLoop
+from services.training.iep.recipe import Recipe
+from services.training.iep.trunk_training import ObjectFinder, hand_over, trunk_step
+from services.training.iep.views import AugmentedViews
+
+
+class Stages:
+    """A training in a folder: `data/` has the shards, `features/` those of the finished trunk, and each part has a
+    checkpoint."""
+
+    def __init__(
+        self, recipe: Recipe, seed: int, folder: Path, library: Library, said: Said, over: Callable[[], bool]
+    ) -> None:
+        """`over` is asked again and again whether to end early, with everything saved."""
+        self.recipe, self.seed = recipe, seed
+        self.data = DataFolder(folder / "data", recipe, seed)
+        self.seconds: dict[str, float] = {}
+        self._folder, self._library, self._said, self._over = folder, library, said, over
+        torch.manual_seed(seed)
+        self.finder, self.network, self.generator = ObjectFinder(), Network(), ProgramGenerator()
+
+    def run(self) -> bool:
+        """Goes through the stages until it is over; returns whether all are finished.
+
+        `network` and `generator` then are the trained ones. Raises InvalidRequest("--out") for a file in the folder
+        that is damaged or of another training.
+        """
+        return self._draw() and self._train_trunk() and self._train_engine() and self._train_generator()
+
+    def _draw(self) -> bool:
+        return self.data.draw_missing(("train", "validation", "test"), self._library, self._said, self._over)
+
+    def _train_trunk(self) -> bool:
+        recipe, data = self.recipe, self.data
+
+        def step() -> Step:
+            of = data.read_all("train")
+            images, objects = Images(of), objects_of(of)
+            return trunk_step(self.finder, AugmentedViews(images, objects), len(images), recipe.trunk_batch)
+
+        if not self._train("trunk", self.finder, recipe.trunk, step, data.digest("train")):
+            return False
+        round_weights(self.finder.trunk.requires_grad_(False).eval())
+        return features.write_missing(self._features, self.finder.trunk, data, "train", self._said, self._over)
+
+    def _train_engine(self) -> bool:
+        recipe, data, engine = self.recipe, self.data, self.network.engine
+        trunk = self.finder.trunk
+        self.network.trunk.load_state_dict(trunk.state_dict())
+        hand_over(self.finder, engine)
+
+        def step() -> Step:
+            of = data.read_all("train")
+            examples, cells = list(examples_of(of)), [[one.cell for one in scene] for scene in objects_of(of)]
+            found = features.read_all(self._features, data, "train")
+            return engine_step(engine, found, examples, cells, recipe.engine_batch)
+
+        return self._train("engine", engine, recipe.engine, step, features.digest_of(trunk))
+
+    def _train_generator(self) -> bool:
+        recipe, data = self.recipe, self.data
+
+        def step() -> Step:
+            return generator_step(self.generator, list(examples_of(data.read_all("train"))), recipe.generator_batch)
+
+        return self._train("generator", self.generator, recipe.generator, step, data.digest("train"))
+
+    def _train(self, name: str, module: nn.Module, schedule: Schedule, step: Callable[[], Step], data: str) -> bool:
+        """Trains a part until it is finished or over; returns whether it is finished. A finished part needs no data."""
+        prepared = cache(step)
+        path = self._folder / f"{name}.checkpoint"
+        loop = TrainingLoop(name, module, schedule, lambda at, random: prepared()(at, random), self.seed, path, data)
+
+        def report(at: Report) -> None:
+            losses = "  ".join(f"{part} {loss:.3f}" for part, loss in at.losses.items())
+            self._said(f"training the {name}", at.step, at.of, f"{losses}  {at.rate:.1f} steps/s")
+
+        if loop.step < schedule.steps and not self._over():
+            loop.run(report, stop=lambda _: self._over())
+            loop.save()
+        self.seconds[name] = loop.seconds
+        return loop.step >= schedule.steps
+
+    @property
+    def _features(self) -> Path:
+        return self._folder / "features"

@@ -1,0 +1,94 @@
+from collections.abc import Sequence
+from random import Random
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from services.errors import InvalidRequest
+from services.questions.answers import ANSWERS
+from services.questions.program import Program
+from services.statistics import wilson
+from services.targets.iep.assembly import Question, assemble
+from services.targets.iep.checkpoint import Checkpoint
+from services.targets.iep.network import Network
+from services.training.iep import checking
+from services.training.iep.checking import Outcome, answered, disagreements, figures
+from services.training.iep.examples import Example
+from services.training.iep.shards import shard
+from tests.unit.targets.iep import world
+
+
+class Known:
+    """Writes the programs that it was given, and none for other questions."""
+
+    def __init__(self, programs: dict[str, Program]) -> None:
+        self._programs = programs
+
+    def generate(self, questions: Sequence[str]) -> list[Program | InvalidRequest]:
+        return [self._programs.get(text, InvalidRequest("question", "unknown")) for text in questions]
+
+
+def test_answers_are_those_of_the_programs_that_were_made_of_the_texts(monkeypatch: pytest.MonkeyPatch) -> None:
+    from services.scenes.clevr.generator import generate
+
+    monkeypatch.setattr(checking, "AT_ONCE", 2)
+    torch.manual_seed(0)
+    network = Network().eval().requires_grad_(False)
+    random = Random(4)
+    noise = np.random.default_rng(0).integers(0, 255, (240, 320, 3), np.uint8)
+    images = [noise, 255 - noise // 8, np.zeros_like(noise)]
+    of = shard([generate(1, k) for k in range(3)], [], images)
+    examples, programs = [], {}
+    for number in range(9):
+        program, _ = world.question(random, world.scene(random), world.FAMILIES[number % 8])
+        examples.append(Example(number // 3, f"question {number}", program, ("yes",), "some"))
+        if number != 4:
+            programs[f"question {number}"] = program
+    found = answered(Checkpoint(network, Known(programs)), of, examples)  # type: ignore[arg-type]
+    assert found[4] == (None, None)
+    for example, (answer, program) in zip(examples, found, strict=True):
+        if answer is not None:
+            alone = _scores(network, images[example.image], example.program)
+            assert answer == ANSWERS[int(alone.argmax())]
+            assert program == example.program
+    assert len({answer for answer, _ in found}) > 2
+    first = [ANSWERS[int(_scores(network, images[0], one.program).argmax())] for one in examples]
+    assert any(found[k][0] not in (None, first[k]) for k in (3, 5))  # of the second image
+
+
+def _scores(network: Network, image: np.ndarray, program: Program) -> Tensor:
+    return network(torch.from_numpy(image)[None].float() / 255, assemble([Question(program)])).scores[0]
+
+
+def _outcomes() -> list[Outcome]:
+    program = world.question(Random(0), world.scene(Random(0)), "count")[0]
+    made = []
+    for k in range(40):
+        family = "exist" if k % 4 else "count"
+        example = Example(0, "", program, ("yes",), family)
+        group, renderer = ("3-10", "torch") if k < 10 else ("3-6", "pyrender")
+        made.append(Outcome(example, group, renderer, right=k % 5 > 0, program_right=k != 7))
+    return made
+
+
+def test_figures_are_shares_with_wilson_intervals() -> None:
+    found = figures(_outcomes())
+    assert list(found["answers"]) == ["3-6", "3-10"]
+    overall = found["answers"]["3-6"]["overall"]
+    assert (overall["right"], overall["of"]) == (24, 30)
+    assert tuple(overall["wilson"]) == wilson(24, 30)
+    assert found["answers"]["3-10"]["count"]["of"] == 3
+    assert found["answers"]["3-10"]["count"]["right"] == sum(k % 5 > 0 for k in (0, 4, 8))
+    assert found["by_renderer"]["torch"]["right"] == 8
+    assert found["programs"] == {"right": 39, "of": 40, "share": 39 / 40, "wilson": list(wilson(39, 40))}
+
+
+def test_shares_outside_the_committed_intervals_disagree() -> None:
+    committed, found = figures(_outcomes()), figures(_outcomes())
+    assert disagreements(found, committed) == []
+    found["answers"]["3-6"]["overall"]["share"] = committed["answers"]["3-6"]["overall"]["wilson"][0] - 0.001
+    del found["by_renderer"]["torch"]
+    said = disagreements(found, committed)
+    assert [line.split(" is ")[0] for line in said] == ["by_renderer torch", "answers 3-6 overall"]
