@@ -1,24 +1,19 @@
 """The commands `train`: they divide the library's models and train the networks that ship with the project."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-if TYPE_CHECKING:
-    from rich.progress import Progress
+from client.commands.train_iep import iep
+from client.commands.train_options import OUT, Out, Seed, library, progress_bars, set_threads
 
-    from services.scenes.library import Library
+app = typer.Typer(help="Train the networks that ship with the project.", no_args_is_help=True)
 
-app = typer.Typer(help="Train networks on views of the furniture library.", no_args_is_help=True)
-
-OUT = Path("out/training")
 Minutes = Annotated[float | None, typer.Option(min=0.1, help="Train so long; the schedule follows the clock.")]
 Epochs = Annotated[
     int | None, typer.Option(min=1, help="Train so many times over all views, reproducible bit for bit.")
 ]
-Out = Annotated[Path, typer.Option(help="Folder of the checkpoint, the weights and the cards.")]
-Seed = Annotated[int, typer.Option(min=0, help="Seed of the weights, the views and the batches.")]
 Export = Annotated[
     bool, typer.Option("--export", help="Train no more: write weights and cards from the checkpoint as it is.")
 ]
@@ -35,10 +30,10 @@ def split(
     from services.training.making_split import make
     from services.training.split import PATH, save
 
-    _threads()
+    set_threads()
     command = f"scene-attack train split --seed {seed}"
     with err().status("") as line:
-        made = make(_library(), settings().cache_dir, seed, command, lambda words: line.update(words))
+        made = make(library(), settings().cache_dir, seed, command, lambda words: line.update(words))
     save(made, out or PATH)
     held_out, training = (len(made.models(side)) for side in ("held_out", "training"))
     err().print(
@@ -65,6 +60,9 @@ def resnet34(
     _train("resnet34", minutes, epochs, out, seed, export)
 
 
+app.command(epilog="Example: [bold]scene-attack train iep --seconds-budget 3600[/bold]")(iep)
+
+
 def _train(name: str, minutes: float | None, epochs: int | None, out: Path, seed: int, export: bool) -> None:
     from rich.progress import TaskID
 
@@ -80,10 +78,10 @@ def _train(name: str, minutes: float | None, epochs: int | None, out: Path, seed
 
     if not export and (minutes is None) == (epochs is None):
         raise InvalidRequest("--minutes", "give either --minutes or --epochs")
-    _threads()
+    set_threads()
     recipe, chosen, cache = RECIPES[name], committed(), settings().cache_dir
     checkpoint = out / f"{name}.checkpoint"
-    with _progress() as progress:
+    with progress_bars() as progress:
         steps: dict[str, TaskID] = {}
 
         def said(what: str, done: int, total: int) -> None:
@@ -92,7 +90,7 @@ def _train(name: str, minutes: float | None, epochs: int | None, out: Path, seed
             progress.update(steps[what], completed=done, total=total)
 
         if not export:
-            data = gather(_library(), cache, recipe, chosen.models("training"), seed, said)
+            data = gather(library(), cache, recipe, chosen.models("training"), seed, said)
             training = Training(recipe, len(chosen.classes), data, seed, checkpoint)
             if training.step:
                 err().print(f"goes on from step {training.step:,} of {checkpoint}", markup=False, highlight=False)
@@ -108,29 +106,5 @@ def _train(name: str, minutes: float | None, epochs: int | None, out: Path, seed
             training.run(Budget(minutes, epochs), report)
             del data, training
         trained = load_trained(recipe, len(chosen.classes), checkpoint)
-        written = write(recipe, trained, chosen, _library(), cache, out, said)
+        written = write(recipe, trained, chosen, library(), cache, out, said)
     stdout().print(written.summary, markup=False, highlight=False)
-
-
-def _progress() -> "Progress":
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
-    from client.console import err
-
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    return Progress(*columns, console=err())
-
-
-def _threads() -> None:
-    import torch
-
-    from services.settings import settings
-
-    torch.set_num_threads(settings().threads)
-
-
-def _library() -> "Library":
-    from services.scenes.library import Library
-    from services.settings import settings
-
-    return Library(settings().cache_dir, settings().data_dir)

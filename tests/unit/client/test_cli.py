@@ -32,7 +32,7 @@ COMMANDS = [
     *(["campaign", *rest] for rest in (["table"], ["export"])),
     *(["assets", *rest] for rest in ([], ["list"], ["show"], ["add"], ["environments"])),
     *(["accuracy", *rest] for rest in ([], ["stability"], ["work-precision"])),
-    *(["train", *rest] for rest in ([], ["split"], ["alexnet"], ["resnet34"])),
+    *(["train", *rest] for rest in ([], ["split"], ["alexnet"], ["resnet34"], ["iep"])),
 ]
 
 
