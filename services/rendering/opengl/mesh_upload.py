@@ -72,6 +72,7 @@ class Drawing:
     def __init__(self, meshes: Sequence[Mesh], watertight: bool = False) -> None:
         textures: Textures = {}
         uploads: dict[int, list[_UploadedPart]] = {}
+        corners: dict[int, Array] = {}
         self.pieces: list[Piece] = []
         self.points: list[Array] = []
         """Per object its corners, homogeneous [4,V], each once."""
@@ -82,6 +83,7 @@ class Drawing:
                     _upload(part, np.ascontiguousarray(faces, np.int32), count, textures)
                     for part, (faces, count) in zip(mesh.parts, wound, strict=True)
                 ]
+                corners[id(mesh)] = _corners(mesh)
             for part, held in zip(mesh.parts, uploads[id(mesh)], strict=True):
                 centre = (part.vertices.min(axis=0) + part.vertices.max(axis=0)).astype(np.float64) / 2
                 self.pieces.append(
@@ -97,11 +99,16 @@ class Drawing:
                         held.material,
                     )
                 )
-            corners = np.unique(np.concatenate([part.vertices for part in mesh.parts]), axis=0).astype(np.float64)
-            self.points.append(np.ascontiguousarray(np.append(corners, np.ones((len(corners), 1)), axis=1).T))
+            self.points.append(corners[id(mesh)])
         # What pyrender's Renderer._update_context asks of a scene.
         self.meshes = {Upload(tuple(held.primitive for held in upload)) for upload in uploads.values()}
         self.lights: tuple[()] = ()
+
+
+def _corners(mesh: Mesh) -> Array:
+    """Returns a mesh's vertices, each once, homogeneous [4, V]."""
+    found = np.unique(np.concatenate([part.vertices for part in mesh.parts]), axis=0).astype(np.float64)
+    return np.ascontiguousarray(np.append(found, np.ones((len(found), 1)), axis=1).T)
 
 
 class _UploadedPart(NamedTuple):
