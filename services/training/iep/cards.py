@@ -3,7 +3,7 @@
 from typing import Any
 
 from services.questions.templates.families import FAMILIES
-from services.training.iep.drawing import BRIGHTER, COARSE_SAMPLES, MOVED, TINTED
+from services.training.iep.drawing import BRIGHTER, COARSE, MOVED, TINTED
 from services.training.iep.metrics import OVERALL
 
 PAPER = "96.9"
@@ -108,8 +108,9 @@ def data_card(facts: dict[str, Any]) -> str:
         f"**Variation.** {recipe['varied']:.0%} of the training scenes have lights, colours and surfaces changed as "
         f"attacks change them: energies by a factor with a standard deviation of {BRIGHTER} of its logarithm, "
         f"positions by {MOVED} a coordinate, colours by {TINTED} a channel, the environment map turned. Their answers "
-        f"stay the same. Shadows of training scenes have {COARSE_SAMPLES} samples of each light. The trunk sees images "
-        "mirrored, brighter or darker, and tinted.",
+        f"stay the same. Shadows of training scenes have {COARSE['samples']} samples of each light, or "
+        f"{COARSE['texel_samples']} of each texel of the environment map. The trunk sees images mirrored, brighter or "
+        "darker, and tinted.",
         "",
         "**Limits.** Everything is drawn: the network knows nothing of photographs, nor of CLEVR's own images, whose "
         "light and surfaces are Blender's.",
