@@ -89,13 +89,13 @@ def test_a_structure_of_another_kind_is_refused() -> None:
 
 @pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
 def test_a_field_moved_in_the_sources_is_moved_here(tmp_path: Path) -> None:
-    for path in build.SOURCES.glob("*.h"):
-        shutil.copy(path, tmp_path)
-    shutil.copy(build.SOURCES / "layout.cpp", tmp_path)
-    source = (build.SOURCES / "perspective.cpp").read_text()
+    for pattern in ("*.h", "layout.cpp", "perspective*.cpp"):
+        for path in build.SOURCES.glob(pattern):
+            shutil.copy(path, tmp_path)
+    source = (tmp_path / "perspective.h").read_text()
     swapped = source.replace("const T *normals, *viewers;", "const T *viewers, *normals;")
     assert swapped != source
-    (tmp_path / "perspective.cpp").write_text(swapped)
+    (tmp_path / "perspective.h").write_text(swapped)
     sources = [str(path) for path in tmp_path.glob("*.cpp")]
     made = tmp_path / "kernels.so"
     subprocess.run(["g++", "-std=c++17", "-fopenmp", "-shared", "-fPIC", "-w", "-o", str(made), *sources], check=True)
