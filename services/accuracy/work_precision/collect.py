@@ -62,7 +62,7 @@ MAPS = ((4, 8), (8, 16), (16, 32), (32, 64))
 FULL = Extent(
     subjects=(
         ("furniture/soccer-ball", "brushed-metal", (224, 224), MAPS),
-        ("furniture/grand-piano", "glossy-paint", (448, 448), ((16, 32),)),
+        ("furniture/grand-piano", "brushed-metal", (448, 448), ((16, 32),)),
     ),
     enough=0.3,
     gradients=("furniture/drill", "power drill", (224, 224), (16, 32)),
