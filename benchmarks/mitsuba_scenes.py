@@ -118,7 +118,7 @@ def mitsuba(scenes: list[ResolvedScene], model: str, directory: Path) -> list[di
     requests = []
     for seed, scene in enumerate(scenes):
         camera = scene.description.camera
-        things = [_thing(placed, directory / f"{seed}-{k}.ply") for k, placed in enumerate(scene.placed)]
+        things = [thing(placed, directory / f"{seed}-{k}.ply") for k, placed in enumerate(scene.placed)]
         requests.append(
             {
                 "size": camera.size,
@@ -174,7 +174,7 @@ def _shown(radiance: Image) -> Image:
     return to_display(torch.as_tensor(EXPOSURE * radiance)).double().numpy()
 
 
-def _thing(placed: PlacedMesh, path: Path) -> dict[str, Any]:
+def thing(placed: PlacedMesh, path: Path) -> dict[str, Any]:
     """Writes a mesh in world space as a PLY file; returns what Mitsuba needs to know of it."""
     [part] = placed.mesh.parts
     turn, move = placed.model[:3, :3], placed.model[:3, 3]
@@ -187,12 +187,13 @@ def _thing(placed: PlacedMesh, path: Path) -> dict[str, Any]:
     rows = np.zeros(len(part.faces), [("count", "u1"), ("corners", "<i4", 3)])
     rows["count"], rows["corners"] = 3, part.faces
     path.write_bytes(header.encode() + np.hstack([vertices, normals]).astype("<f4").tobytes() + rows.tobytes())
-    thing = placed.described
+    described = placed.described
     return {
         "file": str(path),
-        "color": thing.color,
-        "metallic": thing.metallic,
-        "roughness": thing.roughness,
+        "color": described.color,
+        "metallic": described.metallic,
+        "roughness": described.roughness,
+        "preset": described.material,
     }
 
 
