@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from statistics import median_low
 
 from benchmarks.study.record import Job, Record
-from benchmarks.study.tables import NONE, OF, markdown, title
+from benchmarks.study.tables import NONE, OF, markdown, milli, title
 
 COLUMNS = ("normals", "combined")
 """The columns of the first table by which the paper fools most views, of those that attack the scene."""
@@ -81,7 +81,7 @@ def _sure(jobs: Sequence[Job]) -> str:
 
 def _far(jobs: Sequence[Job]) -> str:
     values = [job.p for job in jobs if job.p is not None]
-    return f"{1000 * median_low(values):.1f}" if values else NONE
+    return milli(median_low(values) if values else None)
 
 
 def _middle(shares: Iterable[float]) -> str:

@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
+from statistics import median_low
 from typing import Any
 
 from benchmarks.study.record import Record
@@ -110,8 +111,8 @@ def nondifferentiable(record: Record) -> str:
                         f"here: {attack}",
                         *map(_bold, _counts(cell.success)),
                         loop,
-                        _milli(cell.perceptibility),
-                        _number(_middle(queries), 0),
+                        milli(cell.perceptibility),
+                        _number(median_low(queries) if queries else None, 0),
                         f"{sum(lowered)}{OF}{len(lowered)}" if lowered else NONE,
                     ]
                 )
@@ -164,7 +165,7 @@ def orders(record: Record, target: str) -> str:
     by_success = sorted(cells, key=lambda cell: -(cell.success.rate or 0.0))
     by_p = sorted((c for c in cells if c.perceptibility is not None), key=lambda cell: cell.perceptibility or 0.0)
     success = _in_order([(cell.attack, _percent(cell.success.rate)) for cell in by_success], ">")
-    p = _in_order([(cell.attack, _milli(cell.perceptibility)) for cell in by_p], "<")
+    p = _in_order([(cell.attack, milli(cell.perceptibility)) for cell in by_p], "<")
     return f"{title(target)}: {success} (per cent, verified); p {p} (×10⁻³)."
 
 
@@ -188,7 +189,7 @@ def _both(cell: Cell | None, which: str) -> str:
         return ""
     rate: Rate = getattr(cell, which)
     p = cell.perceptibility if which == "success" else cell.loop_perceptibility
-    return f"{_percent(rate.rate)}{BETWEEN}{_milli(p)}"
+    return f"{_percent(rate.rate)}{BETWEEN}{milli(p)}"
 
 
 def _interval(cell: Cell | None) -> str:
@@ -207,10 +208,6 @@ def _truncated(cell: Cell | None) -> str:
     return "" if cell is None else _number(cell.truncated)
 
 
-def _middle(values: Sequence[int]) -> float | None:
-    return sorted(values)[(len(values) - 1) // 2] if values else None
-
-
 def _bold(text: str) -> str:
     return f"**{text}**" if text and text != NONE else text
 
@@ -223,5 +220,6 @@ def _percent(rate: float | None) -> str:
     return NONE if rate is None else f"{100 * rate:.1f}"
 
 
-def _milli(value: float | None) -> str:
+def milli(value: float | None) -> str:
+    """A p in thousandths, as in all tables."""
     return NONE if value is None else f"{1000 * value:.1f}"
