@@ -5,7 +5,6 @@ epochs that is killed and resumed ends in the same bits. Convolutions and produc
 their updates in float32.
 """
 
-import io
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -19,9 +18,9 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from services import atomic_write
 from services.errors import InvalidRequest
 from services.targets.networks.resnet import ResNet
+from services.training import checkpoints
 from services.training.batches import as_in_default_scene, augmented, normalised, shade
 from services.training.distortions import distort
 from services.training.recipe import CALM, DEFAULT_SCENES, Budget, Recipe
@@ -125,16 +124,13 @@ class Training:
     def save(self) -> None:
         """Writes the checkpoint: after a kill the file is the old or the new one, complete."""
         state = {
-            "about": self._about,
             "step": self.step,
             "seconds": self.seconds,
             "budget": asdict(self._budget),
             "learned": self._learned.state_dict(),
             "optimiser": self._optimiser.state_dict(),
         }
-        buffer = io.BytesIO()
-        torch.save(state, buffer)
-        atomic_write.write(self._path, buffer.getvalue())
+        checkpoints.write(self._path, self._about, state)
 
     @cached_property
     def _about(self) -> dict[str, Any]:
@@ -142,11 +138,7 @@ class Training:
         return {"recipe": asdict(self.recipe), "seed": self.seed, "views": len(self.data.labels)}
 
     def _load(self) -> None:
-        state = torch.load(self._path, weights_only=True)
-        if state["about"] != self._about:
-            raise InvalidRequest(
-                "--out", f"{self._path} is a checkpoint of {state['about']}, not of {self._about}; move it away"
-            )
+        state = checkpoints.read(self._path, self._about)
         self._learned.load_state_dict(state["learned"])
         self._optimiser.load_state_dict(state["optimiser"])
         self.step, self.seconds = state["step"], state["seconds"]

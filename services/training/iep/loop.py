@@ -4,8 +4,6 @@ What a step does follows from the seed, the step's number and the state before i
 and resumed ends in the same bits.
 """
 
-import io
-import pickle
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -16,8 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from services import atomic_write
-from services.errors import InvalidRequest, summary
+from services.training import checkpoints
 
 CHECKPOINT_SECONDS = 120.0
 """Time between checkpoints."""
@@ -109,21 +106,11 @@ class TrainingLoop:
 
     def save(self) -> None:
         """Writes the checkpoint: after a kill the file is the old or the new one, complete."""
-        buffer = io.BytesIO()
         state = {"module": self.module.state_dict(), "optimiser": self._optimiser.state_dict()}
-        torch.save(state | {"about": self._about, "step": self.step, "seconds": self.seconds}, buffer)
-        atomic_write.write(self._path, buffer.getvalue())
+        checkpoints.write(self._path, self._about, state | {"step": self.step, "seconds": self.seconds})
 
     def _load(self) -> None:
-        try:
-            state = torch.load(self._path, weights_only=True)
-        except (RuntimeError, EOFError, OSError, ValueError, pickle.UnpicklingError) as error:
-            why = f"{self._path} is damaged ({summary(error)}); delete it, and that part is trained anew"
-            raise InvalidRequest("--out", why) from error
-        if state["about"] != self._about:
-            raise InvalidRequest(
-                "--out", f"{self._path} is a checkpoint of {state['about']}, not of {self._about}; move it away"
-            )
+        state = checkpoints.read(self._path, self._about)
         self.module.load_state_dict(state["module"])
         self._optimiser.load_state_dict(state["optimiser"])
         self.step, self.seconds = state["step"], state["seconds"]
