@@ -146,7 +146,8 @@ class ShadowMaps:
         side = self._resolution
         depths = np.empty((side, side), np.float32)
         GL.glReadPixels(0, 0, side, side, GL.GL_DEPTH_COMPONENT, GL.GL_FLOAT, array=depths)
-        blocks = depths.reshape(side // BLOCK, BLOCK, side // BLOCK, BLOCK).min(axis=(1, 3))
+        rows = depths.reshape(side // BLOCK, BLOCK, side).min(axis=1)  # one axis at a time: numpy is slow at both
+        blocks = rows.reshape(side // BLOCK, side // BLOCK, BLOCK).min(axis=2)
         n_around = min(int(np.ceil((spread * side / 2 + 2) / BLOCK)), len(blocks))
         least = np.ascontiguousarray(minimum_filter(blocks, 2 * n_around + 1, mode="nearest"))
         GL.glBindTexture(GL.GL_TEXTURE_2D_ARRAY, self._least)

@@ -82,8 +82,8 @@ class Recipe:
 
 
 RECIPE = Recipe(
-    shares={"pyrender": 0.75, "torch": 0.25},
-    scenes={"train": 16_000, "validation": 500, "test": 1_000},
+    shares={"pyrender": 0.88, "torch": 0.12},
+    scenes={"train": 14_000, "validation": 500, "test": 1_000},
     questions=12,
     varied=0.5,
     trunk=Schedule(steps=5_000, rate=4e-3, decay=0.02),
