@@ -82,14 +82,14 @@ class Recipe:
 
 
 RECIPE = Recipe(
-    shares={"pyrender": 0.88, "torch": 0.12},
-    scenes={"train": 14_000, "validation": 500, "test": 1_000},
+    shares={"pyrender": 0.9, "torch": 0.1},
+    scenes={"train": 12_000, "validation": 500, "test": 1_000},
     questions=12,
     varied=0.5,
-    trunk=Schedule(steps=5_000, rate=4e-3, decay=0.02),
+    trunk=Schedule(steps=3_600, rate=4e-3, decay=0.02),
     trunk_batch=48,
-    engine=Schedule(steps=40_000, rate=2e-3),
+    engine=Schedule(steps=20_000, rate=2e-3),
     engine_batch=64,
-    generator=Schedule(steps=6_000, rate=4e-3),
+    generator=Schedule(steps=5_000, rate=4e-3),
     generator_batch=64,
 )

