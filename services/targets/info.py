@@ -21,7 +21,7 @@ class TargetInfo(BaseModel):
     """A target's model card: its name, task, input size, source and licence. `input_size` is height and width.
 
     `vocabulary` says what its labels are, from which the truth of a scene follows (services.targets.truth): those of
-    ImageNet-1k, the kinds of the library's furniture, or something else.
+    ImageNet-1k, the kinds of the library's furniture, the answers to questions about CLEVR's scenes, or something else.
     """
 
     name: str
@@ -34,7 +34,9 @@ class TargetInfo(BaseModel):
     takes_question: bool
     source: str
     licence: str
-    vocabulary: Literal["imagenet", "furniture-14", "custom"] = "custom"
+    vocabulary: Literal["imagenet", "furniture-14", "clevr", "custom"] = "custom"
+    example: str | None = None
+    """A question that it takes, with which it is tried when it is loaded; None: any text."""
     card_sha256: str | None = None
     """SHA-256 (hex) of the bytes of `card.json`, for a network that a user brings."""
 

@@ -12,6 +12,7 @@ from services.targets.info import LONGEST_LABEL, RegisteredTarget
 from services.targets.protocol import Target
 
 _QUESTION = "What is this?"
+"""The question to a target whose card has no example of one."""
 _REPEATED = 0.01
 """Largest difference between two scores of one image, relative to the largest score. Another batch changes the last
 bits of a sum; dropout, or batch normalisation over the batch, changes far more."""
@@ -61,9 +62,10 @@ def load(name: str, known: RegisteredTarget, dtype: torch.dtype) -> Target:
         size = "×".join(map(str, target.input_size))
         raise _refused(name, f"has input_size {size}, but its card says {height}×{width}")
     images = _images(target).to(dtype)
-    scores = _scores(name, target, images)
+    question = _question(target, known.info.example)
+    scores = _scores(name, target, images, question)
     _check_scores(name, scores, listed)
-    alone = _scores(name, target, images[:1])
+    alone = _scores(name, target, images[:1], question)
     difference, largest = float((alone - scores[:1]).abs().max()), float(scores.abs().max())
     if difference > _REPEATED * largest:
         raise _refused(
@@ -74,12 +76,19 @@ def load(name: str, known: RegisteredTarget, dtype: torch.dtype) -> Target:
     return target
 
 
-def has_gradient(target: Target) -> bool:
-    """Whether the target's scores have a gradient with respect to the images: it says so, and torch agrees."""
+def has_gradient(target: Target, example: str | None = None) -> bool:
+    """Whether the target's scores have a gradient with respect to the images: it says so, and torch agrees.
+
+    example: a question that it takes.
+    """
     if not target.differentiable:
         return False
     images = _images(target)[:1].requires_grad_()
-    return target.logits(images, _QUESTION if target.takes_question else None).requires_grad
+    return target.logits(images, _question(target, example)).requires_grad
+
+
+def _question(target: Target, example: str | None) -> str | None:
+    return (example or _QUESTION) if target.takes_question else None
 
 
 def _images(target: Target) -> Tensor:
@@ -94,9 +103,9 @@ def _check_labels(name: str, known: RegisteredTarget, found: Sequence[str], list
         raise _refused(name, f"has {len(listed)} labels, but its card says {known.info.classes} classes")
 
 
-def _scores(name: str, target: Target, images: Tensor) -> Tensor:
+def _scores(name: str, target: Target, images: Tensor, question: str | None) -> Tensor:
     try:
-        return target.logits(images, _QUESTION if target.takes_question else None)
+        return target.logits(images, question)
     except (Exception, SystemExit) as error:
         size = "×".join(map(str, target.input_size))
         raise _refused(

@@ -1,8 +1,10 @@
 """Defines the protocol of targets: the networks that attacks run against."""
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from torch import Tensor
+
+from services.questions.program import Program
 
 
 class Target(Protocol):
@@ -49,5 +51,27 @@ class Target(Protocol):
         `images` [B, H, W, 3] in [0,1], on any device and of any size; they are resized to `input_size` (antialiased
         bilinear) and normalised here. Differentiable with respect to `images` where `differentiable` is true. An
         image's scores do not depend on the other images in the batch.
+        """
+        ...
+
+
+@runtime_checkable
+class ProgramTarget(Target, Protocol):
+    """A target that answers by the functional program of a question about a scene after CLEVR.
+
+    A question is one text: its words, or its program as JSON (`services.questions.written`).
+    """
+
+    def program(self, question: str) -> Program:
+        """Returns the program of a question, the same for every image.
+
+        Raises InvalidRequest("question") for one that it cannot understand, InvalidProgram for an invalid program.
+        """
+        ...
+
+    def attention(self, images: Tensor, question: str) -> list[Tensor | None]:
+        """Returns for each function of the question's program what it attends to in images [B, H, W, 3] in [0,1].
+
+        Masks [B, h, w] in [0,1], float32 on the CPU; None for a function whose result has no place in the image.
         """
         ...

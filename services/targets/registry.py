@@ -42,7 +42,7 @@ def has_gradient(name: str) -> bool:
     """Whether the target's scores have a gradient with respect to the images: its card, it and torch say so. Raises as
     `load` does.
     """
-    return _known(name).info.differentiable is not False and probe.has_gradient(load(name))
+    return _known(name).info.differentiable is not False and probe.has_gradient(load(name), card(name).example)
 
 
 def no_gradient(name: str) -> str:

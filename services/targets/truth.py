@@ -34,7 +34,7 @@ def truth_labels(target: TargetInfo, mesh: str) -> tuple[str, ...]:
 
     For a vocabulary of kinds it is the mesh's kind, which need not be among the target's labels.
     """
-    if target.vocabulary == "custom" or not mesh.startswith(PREFIX):
+    if target.vocabulary in ("clevr", "custom") or not mesh.startswith(PREFIX):
         return ()
     kind = kind_of(mesh)
     if target.vocabulary != "imagenet":

@@ -1,0 +1,42 @@
+"""Registers IEP as a target. Its weights are `weights/iep.safetensors`, in the folder of the networks that ship."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from services.questions.answers import ANSWERS
+from services.targets.info import TargetInfo, register
+
+if TYPE_CHECKING:
+    import torch
+
+    from services.targets.protocol import Target
+
+CARD = TargetInfo(
+    name="iep",
+    title="Inferring and executing programs, CLEVR's 28 answers",
+    task="question answering",
+    input_size=(240, 320),
+    classes=len(ANSWERS),
+    differentiable=True,
+    takes_question=True,
+    source="trained by this project: scene-attack train iep",
+    licence="Apache-2.0",
+    vocabulary="clevr",
+    example="How many things are there?",
+)
+
+
+def weights() -> Path:
+    """Returns the path of the weights file that ships with the project."""
+    return Path(str(files("services.targets").joinpath("weights"))) / f"{CARD.name}.safetensors"
+
+
+@register(CARD, lambda: ANSWERS)
+def load(dtype: torch.dtype) -> Target:
+    """Loads the network. Raises InvalidRequest("target.name") if its weights are missing or are not this version's."""
+    from services.targets.iep.target import read
+
+    return read(CARD.name, weights(), dtype)

@@ -1,0 +1,121 @@
+"""IEP as a target: an image and a question in, scores over the 28 answers out.
+
+The question fixes the program: one in words is turned into it by the program generator, which sees no image, so that
+all images of an attack are asked the same. A question may be a program itself (`services.questions.written`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from services.device import describe, device
+from services.errors import InvalidRequest
+from services.questions.answers import ANSWERS
+from services.questions.program import InvalidProgram, Program
+from services.questions.written import program_in
+from services.targets.iep.assembly import Question, assemble
+from services.targets.iep.checkpoint import Checkpoint, load
+from services.targets.iep.trunk import IMAGE
+from services.targets.iep.vocabulary import MAPPED
+
+if TYPE_CHECKING:
+    from services.targets.iep.execution import Execution
+
+PROGRAMS = 1024
+"""Questions whose programs are remembered."""
+
+
+class IepTarget:
+    """A frozen network with the generator of its programs on the configured device; implements `Target`."""
+
+    takes_question = True
+    differentiable = True
+    labels = ANSWERS
+    input_size = IMAGE
+
+    def __init__(
+        self, name: str, checkpoint: Checkpoint, weights_sha256: str, dtype: torch.dtype = torch.float32
+    ) -> None:
+        self.name = name
+        self.weights_sha256 = weights_sha256
+        self._device, self._dtype = device(), dtype
+        self._network = checkpoint.network.to(self._device, dtype).eval().requires_grad_(False)
+        self._generator = checkpoint.generator.eval().requires_grad_(False)
+        self.program = lru_cache(PROGRAMS)(self._program)
+
+    @property
+    def backend(self) -> str:
+        """A line that names everything that decides the bits of its scores: version, device, dtype, threads."""
+        kind, where = str(self._dtype).removeprefix("torch."), describe(self._device)
+        return f"torch {torch.__version__} {where} {kind} {torch.get_num_threads()} threads"
+
+    def _program(self, question: str) -> Program:
+        """Returns the program of a question; the same for every image.
+
+        Raises InvalidRequest("question") for words outside the language (UnknownWord, which names the first) and for a
+        question in words of which no program can be made, InvalidProgram for a program that is invalid.
+        """
+        given = program_in(question)
+        if given is not None:
+            return given
+        (found,) = self._generator.generate([question])
+        if isinstance(found, InvalidProgram):
+            said = f"no program can be made of it: what the generator wrote is invalid ({found.detail})"
+            raise InvalidRequest("question", f"{said}; word it as CLEVR's questions are, or give its program")
+        if isinstance(found, InvalidRequest):
+            raise found
+        return found
+
+    def logits(self, images: Tensor, question: str | None = None) -> Tensor:
+        """Returns scores [B, 28] of images [B, H, W, 3] in [0,1]; see `Target.logits`.
+
+        Raises ValueError without a question, and as `program` does.
+        """
+        scores = self._run(images, question).scores
+        return scores.to(images.device, torch.promote_types(self._dtype, torch.float32))
+
+    @torch.no_grad()
+    def attention(self, images: Tensor, question: str) -> list[Tensor | None]:
+        """Returns what each function of the question's program attends to in images [B, H, W, 3] in [0,1].
+
+        For each node, in the program's order, its mask [B, 15, 20] in [0,1], float32 on the CPU, high where an object
+        of the set is; None for a node whose result is no set and no object. Raises as `logits` does.
+        """
+        found = self._run(images, question)
+        return [
+            torch.stack([found.attention(image, node) for image in range(len(images))]).float().cpu()
+            if kind in MAPPED
+            else None
+            for node, kind in enumerate(self.program(question).types)
+        ]
+
+    def _run(self, images: Tensor, question: str | None) -> Execution:
+        if question is None:
+            raise ValueError(f"{self.name} needs a question")
+        program = self.program(question)
+        x = images.to(self._device, self._dtype)
+        if tuple(x.shape[1:3]) != IMAGE:
+            x = F.interpolate(x.permute(0, 3, 1, 2), IMAGE, mode="bilinear", antialias=True).permute(0, 2, 3, 1)
+        execution: Execution = self._network(x, assemble([Question(program, image) for image in range(len(images))]))
+        return execution
+
+
+def read(name: str, path: Path, dtype: torch.dtype) -> IepTarget:
+    """Returns the target of a checkpoint file.
+
+    Raises InvalidRequest("target.name"), which says what is missing or wrong.
+    """
+    if not path.is_file():
+        raise InvalidRequest("target.name", f"the weights of {name} are not there: {path}")
+    try:
+        checkpoint = load(path)
+    except ValueError as error:
+        raise InvalidRequest("target.name", f"the weights of {name} cannot be used: {error}") from error
+    return IepTarget(name, checkpoint, hashlib.sha256(path.read_bytes()).hexdigest(), dtype)
