@@ -1,0 +1,53 @@
+"""CLEVR scenes in requests: one that is to be generated, and the checks of one that somebody wrote."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from services.errors import InvalidRequest
+from services.scenes.clevr.description import describe, rig_of
+from services.scenes.clevr.generator import MAX_OBJECTS, generate
+from services.scenes.clevr.placement import check, placed_in
+from services.scenes.clevr.records import SceneRecord
+from services.scenes.clevr.relations import RELATIONS, relationships
+from services.scenes.description import Model, Scene
+
+
+class Generate(Model):
+    """A scene after CLEVR for the generator to make."""
+
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = Field(0, description="seed of the generator")
+    index: Annotated[int, Field(ge=0, le=2**63 - 1)] = Field(0, description="number of the scene among those of a seed")
+    objects: Annotated[int, Field(ge=1, le=MAX_OBJECTS)] = Field(5, description="number of objects")
+
+    def record(self) -> SceneRecord:
+        """Returns the scene. Raises InvalidRequest("generate.objects") if so many objects do not fit."""
+        try:
+            return generate(self.seed, self.index, objects=(self.objects, self.objects))
+        except InvalidRequest as error:
+            raise InvalidRequest(f"generate.{error.field}", error.detail) from error
+
+
+def scene_of(record: SceneRecord) -> Scene:
+    """Returns the description of a scene that a request gives as a record.
+
+    Raises InvalidRequest, which names the field, for objects that float, overlap or leave the frame
+    ("record.objects.2"), and for relations that are not those of the objects' places ("record.relationships.left.0").
+    """
+    if not 0 < len(record.objects) <= MAX_OBJECTS:
+        raise InvalidRequest("record.objects", f"there are {len(record.objects)}; a scene has 1 to {MAX_OBJECTS}")
+    if missing := [name for name in RELATIONS if name not in record.directions]:
+        raise InvalidRequest("record.directions", f"it has no direction of {missing[0]}")
+    try:
+        check(placed_in(record), rig_of(record))
+    except InvalidRequest as error:
+        raise InvalidRequest(f"record.{error.field}", error.detail) from error
+    found = relationships([one.coords_3d for one in record.objects], dict(record.directions.items()))
+    for name in RELATIONS:
+        for k, (stated, true) in enumerate(zip(record.relationships[name], found[name], strict=True)):
+            if sorted(stated) != true:
+                raise InvalidRequest(
+                    f"record.relationships.{name}.{k}",
+                    f"it has {sorted(stated)}; by their places the objects {name} of object {k} are {true}",
+                )
+    return describe(record)
