@@ -29,7 +29,8 @@ from benchmarks.views import VIEWS
 from services.attacks.goal import ResolvedGoal
 from services.attacks.loop import AttackRun, Budget, run_together
 from services.attacks.method import Method
-from services.attacks.problem import AttackProblem, ask, gradients, quantize
+from services.attacks.problem import AttackProblem, ask, gradients
+from services.attacks.quantize import quantize
 from services.attacks.verifier import Verifier
 from services.errors import InvalidRequest
 from services.pipeline.extensions import ATTACKS

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from services.attacks.feasible import allowed, fixed, projected
 from services.attacks.problem import AttackProblem, distances, truncate
 from services.attacks.seeds import generator
 from services.rendering.protocol import InactiveCoordinate, Parameters
@@ -83,15 +84,15 @@ def estimate(problem: AttackProblem, delta: Tensor, coordinates: Tensor, half_st
     """∂objective/∂x_d ≈ (f(x + δ_d e_d) − f(x − δ_d e_d)) / 2δ_d at the coordinates [k] (paper, section 3.2).
 
     `delta` [total] is the perturbation, `half_steps` [k] are the δ_d in the groups' units, `noise` is the objective's
-    noise floor. A side that would leave the physical bounds is clamped to them, and the difference is divided by the
-    distance that remains. Raises as `evaluate` does.
+    noise floor. A side that would leave the physical bounds is clamped to them, one that the constraint does not allow
+    is `delta` itself, and the difference is divided by the distance that remains. Raises as `evaluate` does.
     """
     rows = torch.arange(len(coordinates))
     sides = []
     for sign in (1.0, -1.0):
         moved = delta.repeat(len(coordinates), 1)
         moved[rows, coordinates] += sign * half_steps.to(moved.dtype)
-        sides.append(clamped(problem, moved))
+        sides.append(allowed(problem.constraint, problem.layout, clamped(problem, moved), delta))
     both = torch.stack(sides, dim=1)  # [k, 2, total]: the two sides of a difference are neighbours
     scores = evaluate(problem, both.flatten(0, 1)).reshape(-1, 2)
     width = (both[rows, 0, coordinates] - both[rows, 1, coordinates]).double()
@@ -141,11 +142,13 @@ def measure_half_steps(problem: AttackProblem, reach: Tensor, noise: float, prob
     """
     layout = problem.layout
     signs = torch.randint(0, 2, (layout.total,), generator=generator(problem.seed, "reach"))
-    at = clamped(problem, ((2 * signs - 1) * reach)[None])[0]
+    [at] = projected(problem.constraint, layout, clamped(problem, ((2 * signs - 1) * reach)[None]))
+    stays = fixed(problem.constraint, layout)
     chosen = {}
     for group in problem.groups:
         count = layout.shapes[group].numel()
-        order = torch.randperm(count, generator=generator(problem.seed, "deltas", group))[: min(probes, count)]
+        order = torch.randperm(count, generator=generator(problem.seed, "deltas", group))
+        order = order[~stays[layout.starts[group] + order]][: min(probes, count)]
         coordinates = (order + layout.starts[group]).repeat_interleave(len(CANDIDATES))
         steps = torch.tensor(CANDIDATES, dtype=torch.float64).repeat(len(order))
         gradients = estimate(problem, at, coordinates, steps, noise).gradients

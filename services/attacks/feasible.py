@@ -1,15 +1,17 @@
-"""The perturbations that an attack may use: bounds by group, random starts within them, and backtracking to U.
+"""The perturbations that an attack may use: bounds by group, random starts within them, constraints, backtracking to U.
 
 A method sees one box for each group (`AttackProblem.bounds`), the intersection of the renderer's physical bounds, the
 request's `bounds` and ε. `AttackProblem.clamp` projects onto it, so no method knows which limit it was.
 """
 
 from collections.abc import Callable, Mapping
-from math import log
+from math import inf, log
+from typing import Protocol
 
 import torch
 from torch import Tensor
 
+from services.attacks.layout import Layout
 from services.attacks.seeds import generator
 from services.errors import InvalidRequest
 from services.rendering.protocol import BOUND_SLACK, Parameters
@@ -32,6 +34,56 @@ P_MARGIN = 0.01
 """Backtracking keeps p below its limit by this share, for the same reason."""
 ROUNDING = 1e-6
 """Tolerance of the comparison with U: float32 sums of k/255 are off by less, and a change of exactly U is allowed."""
+
+
+class Constraint(Protocol):
+    """What a scene allows beyond a box for each group, such as that objects do not overlap. The zero vector holds."""
+
+    @property
+    def fixed(self) -> Mapping[str, Tensor]:
+        """Which coordinates stay as they are, bool of the shape of each attacked group."""
+        ...
+
+    def holds(self, perturbation: Parameters) -> bool:
+        """Whether a perturbation is allowed."""
+        ...
+
+    def project(self, perturbation: Parameters) -> Parameters:
+        """Returns a perturbation that is allowed: itself if it is, else one that is smaller."""
+        ...
+
+
+def held(bounds: Mapping[str, Box], constraint: Constraint | None) -> dict[str, Box]:
+    """Returns bounds in which the coordinates that a constraint fixes are at 0."""
+    found = dict(bounds)
+    for group, mask in ({} if constraint is None else constraint.fixed).items():
+        if bool(mask.any()):
+            low, high = found.get(group, (torch.tensor(-inf), torch.tensor(inf)))
+            zero = torch.zeros((), dtype=low.dtype)
+            found[group] = (torch.where(mask, zero, low), torch.where(mask, zero, high))
+    return found
+
+
+def fixed(constraint: Constraint | None, layout: Layout) -> Tensor:
+    """Returns a mask, bool [total], of the coordinates that a constraint fixes."""
+    masks = {} if constraint is None else constraint.fixed
+    of_groups = [masks.get(group, torch.zeros(layout.shapes[group], dtype=torch.bool)) for group in layout.groups]
+    return torch.cat([mask.flatten() for mask in of_groups])
+
+
+def projected(constraint: Constraint | None, layout: Layout, vectors: Tensor) -> Tensor:
+    """Returns perturbations [B, total] projected to a constraint."""
+    if constraint is None:
+        return vectors
+    found = [constraint.project(layout.unflatten(vector.detach())) for vector in vectors]
+    return torch.stack([layout.flatten(one) for one in found])
+
+
+def allowed(constraint: Constraint | None, layout: Layout, vectors: Tensor, instead: Tensor) -> Tensor:
+    """Returns perturbations [B, total], with `instead` [total] in place of those that a constraint does not allow."""
+    if constraint is None:
+        return vectors
+    return torch.stack([one if constraint.holds(layout.unflatten(one)) else instead.to(one.dtype) for one in vectors])
 
 
 def perturbation_bounds(

@@ -18,7 +18,8 @@ from torch.autograd.function import once_differentiable
 
 from services.attacks.contract import check_graph
 from services.attacks.differences import clamped, inactive, per_batch, steadiest
-from services.attacks.problem import AttackProblem, quantize
+from services.attacks.problem import AttackProblem
+from services.attacks.quantize import quantize
 from services.attacks.seeds import draw, generator
 from services.rendering.protocol import Parameters
 

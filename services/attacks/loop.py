@@ -14,7 +14,8 @@ from services.attacks import checkpoint
 from services.attacks.contract import check_count, check_settings, check_state
 from services.attacks.image_differences import ImageDifferences
 from services.attacks.method import Method
-from services.attacks.problem import AttackProblem, Evaluation, ask, distances, gradients, quantize
+from services.attacks.problem import AttackProblem, Evaluation, ask, distances, gradients
+from services.attacks.quantize import quantize
 from services.attacks.samples import Sampled, mean_gradients, sample
 from services.attacks.state import AttackState
 from services.attacks.trace import TraceRow

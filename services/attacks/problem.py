@@ -4,14 +4,23 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from math import nan
-from typing import Any, Protocol
+from typing import Protocol
 
 import torch
 from torch import Tensor
 
 from services.attacks.contract import check_graph, check_images, check_perturbation, check_scores
 from services.attacks.expectation import Expectation
-from services.attacks.feasible import ROUNDING, perturbation_bounds, pulled_back, random_start, reached
+from services.attacks.feasible import (
+    ROUNDING,
+    Constraint,
+    held,
+    perturbation_bounds,
+    projected,
+    pulled_back,
+    random_start,
+    reached,
+)
 from services.attacks.goal import ResolvedGoal
 from services.attacks.layout import Layout
 from services.attacks.losses import Loss, loss
@@ -20,7 +29,6 @@ from services.attacks.surrogate import Surrogate
 from services.attacks.variations import draw_variation
 from services.errors import JobFailure, named
 from services.finite import finite
-from services.rendering import color
 from services.rendering.protocol import Parameters, Renderer
 from services.rendering.variation import Variation, noisy, varied
 from services.targets.protocol import Target
@@ -92,6 +100,8 @@ class AttackProblem:
     """The network whose gradients guide a method that searches by scores; None if there is none."""
     expectation: Expectation | None = None
     """The range of views, light and noise over which the objective is averaged; None: the scene itself alone."""
+    constraint: Constraint | None = None
+    """What the scene allows beyond bounds; every perturbation that is viewed is projected to it."""
     queries: int = 0
     renders: int = 0
     surrogate_queries: int = 0
@@ -113,7 +123,8 @@ class AttackProblem:
         start = self.renderer.initial()
         self.initial = {group: start[group] for group in self.groups}
         self.layout = Layout.of(self.initial)
-        self.bounds = perturbation_bounds(self.initial, self.renderer.bounds(), self.limits, self.epsilon)
+        bounds = perturbation_bounds(self.initial, self.renderer.bounds(), self.limits, self.epsilon)
+        self.bounds = held(bounds, self.constraint)
         self.beginning = self.nothing()
         with torch.no_grad():
             self.original = self.render({g: v[None] for g, v in self.initial.items()})
@@ -176,7 +187,7 @@ class AttackProblem:
         renderer's bounds.
         """
         check_perturbation(perturbation, self.initial, self.bounds)
-        if self._backtracks:
+        if self._backtracks or self.constraint is not None:
             perturbation = self.layout.unflatten(self.feasible(self.layout.flatten(perturbation)[None])[0])
         leaves = {g: value.detach().requires_grad_(gradient) for g, value in perturbation.items()}
         with torch.set_grad_enabled(gradient):
@@ -187,9 +198,10 @@ class AttackProblem:
             return Evaluation(leaves, *truncate(images, self.original, self.truncation))
 
     def feasible(self, vectors: Tensor) -> Tensor:
-        """The perturbations [B, total], pulled back with `backtrack` until no value of their images is beyond U, and
-        until the images' p is within `perceptibility`.
+        """The perturbations [B, total], projected to the constraint, and pulled back with `backtrack` until no value of
+        their images is beyond U, and until the images' p is within `perceptibility`.
         """
+        vectors = projected(self.constraint, self.layout, vectors)
         return pulled_back(self._reach, vectors.detach()) if self._backtracks else vectors
 
     @property
@@ -198,6 +210,8 @@ class AttackProblem:
 
     @torch.no_grad()
     def _reach(self, vector: Tensor) -> float:
+        if self.constraint is not None and not self.constraint.holds(self.layout.unflatten(vector)):
+            return 2.0  # anything above 1 is beyond the limit
         with self.under(None):  # the limits are those of the scene itself
             image = self.render(self.layout.unflatten((self.layout.flatten(self.initial) + vector)[None]))
             return reached(image, self.original, self.backtrack, self.perceptibility)
@@ -222,29 +236,6 @@ def ask(problems: Sequence[AttackProblem], images: Tensor) -> Tensor:
         logits = target.logits(images, problems[0].question)
     check_scores(target, logits, len(images))
     return logits
-
-
-def quantize(images: Tensor) -> tuple[Tensor, Tensor]:
-    """Rounds images in [0,1], of any shape, to 8 bits. Returns them as uint8 and as k/255 in float32.
-
-    The derivative of the float32 result is that of the unrounded images (a straight-through derivative), so one pass of
-    the network gives both the verdict on the saved image and the gradient. benchmarks/rounded_gradient.py compares
-    this gradient with the unrounded image's.
-    """
-    result: tuple[Tensor, Tensor] = _Quantize.apply(images)  # type: ignore[no-untyped-call]
-    return result
-
-
-class _Quantize(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, images: Tensor) -> tuple[Tensor, Tensor]:
-        saved, seen = color.quantize(images)
-        ctx.mark_non_differentiable(saved)
-        return saved, seen
-
-    @staticmethod
-    def backward(ctx: Any, none: None, gradient: Tensor) -> Tensor:  # noqa: ARG004 - autograd's signature
-        return gradient
 
 
 def gradients(problems: Sequence[AttackProblem], views: Sequence[Evaluation], logits: Tensor) -> list[Parameters]:

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from services.attacks.problem import AttackProblem, Evaluation, gradients, quantize
+from services.attacks.problem import AttackProblem, Evaluation, gradients
+from services.attacks.quantize import quantize
 from services.rendering.protocol import Parameters
 
 

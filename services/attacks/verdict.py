@@ -14,7 +14,13 @@ WRONG_BEFORE: tuple[Verdict, ...] = ("became-right", "still-wrong")
 """The outcomes of scenes that the network had wrong; beside them "verified" would read as a success."""
 
 
-def judge(truth: Collection[Label], first: Label, attacked: Label, met: bool) -> Verdict:
+def judge(
+    truth: Collection[Label],
+    first: Label,
+    attacked: Label,
+    met: bool,
+    truth_after: Collection[Label] | None = None,
+) -> Verdict:
     """Returns the outcome, given the true labels (empty: nobody knows them), the answers to the original image and to
     the exact image of the stored perturbation, and whether the latter meets the goal.
 
@@ -26,14 +32,19 @@ def judge(truth: Collection[Label], first: Label, attacked: Label, met: bool) ->
     | known   | wrong        | wrong           | still-wrong, either way  |
     | unknown | any          | any             | changed  | held        |
 
+    `truth_after` are the labels that are right for the attacked image, if the attack may have changed what is right
+    (a red cube made blue is no adversary): `attacked` is right or wrong by them. None: the same labels. If they are
+    empty, nothing is right there, and nothing is fooled.
+
     The same for targeted goals: there a wrong answer other than the label to reach does not meet the goal. A right
     answer that is not the first one meets no goal that leaves the whole truth; a targeted one is refused before.
     """
     if not truth:
         return "changed" if met else "held"
+    after = truth if truth_after is None else truth_after
     if first not in truth:
-        return "became-right" if attacked in truth else "still-wrong"
-    return "fooled" if met and attacked not in truth else "held"
+        return "became-right" if attacked in after else "still-wrong"
+    return "fooled" if met and after and attacked not in after else "held"
 
 
 def with_outcome(record: Any) -> Any:

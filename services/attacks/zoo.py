@@ -189,13 +189,16 @@ class ZooMethod:
         return self.layout.mask((one.group, one.index) for one in found)
 
     def _active(self, problem: AttackProblem) -> Tensor:
-        """The coordinates to draw from: all but those inactive at the start that still are. Most scenes have none."""
+        """The coordinates to draw from: all but those that the constraint fixes, and those inactive at the start that
+        still are. Most scenes have none.
+        """
         from services.attacks.differences import inactive
+        from services.attacks.feasible import fixed
 
         still = self.inactive
         if still.any():
             still = still & self._mask(inactive(problem, self.perturbation, self.half_steps))
-        return (~still).nonzero()[:, 0]
+        return (~(still | fixed(problem.constraint, self.layout))).nonzero()[:, 0]
 
     def _rates(self) -> Tensor:
         rate = self.settings.learning_rate

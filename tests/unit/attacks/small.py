@@ -7,7 +7,8 @@ import torch
 from torch import Tensor
 
 from services.attacks.goal import ResolvedGoal
-from services.attacks.problem import AttackProblem, Evaluation, ask, gradients, quantize
+from services.attacks.problem import AttackProblem, Evaluation, ask, gradients
+from services.attacks.quantize import quantize
 from services.rendering.plan import Plan
 from services.rendering.protocol import Parameters
 

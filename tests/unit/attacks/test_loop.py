@@ -8,7 +8,8 @@ import torch
 from services.attacks.fgsm import Fgsm, FgsmMethod
 from services.attacks.goal import ResolvedGoal
 from services.attacks.loop import AttackRun, Budget, run, run_together
-from services.attacks.problem import AttackProblem, Evaluation, quantize
+from services.attacks.problem import AttackProblem, Evaluation
+from services.attacks.quantize import quantize
 from services.attacks.state import AttackState
 from services.attacks.verifier import Verifier
 from services.attacks.zoo import Zoo, ZooMethod

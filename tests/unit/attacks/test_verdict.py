@@ -34,6 +34,24 @@ def test_the_outcome(truth: tuple[int, ...], first: int, attacked: int, met: boo
     assert judge(truth, first, attacked, met) == outcome
 
 
+@pytest.mark.parametrize(
+    ("first", "attacked", "met", "after", "outcome"),
+    [
+        (RIGHT, WRONG, True, (WRONG,), "held"),  # the new answer is right about the scene as it is now
+        (RIGHT, WRONG, True, (ALSO_WRONG,), "fooled"),
+        (RIGHT, RIGHT, False, (WRONG,), "held"),  # the scene has changed, the answer has not left
+        (RIGHT, WRONG, True, (), "held"),  # nothing is right there
+        (WRONG, ALSO_WRONG, True, (ALSO_WRONG,), "became-right"),
+        (WRONG, RIGHT, True, (ALSO_WRONG,), "still-wrong"),
+        (WRONG, WRONG, True, (), "still-wrong"),
+    ],
+)
+def test_the_outcome_where_the_attack_changes_the_truth(
+    first: int, attacked: int, met: bool, after: tuple[int, ...], outcome: Verdict
+) -> None:
+    assert judge(TRUTH, first, attacked, met, after) == outcome
+
+
 def test_a_success_was_right_is_wrong_and_met_the_goal() -> None:
     """Over all combinations, those that are not in the table included."""
     for truth, first, attacked, met in product(((), (0,), TRUTH), range(4), range(4), (False, True)):
