@@ -5,6 +5,7 @@ An attack is one file: it derives its settings from `AttackSettings`, writes its
 errors, openapi.yaml and the tables in docs/scene.md follow from the registry. This module does not import torch.
 """
 
+import operator
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from math import isfinite
@@ -58,6 +59,12 @@ class Goal(Model):
         lt=1,
         allow_inf_nan=False,
         description="least probability of the new answer for the goal to be met",
+    )
+    leave_kind: bool = Field(
+        False,
+        exclude_if=operator.not_,
+        description="of a question: the new answer must be of another kind than the question asks for, such as `yes` "
+        "to a question about a shape",
     )
 
     @field_validator("leave")

@@ -102,7 +102,7 @@ def analyse(subject: Subject, request: AnalysisRequest, library: Library, report
 def fitting_verifier(scene: ResolvedScene, spec: JobSpec) -> Verifier:
     """The torch renderer of a scene, for fits of all its groups, and the network that answers for them."""
     renderer = build(scene, TORCH.name, tolerance=spec.tolerance)
-    return Verifier(renderer, registry.load(spec.target.name), spec.target.question)
+    return Verifier(renderer, registry.load(spec.target.name), spec.target.asked)
 
 
 def rerendered(
@@ -128,7 +128,7 @@ def _to_renderer(subject: Subject, name: str, library: Library) -> Transferred:
     prepared = subject.prepared
     moved, carried, left = described(prepared.spec.scene, prepared.renderer.name, subject.perturbation)
     note = f"carries {', '.join(carried)}" + (f"; leaves out {', '.join(left)}" if left else "")
-    asked = Verifier(build(prepared.scene, name, tolerance="exact"), prepared.target, prepared.spec.target.question)
+    asked = Verifier(build(prepared.scene, name, tolerance="exact"), prepared.target, prepared.spec.target.asked)
     original = attacked = asked.image({})
     try:
         attacked = Verifier(build(resolve(moved, library), name, tolerance="exact"), prepared.target).image({})

@@ -15,6 +15,10 @@ def check_analysis(spec: JobSpec) -> None:
     if spec.analysis.adaptive is not None and not registry.has_gradient(spec.target.name):
         detail = f"it needs gradients, and the scores of {spec.target.name} have none with respect to the image"
         raise InvalidRequest("analysis.adaptive", detail)
+    if spec.target.questions:
+        for name in ("transfer", "interpretation", "rerendering", "adaptive"):
+            if getattr(spec.analysis, name) is not None:
+                raise InvalidRequest(f"analysis.{name}", "it asks one question, and there are several; leave it out")
     asked = spec.analysis.transfer
     if asked is None:
         return

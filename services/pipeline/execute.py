@@ -28,10 +28,12 @@ from services.pipeline.analyse import Report, Subject, analyse
 from services.pipeline.expectations import with_cost
 from services.pipeline.extensions import ATTACKS, EXTENSIONS, TARGETS
 from services.pipeline.prepare import Prepared, lit_by_map, prepare
+from services.pipeline.question_result import outcome_of, question_results
 from services.pipeline.result import Provenance, Result
 from services.pipeline.spec import JobSpec
 from services.pipeline.warning import JobWarning
 from services.rendering.color import to_bytes
+from services.rendering.plan import Plan
 from services.scenes.library import Library
 from services.versions import versions
 
@@ -122,9 +124,10 @@ def _problem(prepared: Prepared, interrupt: Callable[[], None]) -> AttackProblem
         goal=prepared.goal,
         surrogate=prepared.surrogate,
         expectation=attack.expectation,
+        constraint=prepared.limits,
         groups=attack.groups,
         seed=prepared.spec.seed,
-        question=prepared.spec.target.question,
+        question=prepared.spec.target.asked,
         truncation=None if backtracks else limit,
         backtrack=limit if backtracks else None,
         perceptibility=attack.perceptibility,
@@ -157,9 +160,10 @@ def _write(
         right = prepared.truth or goal.leave or (first,)
         tick = partial(report, "expectation")
         held = held_over(verifier, goal, right, found.stored, asked, seed=prepared.spec.seed, tick=tick)
+    questions = question_results(prepared, found.stored, attacked, out)
     result = Result(
         spec=prepared.spec.model_dump(mode="json"),
-        outcome=judge(prepared.truth, first, last, met),
+        outcome=outcome_of(questions) if questions else judge(prepared.truth, first, last, met),
         truth=[labels[i] for i in prepared.truth],
         right_before=first in prepared.truth if prepared.truth else None,
         fooled=found.fooled,
@@ -177,13 +181,14 @@ def _write(
         group_perceptibility=of_groups(prepared.renderer.name, found.stored),
         beyond_truncation=None if limit is None else beyond(original, attacked, limit),
         expectation=held,
-        plan=with_cost(prepared.renderer.plan, prepared.spec.attack.expectation),
+        plan=_plan(prepared),
         image_error=_image_error(problem, found, exact),
         sampled_error=prepared.renderer.sampled_error,
         environment_map_error=prepared.renderer.plan.environment_map_error,
         subsets=rows,
         attribution=of_subsets(rows),
         analyses=analyses,
+        questions=questions,
         settings=found.settings,
         steps=found.step,
         step=found.stored_step,
@@ -203,6 +208,11 @@ def _write(
     (out / "trace.json").write_text(f"[{trace}]\n", "utf-8")
     (out / RESULT).write_text(result.model_dump_json(indent=1) + "\n", "utf-8")
     return result
+
+
+def _plan(prepared: Prepared) -> Plan:
+    plan = with_cost(prepared.renderer.plan, prepared.spec.attack.expectation)
+    return plan if prepared.limits is None else prepared.limits.in_plan(plan)
 
 
 @torch.no_grad()

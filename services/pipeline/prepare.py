@@ -14,8 +14,11 @@ from services.pipeline import goals
 from services.pipeline.analysis_fields import check_analysis, load_targets
 from services.pipeline.expectations import check_range, moving_groups, with_cost
 from services.pipeline.extensions import ATTACKS
+from services.pipeline.questions import AskedQuestion, asked_questions, goal_of
+from services.pipeline.scene_limits import SceneLimits, limits_of
 from services.pipeline.spec import JobSpec
 from services.pipeline.surrogates import check_surrogate, surrogate
+from services.pipeline.together import Together, goals_together, settled_together
 from services.pipeline.warning import JobWarning
 from services.rendering.color import to_bytes
 from services.rendering.factory import build
@@ -28,7 +31,7 @@ from services.scenes.description import Environment
 from services.scenes.library import Library
 from services.scenes.resolve import ResolvedScene, resolve
 from services.targets import registry
-from services.targets.protocol import Target
+from services.targets.protocol import ProgramTarget, Target
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,14 @@ class Prepared:
     """The network's scores of the original image, [K]."""
     exact: Tensor
     """The exact image of the scene before it is rounded, [H, W, 3] in [0,1]."""
+    answering: ProgramTarget | None = None
+    """The network that answers questions about a scene after CLEVR; `target` is made of it if there are several."""
+    questions: tuple[AskedQuestion, ...] = ()
+    """These questions."""
+    goals: tuple[ResolvedGoal, ...] = ()
+    """The goal of each question."""
+    limits: SceneLimits | None = None
+    """The perturbations that such a scene allows; None where the renderer moves no object."""
 
     @property
     def backend(self) -> str:
@@ -104,12 +115,19 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
     if len(labels) < 2:
         raise InvalidRequest("target.name", f"{spec.target.name} has one label only; there is no other answer")
     card = registry.card(spec.target.name)
-    asked = goals.asked(spec.goal, card, labels)
+    goals.asked(spec.goal, card, labels)  # refuses unknown labels before anything is loaded
     check_analysis(spec)
     check_surrogate(spec)
     scene = resolved_scene(spec, library)
     spec = spec.model_copy(update={"scene": scene.description})
-    target = check_question(spec)
+    target = answering = registry.load(spec.target.name)
+    questions = asked_questions(spec, target)
+    several = goals_together(spec.goal, questions) if spec.target.questions else ()
+    if several and isinstance(answering, ProgramTarget):
+        target = Together(answering, spec.target.together, several)
+    else:
+        spec = spec.model_copy(update={"goal": goal_of(spec.goal, questions)})
+    asked = goals.asked(spec.goal, card, labels)
     if ATTACKS[spec.attack.method].needs_gradient and not registry.has_gradient(target.name):
         others = ", ".join(name for name, one in ATTACKS.items() if not one.needs_gradient)
         raise InvalidRequest(
@@ -127,35 +145,34 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
         spec.attack.bounds,
         spec.attack.epsilon,
     )
-    verifier = Verifier(renderer, target, spec.target.question)
+    verifier = Verifier(renderer, target, spec.target.asked)
     exact = verifier.render({})
     original = to_bytes(exact).cpu()
     logits = verifier.logits(original)
     table = goals.table_truth((thing.mesh for thing in spec.scene.objects), card, labels)
-    settled = goals.settle(asked, table, logits)
-    losses.check(spec.attack.objective, settled.goal, len(labels))
+    if several and isinstance(answering, ProgramTarget):
+        settled = settled_together(answering, spec.goal, questions, original)
+    else:
+        settled = goals.settle(asked, table, logits)
+    losses.check(spec.attack.objective, settled.goal, len(target.labels))
     return Prepared(
         spec=spec.model_copy(update={"goal": settled.spec}),
         scene=scene,
         renderer=renderer,
         target=target,
         goal=settled.goal,
-        surrogate=surrogate(spec, labels, settled),
+        surrogate=surrogate(spec, target.labels, settled),
         truth=settled.truth,
         warnings=settled.warnings,
         verifier=verifier,
         original=original,
         logits=logits,
         exact=exact,
+        answering=answering if questions and isinstance(answering, ProgramTarget) else None,
+        questions=questions,
+        goals=several or (settled.goal,),
+        limits=limits_of(questions, renderer.name, {group: start[group] for group in spec.attack.groups}),
     )
-
-
-def check_question(spec: JobSpec) -> Target:
-    """Loads the target of a spec. Raises InvalidRequest if it takes no question and the spec has one."""
-    target = registry.load(spec.target.name)
-    if spec.target.question is not None and not target.takes_question:
-        raise InvalidRequest("target.question", f"{target.name} answers no questions; leave it out")
-    return target
 
 
 def resolved_scene(spec: JobSpec, library: Library) -> ResolvedScene:

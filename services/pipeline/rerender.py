@@ -11,9 +11,11 @@ from services.analysis.records import Rerendering
 from services.analysis.requests import RerenderingRequest
 from services.errors import InvalidRequest, out_of_memory
 from services.pipeline.analyse import fitting_verifier, rerendered
-from services.pipeline.prepare import check_question, resolved_scene
+from services.pipeline.prepare import resolved_scene
+from services.pipeline.questions import asked_questions
 from services.pipeline.spec import JobSpec
 from services.scenes.library import Library
+from services.targets import registry
 
 
 def rerender_image(
@@ -25,7 +27,7 @@ def rerender_image(
     the camera's size, and as `resolve` and the target's registry do.
     """
     _check_size((image.shape[0], image.shape[1]), spec.scene.camera.size)
-    check_question(spec)
+    asked_questions(spec, registry.load(spec.target.name))
     return rerendered(fitting_verifier(resolved_scene(spec, library), spec), image, request, tick)
 
 

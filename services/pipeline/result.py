@@ -1,5 +1,6 @@
 """The record of a finished job: `result.json`, the API's `result`, and the content of the dashboard's job page."""
 
+import operator
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -7,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from services.analysis.records import Analyses, Answer, Attribution, HeldOver, Subset
 from services.attacks.trace import TraceRow
 from services.attacks.verdict import Verdict, with_outcome
+from services.pipeline.question_record import QuestionResult
 from services.pipeline.warning import JobWarning
 from services.rendering.image_error import ImageError
 from services.rendering.plan import Plan
@@ -104,6 +106,9 @@ class Result(_Record):
         None, description="the share of the attack's range of views, light and noise for which the adversary holds"
     )
     analyses: Analyses = Field(Analyses(), description="the analyses that the request asked for")
+    questions: list[QuestionResult] = Field(
+        [], exclude_if=operator.not_, description="the questions about the image, their programs and their answers"
+    )
     settings: dict[str, object] = Field(
         description="settings measured at the start of the attack, e.g. difference steps"
     )

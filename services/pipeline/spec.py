@@ -3,20 +3,25 @@
 The union of attacks in a request consists of all registered attacks, the operator's extensions among them.
 """
 
+import operator
 from collections.abc import Iterable, Mapping
 from functools import cache
 from hashlib import sha256
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, Union
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from services.analysis.requests import AnalysisRequest
 from services.attacks.spec import AttackSettings, Goal, Seed
 from services.errors import InvalidRequest
 from services.pipeline.extensions import ATTACKS, RENDERERS
 from services.pipeline.field_errors import invalid_fields
+from services.pipeline.question_request import MOST_TOGETHER, Call, Calls, Text, program, with_scene
+from services.questions.written import written
 from services.rendering.plan import DEFAULT_TOLERANCE
-from services.scenes.description import Model, Scene
+from services.scenes.clevr.records import SceneRecord
+from services.scenes.clevr.request import Generate
+from services.scenes.description import Model, Scene, absent
 
 if TYPE_CHECKING:
     AnyAttack = AttackSettings
@@ -31,13 +36,81 @@ class TargetChoice(Model):
     """The network under attack and, if it answers questions about images, the question."""
 
     name: str = Field(DEFAULT_TARGET, min_length=1, max_length=100, description="a name that `GET /v1/targets` lists")
-    question: str | None = Field(None, max_length=1000, description="the question, for targets that take one")
+    question: Text | Calls | None = Field(
+        None, description="the question, for targets that take one: in words, or its program as in CLEVR's files"
+    )
+    questions: tuple[Text | Calls, ...] = Field(
+        (),
+        max_length=MOST_TOGETHER,
+        exclude_if=operator.not_,
+        description="in place of `question`, several about the same image, whose answers are attacked together",
+    )
+
+    @field_validator("question")
+    @classmethod
+    def _valid_program(cls, value: Any) -> Any:
+        if isinstance(value, tuple):
+            program(value)
+        return value
+
+    @field_validator("questions")
+    @classmethod
+    def _valid_programs(cls, value: tuple[Any, ...]) -> Any:
+        for number, one in enumerate(value):
+            if isinstance(one, tuple):
+                try:
+                    program(one)
+                except ValueError as error:
+                    node, colon, detail = str(error).partition(": ")
+                    said = f"{number}.{node}: {detail}" if colon else f"{number}: {error}"
+                    raise ValueError(said) from error
+        return value
+
+    @model_validator(mode="after")
+    def _one_or_several(self) -> Self:
+        if self.questions and self.question is not None:
+            raise ValueError("questions: give either `question` or `questions`")
+        return self
+
+    @property
+    def asked(self) -> str | None:
+        """The question as targets take it, one text: its words, or its program as JSON."""
+        return None if self.question is None else _asked(self.question)
+
+    @property
+    def together(self) -> tuple[str, ...]:
+        """`questions` as targets take them."""
+        return tuple(map(_asked, self.questions))
+
+
+def _asked(question: str | tuple[Call, ...]) -> str:
+    return written(program(question)) if isinstance(question, tuple) else question
+
+
+def _scene_may_follow(schema: dict[str, Any]) -> None:
+    del schema["required"]  # it is the only field without a default
 
 
 class JobSpec(Model):
-    """One attack on one scene. Every field but the scene's objects has a default; the stored spec states all values."""
+    """One attack on one scene. Every field but the scene's objects has a default; the stored spec states all values.
+
+    The scene may be given as CLEVR does, by `record` or `generate`; it is then filled in.
+    """
+
+    model_config = ConfigDict(json_schema_extra=_scene_may_follow)
 
     scene: Scene
+    record: SceneRecord | None = Field(
+        None,
+        exclude_if=absent,
+        description="the scene in CLEVR's own format, from whose objects the right answer follows; `scene` may then "
+        "be left out",
+    )
+    generate: Generate | None = Field(
+        None,
+        exclude_if=absent,
+        description="a scene after CLEVR to make, in place of `scene` and `record`, which are filled in",
+    )
     target: TargetChoice = TargetChoice()
     goal: Goal = Goal()
     attack: AnyAttack = Field(default_factory=lambda: ATTACKS[_method_for({})].settings.model_validate({}))
@@ -53,7 +126,9 @@ class JobSpec(Model):
 
     @model_validator(mode="before")
     @classmethod
-    def _default_method(cls, data: Any) -> Any:
+    def _filled_in(cls, data: Any) -> Any:
+        if isinstance(data, dict):
+            data = with_scene(data)
         if isinstance(data, dict) and "attack" in data:
             data = data | {"attack": with_method(data["attack"])}
         return data

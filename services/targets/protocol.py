@@ -1,5 +1,6 @@
 """Defines the protocol of targets: the networks that attacks run against."""
 
+from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
 from torch import Tensor
@@ -67,6 +68,10 @@ class ProgramTarget(Target, Protocol):
 
         Raises InvalidRequest("question") for one that it cannot understand, InvalidProgram for an invalid program.
         """
+        ...
+
+    def answers(self, images: Tensor, questions: Sequence[str]) -> Tensor:
+        """Returns the scores [B, Q, K] of each question to each of the images [B, H, W, 3], as `logits` does of one."""
         ...
 
     def attention(self, images: Tensor, question: str) -> list[Tensor | None]:

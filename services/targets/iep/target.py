@@ -7,6 +7,7 @@ all images of an attack are asked the same. A question may be a program itself (
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -78,7 +79,13 @@ class IepTarget:
 
         Raises ValueError without a question, and as `program` does.
         """
-        scores = self._run(images, question).scores
+        if question is None:
+            raise ValueError(f"{self.name} needs a question")
+        return self.answers(images, [question])[:, 0]
+
+    def answers(self, images: Tensor, questions: Sequence[str]) -> Tensor:
+        """Returns scores [B, Q, 28] of several questions to each image; what they share is computed once."""
+        scores = self._run(images, questions).scores.reshape(len(images), len(questions), len(ANSWERS))
         return scores.to(images.device, torch.promote_types(self._dtype, torch.float32))
 
     @torch.no_grad()
@@ -88,7 +95,7 @@ class IepTarget:
         For each node, in the program's order, its mask [B, 15, 20] in [0,1], float32 on the CPU, high where an object
         of the set is; None for a node whose result is no set and no object. Raises as `logits` does.
         """
-        found = self._run(images, question)
+        found = self._run(images, [question])
         return [
             torch.stack([found.attention(image, node) for image in range(len(images))]).float().cpu()
             if kind in MAPPED
@@ -96,14 +103,13 @@ class IepTarget:
             for node, kind in enumerate(self.program(question).types)
         ]
 
-    def _run(self, images: Tensor, question: str | None) -> Execution:
-        if question is None:
-            raise ValueError(f"{self.name} needs a question")
-        program = self.program(question)
+    def _run(self, images: Tensor, questions: Sequence[str]) -> Execution:
+        programs = [self.program(question) for question in questions]
         x = images.to(self._device, self._dtype)
         if tuple(x.shape[1:3]) != IMAGE:
             x = F.interpolate(x.permute(0, 3, 1, 2), IMAGE, mode="bilinear", antialias=True).permute(0, 2, 3, 1)
-        execution: Execution = self._network(x, assemble([Question(program, image) for image in range(len(images))]))
+        asked = [Question(program, image) for image in range(len(images)) for program in programs]
+        execution: Execution = self._network(x, assemble(asked))
         return execution
 
 

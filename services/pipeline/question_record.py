@@ -1,0 +1,42 @@
+"""The record of a question in a result. This module does not import torch, so that the API can read it."""
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from services.analysis.records import Answer
+from services.attacks.verdict import Verdict
+
+ATTENTION = "attention.safetensors"
+"""Masks of the functions, float32 [h, w] in [0,1]; "0.3.before" is of function 3 of question 0."""
+
+
+class Attended(BaseModel):
+    """The files that show what a function of a program attends to: grey images, white where an object of its set is."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    node: int = Field(description="the function's number in the program, from 0")
+    before: str
+    after: str
+
+
+class QuestionResult(BaseModel):
+    """A question and its answers to the original and the attacked image."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    question: str | None = Field(description="the question in words; null if its program was given")
+    program: list[dict[str, object]] = Field(description="as in CLEVR's question files")
+    kind: str = Field(description="what the program asks for: boolean, integer, shape, size, color or material")
+    right: str = Field(description="the right answer, by the scene's record")
+    right_after: str | None = Field(
+        description="the right answer to the attacked scene, recomputed from its parameters; null if the question is "
+        "ill-posed there. The outcome is judged by it"
+    )
+    before: Answer = Field(description="the network's answer to the original image")
+    after: Answer = Field(description="the network's answer to the attacked image")
+    before_of_kind: bool = Field(description="whether the answer before is of the kind that is asked for")
+    after_of_kind: bool = Field(description="whether the answer after is")
+    outcome: Verdict = Field(description="what the attack came to on this question")
+    attention: list[Attended] = Field(
+        description=f"of the functions whose result is a set or an object; the masks themselves are in {ATTENTION}"
+    )

@@ -1,0 +1,151 @@
+"""Keeps attacks on a scene after CLEVR within scenes that exist and in which the question has the same answer.
+
+Objects stay on the plane, upright, apart from each other and inside the frame. What the question's functions find in
+the scene, such as the set of the red objects, stays too: a red cube that has turned blue is no adversary of a question
+about red cubes. The parameters that an attack moves are then the paper's: energy and position of each light, and of
+each object its colour, its place on the plane and its turn.
+"""
+
+from collections.abc import Iterator, Sequence
+
+import torch
+from torch import Tensor
+
+from services.errors import InvalidRequest
+from services.pipeline.described import CAMERA, OF_OBJECTS, can_carry, described
+from services.pipeline.questions import AskedQuestion
+from services.questions.executor import IllPosed, Value, execute
+from services.questions.facts import Facts
+from services.rendering.plan import Item, Plan
+from services.rendering.protocol import Parameters
+from services.rendering.pyrender_renderer.declaration import PYRENDER
+from services.scenes.clevr.attacked import record_after, rig_after
+from services.scenes.clevr.placement import check, placed_in
+
+HALVINGS = 8
+"""Halvings of the search for the largest share of a change that is allowed: a share is found to 1/256."""
+UP = 1
+"""The axis that points up: an object does not move along it, and turns about no other."""
+
+
+class SceneLimits:
+    """The perturbations of a job that are allowed; implements `services.attacks.feasible.Constraint`.
+
+    `initial` are the attacked groups' values.
+    """
+
+    def __init__(self, questions: Sequence[AskedQuestion], renderer: str, initial: Parameters) -> None:
+        self._programs = [question.program for question in questions]
+        self._record, self._scene = questions[0].record, questions[0].scene
+        self._renderer = renderer
+        self._outputs = self._found({})
+        self.fixed = {group: _fixed(group, value) for group, value in initial.items()}
+
+    def holds(self, perturbation: Parameters) -> bool:
+        """Whether a perturbation leaves the objects where objects can be, and what the question finds as it is."""
+        if not can_carry(self._renderer, tuple(perturbation)):
+            return True
+        scene, _, _ = described(self._scene, self._renderer, perturbation)
+        try:
+            check(placed_in(record_after(self._record, scene)), rig_after(self._record, scene.camera))
+        except InvalidRequest:
+            return False
+        return self._found(perturbation) == self._outputs
+
+    def project(self, perturbation: Parameters) -> Parameters:
+        """Returns a perturbation that holds: itself if it does, else one in which changes are made smaller.
+
+        The camera is moved first, then object after object, each in turn by as much of its change as is allowed where
+        the others are; lights keep theirs.
+        """
+        if self.holds(perturbation):
+            return perturbation
+        parts = list(_parts(perturbation))
+        found = {group: value.detach().clone() for group, value in perturbation.items()}
+        for groups, row in parts:
+            for group in groups:
+                found[group][row] = 0
+        for groups, row in parts:
+            share = self._share(found, perturbation, groups, row)
+            for group in groups:
+                found[group][row] = share * perturbation[group][row].detach()
+        return found
+
+    def in_plan(self, plan: Plan) -> Plan:
+        """Returns the plan with what the search leaves out."""
+        items = [
+            Item(
+                part=group,
+                what="coordinates",
+                kept=int((~mask).sum()),
+                of=mask.numel(),
+                why=_WHY.get(group, "all are searched"),
+            )
+            for group, mask in self.fixed.items()
+        ]
+        return plan.model_copy(update={"items": (*plan.items, *items)})
+
+    def _share(self, found: Parameters, whole: Parameters, groups: Sequence[str], row: int | slice) -> float:
+        def allowed(share: float) -> bool:
+            for group in groups:
+                found[group][row] = share * whole[group][row].detach()
+            return self.holds(found)
+
+        if allowed(1.0):
+            return 1.0
+        low, high = 0.0, 1.0
+        for _ in range(HALVINGS):
+            middle = (low + high) / 2
+            low, high = (middle, high) if allowed(middle) else (low, middle)
+        return low
+
+    def _found(self, perturbation: Parameters) -> list[tuple[Value, ...]] | None:
+        """The outputs of the functions of all questions; None if one is ill-posed."""
+        record = self._record
+        if can_carry(self._renderer, tuple(perturbation)):
+            record = record_after(record, described(self._scene, self._renderer, perturbation)[0])
+        facts = Facts.of(record)
+        try:
+            return [execute(program, facts) for program in self._programs]
+        except IllPosed:
+            return None
+
+
+_WHY = {
+    "illumination": "the light from all around stays: the paper attacks energy and position of the lights",
+    "translation": "objects stay on the plane; what overlaps, leaves the frame or changes the question's answer is "
+    "kept out of the search",
+    "rotation": "objects stay upright",
+    "color": "no colour that the question asks about becomes another; the others are free",
+}
+"""What is said of a group in the plan."""
+
+
+def limits_of(questions: Sequence[AskedQuestion], renderer: str, initial: Parameters) -> SceneLimits | None:
+    """Returns the limits of a job; None without a question, and for a renderer that moves no object."""
+    return SceneLimits(questions, renderer, initial) if questions and renderer == PYRENDER.name else None
+
+
+def _fixed(group: str, value: Tensor) -> Tensor:
+    """Which coordinates of a group stay, bool of its shape."""
+    mask = torch.zeros(value.shape, dtype=torch.bool)
+    if group == "illumination":
+        mask[0] = True  # the ambient light is the first
+    elif group == "translation":
+        mask[:, UP] = True
+    elif group == "rotation":
+        mask[:] = True
+        mask[:, UP] = False
+    return mask
+
+
+def _parts(perturbation: Parameters) -> Iterator[tuple[tuple[str, ...], int | slice]]:
+    """What changes together: the camera; of each object its place and turn, and its colour."""
+    if CAMERA in perturbation:
+        yield (CAMERA,), slice(None)
+    places = tuple(group for group in OF_OBJECTS if group in perturbation and group != "color")
+    count = max((len(perturbation[group]) for group in OF_OBJECTS if group in perturbation), default=0)
+    for k in range(count):
+        for groups in (places, ("color",) if "color" in perturbation else ()):
+            if groups:
+                yield groups, k

@@ -1,0 +1,270 @@
+"""Questions in requests: what is refused, what is filled in, and jobs that attack an answer to the verdict."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from PIL import Image
+from safetensors.torch import load_file
+
+from services.analysis.answers import answer as network_answer
+from services.errors import InvalidRequest
+from services.pipeline.execute import execute
+from services.pipeline.prepare import preflight, prepare_exactly
+from services.pipeline.question_record import ATTENTION
+from services.pipeline.spec import JobSpec, digest, parse
+from services.questions.answers import ANSWERS, KINDS
+from services.questions.executor import answer
+from services.questions.facts import Facts
+from services.scenes.clevr.description import describe
+from services.scenes.clevr.generator import generate
+from services.targets import registry
+from services.targets.iep.checkpoint import Checkpoint
+from services.targets.iep.target import IepTarget
+from tests.unit.jobs.small import LIBRARY, SPHERE
+from tests.unit.targets.iep.seeded import INFO, TAUGHT, generator, network, program, target
+
+RECORD = generate(8, 2, objects=(4, 4))
+SCENE = describe(RECORD, (60, 80)).model_copy(update={"shadows": None})
+"""Small and without shadows, so that it is drawn at once."""
+WHERE = {"record": RECORD.model_dump(mode="json"), "scene": SCENE.model_dump(mode="json")}
+ATTACK = {"renderer": "image", "base_renderer": "pyrender", "method": "fgsm", "steps": 2}
+
+
+@pytest.fixture(autouse=True)
+def _seeded() -> Iterator[None]:
+    with registry.registered(INFO, target()):
+        yield
+
+
+def asking(question: Any, **changes: Any) -> dict[str, Any]:
+    """The request of a question."""
+    return WHERE | {"target": {"name": INFO.name, "question": question}, "attack": ATTACK} | changes
+
+
+def calls(*lines: str) -> list[dict[str, Any]]:
+    return program(*lines).written()
+
+
+def several(*questions: Any, question: Any = None, **changes: Any) -> dict[str, Any]:
+    """The request of several questions together."""
+    target = {"name": INFO.name, "question": question, "questions": questions}
+    return asking(None, **changes) | {"target": target}
+
+
+ABSENT = next(
+    f"filter_color 0 {color}"
+    for color in ("red", "blue", "green", "gray", "cyan")
+    if color not in {one.color for one in RECORD.objects}
+)
+
+HUGE = RECORD.model_dump(mode="json")
+HUGE["objects"][0]["size"] = "huge"
+
+REFUSED: list[tuple[str, str, dict[str, Any]]] = [
+    ("target.question", "'mauve', is not known", asking("How many mauve things are there?")),
+    ("target.question", "needs 1 to 128", asking("?!")),
+    ("target.question", "is required", WHERE | {"target": {"name": INFO.name}}),
+    ("target.question.1", "takes 1 input", asking([{"function": "scene"}, {"function": "count"}])),
+    ("target.question.1", "no function 'cuont'", asking([{"function": "scene"}, {"function": "cuont", "inputs": [0]}])),
+    ("target.question.2", "must be an object", asking(calls("scene", "filter_size 0 large", "query_color 1"))),
+    (
+        "target.question.1.inputs.0",
+        "must be an integer",
+        asking([{"function": "scene"}, {"function": "count", "inputs": ["0"]}]),
+    ),
+    ("target.question", "it needs 1 to 64", asking([])),
+    ("target.question.2", "there is none", asking(calls("scene", ABSENT, "unique 1", "query_size 2"))),
+    ("target.question.1", "there are 4", asking(calls("scene", "unique 0", "query_size 1"))),
+    ("record", "give the scene as `record` or `generate`", asking(calls("scene", "count 0"), record=None)),
+    ("scene", "are not those of `record`", asking(calls("scene", "count 0"), scene=SPHERE)),
+    ("goal.reach", "has no label 'mauve'", asking(calls("scene", "count 0"), goal={"reach": "mauve"})),
+    ("goal.truth", "the right answer is '4'", asking(calls("scene", "count 0"), goal={"truth": "3"})),
+    ("goal.leave_kind", "only a question", {"scene": SPHERE, "goal": {"leave_kind": True}}),
+    ("goal.leave", "of the kind integer", asking(calls("scene", "count 0"), goal={"leave_kind": True, "leave": "4"})),
+    ("goal.reach", "is a label to leave", asking(calls("scene", "count 0"), goal={"leave_kind": True, "reach": "3"})),
+    ("target.questions.1.1", "no function 'cuont'", several(calls("scene", "count 0"), calls("scene", "cuont 0"))),
+    ("target.questions.1", "needs 1 to 64", several(calls("scene", "count 0"), [])),
+    ("target.questions.1", "'mauve', is not known", several(calls("scene", "count 0"), "Is it mauve?")),
+    ("target.questions.0.1", "there are 4", several(calls("scene", "unique 0", "query_size 1"))),
+    ("target.questions", "either `question` or `questions`", several(calls("scene", "count 0"), question="Is it red?")),
+    ("goal.reach", "have answers of their own", several(calls("scene", "count 0"), goal={"reach": "3"})),
+    ("target.questions.0", "gets it wrong before", several(calls("scene", "count 0"))),
+    ("analysis.adaptive", "there are several", several(calls("scene", "count 0"), analysis={"adaptive": {}})),
+    ("generate", "leave it out where scene is given", {"scene": SPHERE, "generate": {"seed": 1}}),
+    ("generate.objects", "from 1 to 10", {"generate": {"objects": 11}}),
+    ("record.objects.0.size", "must be", {"record": HUGE}),
+    ("scene", "is missing", {"target": {"name": INFO.name}}),
+]
+
+
+@pytest.mark.parametrize(("field", "words", "data"), REFUSED, ids=[f"{a}-{b}" for a, b, _ in REFUSED])
+def test_refused_before_anything_is_queued(field: str, words: str, data: dict[str, Any]) -> None:
+    with pytest.raises(InvalidRequest) as refused:
+        preflight(parse(data), LIBRARY)
+    assert words in str(refused.value)
+    assert refused.value.field == field
+
+
+def test_a_record_or_a_seed_becomes_a_scene_with_its_record() -> None:
+    given = parse({"record": RECORD.model_dump(mode="json", by_alias=True)})
+    assert (given.scene, given.record) == (describe(RECORD), RECORD)
+    made = parse({"generate": {"seed": 8, "index": 2, "objects": 4}})
+    assert (made.scene, made.record, made.generate) == (describe(RECORD), RECORD, None)
+    # the stored request is the same request
+    again = JobSpec.model_validate(json.loads(made.model_dump_json()))
+    assert again == made
+    assert digest(again) == digest(made) == digest(given)
+
+
+def test_clevr_s_generator_s_words_for_a_program_are_read() -> None:
+    written = [{"type": "scene", "inputs": []}, {"type": "filter_color", "inputs": [0], "side_inputs": ["red"]}]
+    spec = parse(asking([*written, {"type": "count", "inputs": [1]}]))
+    assert spec == parse(asking(calls("scene", "filter_color 0 red", "count 1")))
+    assert JobSpec.model_validate(spec.model_dump(mode="json")) == spec
+
+
+def test_requests_without_questions_keep_their_canonical_json() -> None:
+    spec = parse({"scene": SPHERE})
+    assert spec.model_dump(mode="json").keys() == {"scene", "target", "goal", "attack", "tolerance", "analysis", "seed"}
+    assert spec.goal.model_dump(mode="json").keys() == {"truth", "leave", "reach", "least_confidence"}
+    assert spec.model_dump(mode="json")["target"] == {"name": "efficientnet-lite0", "question": None}
+
+
+def right(lines: list[str]) -> str:
+    return answer(program(*lines), Facts.of(RECORD))
+
+
+def favouring(said: str, *asked: Any) -> IepTarget:
+    """The seeded network, in which one answer to questions about the original is a little likelier than all others."""
+    own, made = ANSWERS.index(said), network()
+    scores = torch.stack([prepare_exactly(parse(asking(one)), LIBRARY).logits for one in asked])
+    with torch.no_grad():
+        bias = made.engine.classifier[-1].bias
+        assert isinstance(bias, torch.Tensor)
+        bias[own] += float((scores.amax(dim=1) - scores[:, own]).max()) + 0.02
+    return IepTarget("iep-right", Checkpoint(made, generator()), "1" * 64)
+
+
+LARGE = ["scene", "filter_size 0 large", "count 1"]
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Iterator[Any]:
+    """Runs a job on the network that has the question right before the attack."""
+    asked = calls(*LARGE)
+    info = INFO.model_copy(update={"name": "iep-right"})
+    with registry.registered(info, favouring(right(LARGE), asked)):
+
+        def job(**changes: Any) -> Any:
+            data = asking(asked, **changes)
+            data["target"] = {"name": "iep-right", "question": asked}
+            return execute(parse(data), tmp_path, LIBRARY)
+
+        yield job
+
+
+def shown(path: Path) -> torch.Tensor:
+    with Image.open(path) as image:
+        pixels = torch.frombuffer(bytearray(image.tobytes()), dtype=torch.uint8).view(1, 60, 80, 3)
+    return pixels / 255
+
+
+def test_a_right_answer_is_attacked_to_the_verdict(run: Any, tmp_path: Path) -> None:
+    result = run(attack=ATTACK | {"steps": 40})
+    [found] = result.questions
+    assert result.truth == [right(LARGE)] == [found.right] == [found.before.label]
+    assert result.right_before
+    assert (result.outcome, found.outcome, result.verified) == ("fooled", "fooled", True)
+    assert found.after.label == result.attacked.label != found.before.label
+    assert (found.kind, found.before_of_kind) == ("integer", True)
+    assert found.after_of_kind == (found.after.label in KINDS["integer"])
+    assert found.right_after == found.right
+    assert found.program == calls(*LARGE)
+    # the stored image has the stored answer
+    own, question = registry.load("iep-right"), parse(result.spec).target.asked
+    assert isinstance(own, IepTarget)
+    assert question is not None
+    assert own.labels[int(own.logits(shown(tmp_path / "attacked.png"), question)[0].argmax())] == found.after.label
+    # and its attention
+    masks = load_file(tmp_path / ATTENTION)
+    attended = own.attention(shown(tmp_path / "attacked.png"), question)
+    assert [one.node for one in found.attention] == [0, 1]
+    for one in found.attention:
+        expected = attended[one.node]
+        assert expected is not None
+        assert torch.equal(masks[f"0.{one.node}.after"], expected[0])
+        with Image.open(tmp_path / one.after) as image:
+            assert image.size == (320, 240)
+            assert image.getpixel((16 * 3 + 5, 16 * 2 + 5)) == (round(255 * float(expected[0, 2, 3])),) * 3
+
+
+def test_leaving_the_kind_of_answers(run: Any) -> None:
+    result = run(goal={"leave_kind": True}, attack=ATTACK | {"steps": 60})
+    assert set(result.labels_to_leave) == set(KINDS["integer"])
+    [found] = result.questions
+    assert result.outcome == ("fooled" if found.after.label not in KINDS["integer"] else "held")
+    assert found.after_of_kind == (result.outcome == "held")
+    assert parse(result.spec).goal.leave_kind
+
+
+def test_scenes_are_attacked_within_what_exists(run: Any, tmp_path: Path) -> None:
+    attack = {"renderer": "pyrender", "method": "zoo", "preset": "paper-vqa", "steps": 2, "coordinates": 60}
+    result = run(attack=attack)
+    moved = load_file(tmp_path / "perturbation.safetensors")
+    assert moved["illumination"].shape == (13,)
+    assert moved["illumination"][0] == 0
+    assert not moved["translation"][:, 1].any()
+    assert not moved["rotation"][:, [0, 2]].any()
+    assert moved["translation"][:, 0].any()
+    assert result.spec["attack"]["delta"] == 1e-3
+    listed = {item.part: (item.kept, item.of) for item in result.plan.items if item.part in moved}
+    assert listed == {"illumination": (12, 13), "color": (12, 12), "translation": (8, 12), "rotation": (4, 12)}
+    assert result.questions[0].right_after == result.questions[0].right
+
+
+def test_the_verdict_uses_the_truth_of_the_attacked_scene(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An answer that follows a change of the scene is right, whatever was right before."""
+    before = run(attack=ATTACK | {"steps": 40})
+    answered = before.questions[0].after.label
+    monkeypatch.setattr("services.pipeline.questions.AskedQuestion.right_after", lambda *_: answered)
+    after = run(attack=ATTACK | {"steps": 40})
+    assert after.questions[0].after.label == answered
+    assert (before.outcome, after.outcome) == ("fooled", "held")
+
+
+AGAIN = ["scene", "filter_size 0 large", "filter_size 1 large", "count 2"]
+
+
+def test_several_questions_are_attacked_together(tmp_path: Path) -> None:
+    both = [calls(*LARGE), calls(*AGAIN)]
+    own = favouring(right(LARGE), *both)
+    with registry.registered(INFO.model_copy(update={"name": "iep-right"}), own):
+        data = asking(None, attack=ATTACK | {"steps": 60})
+        data["target"] = {"name": "iep-right", "questions": both}
+        result = execute(parse(data), tmp_path, LIBRARY)
+        scores = own.answers(shown(tmp_path / "attacked.png"), parse(data).target.together)[0]
+    assert [ANSWERS[int(one.argmax())] for one in scores] == [one.after.label for one in result.questions]
+    outcomes = [one.outcome for one in result.questions]
+    assert outcomes == [("fooled" if one.after.label != one.right else "held") for one in result.questions]
+    assert result.outcome == ("fooled" if set(outcomes) == {"fooled"} else "held")
+    assert result.verified == (result.outcome == "fooled")
+    assert result.outcome == "fooled"
+    assert {one.name for one in tmp_path.glob("attention-1-*.png")} == {
+        name for one in result.questions[1].attention for name in (one.before, one.after)
+    }
+
+
+def test_words_are_asked_as_their_program() -> None:
+    for words, known in TAUGHT.items():
+        try:
+            expected = answer(known, Facts.of(RECORD))
+        except InvalidRequest:
+            continue
+        prepared = prepare_exactly(parse(asking(words)), LIBRARY)
+        assert [question.program for question in prepared.questions] == [known]
+        assert prepared.truth == (ANSWERS.index(expected),)
+        assert network_answer(prepared.logits, ANSWERS, prepared.goal).label in ANSWERS

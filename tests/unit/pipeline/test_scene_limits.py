@@ -1,0 +1,185 @@
+"""The perturbations that a CLEVR scene allows, against distances, outlines and answers that are found here anew."""
+
+from math import hypot
+
+import pytest
+import torch
+
+from services.pipeline.questions import AskedQuestion
+from services.pipeline.scene_limits import SceneLimits, limits_of
+from services.questions.answers import kind_asked
+from services.questions.executor import answer
+from services.questions.facts import Facts
+from services.questions.program import Program
+from services.rendering.protocol import Parameters
+from services.scenes.clevr.attributes import RADIUS, RGB
+from services.scenes.clevr.description import describe
+from services.scenes.clevr.generator import generate
+from services.scenes.clevr.records import SceneRecord
+from tests.unit.targets.iep.seeded import program
+
+RECORD = generate(8, 2, objects=(5, 5))
+SCENE = describe(RECORD)
+
+
+def question(asked: Program, record: SceneRecord = RECORD) -> AskedQuestion:
+    right = answer(asked, Facts.of(record))
+    return AskedQuestion("target.question", None, "", asked, kind_asked(asked), right, record, describe(record))
+
+
+def initial() -> Parameters:
+    of = {"color": "color", "translation": "translation", "rotation": "rotation"}
+    values = {name: torch.tensor([getattr(o, field) for o in SCENE.objects]).double() for name, field in of.items()}
+    return values | {"illumination": torch.ones(13, dtype=torch.float64)}
+
+
+def nothing() -> Parameters:
+    return {group: torch.zeros_like(value) for group, value in initial().items()}
+
+
+def limits(asked: Program) -> SceneLimits:
+    return SceneLimits([question(asked)], "pyrender", initial())
+
+
+COUNT = program("scene", "count 0")
+
+
+def towards(k: int, j: int, share: float) -> Parameters:
+    """Object k moved by a share of the way to object j."""
+    found = nothing()
+    (ax, ay, _), (bx, by, _) = RECORD.objects[k].coords_3d, RECORD.objects[j].coords_3d
+    found["translation"][k] = torch.tensor([share * (bx - ax), 0.0, -share * (by - ay)])
+    return found
+
+
+def spheres_apart(perturbation: Parameters, k: int) -> bool:
+    """Whether no circle around an object in the plane meets that of object k."""
+    places = initial()["translation"] + perturbation["translation"]
+    return all(
+        hypot(*(places[k] - places[j])[[0, 2]].tolist())
+        > RADIUS[RECORD.objects[k].size] + RADIUS[RECORD.objects[j].size]
+        for j in range(len(RECORD.objects))
+        if j != k
+    )
+
+
+def test_the_paper_s_parameters_are_free() -> None:
+    fixed = limits(COUNT).fixed
+    free = {group: int((~mask).sum()) for group, mask in fixed.items()}
+    assert free == {"illumination": 12, "color": 3 * 5, "translation": 2 * 5, "rotation": 5}
+    assert fixed["translation"][:, 1].all()
+    assert not fixed["rotation"][:, 1].any()
+    assert fixed["illumination"][0]
+
+
+def test_nothing_is_allowed_and_a_collision_is_not() -> None:
+    found = limits(COUNT)
+    assert found.holds(nothing())
+    assert not found.holds(towards(0, 1, 0.98))
+    projected = found.project(towards(0, 1, 0.98))
+    assert found.holds(projected)
+    moved = float(projected["translation"][0].norm())
+    assert moved > 0
+    # one step of the search further it is not allowed
+    whole = towards(0, 1, 0.98)
+    further = moved / float(whole["translation"][0].norm()) + 1.01 / 256
+    assert not found.holds(towards(0, 1, 0.98 * further))
+
+
+def test_what_is_allowed_stays_as_it_is() -> None:
+    perturbation = towards(0, 1, 0.02)
+    perturbation["illumination"] += 0.3
+    assert limits(COUNT).project(perturbation) is perturbation
+    assert spheres_apart(perturbation, 0)
+
+
+def test_leaving_the_frame_is_not_allowed() -> None:
+    perturbation = nothing()
+    perturbation["translation"][2, 0] = 30.0
+    found = limits(COUNT)
+    assert not found.holds(perturbation)
+    assert found.holds(found.project(perturbation))
+
+
+def test_lights_keep_their_change_when_objects_are_brought_back() -> None:
+    perturbation = towards(0, 1, 0.98)
+    perturbation["illumination"] += 0.3
+    perturbation["color"][3] += 0.01
+    projected = limits(COUNT).project(perturbation)
+    assert torch.equal(projected["illumination"], perturbation["illumination"])
+    assert torch.equal(projected["color"], perturbation["color"])
+
+
+def recoloured(k: int, color: str) -> Parameters:
+    found = nothing()
+    found["color"][k] = torch.tensor(RGB[color]) / 255 - initial()["color"][k]
+    return found
+
+
+def test_a_colour_that_is_asked_about_may_not_become_another() -> None:
+    own = RECORD.objects[0].color
+    other = next(color for color in RGB if color not in {one.color for one in RECORD.objects})
+    asked = limits(program("scene", f"filter_color 0 {own}", "count 1"))
+    perturbation = recoloured(0, other)
+    assert limits(COUNT).holds(perturbation)  # no one asks about colours
+    assert not asked.holds(perturbation)
+    projected = asked.project(perturbation)
+    assert asked.holds(projected)
+    share = float(projected["color"][0].norm() / perturbation["color"][0].norm())
+    # half of the way to a colour it is as near, unless a third colour is nearer before
+    assert 0 < share <= 0.5
+    counted = question(program("scene", f"filter_color 0 {own}", "count 1"))
+    assert int(counted.right_after("pyrender", perturbation) or "-1") == int(counted.right) - 1
+
+
+def test_places_that_are_asked_about_keep_their_relations() -> None:
+    pairs = [(k, j) for k in range(5) for j in RECORD.relationships["left"][k]]
+    k, j = pairs[0]
+    one = RECORD.objects[k]
+    names = [f"filter_{name} {i} {one.value(name)}" for i, name in enumerate(("size", "color", "material", "shape"))]
+    asked = program("scene", *names, "unique 4", "relate 5 left", "count 6")
+    found = limits(asked)
+    x, y, _ = RECORD.directions["right"]
+    # object j is moved in small steps to the right: it may go on until it is no longer left of k, or hits something
+    perturbation = nothing()
+    perturbation["translation"][j] = 4 * torch.tensor([x, 0.0, -y])
+    projected = found.project(perturbation)
+    assert found.holds(projected)
+    assert not found.holds(perturbation)
+    assert question(asked).right_after("pyrender", projected) == question(asked).right
+
+
+def test_random_perturbations_are_brought_to_scenes_that_exist() -> None:
+    random = torch.Generator().manual_seed(0)
+    asked = question(program("scene", "filter_shape 0 cube", "count 1"))
+    found = SceneLimits([asked], "pyrender", initial())
+    for size in (0.1, 0.5, 2.0):
+        perturbation = {
+            group: (size * torch.randn(value.shape, generator=random).double()).masked_fill(found.fixed[group], 0.0)
+            for group, value in initial().items()
+        }
+        projected = found.project(perturbation)
+        assert found.holds(projected)
+        assert found.project(projected) is projected
+        for group, change in projected.items():
+            assert bool((change.abs() <= perturbation[group].abs() + 1e-12).all())
+
+
+def test_without_a_question_or_another_renderer_there_are_none() -> None:
+    assert limits_of((), "pyrender", initial()) is None
+    assert limits_of([question(COUNT)], "torch", {}) is None
+    assert limits_of([question(COUNT)], "pyrender", initial()) is not None
+
+
+@pytest.mark.parametrize("renderer", ["torch", "image"])
+def test_the_truth_stays_where_a_renderer_changes_no_scene(renderer: str) -> None:
+    assert question(COUNT).right_after(renderer, {"normals": torch.ones(3)}) == "5"
+
+
+def test_every_question_of_several_keeps_what_it_finds() -> None:
+    own = RECORD.objects[0].color
+    other = next(color for color in RGB if color not in {one.color for one in RECORD.objects})
+    both = [question(COUNT), question(program("scene", f"filter_color 0 {own}", "count 1"))]
+    found = SceneLimits(both, "pyrender", initial())
+    assert not found.holds(recoloured(0, other))
+    assert found.holds(found.project(recoloured(0, other)))
