@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from services.attacks import feasible
 from services.attacks.contract import check_graph
 from services.attacks.differences import clamped, inactive, per_batch, steadiest
 from services.attacks.problem import AttackProblem
@@ -78,7 +79,7 @@ class ImageDifferences:
         if still.any():
             found = inactive(problem, perturbation, self.half_steps)
             still = still & layout.mask((one.group, one.index) for one in found)
-        coordinates = (~still).nonzero()[:, 0]
+        coordinates = (~(still | feasible.fixed(problem.constraint, layout))).nonzero()[:, 0]
         vector = layout.zeros().double()
         steps = self.half_steps[coordinates]
         slopes: list[Tensor] | None = [] if problem.needs_metric else None
@@ -116,10 +117,10 @@ def projected(
     """⟨g, Y(x + δ_d e_d) − Y(x − δ_d e_d)⟩ / 2δ_d at the coordinates [k], float64 [k]; 0 where below the noise.
 
     `delta` [total] is the perturbation, `half_steps` [k] are the δ_d in the groups' units, `gradient` g is [H, W, 3]. A
-    side that would leave the physical bounds is clamped to them, and the difference is divided by the distance that
-    remains. ∂Y/∂x_d, [k, H·W·3] of the images' dtype, are appended to `slopes` where it is given. The images are
-    rendered in batches of at most `per_batch`, both sides of a coordinate in the same one; an estimate depends on its
-    own two images alone. Raises as `AttackProblem.render` does.
+    side that would leave the physical bounds is clamped to them, one that the constraint does not allow is `delta`
+    itself, and the difference is divided by the distance that remains. ∂Y/∂x_d, [k, H·W·3] of the images' dtype, are
+    appended to `slopes` where it is given. The images are rendered in batches of at most `per_batch`, both sides of a
+    coordinate in the same one; an estimate depends on its own two images alone. Raises as `AttackProblem.render` does.
 
     Rounding moves a value of an image by at most its dtype's machine epsilon. The noise floor is `NOISE` standard
     deviations of ⟨g, rounding of both images⟩, were it uniform and independent from value to value.
@@ -134,7 +135,7 @@ def projected(
         both = delta.repeat(len(chosen), 2, 1)  # [k, 2, total]: the two sides of a difference are neighbours
         both[rows, 0, chosen] += steps.to(both.dtype)
         both[rows, 1, chosen] -= steps.to(both.dtype)
-        both = clamped(problem, both.flatten(0, 1))
+        both = feasible.allowed(problem.constraint, problem.layout, clamped(problem, both.flatten(0, 1)), delta)
         images = problem.render(problem.layout.unflatten(start + both))
         moved = (images[0::2] - images[1::2]).flatten(1)
         change = (moved.double() @ weights).cpu()
@@ -165,10 +166,12 @@ def measure_half_steps(problem: AttackProblem) -> dict[str, float]:
     towards, nothing = image_gradient(problem), layout.flatten(problem.nothing())
     random = generator(problem.seed, "image differences")
     offsets = REACH * (2 * torch.rand(PLACES, layout.total, generator=random, dtype=torch.float64) - 1)
-    places = clamped(problem, nothing + offsets.to(nothing.dtype))
+    places = feasible.projected(problem.constraint, layout, clamped(problem, nothing + offsets.to(nothing.dtype)))
+    stays = feasible.fixed(problem.constraint, layout)
     chosen = {}
     for group in problem.groups:
         pool = torch.arange(layout.shapes[group].numel()) + layout.starts[group]
+        pool = pool[~stays[pool]]
         found = []
         for index, place in enumerate(places):
             probes = draw(pool, PROBES, problem.seed, "image differences", group, index)

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from services.attacks.cma_es import CmaEs, CmaEsMethod
 from services.attacks.differences import estimate, measure_half_steps
+from services.attacks.fgsm import Fgsm, FgsmMethod
 from services.attacks.loop import Budget, run
 from services.attacks.verifier import Verifier
 from services.attacks.zoo import Zoo, ZooMethod
@@ -100,6 +101,26 @@ def test_half_steps_are_measured_within_and_without_what_is_fixed() -> None:
     chosen = measure_half_steps(case, torch.full((9,), 0.3), 0.0, probes=6)
     assert set(chosen) == {"a", "b"}
     assert max(renderer.norms) <= 0.05 * (1 + 1e-5)
+    assert not renderer.moved
+
+
+class OpaqueSeen(Seen):
+    """The same without gradients."""
+
+    differentiable = False
+
+    def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
+        return super().render({group: value.detach() for group, value in parameters.items()}).detach()
+
+
+def test_differences_of_images_are_taken_within() -> None:
+    renderer = OpaqueSeen()
+    case = problem(renderer, LinearTarget(scale=0.1), constraint=Ball())
+    settings = Fgsm.model_construct(
+        learning_rate={"a": 0.03, "b": 0.01}, momentum=0.9, weight_decay=0.0, steps=6, method="fgsm"
+    )
+    run(case, FgsmMethod(settings, case), Verifier(case.renderer, case.target), Budget(6))
+    assert 0.04 < max(renderer.norms) <= 0.05 * (1 + 1e-5)
     assert not renderer.moved
 
 
