@@ -13,6 +13,7 @@ from torch import Tensor
 from services.analysis import shapley
 from services.analysis.answers import answer, goal_log_odds
 from services.analysis.records import Attribution, Shares, Subset
+from services.analysis.requests import By
 from services.analysis.subsets import ScoredImage
 from services.attacks.goal import ResolvedGoal
 from services.attacks.seeds import generator
@@ -30,11 +31,11 @@ progress, and may raise Cancelled."""
 
 @dataclass(frozen=True)
 class Part:
-    """A player: one coordinate of a group, or all of a group whose coordinates have no names."""
+    """A player: some coordinates of a group, or all of a group whose coordinates have no names."""
 
     name: str
     group: str
-    index: int | None
+    indices: tuple[int, ...] | None
 
 
 def of_subsets(rows: Sequence[Subset]) -> Attribution:
@@ -48,19 +49,34 @@ def of_subsets(rows: Sequence[Subset]) -> Attribution:
     return _exact(groups, table, max(0, len(rows) - 2))
 
 
-def moved_parts(perturbation: Parameters, names: Callable[[str], list[str] | None]) -> list[Part]:
-    """The parts of a perturbation that are not zero; `names` gives the labels of a group's coordinates, or None."""
+def moved_parts(
+    perturbation: Parameters, names: Callable[[str], list[str] | None], by: By = "coordinate"
+) -> list[Part]:
+    """The parts of a perturbation that are not zero; `names` gives the labels of a group's coordinates, or None.
+
+    By object, coordinates whose labels differ in the last word are one part: of "object 0 color red", "… green" and
+    "… blue" it is "object 0 color".
+    """
     parts = []
     for group, value in perturbation.items():
         moved = value.flatten().nonzero().flatten().tolist()
         labels = names(group)
         if labels is not None:
-            # most labels say the group themselves: "object 0 rotation x"
-            named = [label if group in label else f"{group}: {label}" for label in labels]
-            parts += [Part(named[index], group, index) for index in moved]
+            whole: dict[str | int, list[int]] = {}
+            for index in moved:
+                whole.setdefault(_owner(labels[index]) if by == "object" else index, []).append(index)
+            for key, indices in whole.items():
+                name = key if isinstance(key, str) else labels[key]
+                # most names say the group themselves: "object 0 rotation x"
+                parts.append(Part(name if group in name else f"{group}: {name}", group, tuple(indices)))
         elif moved:
             parts.append(Part(group, group, None))
     return parts
+
+
+def _owner(label: str) -> str:
+    """A coordinate's label without its last word; a label of one word is its own."""
+    return label.rpartition(" ")[0] or label
 
 
 def of_coordinates(
@@ -73,14 +89,16 @@ def of_coordinates(
     images: int,
     seed: int,
     tick: Tick,
+    by: By = "coordinate",
 ) -> Attribution:
-    """The attribution to single coordinates; a group whose coordinates have no names (pixels, texels) is one part.
+    """The attribution to single coordinates, or to all of a group that belong to an object or a light; a group whose
+    coordinates have no names (pixels, texels) is one part.
 
     A coordinate that the perturbation does not move contributes nothing and is left out. Values are exact for up to
     `MOST_EXACT` parts, if their subsets are no more than `images`, and else the mean over as many random orders as
     `images` allow, two at least.
     """
-    parts = moved_parts(perturbation, verifier.renderer.exact().names)
+    parts = moved_parts(perturbation, verifier.renderer.exact().names, by)
     count, full = len(parts), 2 ** len(parts) - 1
     is_exact = count <= MOST_EXACT and 2**count <= images
     orders = max(2, images // max(1, count - 1))
@@ -118,7 +136,7 @@ def _only(perturbation: Parameters, parts: Sequence[Part], chosen: int) -> Param
     kept = {group: torch.zeros_like(value) for group, value in perturbation.items()}
     for number, part in enumerate(parts):
         if chosen >> number & 1:
-            at = slice(None) if part.index is None else part.index
+            at = slice(None) if part.indices is None else list(part.indices)
             kept[part.group].view(-1)[at] = perturbation[part.group].reshape(-1)[at]
     return kept
 

@@ -10,8 +10,21 @@ Name = Annotated[str, Field(min_length=1, max_length=100)]
 Steps = Annotated[int, Field(ge=1, le=10_000)]
 
 
+By = Literal["coordinate", "object"]
+
+
+def _by_coordinate(value: object) -> bool:
+    return value == "coordinate"
+
+
 class CoordinatesRequest(Model):
     """Shapley values of single coordinates; groups without named coordinates (pixels, texels) count as a whole."""
+
+    by: By = Field(
+        "coordinate",
+        exclude_if=_by_coordinate,
+        description="`object`: a part is all of a group that belongs to one object or light, such as `object 2 color`",
+    )
 
     images: Annotated[int, Field(ge=4, le=1_000_000)] = Field(
         4096,

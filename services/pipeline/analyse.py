@@ -55,6 +55,7 @@ def analyse(subject: Subject, request: AnalysisRequest, library: Library, report
             subject.original,
             subject.attacked,
             images=request.coordinates.images,
+            by=request.coordinates.by,
             seed=prepared.spec.seed,
             tick=_named(report, "coordinates"),
         )

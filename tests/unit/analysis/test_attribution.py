@@ -89,6 +89,25 @@ def test_an_additive_network_has_no_interactions() -> None:
         assert torch.tensor(found.probability.interactions).abs().max() > 1e-3, "probabilities are not additive"
 
 
+def test_by_object_a_part_is_what_an_object_has_of_a_group() -> None:
+    verifier, goal = Verifier(Pixels(), Built(ALONE, {(0, 6): 0.1, (3, 7): -0.2})), ResolvedGoal((0,), None)
+    ends = scored(verifier, {}), scored(verifier, PERTURBATION)
+    groups = of_subsets(subsets(verifier, goal, PERTURBATION, *ends))
+    found = of_coordinates(verifier, goal, PERTURBATION, *ends, images=64, seed=0, tick=lambda *_: None, by="object")
+    assert found.parts == ["object 0 a", "b"]  # all coordinates of "a" are one object's
+    assert found.log_odds == groups.log_odds
+    two = torch.zeros(2, 3)
+    two[0, 1] = two[1, 0] = two[1, 2] = 1.0
+    labels = [f"object {k} color {channel}" for k in (0, 1) for channel in ("red", "green", "blue")]
+    parts = moved_parts({"color": two}, lambda _: labels, "object")
+    assert [(part.name, part.indices) for part in parts] == [("object 0 color", (1,)), ("object 1 color", (3, 5))]
+    lamps = moved_parts({"illumination": torch.ones(3)}, lambda _: ["ambient", "point 0 energy", "point 0 x"], "object")
+    assert [(part.name, part.indices) for part in lamps] == [
+        ("illumination: ambient", (0,)),
+        ("illumination: point 0", (1, 2)),
+    ]
+
+
 def test_a_built_interaction_is_found_as_it_was_built() -> None:
     # pixels 0 and 1 are of group a, pixel 6 is the first coordinate of b; each product is of the values 1, 2 and 2
     groups, coordinates = both(Built(ALONE, {(0, 1): 0.5, (1, 6): -0.75}))
