@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar, get_args, get_origin
 from pydantic import Field, field_validator, model_validator
 
 from services.attacks.expectation import Expectation
-from services.attacks.limits import Limits
+from services.attacks.limits import Limit, Limits
 from services.attacks.losses import Loss
 from services.extensions import Registry
 from services.rendering.declaration import MAX_STEP, RENDERERS
@@ -121,6 +121,12 @@ class AttackSettings(Limits):
         description="views, light and camera noise over which the adversary is to hold, so that the attack lowers the "
         "mean objective; null: the scene itself alone",
     )
+    leave_out: dict[str, Limit] = Field(
+        default_factory=dict,
+        exclude_if=operator.not_,
+        description="for groups of few coordinates: each is moved by this much before the attack, and those that "
+        "hardly change the answer's advantage, all together by at most 1 %, are left out of the search; default: none",
+    )
     method: str
     steps: Annotated[int, Field(ge=1, le=100_000)] = Field(500, description="largest number of steps")
 
@@ -184,7 +190,7 @@ class AttackSettings(Limits):
             self.expectation.check(has)
             if self.truncation is not None:
                 raise ValueError("truncation: U is of one view in one light; with `expectation` leave it out")
-        for field, given in (("epsilon", self.epsilon), ("bounds", self.bounds)):
+        for field, given in (("epsilon", self.epsilon), ("bounds", self.bounds), ("leave_out", self.leave_out)):
             self.check_known(field, given)
         if self.needs_epsilon:
             self.check_groups("epsilon", self.epsilon)

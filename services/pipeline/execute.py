@@ -27,6 +27,7 @@ from services.errors import Cancelled, named
 from services.pipeline.analyse import Report, Subject, analyse
 from services.pipeline.expectations import with_cost
 from services.pipeline.extensions import ATTACKS, EXTENSIONS, TARGETS
+from services.pipeline.leaving_out import LeavingOut, leaving_out
 from services.pipeline.prepare import Prepared, lit_by_map, prepare
 from services.pipeline.question_result import outcome_of, question_results
 from services.pipeline.result import Provenance, Result
@@ -85,6 +86,7 @@ def execute(
     prepared = prepare(spec, library)
     warn(prepared.warnings)
     problem = _problem(prepared, interrupt)
+    problem, left_out = leaving_out(problem, spec.attack.leave_out)
 
     def fresh() -> Method:
         with named(f"method {spec.attack.method!r}"):
@@ -104,6 +106,8 @@ def execute(
     )
     if spec.attack.masking_check and not found.verified:
         found.settings |= {"masking": check_masking(problem, prepared.verifier, spec.attack.masking_check)}
+    if left_out is not None:
+        found.settings |= {"leave_out": left_out.settings}
     progress(Progress(phase="analysing", step=found.step, steps=steps))
     interrupt()
 
@@ -111,7 +115,7 @@ def execute(
         interrupt()
         progress(Progress(phase="analysing", step=done, steps=of, analysis=name))
 
-    return _write(prepared, problem, found, out, library, report)
+    return _write(prepared, problem, found, out, library, report, left_out)
 
 
 def _problem(prepared: Prepared, interrupt: Callable[[], None]) -> AttackProblem:
@@ -141,7 +145,13 @@ def _problem(prepared: Prepared, interrupt: Callable[[], None]) -> AttackProblem
 
 
 def _write(
-    prepared: Prepared, problem: AttackProblem, found: AttackState, out: Path, library: Library, report: Report
+    prepared: Prepared,
+    problem: AttackProblem,
+    found: AttackState,
+    out: Path,
+    library: Library,
+    report: Report,
+    left_out: LeavingOut | None,
 ) -> Result:
     out.mkdir(parents=True, exist_ok=True)
     verifier, goal, labels, original = prepared.verifier, prepared.goal, prepared.target.labels, prepared.original
@@ -181,7 +191,7 @@ def _write(
         group_perceptibility=of_groups(prepared.renderer.name, found.stored),
         beyond_truncation=None if limit is None else beyond(original, attacked, limit),
         expectation=held,
-        plan=_plan(prepared),
+        plan=_plan(prepared, left_out),
         image_error=_image_error(problem, found, exact),
         sampled_error=prepared.renderer.sampled_error,
         environment_map_error=prepared.renderer.plan.environment_map_error,
@@ -210,9 +220,10 @@ def _write(
     return result
 
 
-def _plan(prepared: Prepared) -> Plan:
+def _plan(prepared: Prepared, left_out: LeavingOut | None) -> Plan:
     plan = with_cost(prepared.renderer.plan, prepared.spec.attack.expectation)
-    return plan if prepared.limits is None else prepared.limits.in_plan(plan)
+    plan = plan if prepared.limits is None else prepared.limits.in_plan(plan)
+    return plan if left_out is None else left_out.in_plan(plan)
 
 
 @torch.no_grad()

@@ -138,6 +138,10 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
     renderer = _renderer(spec, scene, tolerance)
     if spec.attack.expectation is not None:
         check_range(spec.attack.expectation, renderer)
+    for group in spec.attack.leave_out:
+        if renderer.names(group) is None:
+            detail = "it has too many coordinates to measure each; leave this out"
+            raise InvalidRequest(f"attack.leave_out.{group}", detail)
     start = renderer.initial()
     perturbation_bounds(
         {group: start[group] for group in spec.attack.groups},

@@ -64,6 +64,9 @@ ABSENT = next(
 HUGE = RECORD.model_dump(mode="json")
 HUGE["objects"][0]["size"] = "huge"
 
+FLOATING = RECORD.model_dump(mode="json")
+FLOATING["objects"][0]["coords_3d"][2] += 0.5
+
 REFUSED: list[tuple[str, str, dict[str, Any]]] = [
     ("target.question", "'mauve', is not known", asking("How many mauve things are there?")),
     ("target.question", "needs 1 to 128", asking("?!")),
@@ -79,6 +82,7 @@ REFUSED: list[tuple[str, str, dict[str, Any]]] = [
     ("target.question", "it needs 1 to 64", asking([])),
     ("target.question.2", "there is none", asking(calls("scene", ABSENT, "unique 1", "query_size 2"))),
     ("target.question.1", "there are 4", asking(calls("scene", "unique 0", "query_size 1"))),
+    ("record.objects.0", "floats above", asking(calls("scene", "count 0"), record=FLOATING)),
     ("record", "give the scene as `record` or `generate`", asking(calls("scene", "count 0"), record=None)),
     ("scene", "are not those of `record`", asking(calls("scene", "count 0"), scene=SPHERE)),
     ("goal.reach", "has no label 'mauve'", asking(calls("scene", "count 0"), goal={"reach": "mauve"})),
@@ -224,6 +228,29 @@ def test_scenes_are_attacked_within_what_exists(run: Any, tmp_path: Path) -> Non
     listed = {item.part: (item.kept, item.of) for item in result.plan.items if item.part in moved}
     assert listed == {"illumination": (12, 13), "color": (12, 12), "translation": (8, 12), "rotation": (4, 12)}
     assert result.questions[0].right_after == result.questions[0].right
+
+
+def test_what_cannot_reach_the_answer_is_left_out_and_listed(run: Any, tmp_path: Path) -> None:
+    attack = {"renderer": "pyrender", "method": "zoo", "preset": "paper-vqa", "steps": 2, "coordinates": 60}
+    attack |= {"groups": ["color", "rotation"], "leave_out": {"color": 1e-9, "rotation": 1e-9}}
+    result = run(attack=attack)
+    measured = result.settings["leave_out"]
+    assert len(measured["effects"]) == 2 * 12
+    # so small moves of all change the advantage by less than 1 % of it
+    assert sum(measured["effects"].values()) <= 0.01 * measured["advantage"]
+    assert len(measured["left_out"]) == 12 + 4 - 1  # all that is free but the most effective
+    listed = {item.part: item for item in result.plan.items if item.what == "coordinates that reach the answer"}
+    assert sum(one.of - one.kept for one in listed.values()) == len(measured["left_out"])
+    assert all(name in listed["color"].why + listed["rotation"].why for name in measured["left_out"])
+    moved = load_file(tmp_path / "perturbation.safetensors")
+    assert sum(int(value.count_nonzero()) for value in moved.values()) <= 1
+
+
+def test_groups_of_many_coordinates_are_not_measured() -> None:
+    attack = ATTACK | {"method": "zoo", "leave_out": {"image": 0.1}}
+    with pytest.raises(InvalidRequest, match="too many coordinates") as refused:
+        preflight(parse(asking(calls(*LARGE), attack=attack)), LIBRARY)
+    assert refused.value.field == "attack.leave_out.image"
 
 
 def test_the_verdict_uses_the_truth_of_the_attacked_scene(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:

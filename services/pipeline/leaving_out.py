@@ -1,0 +1,73 @@
+"""A job's coordinates that are left out of the search because they hardly change the answer, measured at its start."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from services.attacks.leave_out import Effects, measure, without
+from services.attacks.problem import AttackProblem
+from services.rendering.plan import Item, Plan
+
+
+@dataclass(frozen=True)
+class LeavingOut:
+    """What was measured of a problem, with the names of its coordinates."""
+
+    change: Mapping[str, float]
+    effects: Effects
+    names: tuple[str, ...]
+    groups: tuple[str, ...]
+    """The group of each coordinate."""
+
+    @property
+    def settings(self) -> dict[str, object]:
+        """What was measured, as JSON: the advantage, the effect of each coordinate, and what is left out."""
+        effects = self.effects
+        alone = zip(self.names, self.groups, effects.alone.tolist(), strict=True)
+        return {
+            "advantage": effects.advantage,
+            "effects": {name: effect for name, group, effect in alone if group in self.change},
+            "left_out": self._left_out(),
+            "together": effects.together,
+        }
+
+    def in_plan(self, plan: Plan) -> Plan:
+        """Returns the plan with a line for each group that was measured."""
+        items = []
+        for group, change in self.change.items():
+            left = self._left_out(group)
+            of = self.groups.count(group)
+            items.append(
+                Item(
+                    part=group,
+                    what="coordinates that reach the answer",
+                    kept=of - len(left),
+                    of=of,
+                    why=f"each was moved by ±{change:g}; those left out change the answer's advantage of "
+                    f"{self.effects.advantage:.3g} by {self.effects.together:.2g} together: "
+                    f"{', '.join(left) or 'none is left out'}",
+                )
+            )
+        return plan.model_copy(update={"items": (*plan.items, *items)})
+
+    def _left_out(self, group: str | None = None) -> list[str]:
+        rows = zip(self.names, self.groups, self.effects.left_out.tolist(), strict=True)
+        return [name for name, own, left in rows if left and group in (None, own)]
+
+
+def leaving_out(problem: AttackProblem, change: Mapping[str, float]) -> tuple[AttackProblem, LeavingOut | None]:
+    """Measures the coordinates of the groups in `change`; returns the problem without those that hardly count.
+
+    The problem itself and None if there is nothing to measure.
+    """
+    if not change:
+        return problem, None
+    effects = measure(problem, change)
+    layout = problem.layout
+    names = tuple(
+        name
+        for group in layout.groups
+        for name in problem.renderer.names(group) or [group] * layout.shapes[group].numel()
+    )
+    groups = tuple(group for group in layout.groups for _ in range(layout.shapes[group].numel()))
+    found = LeavingOut(change, effects, names, groups)
+    return replace(problem, constraint=without(problem, effects.left_out)), found

@@ -1,0 +1,71 @@
+"""Coordinates are left out of a search only if they were measured to do nothing that counts."""
+
+import pytest
+import torch
+
+from services.attacks.leave_out import SHARE, measure, without
+from services.attacks.loop import Budget, run
+from services.attacks.verifier import Verifier
+from services.attacks.zoo import Zoo, ZooMethod
+from tests.unit.attacks.small import FreeRenderer, LinearTarget, problem
+from tests.unit.attacks.test_constraint import Ball
+
+
+class Weak(FreeRenderer):
+    """Coordinates 1 and 4 of group "a" do nothing, coordinate 2 a thousandth, the others what they do in the base."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.weights["a"][:, [1, 4]] = 0.0
+        self.weights["a"][:, 2] *= 1e-3
+
+
+CHANGE = {"a": 0.01, "b": 0.01}
+
+
+def test_effects_are_those_of_the_linear_network() -> None:
+    renderer, target = Weak(), LinearTarget()
+    case = problem(renderer, target)
+    found = measure(case, CHANGE)
+    # the advantage of the first answer over the second is linear as long as the second stays the second
+    logits = target.logits(renderer.render({g: v[None] for g, v in renderer.initial().items()}))[0]
+    first, second = logits.topk(2).indices.tolist()
+    gap = target.scale * (target.weights[:, first] - target.weights[:, second])
+    expected = torch.cat([(renderer.weights[g].T @ gap).abs() * 0.01 for g in ("a", "b")])
+    assert found.advantage == pytest.approx(float(logits[first] - logits[second]))
+    assert torch.allclose(found.alone, expected, rtol=1e-6, atol=1e-9)
+
+
+def test_only_what_does_nothing_that_counts_is_left_out() -> None:
+    case = problem(Weak(), LinearTarget())
+    found = measure(case, CHANGE)
+    left = found.left_out.nonzero()[:, 0].tolist()
+    assert {1, 4} <= set(left)
+    assert float(found.alone[left].sum()) <= SHARE * found.advantage
+    assert found.together <= SHARE * found.advantage
+    others = [k for k in range(9) if k not in left]
+    smallest = float(found.alone[others].min())
+    assert float(found.alone[left].sum()) + smallest > SHARE * found.advantage
+
+
+def test_an_attack_never_moves_what_is_left_out() -> None:
+    renderer = Weak()
+    whole = problem(renderer, LinearTarget(scale=0.1), constraint=Ball(0.5))
+    found = measure(whole, CHANGE)
+    case = problem(renderer, LinearTarget(scale=0.1), constraint=without(whole, found.left_out))
+    settings = Zoo.model_construct(
+        coordinates=9, delta=1e-3, learning_rate={"a": 0.05, "b": 0.01}, weight=0.0, steps=4, method="zoo"
+    )
+    state = run(case, ZooMethod(settings, case), Verifier(case.renderer, case.target), Budget(4))
+    moved = case.layout.flatten(state.stored) != 0
+    assert not bool((moved & found.left_out).any())
+    assert not bool(moved[5])  # the inner constraint's
+    assert bool(moved.any())
+
+
+def test_an_advantage_that_is_gone_leaves_nothing_out_that_does_anything() -> None:
+    case = problem(FreeRenderer(), LinearTarget())
+    case.goal = type(case.goal)((), int(1 - case.goal.leave[0] % 2))  # to reach: no advantage of its own kind
+    found = measure(case, {"a": 0.01})
+    assert not bool(found.left_out[6:].any())  # group "b" was not measured
+    assert float(found.alone[found.left_out].sum()) <= SHARE * max(found.advantage, 0.0)
