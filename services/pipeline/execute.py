@@ -70,9 +70,9 @@ def execute(
     """Runs a job and writes its files into `out`.
 
     The files are result.json, trace.json, perturbation.safetensors (one tensor for each group), original.png,
-    attacked.png, and perturbation.png (the difference times 5, plus 128). `progress` is called in every phase and with
-    every row of the trace, `warn` once before the attack. The attack writes the file `checkpoint` every few seconds and
-    resumes from it.
+    attacked.png, and perturbation.png (the difference times 5, plus 128); for questions also what the network attends
+    to (`question_result`). `progress` is called in every phase and with every row of the trace, `warn` once before the
+    attack. The attack writes the file `checkpoint` every few seconds and resumes from it.
     Raises InvalidRequest, JobFailure, or Cancelled once `cancelled()`, which is called before every rendering, is true.
     """
 
