@@ -1,5 +1,7 @@
 """The record of a question in a result. This module does not import torch, so that the API can read it."""
 
+from collections.abc import Sequence
+
 from pydantic import BaseModel, ConfigDict, Field
 
 from services.analysis.records import Answer
@@ -7,6 +9,8 @@ from services.attacks.verdict import Verdict
 
 ATTENTION = "attention.safetensors"
 """Masks of the functions, float32 [h, w] in [0,1]; "0.3.before" is of function 3 of question 0."""
+HALF_AN_OBJECT = 0.5
+"""Least change of attention that counts as one: an object that enters or leaves a set changes it by about 1."""
 
 
 class Attended(BaseModel):
@@ -17,6 +21,10 @@ class Attended(BaseModel):
     node: int = Field(description="the function's number in the program, from 0")
     before: str
     after: str
+    change: float = Field(
+        description="sum over the cells of the absolute difference of the two masks, at least 0: an object that enters "
+        "or leaves the set changes it by about 1, as its mask is high in about one cell"
+    )
 
 
 class QuestionResult(BaseModel):
@@ -40,3 +48,17 @@ class QuestionResult(BaseModel):
     attention: list[Attended] = Field(
         description=f"of the functions whose result is a set or an object; the masks themselves are in {ATTENTION}"
     )
+
+
+def first_changed(attention: Sequence[Attended]) -> Attended | None:
+    """Returns the first function, in the program's order, whose attention changed by half an object or more.
+
+    None if there is none. The functions before it attend to the same objects in both images.
+    """
+    return next((one for one in attention if one.change >= HALF_AN_OBJECT), None)
+
+
+def most_changed(attention: Sequence[Attended]) -> Attended | None:
+    """Returns the function whose attention changed most, the first of equal ones; None if no attention changed."""
+    most = max(attention, key=lambda one: one.change, default=None)
+    return most if most is not None and most.change > 0 else None
