@@ -12,6 +12,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from api.dashboard import words
 from services.jobs.models import CampaignState, State
 from services.pipeline.names import group_words
+from services.pipeline.question_record import CHANGED
 
 HEADERS = {
     "Content-Security-Policy": (
@@ -30,7 +31,7 @@ _templates = Environment(
     loader=PackageLoader(__package__), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
 )
 _templates.globals |= {"version": VERSION, "words": words, "group_words": group_words, "states": list(State)}
-_templates.globals["campaign_states"] = list(CampaignState)
+_templates.globals |= {"campaign_states": list(CampaignState), "changed": CHANGED}
 
 
 def html(template: str, status: int = 200, **values: Any) -> Response:

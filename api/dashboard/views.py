@@ -6,11 +6,14 @@ from datetime import datetime
 from typing import Any
 
 from api.dashboard.charts import Chart, chart
+from api.dashboard.questions import Question, SceneObject, objects, questions
 from services.attacks.verdict import judge, with_outcome
 from services.jobs.models import Artifact, Event, Job, State
-from services.pipeline.names import attack_name, scene_name
+from services.pipeline.names import attack_name, job_name, question_names, scene_name
 
 IMAGES = ("original.png", "attacked.png", "perturbation.png")
+SEARCHED = ("coordinates", "coordinates that reach the answer")
+"""What a plan calls the coordinates of a group that the attack on a question searches."""
 LEAST = 0.01
 """Least height of the axes of p (thousandths) and distance, so that rounding of an unchanged image is not magnified."""
 
@@ -21,6 +24,8 @@ class Line:
 
     id: str
     state: State
+    name: str
+    """The question, or the scene of a job without one."""
     scene: str
     attack: str
     target: str
@@ -48,9 +53,19 @@ class Page:
     by_step: list[Chart]
     by_seconds: list[Chart]
     artifacts: list[Artifact]
+    attention_files: list[Artifact]
+    """The images of attention, which are many."""
     cancellable: bool
     analysed: bool
     """Whether the request asked for analyses, and they are made."""
+    questions: list[Question]
+    objects: list[SceneObject]
+    effect_groups: list[str]
+    """The groups whose effect on single objects was measured."""
+    limits: list[dict[str, Any]]
+    """The plan's lines about coordinates that the search leaves out, of jobs with questions."""
+    image_size: tuple[int, int]
+    """Height and width of the images."""
 
 
 def line(job: Job) -> Line:
@@ -58,6 +73,7 @@ def line(job: Job) -> Line:
     return Line(
         id=job.id,
         state=job.state,
+        name=job_name(job.spec),
         scene=scene_name(job.spec),
         attack=attack_name(job.spec),
         target=job.spec["target"]["name"],
@@ -73,6 +89,10 @@ def line(job: Job) -> Line:
 def page(job: Job, events: Iterable[Event], artifacts: Sequence[Artifact]) -> Page:
     """The data that a job's page shows. The trace is the result's or, if there is none yet, that of the events."""
     trace = job.result["trace"] if job.result else trace_of_events(events)
+    height, width = job.spec["scene"]["camera"]["size"]
+    asked = questions(job.result, job.spec, question_names(job.spec))
+    shown = {name for one in asked for of in one.result.attention for name in (of.before, of.after)}
+    things = objects(job.result, job.spec)
     return Page(
         line=line(job),
         spec=job.spec,
@@ -85,10 +105,22 @@ def page(job: Job, events: Iterable[Event], artifacts: Sequence[Artifact]) -> Pa
         last=trace[-1] if trace else None,
         by_step=charts(trace, job.spec, "step"),
         by_seconds=charts(trace, job.spec, "seconds"),
-        artifacts=list(artifacts),
+        artifacts=[one for one in artifacts if one.name not in shown],
+        attention_files=[one for one in artifacts if one.name in shown],
         cancellable=not job.state.terminal and job.state != State.CANCELLING,
         analysed=job.result is not None and any(job.result.get("analyses", {}).values()),
+        questions=asked,
+        objects=things,
+        effect_groups=[one for one in job.spec["attack"]["groups"] if any(one in thing.effects for thing in things)],
+        limits=limits(job.result, job.spec) if asked else [],
+        image_size=(height, width),
     )
+
+
+def limits(result: dict[str, Any] | None, spec: dict[str, Any]) -> list[dict[str, Any]]:
+    """The plan's lines about the coordinates of the attacked groups."""
+    items = [] if result is None else result["plan"]["items"]
+    return [item for item in items if item["part"] in spec["attack"]["groups"] and item["what"] in SEARCHED]
 
 
 def subsets(result: dict[str, Any] | None) -> list[dict[str, Any]]:

@@ -1,15 +1,32 @@
-"""Short names of a job's scene, attack and parameter groups, as all lists and tables show them."""
+"""Short names of a job's scene, questions, attack and parameter groups, as all lists and tables show them."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from services.pipeline.extensions import RENDERERS
+from services.questions.functions import FUNCTIONS
+from services.questions.program import TYPE_WORDS
 
 
 def scene_name(spec: Mapping[str, Any]) -> str:
     """The meshes of a full spec without their folder, e.g. "grand-piano" or "couch, cube"."""
     meshes = [str(thing["mesh"]) for thing in spec["scene"]["objects"]]
     return ", ".join(mesh[:14] if mesh.startswith("sha256:") else mesh.rpartition("/")[2] for mesh in meshes)
+
+
+def question_names(spec: Mapping[str, Any]) -> list[str]:
+    """The questions of a full spec: their words, or "A program of 9 functions that asks for a number"."""
+    target = spec["target"]
+    asked = [*([] if target.get("question") is None else [target["question"]]), *target.get("questions", ())]
+    return [one if isinstance(one, str) else _program_name(one) for one in asked]
+
+
+def job_name(spec: Mapping[str, Any]) -> str:
+    """The question of a full spec, "4 questions about one image", or the name of its scene if it has none."""
+    questions = question_names(spec)
+    if len(questions) > 1:
+        return f"{len(questions)} questions about one image"
+    return questions[0] if questions else scene_name(spec)
 
 
 def group_words(spec: Mapping[str, Any], group: str) -> str:
@@ -34,3 +51,8 @@ def attack_name(spec: Mapping[str, Any]) -> str:
         groups = () if len(groups) == 1 else ("combined",)
     targeted = " targeted" if spec.get("goal", {}).get("reach") is not None else ""
     return " ".join([renderer, *(["+".join(groups)] if groups else []), attack["method"]]) + targeted
+
+
+def _program_name(calls: Sequence[Mapping[str, Any]]) -> str:
+    functions = "1 function" if len(calls) == 1 else f"{len(calls)} functions"
+    return f"A program of {functions} that asks for {TYPE_WORDS[FUNCTIONS[calls[-1]['function']].output]}"

@@ -1,5 +1,6 @@
 """The part of a result that lists and tables of jobs show."""
 
+import operator
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -24,6 +25,12 @@ class Outcome(BaseModel):
     before_confidence: float
     after: str = Field(description="label of the attacked image, rendered exactly")
     after_confidence: float
+    answers: list[tuple[str, str]] = Field(
+        [],
+        exclude_if=operator.not_,
+        description="of several questions attacked together: the answers to each, before and after; `before` and "
+        "`after` then say whether all of them have left",
+    )
     float_perceptibility: float | None = Field(
         None, description="p of the image before rounding, the paper's; null in results of version 0.1"
     )
@@ -58,6 +65,7 @@ def outcome(result: Result) -> dict[str, Any]:
         before_confidence=result.original.confidence,
         after=result.attacked.label,
         after_confidence=result.attacked.confidence,
+        answers=[(one.before.label, one.after.label) for one in result.questions] if len(result.questions) > 1 else [],
         float_perceptibility=result.float_perceptibility,
         perceptibility=result.perceptibility,
         steps=result.steps,

@@ -9,8 +9,8 @@ from services.attacks.verdict import Verdict
 
 ATTENTION = "attention.safetensors"
 """Masks of the functions, float32 [h, w] in [0,1]; "0.3.before" is of function 3 of question 0."""
-HALF_AN_OBJECT = 0.5
-"""Least change of attention that counts as one: an object that enters or leaves a set changes it by about 1."""
+CHANGED = 0.5
+"""Least change of a mask at a cell that counts as another object attended to: such a cell goes from 0 to 1 or back."""
 
 
 class Attended(BaseModel):
@@ -22,8 +22,12 @@ class Attended(BaseModel):
     before: str
     after: str
     change: float = Field(
-        description="sum over the cells of the absolute difference of the two masks, at least 0: an object that enters "
-        "or leaves the set changes it by about 1, as its mask is high in about one cell"
+        description="sum over the cells of the absolute difference of the two masks: an object that enters or leaves "
+        "the set changes it by about 1, as a mask is high in about one cell for each object"
+    )
+    cell_change: float = Field(
+        description="largest absolute difference of the two masks at a cell, in [0,1]: about 1 if an object enters or "
+        "leaves the set, and small if many cells change a little"
     )
 
 
@@ -51,14 +55,14 @@ class QuestionResult(BaseModel):
 
 
 def first_changed(attention: Sequence[Attended]) -> Attended | None:
-    """Returns the first function, in the program's order, whose attention changed by half an object or more.
+    """Returns the first function, in the program's order, whose mask changed by `CHANGED` or more at a cell.
 
     None if there is none. The functions before it attend to the same objects in both images.
     """
-    return next((one for one in attention if one.change >= HALF_AN_OBJECT), None)
+    return next((one for one in attention if one.cell_change >= CHANGED), None)
 
 
 def most_changed(attention: Sequence[Attended]) -> Attended | None:
-    """Returns the function whose attention changed most, the first of equal ones; None if no attention changed."""
+    """Returns the function with the largest `change`, the first of equal ones; None if no attention changed."""
     most = max(attention, key=lambda one: one.change, default=None)
     return most if most is not None and most.change > 0 else None

@@ -92,8 +92,16 @@ def _attended(
         for name, when, mask in zip(names, ("before", "after"), (before[0], after[0]), strict=True):
             masks[f"{number}.{node}.{when}"] = mask.contiguous()
             save_png(_shown(mask), out / name)
-        change = float((after[0].double() - before[0].double()).abs().sum())
-        found.append(Attended(node=node, before=names[0], after=names[1], change=change))
+        change = (after[0].double() - before[0].double()).abs()
+        found.append(
+            Attended(
+                node=node,
+                before=names[0],
+                after=names[1],
+                change=float(change.sum()),
+                cell_change=float(change.max()),
+            )
+        )
     return found
 
 

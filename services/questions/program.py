@@ -84,7 +84,7 @@ class Program:
                 raise InvalidProgram(index, "unused", f"nothing uses the output of {node.label}")
         if types[-1] in ("set", "object"):
             raise InvalidProgram(
-                len(types) - 1, "root", f"{self.nodes[-1].label} gives {_ARTICLES[types[-1]]}, which is no answer"
+                len(types) - 1, "root", f"{self.nodes[-1].label} gives {TYPE_WORDS[types[-1]]}, which is no answer"
             )
         return tuple(types)
 
@@ -93,7 +93,7 @@ class Program:
         _ = self.types
 
 
-_ARTICLES: dict[Type, str] = {
+TYPE_WORDS: dict[Type, str] = {
     "set": "a set of objects",
     "object": "an object",
     "integer": "a number",
@@ -103,6 +103,7 @@ _ARTICLES: dict[Type, str] = {
     "material": "a material",
     "shape": "a shape",
 }
+"""The types in words."""
 
 
 def _node(index: int, written: object) -> Node:
@@ -144,8 +145,8 @@ def _checked(index: int, node: Node, before: Sequence[Type]) -> Type:
             raise InvalidProgram(
                 index,
                 "type",
-                f"input {place} of {node.function} is {_ARTICLES[before[source]]}, that of node {source}; "
-                f"it must be {_ARTICLES[needed]}",
+                f"input {place} of {node.function} is {TYPE_WORDS[before[source]]}, that of node {source}; "
+                f"it must be {TYPE_WORDS[needed]}",
             )
     return function.output
 
