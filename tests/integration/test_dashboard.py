@@ -1,11 +1,12 @@
 """The dashboard in a real browser, on the real stack."""
 
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
-from tests.integration.conftest import Stack
+from tests.integration.conftest import Stack, serving
 from tests.integration.specs import ENDLESS, QUICK
 
 pytestmark = pytest.mark.integration
@@ -19,7 +20,41 @@ ARGUMENTS = [
     "--disable-sync",
 ]
 PATIENCE = 60_000
+SEEDED = """
+from services.questions.answers import ANSWERS
+from services.targets.iep.card import CARD
+from services.targets.info import register
+
+
+@register(CARD.model_copy(update={"name": "iep-seeded"}), lambda: ANSWERS)
+def load(dtype):
+    from tests.unit.targets.iep.seeded import target
+
+    return target()
+"""
+"""An extension: a target that answers questions, whose weights are random and not those that ship."""
+ASKED: dict[str, Any] = {
+    "generate": {"seed": 8, "index": 2, "objects": 4},
+    "target": {
+        "name": "iep-seeded",
+        "question": [
+            {"function": "scene"},
+            {"function": "filter_color", "inputs": [0], "value_inputs": ["red"]},
+            {"function": "scene"},
+            {"function": "filter_material", "inputs": [2], "value_inputs": ["metal"]},
+            {"function": "union", "inputs": [1, 3]},
+            {"function": "count", "inputs": [4]},
+        ],
+    },
+    "attack": {"renderer": "image", "base_renderer": "pyrender", "steps": 2},
+}
 LOADED = "images => images.every(image => image.complete && image.naturalWidth > 0)"
+
+COVERED = """panes => panes.every(pane => {
+  const [image, mask] = [...pane.querySelectorAll('img')].map(one => one.getBoundingClientRect());
+  return image.width > 50 && ['x', 'y', 'width', 'height'].every(side => Math.abs(image[side] - mask[side]) < 1);
+})"""
+"""Whether each mask lies on the whole of its image."""
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +86,15 @@ def endless(stack: Stack) -> Iterator[str]:
     yield job_id
     stack.client.post(f"/v1/jobs/{job_id}/cancel")
     stack.ended(job_id)
+
+
+@pytest.fixture(scope="module")
+def answering(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
+    """A stack with a target that answers questions."""
+    extension = tmp_path_factory.mktemp("extensions") / "seeded.py"
+    extension.write_text(SEEDED)
+    with serving(tmp_path_factory.mktemp("answering") / "data", SCENE_ATTACK_EXTENSIONS=str(extension)) as stack:
+        yield stack
 
 
 def test_list_and_job_page_of_a_finished_job(stack: Stack, page: Page) -> None:
@@ -101,6 +145,39 @@ def test_the_list_moves_by_itself(stack: Stack, page: Page) -> None:
     job_id = stack.submit(QUICK)
     row = page.locator("tbody tr", has=page.locator(f'a[href="/jobs/{job_id}"]'))
     expect(row.locator(".badge").first).to_have_text("succeeded", timeout=PATIENCE)
+
+
+def test_a_question_s_page_shows_what_its_functions_attend_to(answering: Stack, page: Page) -> None:
+    job = answering.ended(answering.submit(ASKED))
+    assert job["state"] == "succeeded", job["failure"]
+    page.goto(f"{answering.client.base_url}/")
+    page.get_by_role("link", name="A program of 6 functions that asks for a number").click()
+    look_at_a_program(page, functions=6, attending=5)
+
+
+def look_at_a_program(page: Page, functions: int, attending: int) -> None:
+    """Checks the program on a job's page: all masks are there, and each covers the image that it is of."""
+    expect(page.locator("h1")).to_have_text(f"A program of {functions} functions that asks for a number")
+    expect(page.locator(".step")).to_have_count(functions)
+    panes = page.locator(".attended")
+    expect(panes).to_have_count(2 * attending)
+    for pane in panes.all():
+        pane.scroll_into_view_if_needed()  # images are loaded when they come into view
+    page.wait_for_load_state("networkidle")
+    assert page.locator(".attended img").evaluate_all(LOADED)
+    assert panes.evaluate_all(COVERED)
+    joined, first = page.locator(".step").last.bounding_box(), page.locator(".step").first.bounding_box()
+    assert joined is not None
+    assert first is not None
+    assert joined["y"] > first["y"] + first["height"]  # what takes both chains stands below them
+    page.set_viewport_size({"width": 360, "height": 800})
+    assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
+    summary = page.get_by_text("Its program, and what each function attends to")
+    summary.focus()
+    page.keyboard.press("Enter")
+    expect(panes.first).to_be_hidden()
+    page.keyboard.press("Enter")
+    expect(panes.first).to_be_visible()
 
 
 def test_pages_work_without_script(stack: Stack, browser: Browser, endless: str) -> None:

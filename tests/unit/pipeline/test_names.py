@@ -1,6 +1,6 @@
 import pytest
 
-from services.pipeline.names import attack_name, group_words
+from services.pipeline.names import attack_name, group_words, job_name, question_names
 
 TORCH = ("normals", "illumination", "material")
 PAPERS = ["illumination", "color", "translation", "rotation"]
@@ -27,3 +27,16 @@ def test_a_group_is_worded_by_its_renderer() -> None:
     assert group_words({"attack": {"renderer": "torch"}}, "normals") == "surface normals"
     assert group_words({"attack": {"renderer": "pyrender"}}, "color") == "colour"
     assert group_words({"attack": {"renderer": "not-installed"}}, "fog") == "fog"
+
+
+def test_a_job_is_named_by_its_questions() -> None:
+    scene = {"objects": [{"mesh": "primitive/cube"}, {"mesh": "furniture/couch"}]}
+    counting = [{"function": "scene"}, {"function": "count", "inputs": [0]}]
+    words = "How many things are there?"
+    assert job_name({"scene": scene, "target": {"name": "resnet50", "question": None}}) == "cube, couch"
+    assert job_name({"scene": scene, "target": {"name": "iep", "question": words}}) == words
+    program = "A program of 2 functions that asks for a number"
+    assert job_name({"scene": scene, "target": {"name": "iep", "question": counting}}) == program
+    several = {"scene": scene, "target": {"name": "iep", "question": None, "questions": [words, counting]}}
+    assert question_names(several) == [words, program]
+    assert job_name(several) == "2 questions about one image"
