@@ -160,7 +160,7 @@ async def test_an_answer_outside_the_question_s_kind_is_flagged(
     result["questions"][0]["after"]["label"] = "no"
     _, page, _ = await pages(repository, made[1], result)
     assert "The question asks for a number, and no is not that." in page.text
-    assert page.text.count("not a number") == 2  # in the table of answers, and at the program's end
+    assert page.text.count("asked for a number") == 2  # in the table of answers, and at the program's end
     assert "none: ill-posed in the attacked scene" in page.text
     assert len([a for a in page.all("span") if a.get("class") == "badge outside"]) == 2
 
