@@ -28,9 +28,12 @@ from services.targets.info import register
 
 @register(CARD.model_copy(update={"name": "iep-seeded"}), lambda: ANSWERS)
 def load(dtype):
+    import torch
+
     from tests.unit.targets.iep.seeded import target
 
-    return target()
+    with torch.enable_grad():  # the generator learns its questions; a job is prepared without gradients
+        return target()
 """
 """An extension: a target that answers questions, whose weights are random and not those that ship."""
 ASKED: dict[str, Any] = {
