@@ -24,6 +24,9 @@ def iep(
     ] = 1.0,
     out: Out = OUT,
     seed: Seed = 0,
+    processes: Annotated[
+        int | None, typer.Option(min=1, help="Processes that draw scenes, of 0.7 GB each; default: one for each core.")
+    ] = None,
     check: Annotated[
         bool, typer.Option("--check", help="Train nothing: measure a checkpoint on the test scenes again.")
     ] = False,
@@ -36,6 +39,7 @@ def iep(
     from services.errors import InvalidRequest
     from services.training.iep.export import SHIPPED, write
     from services.training.iep.export import check as checked
+    from services.training.iep.processes import cores
     from services.training.iep.recipe import RECIPE
     from services.training.iep.stages import Stages
 
@@ -47,12 +51,13 @@ def iep(
     def over() -> bool:
         return end is not None and time.monotonic() > end
 
+    drawing = processes or cores()
     with _telling() as said:
         if check:
-            found = checked(weights or SHIPPED, out / "iep", library(), said, over)
+            found = checked(weights or SHIPPED, out / "iep", library(), said, over, drawing)
             lines = None if found is None else [found.summary, *found.disagreements]
         else:
-            stages = Stages(RECIPE.scaled(scale), seed, out / "iep", library(), said, over)
+            stages = Stages(RECIPE.scaled(scale), seed, out / "iep", library(), said, over, drawing)
             command = f"scene-attack train iep --seed {seed}" + ("" if scale == 1 else f" --scale {scale:g}")
             lines = [write(stages, out, command, said).summary] if stages.run() else None
     if lines is None:

@@ -43,10 +43,12 @@ class Entry(BaseModel):
 class Library:
     """The assets of an installation: cache_dir holds the files that scripts/setup fetched, data_dir those of users.
 
-    Safe to share between threads. Two Libraries on the same directories see the same assets.
+    Safe to share between threads. Two Libraries on the same directories see the same assets, so that another process
+    is given the directories alone.
     """
 
     def __init__(self, cache_dir: Path, data_dir: Path) -> None:
+        self._directories = cache_dir, data_dir
         self._furniture = cache_dir / "furniture"
         self._environments = cache_dir / "environments"
         self._processed = cache_dir / "meshes"
@@ -55,6 +57,9 @@ class Library:
         self._models: dict[str, Model] | None = None
         self._meshes: OrderedDict[str, Mesh] = OrderedDict()
         self._maps: dict[str, EnvironmentMap] = {}
+
+    def __reduce__(self) -> tuple[type["Library"], tuple[Path, Path]]:
+        return type(self), self._directories
 
     def mesh(self, name: str) -> Mesh:
         """Returns the mesh of that name: `furniture/<slug>`, `primitive/<name>` or `sha256:<hex>` of an upload.

@@ -24,6 +24,8 @@ from services.targets.iep.vocabulary import KINDS
 from services.targets.quantized import dequantize, quantize
 
 MAX_BYTES = 10_000_000
+HOW_TO_GET_WEIGHTS = "restore the project's own, or train them: scene-attack train iep"
+"""What to do where the weights file is missing."""
 COUNTS = "num_batches_tracked"
 """Ends the names of the buffers of batch normalisation that no checkpoint has."""
 

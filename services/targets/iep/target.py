@@ -22,7 +22,7 @@ from services.questions.answers import ANSWERS
 from services.questions.program import InvalidProgram, Program
 from services.questions.written import program_in
 from services.targets.iep.assembly import Question, assemble
-from services.targets.iep.checkpoint import Checkpoint, load
+from services.targets.iep.checkpoint import HOW_TO_GET_WEIGHTS, Checkpoint, load
 from services.targets.iep.trunk import IMAGE
 from services.targets.iep.vocabulary import MAPPED
 
@@ -119,7 +119,7 @@ def read(name: str, path: Path, dtype: torch.dtype) -> IepTarget:
     Raises InvalidRequest("target.name"), which says what is missing or wrong.
     """
     if not path.is_file():
-        raise InvalidRequest("target.name", f"the weights of {name} are not there: {path}")
+        raise InvalidRequest("target.name", f"the weights of {name} are not there: {path}; {HOW_TO_GET_WEIGHTS}")
     try:
         checkpoint = load(path)
     except ValueError as error:

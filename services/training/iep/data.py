@@ -4,7 +4,9 @@ import hashlib
 import json
 import zlib
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from itertools import accumulate
 from pathlib import Path
 
@@ -20,6 +22,7 @@ from services.scenes.library import Library
 from services.training.iep import shards
 from services.training.iep.drawing import coarse, draw, varied
 from services.training.iep.examples import Example, ObjectTruth
+from services.training.iep.processes import each
 from services.training.iep.recipe import SHARD, Part, Recipe, Split
 
 VERSION = 1
@@ -56,25 +59,27 @@ class DataFolder:
         """Returns the path of a piece's shard."""
         return self._folder / f"{piece.part.name}-{piece.start // SHARD:04}.safetensors"
 
-    def draw_missing(self, splits: Sequence[Split], library: Library, said: Said, over: Callable[[], bool]) -> bool:
+    def draw_missing(
+        self, splits: Sequence[Split], library: Library, said: Said, over: Callable[[], bool], processes: int = 1
+    ) -> bool:
         """Draws the shards that are not there, until it is over; returns whether all are there.
 
-        Those of the first renderer come first. A damaged shard that is there is found by `read` and `digest`.
+        Those of the first renderer come first. Each of the processes draws one shard at a time, and this one writes
+        them all; their bits do not depend on the number of processes. A damaged shard that is there is found by `read`
+        and `digest`. Raises JobFailure("worker-lost") if a process is killed.
         """
         order = list(self._recipe.shares)
         pieces = [piece for split in splits for piece in self.pieces(split)]
         pieces.sort(key=lambda piece: order.index(piece.part.renderer))
         total = sum(piece.count for piece in pieces)
         done = sum(piece.count for piece in pieces if self.path(piece).exists())
-        for piece in pieces:
-            if self.path(piece).exists():
-                continue
-            if over():
-                return False
-            shards.write(self.path(piece), self._drawn(piece, library), self._about(piece))
-            done += piece.count
-            said("drawing scenes", done, total, f"{done:,} of {total:,}, {piece.part.renderer}")
-        return True
+        missing = [piece for piece in pieces if not self.path(piece).exists()]
+        with closing(each(partial(self._drawn, library=library), missing, processes, over)) as made:
+            for piece, shard in made:
+                shards.write(self.path(piece), shard, self._about(piece))
+                done += piece.count
+                said("drawing scenes", done, total, f"{done:,} of {total:,}, {piece.part.renderer}")
+        return done == total
 
     def digest(self, split: Split) -> str:
         """Returns the digest of a split: that of its shards' digests. Raises InvalidRequest("--out") for a bad one."""

@@ -15,7 +15,7 @@ import torch
 from services import atomic_write
 from services.errors import InvalidRequest
 from services.scenes.library import Library
-from services.targets.iep.checkpoint import Checkpoint, load, to_bytes
+from services.targets.iep.checkpoint import HOW_TO_GET_WEIGHTS, Checkpoint, load, to_bytes
 from services.training.iep import checking
 from services.training.iep.cards import data_card, model_card, table
 from services.training.iep.data import DataFolder, Said
@@ -80,13 +80,16 @@ class Checked:
     disagreements: list[str]
 
 
-def check(weights: Path, folder: Path, library: Library, said: Said, over: Callable[[], bool]) -> Checked | None:
+def check(
+    weights: Path, folder: Path, library: Library, said: Said, over: Callable[[], bool], processes: int = 1
+) -> Checked | None:
     """Measures a checkpoint, and compares with the figures in the `.json` file beside it; None if it is over before.
 
-    The test scenes are drawn into `folder` where they are not there. Raises InvalidRequest("--weights") for a file that
-    is missing or damaged, or whose figures are those of another.
+    The test scenes are drawn into `folder` by so many processes where they are not there. Raises
+    InvalidRequest("--weights") for a file that is missing or damaged, or whose figures are those of another, and as
+    `DataFolder.draw_missing` does.
     """
-    facts = _facts(weights)
+    facts = _facts(weights, folder.parent)
     try:
         checkpoint = load(weights)
     except ValueError as error:
@@ -94,19 +97,31 @@ def check(weights: Path, folder: Path, library: Library, said: Said, over: Calla
     given = facts["recipe"]
     recipe = replace(RECIPE, shares=given["shares"], scenes=given["scenes"], questions=given["questions"])
     data = DataFolder(folder / "data", recipe, facts["seed"])
-    if not data.draw_missing(("test",), library, said, over):
+    if not data.draw_missing(("test",), library, said, over, processes):
         return None
     found = checking.figures(checking.outcomes(checkpoint, data, "test", said))
     return Checked(table(found), checking.disagreements(found, facts["check"]))
 
 
-def _facts(weights: Path) -> dict[str, Any]:
+def _facts(weights: Path, out: Path) -> dict[str, Any]:
+    """Reads the figures beside a checkpoint. out: where a training writes to, for the message if the file is not there.
+
+    Raises InvalidRequest("--weights") as `check` does.
+    """
     path = weights.with_suffix(".json")
+    if not weights.is_file():
+        own = out / weights.name
+        how = f"give those of a training of yours: --weights {own}" if own.is_file() else HOW_TO_GET_WEIGHTS
+        raise InvalidRequest("--weights", f"there is no file {weights}; {how}")
+    if not path.is_file():
+        raise InvalidRequest(
+            "--weights", f"{path} is not there, which has the figures to compare with; a training writes both files"
+        )
     try:
         facts: dict[str, Any] = json.loads(path.read_text("utf-8"))
         sha256 = hashlib.sha256(weights.read_bytes()).hexdigest()
     except (OSError, ValueError) as error:
-        raise InvalidRequest("--weights", f"{error}; a checkpoint needs its figures beside it") from error
+        raise InvalidRequest("--weights", f"{weights} or {path.name} cannot be read: {error}") from error
     if facts.get("sha256") != sha256:
         raise InvalidRequest("--weights", f"{weights} is damaged or not the file that {path.name} is about")
     return facts

@@ -72,7 +72,7 @@ def write(path: Path, made: Shard, about: str) -> None:
     arrays: dict[str, NDArray[Any]] = {"png": made.png, "ends": made.ends}
     metadata = made.written | {"about": about}
     data = safetensors.numpy.save(arrays, metadata | {"sha256": _digest(arrays, metadata)})
-    atomic_write.write(path, data)
+    atomic_write.write(path, _in_order(data))
 
 
 def digest(path: Path, about: str) -> str:
@@ -101,6 +101,16 @@ def _opened(path: Path, about: str, wanted: Sequence[str]) -> tuple[dict[str, ND
     if metadata["about"] != about:
         raise InvalidRequest("--out", f"{path} has {metadata['about']}, not {about}; move it away")
     return arrays, metadata
+
+
+def _in_order(file: bytes) -> bytes:
+    """Returns a safetensors file with its metadata by name: the library writes them in another order each time."""
+    length = int.from_bytes(file[:8], "little")
+    header = json.loads(file[8 : 8 + length])
+    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+    written = json.dumps(header, separators=(",", ":")).encode()
+    written += b" " * (-len(written) % 8)  # the arrays are aligned
+    return len(written).to_bytes(8, "little") + written + file[8 + length :]
 
 
 def _damaged(path: Path, why: str) -> InvalidRequest:

@@ -19,7 +19,7 @@ from services.training.iep.data import DataFolder, Images, Said, examples_of, ob
 from services.training.iep.engine_training import engine_step
 from services.training.iep.generator_training import generator_step
 from services.training.iep.loop import Report, Schedule, Step, TrainingLoop
-from services.training.iep.recipe import Recipe
+from services.training.iep.recipe import Recipe, Split
 from services.training.iep.trunk_training import ObjectFinder, hand_over, trunk_step
 from services.training.iep.views import AugmentedViews
 
@@ -29,13 +29,21 @@ class Stages:
     checkpoint."""
 
     def __init__(
-        self, recipe: Recipe, seed: int, folder: Path, library: Library, said: Said, over: Callable[[], bool]
+        self,
+        recipe: Recipe,
+        seed: int,
+        folder: Path,
+        library: Library,
+        said: Said,
+        over: Callable[[], bool],
+        processes: int = 1,
     ) -> None:
-        """`over` is asked again and again whether to end early, with everything saved."""
+        """`over` is asked again and again whether to end early, with everything saved. `processes` draw the scenes."""
         self.recipe, self.seed = recipe, seed
         self.data = DataFolder(folder / "data", recipe, seed)
         self.seconds: dict[str, float] = {}
         self._folder, self._library, self._said, self._over = folder, library, said, over
+        self._processes = processes
         torch.manual_seed(seed)
         self.finder, self.network, self.generator = ObjectFinder(), Network(), ProgramGenerator()
         # As images come: a quarter faster on a processor.
@@ -50,7 +58,8 @@ class Stages:
         return self._draw() and self._train_trunk() and self._train_engine() and self._train_generator()
 
     def _draw(self) -> bool:
-        return self.data.draw_missing(("train", "validation", "test"), self._library, self._said, self._over)
+        splits: tuple[Split, ...] = ("train", "validation", "test")
+        return self.data.draw_missing(splits, self._library, self._said, self._over, self._processes)
 
     def _train_trunk(self) -> bool:
         recipe, data = self.recipe, self.data

@@ -37,7 +37,7 @@ def test_parts_have_their_shares_and_the_test_split_both_kinds_of_scenes() -> No
             assert abs(own - share * kinds * RECIPE.scenes[split]) <= kinds
     assert {part.objects for part in RECIPE.parts("test")} == {(3, 6), (3, 10)}
     assert RECIPE.scaled(1) is RECIPE
-    assert RECIPE.scaled(1e-4).scenes == {"train": 2, "validation": 1, "test": 1}
+    assert RECIPE.scaled(1e-4).scenes == {"train": 1, "validation": 1, "test": 1}
 
 
 def test_no_scene_is_in_two_parts(folder: DataFolder) -> None:
@@ -64,6 +64,24 @@ def test_images_objects_and_questions_are_numbered_alike(folder: DataFolder) -> 
         assert set(example.results[0]) == set(range(len(objects[example.image])))
     part = Part("train", "torch", (3, 10), 2)
     assert records[6].objects == generate(SEED, 0, objects=(3, 10), split=part.name).objects
+
+
+def test_several_processes_draw_the_same_files_as_one(
+    tmp_path: Path, library: Library, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(data, "SHARD", 1)
+    recipe = replace(RECIPE, shares={"pyrender": 1.0}, scenes={"train": 2, "validation": 1, "test": 1}, questions=2)
+    one, two = (DataFolder(tmp_path / name, recipe, SEED) for name in ("one", "two"))
+    assert one.draw_missing(("train", "validation"), library, silent, never)
+    said: list[float] = []
+    assert not two.draw_missing(("train",), library, lambda _, done, *__: said.append(done), After(1), processes=2)
+    assert said == [1]
+    assert two.draw_missing(("train", "validation"), library, silent, never, processes=2)
+    files = sorted(path.name for path in (tmp_path / "one").iterdir())
+    assert files == sorted(path.name for path in (tmp_path / "two").iterdir())
+    assert len(files) == 3
+    for file in files:
+        assert (tmp_path / "one" / file).read_bytes() == (tmp_path / "two" / file).read_bytes()
 
 
 def test_drawing_goes_on_with_the_first_renderer_first(folder: DataFolder, library: Library) -> None:

@@ -88,5 +88,11 @@ def test_a_finished_training_is_written_and_its_figures_are_found_again(
     written.weights.write_bytes(written.weights.read_bytes()[:-1])
     with pytest.raises(InvalidRequest, match="damaged or not the file"):
         check(written.weights, folder, library, silent, never)
-    with pytest.raises(InvalidRequest, match="needs its figures beside it"):
-        check(tmp_path / "none.safetensors", folder, library, silent, never)
+    written.facts.unlink()
+    with pytest.raises(InvalidRequest, match=r"\.json is not there, which has the figures"):
+        check(written.weights, folder, library, silent, never)
+    missing = tmp_path / "none" / written.weights.name
+    with pytest.raises(InvalidRequest, match=r"there is no file .*; .*train them: scene-attack train iep"):
+        check(missing, tmp_path / "none" / "iep", library, silent, never)
+    with pytest.raises(InvalidRequest, match=f"of a training of yours: --weights {written.weights}"):
+        check(missing, written.weights.parent / "iep", library, silent, never)
