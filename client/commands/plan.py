@@ -7,7 +7,7 @@ import typer
 from client.commands.options import JsonOption
 
 if TYPE_CHECKING:
-    from services.rendering.plan import Plan
+    from services.pipeline.job_plan import JobPlan
 
 
 def register(app: typer.Typer) -> None:
@@ -21,7 +21,8 @@ def plan(
 ) -> None:
     """Print how a job's images would be rendered: the parts kept, those left out and why, and the estimated error.
 
-    The command runs no attack and does not ask the network. It rasterises the scene and measures errors of tables.
+    Of a question about the image it prints the program, the right answer and what limits the search. The command runs
+    no attack and does not ask the network. It rasterises the scene and measures errors of tables.
     """
     from client import spec_input
     from client.console import err, print_json, report_extensions
@@ -45,8 +46,9 @@ def plan(
         _print(found)
 
 
-def _print(found: "Plan") -> None:
+def _print(found: "JobPlan") -> None:
     from client.console import out, small, table
+    from client.question_tables import print_asked
 
     height, width = found.size
     out().print(
@@ -54,6 +56,7 @@ def _print(found: "Plan") -> None:
         f"estimated error {small(found.error)} of a displayed value in [0,1]",
         highlight=False,
     )
+    print_asked([one.model_dump() for one in found.questions])
     kept = [[f"{i.part} {i.what}".strip(), f"{i.kept:,}", f"{i.of:,}", i.why, small(i.error)] for i in found.items]
     out().print(table(("item", "kept>", "of>", "why the others are left out", "error>"), kept))
     done = [

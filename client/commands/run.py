@@ -43,6 +43,7 @@ def run(
     from client.console import out as stdout
     from client.live import JobLine
     from client.outcomes import COLUMNS, cells
+    from client.question_tables import print_answered
     from services.device import check_device
     from services.pipeline.names import attack_name, scene_name
     from services.pipeline.spec import parse
@@ -63,6 +64,7 @@ def run(
     from services.pipeline.outcome import outcome
 
     stdout().print(table(COLUMNS, [cells(name, attack, outcome(result))]))
+    print_answered([one.model_dump() for one in result.questions], out)
     print_subsets(result.subsets, result.attribution)
     print_analyses(result.analyses)
     for credit in result.provenance.credits:

@@ -68,11 +68,13 @@ def show(job: dict[str, Any]) -> None:
     """Prints a job: its outcome if it succeeded, otherwise its state and the reason for a failure."""
     from client.console import err, out, state_text, table
     from client.outcomes import COLUMNS, cells
+    from client.question_tables import print_answered
     from services.pipeline.names import attack_name, scene_name
 
     scene, attack = scene_name(job["spec"]), attack_name(job["spec"])
     if job.get("outcome"):
         out().print(table(COLUMNS, [cells(scene, attack, job["outcome"])]))
+        print_answered(job["result"].get("questions", ()))
         return
     out().print(table(("id", "state", "scene", "attack"), [[job["id"], state_text(job["state"]), scene, attack]]))
     if job.get("failure"):

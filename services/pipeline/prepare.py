@@ -14,6 +14,7 @@ from services.pipeline import goals
 from services.pipeline.analysis_fields import check_analysis, load_targets
 from services.pipeline.expectations import check_range, moving_groups, with_cost
 from services.pipeline.extensions import ATTACKS
+from services.pipeline.job_plan import JobPlan
 from services.pipeline.questions import AskedQuestion, asked_questions, goal_of
 from services.pipeline.scene_limits import SceneLimits, limits_of
 from services.pipeline.spec import JobSpec
@@ -22,7 +23,7 @@ from services.pipeline.together import Together, goals_together, settled_togethe
 from services.pipeline.warning import JobWarning
 from services.rendering.color import to_bytes
 from services.rendering.factory import build
-from services.rendering.plan import Plan, Tolerance
+from services.rendering.plan import Tolerance
 from services.rendering.protocol import Renderer
 from services.rendering.torch_renderer.declaration import TORCH
 from services.rendering.torch_renderer.map_size import smallest_map
@@ -91,9 +92,23 @@ def prepare_exactly(spec: JobSpec, library: Library) -> Prepared:
     return _prepare(spec, library, "exact")
 
 
-def plan(spec: JobSpec, library: Library) -> Plan:
-    """Returns the plan that a job would run, without loading the network. Raises InvalidRequest as `prepare` does."""
-    return with_cost(_renderer(spec, resolved_scene(spec, library), spec.tolerance).plan, spec.attack.expectation)
+def plan(spec: JobSpec, library: Library) -> JobPlan:
+    """Returns the plan that a job would run, with its questions and what limits its search.
+
+    The network is not asked. It is loaded only for a question, whose program it makes. Raises InvalidRequest as
+    `prepare` does.
+    """
+    scene = resolved_scene(spec, library)
+    questions: tuple[AskedQuestion, ...] = ()
+    if spec.target.asked is not None or spec.target.questions:
+        asking = spec.model_copy(update={"scene": scene.description})
+        questions = asked_questions(asking, registry.load(spec.target.name))
+    renderer = _renderer(spec, scene, spec.tolerance)
+    start = renderer.initial()
+    limits = limits_of(questions, renderer.name, {group: start[group] for group in spec.attack.groups})
+    found = with_cost(renderer.plan, spec.attack.expectation)
+    found = found if limits is None else limits.in_plan(found)
+    return JobPlan.model_validate(found.model_dump() | {"questions": [one.stated() for one in questions]})
 
 
 def prepare(spec: JobSpec, library: Library) -> Prepared:

@@ -31,8 +31,8 @@ class Attended(BaseModel):
     )
 
 
-class QuestionResult(BaseModel):
-    """A question and its answers to the original and the attacked image."""
+class Asked(BaseModel):
+    """A question about an image, and its right answer."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -40,6 +40,11 @@ class QuestionResult(BaseModel):
     program: list[dict[str, object]] = Field(description="as in CLEVR's question files")
     kind: str = Field(description="what the program asks for: boolean, integer, shape, size, color or material")
     right: str = Field(description="the right answer, by the scene's record")
+
+
+class QuestionResult(Asked):
+    """A question and its answers to the original and the attacked image."""
+
     right_after: str | None = Field(
         description="the right answer to the attacked scene, recomputed from its parameters; null if the question is "
         "ill-posed there. The outcome is judged by it"

@@ -42,10 +42,7 @@ def question_results(prepared: Prepared, stored: Parameters, attacked: Tensor, o
         right_after = question.right_after(prepared.renderer.name, stored)
         found.append(
             QuestionResult(
-                question=question.words,
-                program=question.program.written(),
-                kind=question.kind,
-                right=question.right,
+                **question.stated().model_dump(),
                 right_after=right_after,
                 before=before,
                 after=after,

@@ -7,6 +7,7 @@ from math import isclose
 from services.attacks.spec import Goal
 from services.errors import InvalidRequest
 from services.pipeline.described import can_carry, described
+from services.pipeline.question_record import Asked
 from services.pipeline.question_request import Call
 from services.pipeline.spec import JobSpec
 from services.questions.answers import ANSWERS, KINDS, kind_asked
@@ -43,6 +44,10 @@ class AskedQuestion:
     right: str
     record: SceneRecord
     scene: Scene
+
+    def stated(self) -> Asked:
+        """Returns the question as plans and results state it."""
+        return Asked(question=self.words, program=self.program.written(), kind=self.kind, right=self.right)
 
     def right_after(self, renderer: str, perturbation: Parameters) -> str | None:
         """Returns the right answer to the attacked scene; None if the question is ill-posed there."""

@@ -1,0 +1,38 @@
+"""The plan of a job that asks questions."""
+
+import pytest
+
+from services.errors import InvalidRequest
+from services.pipeline.prepare import plan
+from services.pipeline.spec import JobSpec, parse
+from services.scenes.clevr.description import describe
+from services.scenes.clevr.generator import generate
+from services.targets import registry
+from tests.unit.jobs.small import LIBRARY, SPHERE
+from tests.unit.targets.iep.seeded import COUNT, INFO, TAUGHT, program, target
+
+RECORD = generate(8, 2, objects=(4, 4))
+SCENE = describe(RECORD, (60, 80)).model_copy(update={"shadows": None})
+WORDS = next(words for words, known in TAUGHT.items() if known == COUNT)
+
+
+def asking(*questions: object) -> JobSpec:
+    where = {"record": RECORD.model_dump(mode="json"), "scene": SCENE.model_dump(mode="json")}
+    asked = {"name": INFO.name, "questions": questions}
+    return parse(where | {"target": asked, "attack": {"renderer": "pyrender", "method": "zoo"}})
+
+
+def test_it_has_the_questions_and_what_the_search_leaves_out() -> None:
+    with registry.registered(INFO, target()):
+        found = plan(asking(COUNT.written(), WORDS), LIBRARY)
+        with pytest.raises(InvalidRequest, match="there are 4"):
+            plan(asking(program("scene", "unique 0", "query_size 1").written()), LIBRARY)
+    assert [(one.question, one.program, one.kind, one.right) for one in found.questions] == [
+        (words, COUNT.written(), "integer", "4") for words in (None, WORDS)
+    ]
+    listed = {item.part: (item.kept, item.of) for item in found.items if item.what == "coordinates" and item.part}
+    assert listed == {"illumination": (12, 13), "color": (12, 12), "translation": (8, 12), "rotation": (4, 12)}
+
+
+def test_without_a_question_it_is_the_renderer_s() -> None:
+    assert "questions" not in plan(parse({"scene": SPHERE}), LIBRARY).model_dump(mode="json")
