@@ -35,7 +35,12 @@ def thousandths(p: float | None) -> str:
 
 
 def answer_cell(outcome: Mapping[str, Any], when: str) -> str:
-    """The network's answer "before" or "after" the attack, with its confidence, e.g. "grand piano 0.77"."""
+    """The network's answer "before" or "after" the attack, with its confidence, e.g. "grand piano 0.77".
+
+    Of several questions the answers to each, e.g. "4, cyan, yes".
+    """
+    if several := outcome.get("answers"):
+        return ", ".join(before if when == "before" else after for before, after in several)
     return f"{outcome[when]} {outcome[when + '_confidence']:.2f}"
 
 

@@ -94,11 +94,11 @@ def _watch(client: "ApiClient", ids: list[str]) -> list[dict[str, Any]]:
 def _table(jobs: list[dict[str, Any]]) -> "Table":
     from client.console import state_text, table
     from client.outcomes import COLUMNS, cells
-    from services.pipeline.names import attack_name, scene_name
+    from services.pipeline.names import attack_name, job_name
 
     rows = []
     for job in jobs:
-        scene, attack = scene_name(job["spec"]), attack_name(job["spec"])
+        scene, attack = job_name(job["spec"]), attack_name(job["spec"])
         if job.get("outcome"):
             rows.append([*cells(scene, attack, job["outcome"])])
         else:
@@ -110,9 +110,9 @@ def _table(jobs: list[dict[str, Any]]) -> "Table":
 
 
 def _name(job: dict[str, Any]) -> str:
-    from services.pipeline.names import attack_name, scene_name
+    from services.pipeline.names import attack_name, job_name
 
-    return f"{scene_name(job['spec'])}, {attack_name(job['spec'])}"
+    return f"{job_name(job['spec'])}, {attack_name(job['spec'])}"
 
 
 def _free_port(host: str, wanted: int) -> int:

@@ -28,7 +28,7 @@ def list_jobs(
     from client.api_client import ApiClient
     from client.console import out, print_json, state_text, table
     from client.outcomes import answer_cell, verdict, verified
-    from services.pipeline.names import attack_name, scene_name
+    from services.pipeline.names import attack_name, job_name
 
     with ApiClient(url) as client:
         page = client.jobs(limit, state)
@@ -42,7 +42,7 @@ def list_jobs(
             [
                 job["id"],
                 state_text(job["state"]),
-                scene_name(job["spec"]),
+                job_name(job["spec"]),
                 attack_name(job["spec"]),
                 job["spec"]["target"]["name"],
                 "" if done is None else f"{answer_cell(done, 'before')} → {answer_cell(done, 'after')}",

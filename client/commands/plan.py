@@ -56,7 +56,7 @@ def _print(found: "JobPlan") -> None:
         f"estimated error {small(found.error)} of a displayed value in [0,1]",
         highlight=False,
     )
-    print_asked([one.model_dump() for one in found.questions])
+    print_asked(found.questions)
     kept = [[f"{i.part} {i.what}".strip(), f"{i.kept:,}", f"{i.of:,}", i.why, small(i.error)] for i in found.items]
     out().print(table(("item", "kept>", "of>", "why the others are left out", "error>"), kept))
     done = [

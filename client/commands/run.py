@@ -45,7 +45,7 @@ def run(
     from client.outcomes import COLUMNS, cells
     from client.question_tables import print_answered
     from services.device import check_device
-    from services.pipeline.names import attack_name, scene_name
+    from services.pipeline.names import attack_name, job_name
     from services.pipeline.spec import parse
 
     check_device()
@@ -55,7 +55,7 @@ def run(
     job = parse(data)
     prepare_folder(out)
     words = job.model_dump(mode="json")
-    name, attack = scene_name(words), attack_name(words)
+    name, attack = job_name(words), attack_name(words)
     with JobLine(f"{name}, {attack}") as line:
         result = _execute(job, out, line)
     if as_json:
@@ -64,7 +64,7 @@ def run(
     from services.pipeline.outcome import outcome
 
     stdout().print(table(COLUMNS, [cells(name, attack, outcome(result))]))
-    print_answered([one.model_dump() for one in result.questions], out)
+    print_answered(result.questions, out)
     print_subsets(result.subsets, result.attribution)
     print_analyses(result.analyses)
     for credit in result.provenance.credits:

@@ -54,9 +54,9 @@ def submit(
 def follow(client: "ApiClient", job: dict[str, Any]) -> dict[str, Any]:
     """Shows the job's progress until it has ended; returns the finished job."""
     from client.live import JobLine
-    from services.pipeline.names import attack_name, scene_name
+    from services.pipeline.names import attack_name, job_name
 
-    with JobLine(f"{scene_name(job['spec'])}, {attack_name(job['spec'])}") as line:
+    with JobLine(f"{job_name(job['spec'])}, {attack_name(job['spec'])}") as line:
         for event in client.events(job["id"]):
             if event.kind == "progress":
                 rows = event.data["rows"]
@@ -69,12 +69,13 @@ def show(job: dict[str, Any]) -> None:
     from client.console import err, out, state_text, table
     from client.outcomes import COLUMNS, cells
     from client.question_tables import print_answered
-    from services.pipeline.names import attack_name, scene_name
+    from services.pipeline.names import attack_name, job_name
+    from services.pipeline.question_record import QuestionResult
 
-    scene, attack = scene_name(job["spec"]), attack_name(job["spec"])
+    scene, attack = job_name(job["spec"]), attack_name(job["spec"])
     if job.get("outcome"):
         out().print(table(COLUMNS, [cells(scene, attack, job["outcome"])]))
-        print_answered(job["result"].get("questions", ()))
+        print_answered([QuestionResult.model_validate(one) for one in job["result"].get("questions", ())])
         return
     out().print(table(("id", "state", "scene", "attack"), [[job["id"], state_text(job["state"]), scene, attack]]))
     if job.get("failure"):

@@ -6,7 +6,7 @@ written to: the pipe ends when this process closes it or dies, however it dies, 
 
 import os
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
@@ -29,7 +29,7 @@ def cores() -> int:
 
 def each(
     function: Callable[[T], R], items: Sequence[T], processes: int, over: Callable[[], bool]
-) -> Iterator[tuple[T, R]]:
+) -> Generator[tuple[T, R], None, None]:
     """Yields each item with its result as soon as that is there; begins no further item once it is `over`.
 
     Of two processes and more, each computes one item at a time; `function`, items and results are pickled. Close the

@@ -1,7 +1,6 @@
 """What the command line prints of questions."""
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -10,9 +9,19 @@ from services.analysis.records import Answer
 from services.attacks.verdict import Verdict
 from services.pipeline.question_record import Asked, Attended, QuestionResult
 from services.questions.answers import ANSWERS, KINDS
-from tests.unit.targets.iep.seeded import SAME, TAUGHT
+from services.questions.program import Node, Program
 
-WORDS = next(words for words, program in TAUGHT.items() if program == SAME)
+WORDS = "Is there a cube to the left of the red thing?"
+SAME = Program(
+    (
+        Node("scene", (), ()),
+        Node("filter_color", (0,), ("red",)),
+        Node("unique", (1,), ()),
+        Node("relate", (2,), ("left",)),
+        Node("filter_shape", (3,), ("cube",)),
+        Node("exist", (4,), ()),
+    )
+)
 LINE = "0 scene, 1 filter_color[red](0), 2 unique(1), 3 relate[left](2), 4 filter_shape[cube](3), 5 exist(4)"
 
 
@@ -21,7 +30,11 @@ def said(label: str, confidence: float) -> Answer:
     return Answer(label=label, index=index, confidence=confidence, goal_probability=0, top=[(label, confidence)])
 
 
-def answered(after: str, outcome: Verdict, right_after: str | None = "yes", words: str | None = WORDS) -> Any:
+def answered(
+    after: str, outcome: Verdict, right_after: str | None = "yes", words: str | None = WORDS
+) -> QuestionResult:
+    after_of_kind = after in KINDS["boolean"]
+    attended = {"before": "attention-0-00-before.png", "after": "attention-0-00-after.png"}
     return QuestionResult(
         question=words,
         program=SAME.written(),
@@ -31,14 +44,17 @@ def answered(after: str, outcome: Verdict, right_after: str | None = "yes", word
         before=said("yes", 0.97),
         after=said(after, 0.61),
         before_of_kind=True,
-        after_of_kind=after in KINDS["boolean"],
+        after_of_kind=after_of_kind,
         outcome=outcome,
-        attention=[Attended(node=0, before="attention-0-00-before.png", after="attention-0-00-after.png")],
-    ).model_dump()
+        attention=[
+            Attended(node=node, change=change, cell_change=change, **attended)
+            for node, change in ((0, 0.0), (1, 0.3), (2, after_of_kind * 0.9))
+        ],
+    )
 
 
 def test_a_program_is_a_line() -> None:
-    assert program_text(SAME.written()) == LINE
+    assert program_text(SAME) == LINE
 
 
 def test_a_question_is_printed_with_its_answers_and_flagged_if_they_are_of_another_kind(
@@ -47,17 +63,20 @@ def test_a_question_is_printed_with_its_answers_and_flagged_if_they_are_of_anoth
     print_answered([answered("no", "fooled"), answered("sphere", "held", None, None)], Path("out/x"))
     lines = capsys.readouterr().out.splitlines()
     first, second = ([cell.strip() for cell in line.split("│")[1:-1]] for line in lines if "0.97" in line)
-    assert first == [f"0  {WORDS}", "boolean", "yes", "yes", "yes 0.97", "no 0.61", "yes → yes", "fooled"]
+    assert first == [f"0  {WORDS}", "yes or no", "yes", "yes", "yes 0.97", "no 0.61", "yes → yes", "fooled"]
     assert second[0] == "1  (given as a program)"
     assert second[3:] == ["ill-posed", "yes 0.97", "sphere 0.61", "yes → no", "held"]
-    assert f"Program of question 0: {LINE}" in lines
-    assert f"Program of question 1: {LINE}" in lines
+    programs = [line for line in lines if line.startswith("Program of question")]
+    assert programs == [
+        f"Program of question 0: {LINE}; function 2 is the first to attend to other objects after the attack",
+        f"Program of question 1: {LINE}; each function attends to the same objects after the attack",
+    ]
     assert any("out/x/attention-" in line for line in lines)
 
 
 def test_a_question_of_a_plan_is_printed_without_answers(capsys: pytest.CaptureFixture[str]) -> None:
     asked = Asked(question=WORDS, program=SAME.written(), kind="boolean", right="yes")
-    print_asked([asked.model_dump()])
+    print_asked([asked])
     found = capsys.readouterr().out
     assert WORDS in found
     assert f"Program of question 0: {LINE}" in found
