@@ -22,7 +22,7 @@ pytestmark = pytest.mark.integration
 EXAMPLES = {
     path.stem: path
     for path in sorted((Path(__file__).parents[2] / "examples").glob("*.json"))
-    if "scene" in json.loads(path.read_text())
+    if {"scene", "generate"} & json.loads(path.read_text()).keys()
 }
 """Requests of one job, not of a campaign."""
 SIZE = 96
@@ -30,11 +30,14 @@ FILES = ["attacked.png", "original.png", "perturbation.png", "perturbation.safet
 
 
 def small(name: str) -> dict[str, Any]:
-    """The example with a small image and few steps; so small, the network's first answer may be another."""
+    """The example with few steps and, if it asks no question, a small image; so small, the network's first answer may
+    be another. Questions keep their image, as several are refused if the first answer to one is wrong.
+    """
     spec: dict[str, Any] = json.loads(EXAMPLES[name].read_text())
-    spec["scene"].setdefault("camera", {})["size"] = [SIZE, SIZE]
     spec["attack"]["steps"] = 2
-    spec["goal"].pop("leave")
+    if "scene" in spec:
+        spec["scene"].setdefault("camera", {})["size"] = [SIZE, SIZE]
+        spec["goal"].pop("leave")
     return spec
 
 
@@ -56,7 +59,9 @@ def test_there_is_an_example_for_every_renderer_and_task() -> None:
     assert {("torch", (group,)) for group in TORCH.default_groups} < attacked
     assert ("torch", TORCH.default_groups) in attacked
     assert any(spec.goal.reach is not None for spec in specs)
-    assert {spec.attack.method for spec in specs} == {"fgsm", "zoo"}
+    assert {spec.attack.method for spec in specs} == {"fgsm", "zoo", "natural-gradient"}
+    asking = {spec.attack.renderer for spec in specs if spec.target.asked or spec.target.questions}
+    assert asking == {"pyrender", "torch"}
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
@@ -64,14 +69,17 @@ def test_an_example_writes_its_files_and_two_processes_find_the_same_bits(name: 
     spec = small(name)
     done = cli("run", "-", "--out", str(tmp_path / "one"), stdin=json.dumps(spec))
     assert done.returncode == 0, done.stderr
-    assert sorted(path.name for path in (tmp_path / "one").iterdir()) == FILES
+    written = sorted(path.name for path in (tmp_path / "one").iterdir())
+    attention = [name for name in written if name.startswith("attention")]
+    assert [name for name in written if name not in attention] == FILES
+    assert bool(attention) == ("Questions about the image" in done.stdout) == ("generate" in spec)
     threads = torch.get_num_threads()
     torch.set_num_threads(settings().threads)  # part of what decides the bits
     try:
         execute(parse(spec), tmp_path / "two", Library(settings().cache_dir, settings().data_dir))
     finally:
         torch.set_num_threads(threads)
-    for file in (*FILES[:4],):
+    for file in (*FILES[:4], *attention):
         assert (tmp_path / "one" / file).read_bytes() == (tmp_path / "two" / file).read_bytes(), file
     first, second = (json.loads((tmp_path / run / "result.json").read_text()) for run in ("one", "two"))
     for result in (first, second):  # time is the one thing that may differ
