@@ -1,4 +1,6 @@
-"""The jobs of the demonstration: three objects that the network recognises, each attacked by three renderers."""
+"""The jobs of the demonstration: three objects that the network recognises, each attacked by three renderers, and a
+question about an image.
+"""
 
 from typing import Any
 
@@ -21,11 +23,19 @@ ATTACKS: tuple[dict[str, Any], ...] = (
 """FGSM has the paper's settings. ZOO has a λ a hundred times smaller than the paper's 0.1, with which no physical
 attack fooled the network in our trials."""
 
+QUESTION: dict[str, Any] = {
+    "generate": {"seed": 8, "objects": 4},
+    "target": {"name": "iep", "question": "What is the color of the object that is left of the cyan thing?"},
+    "attack": {"renderer": "torch", "groups": ["normals", "illumination"], "method": "fgsm", "steps": 40},
+}
+"""The request of `examples/vqa-torch.json`."""
+
 
 def specs() -> list[dict[str, Any]]:
-    """One request per scene and attack."""
-    return [
+    """One request per scene and attack, and that of the question."""
+    furniture = [
         {"scene": scene, "goal": {"leave": label}, "attack": attack}
         for label, scene in SCENES.items()
         for attack in ATTACKS
     ]
+    return [*furniture, QUESTION]

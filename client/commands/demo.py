@@ -1,4 +1,4 @@
-"""`demo`: the service, attacking furniture."""
+"""`demo`: the service, attacking furniture and the answer to a question."""
 
 from contextlib import suppress
 from time import sleep
@@ -23,10 +23,11 @@ def register(app: typer.Typer) -> None:
 def demo(
     once: Annotated[bool, typer.Option("--once", help="End when the jobs have ended.")] = False,
 ) -> None:
-    """Start the service, attack furniture through its HTTP API, and show the outcome.
+    """Start the service, attack furniture and the answer to a question through its HTTP API, and show the outcome.
 
     Three things the network gets right, each attacked in image space, through the differentiable renderer and through
-    the physical parameters of the other renderer. An attack that does not fool the network is shown as held.
+    the physical parameters of the other renderer; and a question about a scene of solids, through the differentiable
+    renderer. An attack that does not fool the network is shown as held.
 
     The exit code is 0 if all jobs ran to their end.
     """

@@ -11,7 +11,7 @@ import httpx
 import psutil
 import pytest
 
-from client.demo_jobs import specs
+from client.demo_jobs import QUESTION, specs
 
 pytestmark = pytest.mark.integration
 
@@ -42,10 +42,12 @@ def test_once_runs_every_job_shows_the_table_and_leaves_nothing_running(tmp_path
     table, _ = process.communicate(timeout=840)
     assert process.returncode == 0, table
     rows = [line for line in table.splitlines() if re.search(r"\b(fooled|held)\b", line)]
-    assert len(rows) == len(specs()) >= 9
+    assert len(rows) == len(specs()) >= 10
+    [question] = [row for row in rows if row.split("│")[1].strip() in QUESTION["target"]["question"]]
+    assert "torch normals+illumination fgsm" in question
     assert f"Dashboard: {url}" in table
     # Every scene was right before, so that every job counts.
-    assert re.search(rf"Fooled and verified: \d of {len(specs())} attacks on scenes that the network had right", table)
+    assert re.search(rf"Fooled and verified: \d+ of {len(specs())} attacks on scenes that the network had right", table)
     # Every image attack fooled the network, and so did at least two of the torch renderer, all verified.
     image = [row for row in rows if "image fgsm" in row]
     torch = [row for row in rows if "torch combined" in row]

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from client.demo_jobs import QUESTION
 from services.pipeline.spec import parse
 from services.questions.executor import answer
 from services.questions.facts import Facts
@@ -50,6 +51,10 @@ def test_an_example_asks_what_its_scene_answers(path: Path) -> None:
         assert encoded(question)
         known, calls = PROGRAMS[question]
         assert right(spec.record, calls) == known
+
+
+def test_the_demonstration_asks_the_question_of_an_example() -> None:
+    assert json.loads((EXAMPLES / "vqa-torch.json").read_text()) == QUESTION
 
 
 def test_there_is_an_example_for_each_renderer_a_kind_and_several_questions() -> None:
