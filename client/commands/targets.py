@@ -48,6 +48,8 @@ def check(
 ) -> None:
     """Load a network, show it a view, and print its card, its answers, whether it has gradients, and its speed.
 
+    A network that answers questions about scenes after CLEVR is asked one about a generated scene.
+
     The exit code is 2 if it cannot be used; the message says why.
     """
     from client.commands.run import library
@@ -85,4 +87,6 @@ def _print(found: "TargetCheck") -> None:
     } | {f"time, batch of {count}": f"{1000 * time:.2f} ms an image" for count, time in found.seconds.items()}
     out().print(table(("", ""), [[name, value] for name, value in facts.items()]))
     rows = [[answer.label, f"{answer.probability:.3f}"] for answer in found.answers]
-    out().print(table((f"answer to a view of {found.mesh}", "probability>"), rows))
+    shown = "a generated scene" if found.mesh is None else f"a view of {found.mesh}"
+    asked = f"{found.question!r} about " if found.question else ""
+    out().print(table((f"answer to {asked}{shown}", "probability>"), rows))

@@ -1,4 +1,4 @@
-"""Tries a target on a view of a mesh: its card, its answers, its gradient and its speed."""
+"""Tries a target on a view of a mesh or a generated scene: its card, its answers, its gradient and its speed."""
 
 import time
 from collections.abc import Callable
@@ -11,7 +11,8 @@ from services.pipeline.spec import parse
 from services.rendering.color import from_bytes
 from services.scenes.library import Library
 from services.targets import registry
-from services.targets.info import TARGETS, TargetInfo
+from services.targets.info import TargetInfo
+from services.targets.probe import ANY_QUESTION
 from services.targets.protocol import Target
 
 BATCHES = (1, 8)
@@ -33,7 +34,8 @@ class TargetCheck(BaseModel):
     target: TargetInfo
     weights_sha256: str
     backend: str
-    mesh: str = Field(description="the mesh that was shown")
+    mesh: str | None = Field(description="the mesh that was shown; null if it was a generated scene after CLEVR")
+    question: str | None = Field(description="the question that was asked; null for a target that takes none")
     answers: list[TopAnswer] = Field(description="the most probable labels of its view, the most probable first")
     gradient: bool = Field(description="whether scores have a gradient with respect to the image")
     no_gradient: str | None = Field(description="the reason for which they have none")
@@ -43,15 +45,16 @@ class TargetCheck(BaseModel):
 def check(name: str, mesh: str, library: Library, report: Callable[[str], None] = lambda _: None) -> TargetCheck:
     """Loads the target and shows it a view of the mesh from the default camera. `report` is given each phase's name.
 
-    Raises InvalidRequest and JobFailure, as preparing a job does.
+    A target that answers questions about scenes after CLEVR is shown a generated one in place of the mesh. One that
+    takes a question is asked that of its card. Raises InvalidRequest and JobFailure, as preparing a job does.
     """
     report("loading the network and rendering a view")
-    spec = {
-        "scene": {"objects": [{"mesh": mesh}]},
-        "target": {"name": name},
-        "attack": {"renderer": "pyrender"},
-    }
-    prepared = prepare(parse(spec), library)
+    card = registry.card(name)
+    question = card.example or ANY_QUESTION if card.takes_question else None
+    generated = card.vocabulary == "clevr"
+    scene = {"generate": {}} if generated else {"scene": {"objects": [{"mesh": mesh}]}}
+    asked = {"target": {"name": name, "question": question}, "attack": {"renderer": "pyrender"}}
+    prepared = prepare(parse(scene | asked), library)
     target = prepared.target
     probabilities = torch.softmax(prepared.logits.double(), dim=-1)
     best = probabilities.topk(min(_TOP, len(target.labels)))
@@ -61,12 +64,13 @@ def check(name: str, mesh: str, library: Library, report: Callable[[str], None] 
     image = from_bytes(prepared.original)[None]
     for count in BATCHES:
         report(f"timing batches of {count}")
-        seconds[count] = _seconds(target, image.expand(count, -1, -1, -1)) / count
+        seconds[count] = _seconds(target, image.expand(count, -1, -1, -1), question) / count
     return TargetCheck(
-        target=TARGETS[name].info,
+        target=card,
         weights_sha256=target.weights_sha256,
         backend=target.backend,
-        mesh=mesh,
+        mesh=None if generated else mesh,
+        question=question,
         answers=[
             TopAnswer(label=target.labels[int(index)], probability=float(value))
             for value, index in zip(best.values, best.indices, strict=True)
@@ -78,11 +82,11 @@ def check(name: str, mesh: str, library: Library, report: Callable[[str], None] 
 
 
 @torch.no_grad()
-def _seconds(target: Target, images: torch.Tensor) -> float:
+def _seconds(target: Target, images: torch.Tensor, question: str | None) -> float:
     """Seconds of the fastest of a few passes; the first pass of a network is slower and not counted."""
     found = []
     for _ in range(_REPEATS + 1):
         begun = time.perf_counter()
-        target.logits(images)
+        target.logits(images, question)
         found.append(time.perf_counter() - begun)
     return min(found[1:])

@@ -11,7 +11,7 @@ from services.finite import finite
 from services.targets.info import LONGEST_LABEL, RegisteredTarget
 from services.targets.protocol import Target
 
-_QUESTION = "What is this?"
+ANY_QUESTION = "What is this?"
 """The question to a target whose card has no example of one."""
 _REPEATED = 0.01
 """Largest difference between two scores of one image, relative to the largest score. Another batch changes the last
@@ -88,7 +88,7 @@ def has_gradient(target: Target, example: str | None = None) -> bool:
 
 
 def _question(target: Target, example: str | None) -> str | None:
-    return (example or _QUESTION) if target.takes_question else None
+    return (example or ANY_QUESTION) if target.takes_question else None
 
 
 def _images(target: Target) -> Tensor:

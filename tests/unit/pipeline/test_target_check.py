@@ -1,0 +1,14 @@
+from services.pipeline.target_check import check
+from services.questions.answers import ANSWERS
+from services.targets import registry
+from tests.unit.jobs.small import LIBRARY
+from tests.unit.targets.iep.seeded import INFO, target
+
+
+def test_a_network_for_questions_is_asked_that_of_its_card_about_a_generated_scene() -> None:
+    with registry.registered(INFO, target()):
+        found = check(INFO.name, "primitive/cube", LIBRARY)
+    assert (found.mesh, found.question) == (None, INFO.example)
+    assert found.gradient
+    assert all(answer.label in ANSWERS for answer in found.answers)
+    assert found.seconds.keys() == {1, 8}
