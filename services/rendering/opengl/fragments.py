@@ -39,12 +39,16 @@ class Fragments:
         """The same on a device."""
         return Fragments(**{name: value.to(device) for name, value in vars(self).items()})
 
+    def some(self, entries: Tensor) -> "Fragments":
+        """The entries of these indices, int64, in their order."""
+        return Fragments(**{name: value[entries] for name, value in vars(self).items()})
+
     @classmethod
     def joined(cls, parts: "list[Fragments]") -> "Fragments":
         """Those of several parts of an image, sorted by rank and then by pixel."""
         whole = cls(**{name: torch.cat([getattr(part, name) for part in parts]) for name in cls.__dataclass_fields__})
         order = torch.argsort(whole.rank * (int(whole.pixels.amax()) + 1) + whole.pixels)
-        return cls(**{name: value[order] for name, value in vars(whole).items()})
+        return whole.some(order)
 
 
 def fragments(geometry: Tensor, surface: Tensor, means: dict[str, Tensor], factor: int, numbers: Tensor) -> Fragments:

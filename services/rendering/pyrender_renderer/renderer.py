@@ -119,9 +119,12 @@ class PyrenderRenderer(DeclaredRenderer):
             most=self._most,
             idle=[] if self._plain else self.inactive(self.initial(), {}),
         )
+        if self._numbers.shadows is None:
+            return plan
         finer = copy(self._twin)
         finer._numbers = self._numbers.with_finer_shadows()
-        error = 0.0 if self._numbers.shadows is None else shadow_error(self._twin, finer)
+        own = self._twin.radiance({})[0]
+        error = shadow_error(over_ground(own, EXPOSURE, self._ground), finer.render({})[0], own[..., 3] > 0)
         return with_shadows(plan, self.drawing, self._at_start(), error)
 
     def _try_rasteriser(self, groups: tuple[str, ...], tolerance: float) -> Rasterised:

@@ -1,7 +1,6 @@
 """What the pyrender renderer's plan says of shadows: which objects are in the maps, and what the maps leave out."""
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -52,22 +51,8 @@ def with_shadows(plan: Plan, drawing: "Drawing", lit: RenderPass, error: float) 
     return plan.model_copy(update={"items": (*plan.items, item), "stages": (*plan.stages, stage)})
 
 
-class Drawn(Protocol):
-    """The part of the renderer that its shadows' error is measured by."""
-
-    def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
-        """Images [B, H, W, 3]."""
-        ...
-
-    def radiance(self, parameters: Mapping[str, Tensor]) -> Tensor:
-        """Radiance times coverage, and coverage, [B, H, W, 4]."""
-        ...
-
-
-def shadow_error(renderer: Drawn, finer: Drawn) -> float:
-    """The mean difference of displayed values between the scene's own image and that of a renderer with finer maps,
-    over covered pixels; 0 if nothing is covered."""
-    coverage = renderer.radiance({})[0, ..., 3]
-    off = (renderer.render({}) - finer.render({}))[0].abs().mean(dim=-1)
-    covered = coverage > 0
+def shadow_error(image: Tensor, finer: Tensor, covered: Tensor) -> float:
+    """The mean difference of displayed values between the scene's own image [H, W, 3] and that with finer shadow maps,
+    over the pixels that are `covered` [H, W]; 0 if none is."""
+    off = (image - finer).abs().mean(dim=-1)
     return float(off[covered].double().mean()) if bool(torch.any(covered)) else 0.0

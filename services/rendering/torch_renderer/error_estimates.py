@@ -202,7 +202,12 @@ def _signs(like: Tensor, random: torch.Generator) -> Tensor:
 
 def subset(surface: Surface, max_pixels: int) -> Surface:
     """Returns the surface at no more than `max_pixels` of its pixels, evenly spaced."""
-    return _every(surface, -(-len(surface.angles) // max_pixels))
+    return _every(surface, stride(len(surface.angles), max_pixels))
+
+
+def stride(n_pixels: int, max_pixels: int) -> int:
+    """Returns the stride through pixels that leaves no more than `max_pixels` of them, at least 1."""
+    return max(1, -(-n_pixels // max_pixels))
 
 
 def _every(surface: Surface, stride: int) -> Surface:

@@ -12,6 +12,7 @@ decided by a plan (planner) when the renderer is made.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 
 import torch
@@ -29,7 +30,7 @@ from services.rendering.torch_renderer.declaration import TORCH
 from services.rendering.torch_renderer.directions import directions, solid_angles
 from services.rendering.torch_renderer.environment_light import Illumination, illumination
 from services.rendering.torch_renderer.layers import layers
-from services.rendering.torch_renderer.map_error import map_error
+from services.rendering.torch_renderer.map_error import looked_at, map_error
 from services.rendering.torch_renderer.normals import MAX_ANGLE
 from services.rendering.torch_renderer.plan_items import ignored_items, surface_items
 from services.rendering.torch_renderer.planner import compile_plan
@@ -160,13 +161,17 @@ class TorchRenderer(DeclaredRenderer):
         ]
         self._made_of = scene, gbuffer, seen
         self._is_exact = tolerance == "exact"
-        map_error = _map_error(scene, surfaces, (sky, intensity), to_camera)
-        self.plan: Plan = plan.model_copy(update={"environment_map_error": map_error})
+        self._plan, self._shaded, self._light = plan, (shown, surfaces), (sky, intensity)
 
     @classmethod
     def build(cls, request: BuildRequest) -> "TorchRenderer":
         """Rasterises the request's scene and makes its renderer."""
         return cls(request.scene, rasterise(request.scene), request.groups, request.tolerance)
+
+    @cached_property
+    def plan(self) -> Plan:
+        """The plan. The error of the map's size is measured when it is first asked for: who only draws never asks."""
+        return self._plan.model_copy(update={"environment_map_error": self._map_error()})
 
     def initial(self) -> Parameters:
         """Returns the scene's own values, {group: tensor}, in the renderer's dtype, rounded to float32."""
@@ -246,6 +251,20 @@ class TorchRenderer(DeclaredRenderer):
             shaded.append(found[0] if len(parts) == 1 else color * found[0] + found[1])
         return self._canvas.image(torch.cat(shaded) if len(shaded) > 1 else shaded[0])
 
+    def _map_error(self) -> float | None:
+        """Returns the error of a displayed value due to the environment map's size; None for the largest size."""
+        scene, _, seen = self._made_of
+        if scene.finest_environment is None:
+            return None
+        light = illumination(torch.as_tensor(scene.finest_environment).to(self._device))
+        to_camera = torch.as_tensor(scene.view, dtype=torch.float64)[:3, :3].to(self._device)
+        shown, surfaces = self._shaded
+        if seen is not None:
+            some = shown.some(looked_at(self._counts).to(self._device)).to(torch.device("cpu"))
+            found = visibility(replace(scene, environment=scene.finest_environment), some)
+            seen = None if found is None else found.to(self._device)
+        return map_error(surfaces, self._light, (sky_of(light, to_camera), light.intensity.flatten()), seen)
+
 
 def sky_of(light: Illumination, to_camera: Tensor) -> Sky:
     """Returns a map's directions and powers in the camera's frame.
@@ -257,16 +276,6 @@ def sky_of(light: Illumination, to_camera: Tensor) -> Sky:
     half, theta_d = dsbrdf.half_vectors(towards, torch.tensor([0.0, 0.0, 1.0]).to(towards))
     power = (light.exposure * light.chroma).reshape(-1, 3).T * solid_angles(rows, cols).to(to_camera)
     return Sky(Directions.of(towards, half), dsbrdf.basis(theta_d) / MATERIAL_UNIT, power)
-
-
-def _map_error(
-    scene: ResolvedScene, surfaces: Sequence[Surface], own: tuple[Sky, Tensor], to_camera: Tensor
-) -> float | None:
-    """Returns the error of a displayed value due to the environment map's size; None for the largest size."""
-    if scene.finest_environment is None:
-        return None
-    finest = illumination(torch.as_tensor(scene.finest_environment))
-    return map_error(surfaces, own, (sky_of(finest, to_camera), finest.intensity.flatten()))
 
 
 def viewers_of(scene: ResolvedScene, size: tuple[int, int]) -> Tensor:

@@ -38,8 +38,8 @@ class VisibleSurfaces:
 
     def ordered(self, order: Tensor) -> "VisibleSurfaces":
         """Returns the surfaces in another order."""
-        shown = Fragments(**{name: value[order] for name, value in vars(self.shown).items()})
-        return VisibleSurfaces(self.image, shown, self.angles[order], None if self.turns is None else self.turns[order])
+        turns = None if self.turns is None else self.turns[order]
+        return VisibleSurfaces(self.image, self.shown.some(order), self.angles[order], turns)
 
 
 def visible_surfaces(gbuffer: GBuffer, to_camera: Tensor) -> VisibleSurfaces:

@@ -1,6 +1,8 @@
 """Shadow maps: where a shadow falls, in closed form; how soft it is; and what images of a batch share."""
 
+from dataclasses import replace
 from math import pi
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,7 +10,10 @@ import torch
 
 from services.errors import InvalidRequest
 from services.rendering.declaration import BuildRequest
+from services.rendering.pyrender_renderer import opengl_pass
+from services.rendering.pyrender_renderer.parameters import FINER
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
+from services.rendering.pyrender_renderer.shadow_plan import shadow_error
 from services.scenes.description import DirectionalLight, Lights, PointLight, SceneObject, Shadows, SpotLight
 from services.scenes.resolve import ResolvedScene
 from tests.unit.rendering import shapes
@@ -39,8 +44,6 @@ def passing(scene: ResolvedScene) -> np.ndarray:
 
 def over_plain(scene: ResolvedScene) -> ResolvedScene:
     """The scene without shadows."""
-    from dataclasses import replace
-
     return replace(scene, description=scene.description.model_copy(update={"shadows": None}))
 
 
@@ -232,6 +235,37 @@ def test_the_plan_says_which_objects_are_in_the_maps_and_what_the_maps_leave_out
     assert 0 < errors[1] < errors[0] / 2
     plain = PyrenderRenderer(over_ground(ball(), shadows=None, lights=lights("point")))
     assert not any("shadow" in stage.name for stage in plain.plan.stages)
+
+
+def test_the_error_of_shadows_is_the_mean_over_covered_pixels() -> None:
+    """Of three covered pixels one is off by 0.3 in one channel; what is not covered does not count."""
+    own, finer = torch.zeros(2, 2, 3), torch.zeros(2, 2, 3)
+    finer[0, 1, 2], finer[1, 1] = 0.3, 1.0
+    covered = torch.tensor([[True, True], [True, False]])
+    assert shadow_error(own, finer, covered) == pytest.approx(0.3 / 9)
+    assert shadow_error(own, finer, torch.zeros(2, 2, dtype=torch.bool)) == 0
+
+
+def test_the_plan_s_error_is_that_of_the_displayed_images(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As images of two scenes show it, one with four times the texels and samples; each image is drawn once."""
+    coarse = over_ground(ball(), shadows=Shadows(softness=0.2, resolution=64, samples=2), lights=lights("point"))
+    fine = Shadows(softness=0.2, resolution=64 * FINER, samples=2 * FINER**2)
+    finer = replace(coarse, description=coarse.description.model_copy(update={"shadows": fine}))
+    own, wanted = (PyrenderRenderer(one, tolerance="exact") for one in (coarse, finer))
+    covered = own.radiance({})[0, ..., 3] > 0
+    expected = float((own.render({}) - wanted.render({}))[0].abs()[covered].double().mean())
+    drawn: list[object] = []
+
+    def draw(*given: Any) -> Any:
+        drawn.append(given)
+        return opengl_pass_draw(*given)
+
+    opengl_pass_draw = opengl_pass.draw
+    monkeypatch.setattr(opengl_pass, "draw", draw)
+    [stage] = [stage for stage in own.plan.stages if stage.name == "shadow maps"]
+    assert expected > 1e-3
+    assert f"by {expected:.1e} in the mean" in stage.why
+    assert len(drawn) == 2
 
 
 def test_finer_shadows_are_drawn_for_the_plan_alone(monkeypatch: pytest.MonkeyPatch) -> None:

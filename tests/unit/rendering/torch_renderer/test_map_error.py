@@ -4,13 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
+from services.rendering.opengl.gbuffer import rasterise
+from services.rendering.torch_renderer.error_estimates import subset
+from services.rendering.torch_renderer.map_error import PIXELS, looked_at
 from services.rendering.torch_renderer.map_size import smallest_map
 from services.rendering.torch_renderer.renderer import TorchRenderer
+from services.rendering.torch_renderer.shader import Surface
 from services.scenes.description import MAP_SIZES
 from services.scenes.environment import average
 from services.scenes.resolve import ResolvedScene
 from tests.unit.rendering.shading import sky, sphere_gbuffer, sphere_scene
+from tests.unit.rendering.shadow_scenes import ball, over_ground
 
 SOURCE = np.kron(sky(16, 32), np.ones((8, 8, 1), np.float32))
 """A map of 128 × 256 texels in blocks of 8 × 8."""
@@ -33,6 +39,50 @@ def test_it_is_the_difference_to_the_image_under_the_largest_map(size: tuple[int
     assert wanted > 5e-3
     found = TorchRenderer(under(size), gbuffer, tolerance=tolerance).plan.environment_map_error
     assert found == pytest.approx(wanted, abs=1e-5)
+
+
+@pytest.mark.parametrize("viewer", ["distant", "perspective"])
+@pytest.mark.parametrize("tolerance", ["exact", 1e-3])
+def test_shadows_under_the_largest_map_are_part_of_the_difference(viewer: str, tolerance: float) -> None:
+    """A ball over the ground under lamps: each texel of a small map shadows as one, where those of the largest do not.
+    Fewer pixels than are looked at; whose ground shows through, they would differ by less."""
+    lamps = np.full((128, 256, 3), 0.1, np.float32)
+    lamps[24:32, 40:48] = lamps[30:36, 170:180] = 100.0
+    scene = over_ground(ball(), size=(12, 16), viewer=viewer)
+    of_size = {
+        size: replace(scene, environment=average(lamps, *size), source_map=lamps) for size in ((8, 16), MAP_SIZES[-1])
+    }
+    drawn = rasterise(scene)
+    gbuffer = replace(drawn, coverage=(drawn.coverage > 0).float())
+    own, largest = (TorchRenderer(one, gbuffer, tolerance="exact").render({}) for one in of_size.values())
+    wanted = float((own - largest).abs().max())
+    found = TorchRenderer(of_size[8, 16], gbuffer, tolerance=tolerance).plan.environment_map_error
+    assert found == pytest.approx(wanted, abs=1e-5)
+    plain = replace(of_size[8, 16], description=scene.description.model_copy(update={"shadows": None}))
+    unshadowed = TorchRenderer(plain, gbuffer).plan.environment_map_error
+    assert unshadowed is not None
+    assert wanted > unshadowed + 0.05
+
+
+def test_the_looked_at_pixels_are_those_of_the_subsets() -> None:
+    """Regions of no pixel, of some, and of more than are looked at."""
+    counts = [0, 3, 2 * PIXELS + 1]
+    values = torch.arange(sum(counts), dtype=torch.float64)[:, None]
+    parts = [Surface("", own.repeat(1, 2), own, torch.zeros(1)) for own in torch.split(values, counts)]
+    expected = torch.cat([subset(part, PIXELS).angles[:, 0] for part in parts])
+    assert torch.equal(values[looked_at(counts), 0], expected)
+    assert len(expected) == 3 + 171  # every third of 513
+
+
+def test_the_map_s_error_is_measured_for_the_plan_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = iter([0.25])
+    monkeypatch.setattr(f"{TorchRenderer.__module__}.map_error", lambda *_: next(asked))
+    scene = under((4, 8))
+    renderer = TorchRenderer(scene, sphere_gbuffer(scene))
+    renderer.exact().render({})
+    assert renderer.plan.environment_map_error == 0.25
+    assert renderer.plan is renderer.plan
+    assert next(asked, None) is None
 
 
 def test_smaller_maps_cost_more_and_the_largest_nothing() -> None:

@@ -48,6 +48,32 @@ def test_a_ball_s_shadow_on_the_ground_from_every_texel() -> None:
     assert hidden > 1e4
 
 
+def test_the_ground_hides_what_a_ball_would_mirror_of_the_map_below() -> None:
+    """From the ball's points a direction downwards is hidden where its ray meets the square, which gives no light back:
+    the sides of metals are dark there. Near the square's edges and the ball's horizon nothing is said."""
+    pixels, seen = found(over_ground(ball(), shadows=MIDDLES, elevation=0.4))
+    eye, rays = shapes.rays(over_ground(ball(), elevation=0.4).description.camera)
+    rays = rays.reshape(-1, 3)[pixels]
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    towards = CENTRE - eye
+    along = rays @ towards
+    depth = RADIUS**2 - (towards @ towards - along**2)
+    on_ball = depth > (0.5 * RADIUS) ** 2  # well within its outline
+    points = eye + rays[on_ball] * (along[on_ball] - np.sqrt(depth[on_ball]))[:, None]
+    normals = (points - CENTRE) / RADIUS
+    compared = hidden = 0
+    for texel, way in enumerate(directions(16, 32).numpy()):
+        if way[1] > 0:
+            assert (seen[texel].numpy()[on_ball] == WHOLE).all()  # a ball hides nothing from itself
+            continue
+        places = np.abs((points - way * (points[:, 1:2] / way[1]))[:, [0, 2]]).max(axis=1)
+        sure = (normals @ way > 0.15) & (np.abs(places - 2.0) > 0.05)
+        wanted = np.where(places < 2.0, 0, WHOLE)
+        assert (seen[texel].numpy()[on_ball][sure] == wanted[sure]).all()
+        compared, hidden = compared + sure.sum(), hidden + (wanted[sure] == 0).sum()
+    assert 2000 < hidden < compared
+
+
 def test_rays_through_every_triangle_see_the_same() -> None:
     """A cube and a tilted ring of few triangles, 12 × 16 pixels, all texels of 4 × 8 with 4 directions each."""
     ring = shapes.mesh(shapes.sphere(0.3, rings=5))
