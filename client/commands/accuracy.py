@@ -71,46 +71,58 @@ def stability(
 
 @app.command(
     epilog="Examples: [bold]scene-attack accuracy work-precision[/bold]\n\n"
+    "[bold]scene-attack accuracy work-precision --only scenes --only shadows[/bold]\n\n"
     "[bold]scene-attack accuracy work-precision --quick --out out/accuracy[/bold]"
 )
 def work_precision(
     quick: Annotated[bool, typer.Option("--quick", help="Smaller images, fewer maps, steps and scenes.")] = False,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(help="A part to measure; the report in the directory keeps its other parts. Repeatable."),
+    ] = None,
     out: Annotated[Path, typer.Option(help="Directory for work-precision.md, .png and .json.")] = OUT,
     as_json: JsonOption = False,
 ) -> None:
     """Measure error against run time: ways of shading, estimates of gradients, whole attacks; and write the report.
 
-    Its seconds mean something only on a machine that does nothing else. What a run has measured stays in
-    work-precision.partial.jsonl beside the report; the same command goes on from there.
+    Its seconds mean something only on a machine that does nothing else. What a run has measured stays in a
+    .partial.jsonl file beside the report; the same command goes on from there. The parts are shading, maps, shadows,
+    scenes, signs, gradients and attacks.
     """
     import torch
 
     from client.console import err, print_json
     from client.console import out as stdout
-    from services.accuracy.work_precision.collect import FULL, QUICK, about, collect
+    from services.accuracy.work_precision.collect import PARTS, collect
+    from services.accuracy.work_precision.extent import FULL, QUICK, about
     from services.accuracy.work_precision.progress import Progress
-    from services.accuracy.work_precision.report import load, report, write
+    from services.accuracy.work_precision.report import load, read, report, write
     from services.accuracy.work_precision.words import conclusions
     from services.device import check_device
     from services.settings import settings
 
+    chosen = list(dict.fromkeys(only or []))
+    if unknown := [name for name in chosen if name not in PARTS]:
+        raise typer.BadParameter(f"no part {unknown[0]!r}; there are {', '.join(PARTS)}", param_hint="--only")
     check_device()
     torch.set_num_threads(settings().threads)
     extent = QUICK if quick else FULL
+    before = read(out) if chosen else None
     with err().status("") as line:
 
         def say(what: str) -> None:
             line.update(what)
 
-        progress = Progress(out / "work-precision.partial.jsonl", about(extent), say)
-        found = collect(extent, progress)
-    command = "scene-attack accuracy work-precision" + (" --quick" if quick else "")
-    made = report(found, command + (f" --out {out}" if out != OUT else ""), load())
+        progress = Progress(out / ".".join(["work-precision", *chosen, "partial.jsonl"]), about(extent), say)
+        found = collect(extent, progress, chosen)
+    words = ["scene-attack accuracy work-precision", *(f"--only {name}" for name in chosen)]
+    words += ["--quick"] * quick + [f"--out {out}"] * (out != OUT)
+    made = report(found, " ".join(words), load(), chosen, before)
     write(made, out)
     progress.finish()
     if as_json:
         print_json(made.model_dump(mode="json"))
     else:
-        for words in conclusions(found):
-            stdout().print(words, markup=False, highlight=False)
+        for sentence in conclusions(found):
+            stdout().print(sentence, markup=False, highlight=False)
     err().print(f"Report in {out}", markup=False, highlight=False)

@@ -1,20 +1,21 @@
 """Error against run time: methods of shading, estimates of gradients, signs, whole attacks. Resumable."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
 
-from services.accuracy.provenance import PACKAGES, backend
 from services.accuracy.work_precision import (
     attack_runs,
     gradients_pyrender,
     gradients_torch,
     map_resolution,
     network_signs,
+    scene_options,
     shadow_resolution,
 )
 from services.accuracy.work_precision.attack_runs import AttackRow
 from services.accuracy.work_precision.convergence import OrderRow, shading_orders, smooth_orders
+from services.accuracy.work_precision.extent import Extent
 from services.accuracy.work_precision.gradients import (
     GradientRow,
     Objective,
@@ -26,70 +27,15 @@ from services.accuracy.work_precision.independent_check import IndependentRow, c
 from services.accuracy.work_precision.map_resolution import MapRow
 from services.accuracy.work_precision.network_signs import SignRow
 from services.accuracy.work_precision.progress import Progress
+from services.accuracy.work_precision.scene_options import SceneRow
 from services.accuracy.work_precision.shading_methods import TOO_MANY, ShadingMethod, methods
 from services.accuracy.work_precision.shading_rows import CannotRunRow, ShadingRow, row, truth
 from services.accuracy.work_precision.shading_subject import subject
 from services.accuracy.work_precision.shadow_resolution import ShadowRow
 from services.accuracy.work_precision.success import SuccessRow, success_rows
-from services.versions import versions
 
 Scene = tuple[str, str, tuple[int, int], tuple[int, int]]
 """Mesh, material, size of the image and of the map."""
-
-
-@dataclass(frozen=True)
-class Extent:
-    """How much is compared.
-
-    subjects: mesh, material, size of the image and sizes of maps that are shaded; enough: seconds for each time that
-    is taken. gradients: mesh, label, size of image and of map whose gradients are estimated; factor: pixels a side in
-    the references of poses; directions: counts of random ones. scenes, steps and seeds of attacks; zoo: its settings.
-    """
-
-    subjects: tuple[tuple[str, str, tuple[int, int], tuple[tuple[int, int], ...]], ...]
-    enough: float
-    gradients: tuple[str, str, tuple[int, int], tuple[int, int]]
-    factor: int
-    directions: tuple[int, ...]
-    scenes: int
-    steps: int
-    seeds: int
-    zoo: dict[str, object]
-    quick: bool = False
-
-
-MAPS = ((4, 8), (8, 16), (16, 32), (32, 64))
-FULL = Extent(
-    subjects=(
-        ("furniture/soccer-ball", "brushed-metal", (224, 224), MAPS),
-        ("furniture/grand-piano", "brushed-metal", (448, 448), ((16, 32),)),
-    ),
-    enough=0.3,
-    gradients=("furniture/drill", "power drill", (224, 224), (16, 32)),
-    factor=8,
-    directions=(1, 2, 4, 8, 16, 32, 64),
-    scenes=len(attack_runs.SCENES),
-    steps=60,
-    seeds=1,
-    zoo={"steps": 40},
-)
-QUICK = Extent(
-    subjects=(("furniture/soccer-ball", "brushed-metal", (64, 64), ((4, 8), (16, 32))),),
-    enough=0.02,
-    gradients=("furniture/soccer-ball", "soccer ball", (64, 64), (8, 16)),
-    factor=8,
-    directions=(1, 4, 16),
-    scenes=1,
-    steps=5,
-    seeds=1,
-    zoo={"steps": 2, "delta": 1e-2},
-    quick=True,
-)
-
-
-def about(extent: Extent) -> str:
-    """What a measurement of this extent is, so that one that was stopped is continued only by the same."""
-    return f"{extent}; {backend()}; {versions(*PACKAGES)}"
 
 
 @dataclass(frozen=True)
@@ -101,6 +47,7 @@ class Found:
     cannot_run: list[CannotRunRow] = field(default_factory=list)
     maps: list[MapRow] = field(default_factory=list)
     shadows: list[ShadowRow] = field(default_factory=list)
+    scenes: list[SceneRow] = field(default_factory=list)
     orders: list[OrderRow] = field(default_factory=list)
     signs: list[SignRow] = field(default_factory=list)
     references: list[Reference] = field(default_factory=list)
@@ -109,24 +56,19 @@ class Found:
     success: list[SuccessRow] = field(default_factory=list)
 
 
-def collect(extent: Extent, progress: Progress | None = None) -> Found:
-    """Measures all parts, or takes from `progress` what it has."""
-    progress = progress or Progress()
-    found = Found()
-    shading(extent, progress, found)
-    mesh, material, size, maps = extent.subjects[0]
-    smooth = progress.rows(
-        "orders: smooth",
-        OrderRow,
-        lambda: list(smooth_orders(subject(mesh, material, size, maps[0]).surface.angles)),
-    )
-    found.orders.extend([*smooth, *shading_orders(found.shading)])
-    found.maps.extend(progress.rows("maps", MapRow, lambda: list(map_resolution.rows(mesh, size))))
-    found.shadows.extend(progress.rows("shadows", ShadowRow, lambda: list(shadow_resolution.rows(size, extent.enough))))
-    found.signs.extend(progress.rows("signs", SignRow, lambda: list(network_signs.rows(*extent.gradients))))
-    estimates(extent, progress, found)
-    found.attacks.extend(attacks(extent, progress))
-    found.success.extend(success_rows(found.attacks))
+@dataclass(frozen=True)
+class Part:
+    """A part of the report that can be measured by itself: `measure` adds to `fields` of what was found."""
+
+    measure: Callable[[Extent, Progress, Found], None]
+    fields: tuple[str, ...]
+
+
+def collect(extent: Extent, progress: Progress | None = None, only: Sequence[str] = ()) -> Found:
+    """Measures the parts named in `only`, or all of PARTS, or takes from `progress` what it has of them."""
+    progress, found = progress or Progress(), Found()
+    for name in only or PARTS:
+        PARTS[name].measure(extent, progress, found)
     return found
 
 
@@ -145,6 +87,13 @@ def shading(extent: Extent, progress: Progress, found: Found) -> None:
             left_out = len(methods(extent.quick)) - len(possible)
             if left_out:
                 found.cannot_run.append(CannotRunRow(mesh=mesh, map=texels, why=TOO_MANY, methods=left_out))
+    mesh, material, size, maps = extent.subjects[0]
+    smooth = progress.rows(
+        "orders: smooth",
+        OrderRow,
+        lambda: list(smooth_orders(subject(mesh, material, size, maps[0]).surface.angles)),
+    )
+    found.orders.extend([*smooth, *shading_orders(found.shading)])
 
 
 def _measured(scene: Scene, possible: list[ShadingMethod], extent: Extent) -> list[ShadingRow]:
@@ -155,6 +104,29 @@ def _measured(scene: Scene, possible: list[ShadingMethod], extent: Extent) -> li
 
 def _independent(scene: Scene) -> list[IndependentRow]:
     return list(comparisons(subject(*scene)))
+
+
+def maps(extent: Extent, progress: Progress, found: Found) -> None:
+    """What the map's resolution costs an object."""
+    mesh, _, size, _ = extent.subjects[0]
+    found.maps.extend(progress.rows("maps", MapRow, lambda: list(map_resolution.rows(mesh, size))))
+
+
+def shadows(extent: Extent, progress: Progress, found: Found) -> None:
+    """What the resolution of shadows costs a scene."""
+    measured = partial(shadow_resolution.rows, extent.scene, extent.enough)
+    found.shadows.extend(progress.rows("shadows", ShadowRow, lambda: list(measured())))
+
+
+def scenes(extent: Extent, progress: Progress, found: Found) -> None:
+    """What surfaces, a floor and shadows cost a scene."""
+    measured = partial(scene_options.rows, extent.scene, extent.enough)
+    found.scenes.extend(progress.rows("scenes", SceneRow, lambda: list(measured())))
+
+
+def signs(extent: Extent, progress: Progress, found: Found) -> None:
+    """Signs of gradients through the network."""
+    found.signs.extend(progress.rows("signs", SignRow, lambda: list(network_signs.rows(*extent.gradients))))
 
 
 def estimates(extent: Extent, progress: Progress, found: Found) -> None:
@@ -187,16 +159,27 @@ def estimates_of(of: Objective, extent: Extent) -> Iterator[GradientRow]:
         yield from along_directions(of, extent.directions)
 
 
-def attacks(extent: Extent, progress: Progress) -> list[AttackRow]:
+def attacks(extent: Extent, progress: Progress, found: Found) -> None:
     """Every attack."""
-    found = []
     for case in attack_runs.cases(extent.scenes, extent.steps, extent.seeds, extent.zoo):
         settings = case.attack
         groups = " ".join(settings.groups)
         name = f"{settings.method}: {case.scene}, {groups}, tolerance {case.tolerance}, seed {case.seed}"
-        found += progress.rows(name, AttackRow, partial(_attacked, case))
-    return found
+        found.attacks.extend(progress.rows(name, AttackRow, partial(_attacked, case)))
+    found.success.extend(success_rows(found.attacks))
 
 
 def _attacked(case: attack_runs.Case) -> list[AttackRow]:
     return [attack_runs.attack(case)]
+
+
+PARTS = {
+    "shading": Part(shading, ("independent", "shading", "cannot_run", "orders")),
+    "maps": Part(maps, ("maps",)),
+    "shadows": Part(shadows, ("shadows",)),
+    "scenes": Part(scenes, ("scenes",)),
+    "signs": Part(signs, ("signs",)),
+    "gradients": Part(estimates, ("references", "gradients")),
+    "attacks": Part(attacks, ("attacks", "success")),
+}
+"""The parts by name, in the order in which they are measured."""

@@ -1,22 +1,19 @@
 """What shadows cost and leave out: images with coarse maps and few samples beside one with the finest."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import partial
-from math import pi
 
 import torch
 from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
 from services.accuracy.placing import library
+from services.accuracy.work_precision.clevr_subject import SCENE, described
 from services.accuracy.work_precision.timing import repeated
 from services.rendering.opengl.gbuffer import rasterise
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.rendering.torch_renderer.renderer import TorchRenderer
 from services.rendering.torch_renderer.visibility import visibility
-from services.scenes.description import Scene, Shadows
-from services.scenes.mesh import FIT_RADIUS
 from services.scenes.resolve import ResolvedScene, resolve
 
 MAPS = ((256, 16), (512, 16), (1024, 4), (1024, 16), (1024, 64), (2048, 16))
@@ -32,6 +29,7 @@ class ShadowRow(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
+    scene: str
     renderer: str
     fineness: str
     reference: str
@@ -47,24 +45,16 @@ def rows(size: tuple[int, int], enough: float) -> Iterator[ShadowRow]:
     yield from _texels(size, enough)
 
 
-def _scene(size: tuple[int, int], shadows: Shadows) -> ResolvedScene:
-    """A ball and a cube on the ground, under two point lights or the studio map."""
-    ground = {"mesh": "primitive/plane", "rotation": (-pi / 2, 0, 0), "scale": 3 * 2**0.5 / FIT_RADIUS}
-    ball = {"mesh": "primitive/sphere", "translation": (-0.5, 0.4, 0.2), "scale": 0.4 / FIT_RADIUS}
-    cube: dict[str, object] = {"mesh": "primitive/cube", "translation": (0.5, 0.3, -0.2), "rotation": (0, 0.5, 0)}
-    cube["scale"] = 0.3 * 3**0.5 / FIT_RADIUS
-    described = {
-        "camera": {"size": size, "elevation": 0.6, "distance": 3.0},
-        "objects": [ground, ball, cube],
-        "lights": {"points": [{}, {"energy": 15, "position": (-1.5, 1.5, 1.0)}]},
-        "shadows": shadows,
-    }
-    return resolve(Scene.model_validate(described), library())
+def _scene(size: tuple[int, int], shadows: dict[str, int]) -> ResolvedScene:
+    """The scene under three point lights, or their spots on a map, with its shadows of another fineness."""
+    scene = described(size)
+    assert scene.shadows is not None
+    return resolve(scene.model_copy(update={"shadows": scene.shadows.model_copy(update=shadows)}), library())
 
 
 def _maps(size: tuple[int, int], enough: float) -> Iterator[ShadowRow]:
     def drawn(resolution: int, samples: int) -> PyrenderRenderer:
-        return PyrenderRenderer(_scene(size, Shadows(resolution=resolution, samples=samples)), tolerance="exact")
+        return PyrenderRenderer(_scene(size, {"resolution": resolution, "samples": samples}), tolerance="exact")
 
     finest = drawn(*FINEST_MAP)
     covered = finest.radiance({})[0, ..., 3] > 0
@@ -81,13 +71,12 @@ def _map_words(resolution: int, samples: int) -> str:
 
 
 def _texels(size: tuple[int, int], enough: float) -> Iterator[ShadowRow]:
-    scene = _scene(size, Shadows(texel_samples=FINEST_TEXEL))
+    scene = _scene(size, {"texel_samples": FINEST_TEXEL})
     gbuffer = rasterise(scene)
     covered = gbuffer.coverage > 0
     wanted = TorchRenderer(scene, gbuffer, tolerance="exact").render({})[0][covered]
     for side in TEXELS:
-        shadows = Shadows(texel_samples=side)
-        coarse = replace(scene, description=scene.description.model_copy(update={"shadows": shadows}))
+        coarse = _scene(size, {"texel_samples": side})
         found = TorchRenderer(coarse, gbuffer, tolerance="exact").render({})[0][covered]
         seconds = repeated(partial(visibility, coarse, gbuffer.surfaces()), enough).median
         yield _row("torch", _texel_words(side), _texel_words(FINEST_TEXEL), found, wanted, seconds)
@@ -100,6 +89,7 @@ def _texel_words(side: int) -> str:
 def _row(renderer: str, fineness: str, reference: str, found: Tensor, wanted: Tensor, seconds: float) -> ShadowRow:
     off = (found - wanted).abs().double()
     return ShadowRow(
+        scene=SCENE,
         renderer=renderer,
         fineness=fineness,
         reference=reference,

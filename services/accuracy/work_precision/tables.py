@@ -1,17 +1,15 @@
 """The tables of the work-precision report's page."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 from services.accuracy.work_precision.attack_runs import AttackRow
 from services.accuracy.work_precision.convergence import OrderRow
 from services.accuracy.work_precision.gradients import DELTAS, GradientRow, Reference
 from services.accuracy.work_precision.independent_check import IndependentRow
-from services.accuracy.work_precision.map_resolution import MapRow
 from services.accuracy.work_precision.network_signs import SignRow
 from services.accuracy.work_precision.shading_rows import CannotRunRow, ShadingRow
-from services.accuracy.work_precision.shadow_resolution import ShadowRow
 from services.accuracy.work_precision.success import SuccessRow
-from services.accuracy.work_precision.timing import Times
+from services.accuracy.work_precision.table_cells import brief, grid, quartiles, small, table
 from services.accuracy.work_precision.words import interval
 
 SHADING = (
@@ -30,18 +28,18 @@ def success(rows: Sequence[SuccessRow]) -> Iterator[str]:
     yield "Medians with 95 % bootstrap intervals over the scenes; attacks that held count as more work than the budget."
     yield "Rates with Wilson's 95 % intervals. *Per success*: the work of all attacks, divided by the successes."
     yield ""
-    yield from _table(
+    yield from table(
         (
             *("method", "renderer", "attacked", "tolerance>", "verified>", "rate>", "95 %>", "queries", "seconds"),
             *("queries per success>", "seconds per success>", "s a step>", "budget>"),
         ),
         [
             [
-                *(row.method, row.renderer, ", ".join(row.groups), _small(row.tolerance)),
+                *(row.method, row.renderer, ", ".join(row.groups), small(row.tolerance)),
                 *(f"{row.verified} of {row.attacks}", f"{row.rate:.0%}", f"{row.rate_low:.0%}–{row.rate_high:.0%}"),
                 *(interval(row.queries), interval(row.seconds)),
-                *(_seconds(row.queries_per_success), _seconds(row.seconds_per_success)),
-                *(_seconds(row.seconds_per_step), f"{row.max_steps} steps"),
+                *(brief(row.queries_per_success), brief(row.seconds_per_success)),
+                *(brief(row.seconds_per_step), f"{row.max_steps} steps"),
             ]
             for row in rows
         ],
@@ -55,49 +53,12 @@ def independent(rows: Sequence[IndependentRow]) -> Iterator[str]:
     yield "numpy's 80-bit numbers, without code of the renderer, evaluates the formulas of docs/materials.md on some of"
     yield "the pixels; its derivatives are complex steps. The differences, of displayed values in [0,1]:"
     yield ""
-    yield from _table(
+    yield from table(
         ("mesh", "material", "map", "compared", "pixels>", "largest>", "rms>"),
         [
             [
-                *(row.mesh, row.material, _map(row.map), row.what, str(row.pixels)),
-                *(_small(row.largest), _small(row.rms)),
-            ]
-            for row in rows
-        ],
-    )
-
-
-def maps(rows: Sequence[MapRow]) -> Iterator[str]:
-    """What averaging the map down costs."""
-    yield from ("## Resolution of the environment map", "")
-    yield "A scene's light is its map averaged down to a grid; every other error here is for that grid as it is given."
-    yield "Differences of displayed values between exact images, at the scene's own values:"
-    yield ""
-    yield from _table(
-        ("mesh", "material", "map", "beside", "pixels>", "largest>", "rms>"),
-        [
-            [
-                *(row.mesh, row.material, _map(row.map), _map(row.reference), f"{row.pixels:,}"),
-                *(_small(row.largest), _small(row.rms)),
-            ]
-            for row in rows
-        ],
-    )
-
-
-def shadows(rows: Sequence[ShadowRow]) -> Iterator[str]:
-    """What coarse shadow maps and few samples leave out."""
-    yield from ("## Resolution of shadows", "")
-    yield "Exact images of a ball and a cube on the ground beside those with the finest shadows; differences of"
-    yield "displayed values over covered pixels. Seconds are of an image (pyrender) or of the visibility, found once"
-    yield "(torch)."
-    yield ""
-    yield from _table(
-        ("renderer", "shadows", "beside", "pixels>", "mean>", "largest>", "seconds>"),
-        [
-            [
-                *(row.renderer, row.fineness, row.reference, f"{row.pixels:,}"),
-                *(_small(row.mean), _small(row.largest), f"{row.seconds:.3g}"),
+                *(row.mesh, row.material, grid(row.map), row.what, str(row.pixels)),
+                *(small(row.largest), small(row.rms)),
             ]
             for row in rows
         ],
@@ -110,11 +71,11 @@ def orders(rows: Sequence[OrderRow]) -> Iterator[str]:
     yield "Error ∝ (spacing of nodes)^order: least squares of logarithms, with the slope's standard error. The stated"
     yield "orders are those of Catmull-Rom interpolation of smooth functions. Errors near rounding are not in a fit."
     yield ""
-    yield from _table(
+    yield from table(
         ("of", "type", "map", "per-pixel texels>", "error", "stated>", "observed>", "rows of nodes"),
         [
             [
-                *(row.what, row.dtype, "" if row.map is None else _map(row.map)),
+                *(row.what, row.dtype, "" if row.map is None else grid(row.map)),
                 *("" if row.per_pixel_texels is None else str(row.per_pixel_texels), row.error, str(row.stated)),
                 *(f"{row.order:.2f} ± {row.standard_error:.2f}", f"{row.first_rows} to {row.last_rows} ({row.points})"),
             ]
@@ -129,11 +90,11 @@ def signs(rows: Sequence[SignRow]) -> Iterator[str]:
     yield "Of all coordinates of the log-odds' gradient, against float64 throughout, at the unperturbed scene. By"
     yield "weight: the part w of the gradient's absolute sum that they hold; a step by signs keeps 1 − 2w of its gain."
     yield ""
-    yield from _table(
+    yield from table(
         ("mesh", "group", "tolerance>", "network", "its image", "coordinates>", "wrong signs>", "by weight>"),
         [
             [
-                *(row.mesh, row.group, _small(row.tolerance), row.network, row.image, f"{row.coordinates:,}"),
+                *(row.mesh, row.group, small(row.tolerance), row.network, row.image, f"{row.coordinates:,}"),
                 *(f"{row.wrong_signs:.2%}", f"{row.wrong_weight:.3%}"),
             ]
             for row in rows
@@ -157,15 +118,15 @@ def shading(rows: Sequence[ShadingRow], cannot_run: Sequence[CannotRunRow]) -> I
         mesh, material, size, texels = subject
         own = [row for row in rows if (row.mesh, row.material, row.size, row.map) == subject]
         pixels = f"{own[0].pixels:,} pixels"
-        yield from ("", f"### {mesh}, {material}, {size[0]}×{size[1]}, map {_map(texels)}, {pixels}", "")
-        yield from _table(SHADING, map(_shading_row, own))
+        yield from ("", f"### {mesh}, {material}, {size[0]}×{size[1]}, map {grid(texels)}, {pixels}", "")
+        yield from table(SHADING, map(_shading_row, own))
         for left_out in cannot_run:
             if (left_out.mesh, left_out.map) == (mesh, texels):
                 yield from ("", f"{left_out.methods} methods cannot run here: {left_out.why}.")
 
 
 def _shading_row(row: ShadingRow) -> list[str]:
-    method = row.method if row.tolerance is None else f"plan, {_small(row.tolerance)}"
+    method = row.method if row.tolerance is None else f"plan, {small(row.tolerance)}"
     return [
         method if row.kernel == "native" else f"{method}, in torch",
         "all" if len(row.groups) == 3 else ", ".join(row.groups),
@@ -173,13 +134,13 @@ def _shading_row(row: ShadingRow) -> list[str]:
         str(row.rows or ""),
         str(row.per_pixel_texels or ""),
         "" if row.evaluations is None else f"{row.evaluations:.1e}",
-        _small(row.largest),
-        _small(row.rms),
-        _by_group({group: _small(error) for group, error in row.gradient.items()}),
+        small(row.largest),
+        small(row.rms),
+        _by_group({group: small(error) for group, error in row.gradient.items()}),
         _by_group({group: f"{share:.2%}" for group, share in row.wrong_signs.items()}),
         _by_group({group: f"{share:.3%}" for group, share in row.wrong_weight.items()}),
-        _times(row.forward),
-        _times(row.both),
+        quartiles(row.forward),
+        quartiles(row.both),
         row.note,
     ]
 
@@ -194,14 +155,14 @@ def gradients(rows: Sequence[GradientRow], references: Sequence[Reference]) -> I
     yield "Relative errors (L2) of gradients estimated from values of a function alone. δ is in the group's units. An"
     yield "error below the reference's uncertainty means nothing, and is shown as that. **Bold**: more than half wrong."
     yield ""
-    yield from _table(
+    yield from table(
         ("renderer", "group", "function", "samples>", "reference", "uncertainty>"),
-        [[r.renderer, r.group, r.of, str(r.samples or ""), r.how, _small(r.uncertainty)] for r in references],
+        [[r.renderer, r.group, r.of, str(r.samples or ""), r.how, small(r.uncertainty)] for r in references],
     )
     keys = ("renderer", "group", "of", "samples", "image", "estimator", "evaluations")
     stepped = [row for row in rows if row.directions is None]
     yield from ("", "### Coordinate by coordinate", "")
-    yield from _table(
+    yield from table(
         [
             *("renderer", "group", "function", "samples>", "image", "difference", "evaluations>"),
             *(f"δ {delta:.0e}>" for delta in DELTAS),
@@ -211,7 +172,7 @@ def gradients(rows: Sequence[GradientRow], references: Sequence[Reference]) -> I
     yield from ("", "### Along random directions", "")
     yield "*Expected*, for n coordinates: √((n + 1) / directions), of the mean of exact derivatives along them."
     yield ""
-    yield from _table(
+    yield from table(
         (
             *("renderer", "group", "samples>", "image"),
             "coordinates>",
@@ -242,13 +203,13 @@ def attacks(rows: Sequence[AttackRow]) -> Iterator[str]:
     yield "On EfficientNet-Lite0, studio map of 16×32. *verified*: the exact image, saved in 8 bits, fools it."
     yield "Where an attack held, p is that of its last image. FGSM takes nothing from its seed."
     yield ""
-    yield from _table(
+    yield from table(
         RUNS,
         [
             [
-                *(row.scene, row.method, row.renderer, ", ".join(row.groups), _small(row.tolerance), str(row.seed)),
-                *(row.outcome, f"{row.steps} of {row.max_steps}", str(row.queries), _seconds(row.seconds)),
-                _small(row.perceptibility),
+                *(row.scene, row.method, row.renderer, ", ".join(row.groups), small(row.tolerance), str(row.seed)),
+                *(row.outcome, f"{row.steps} of {row.max_steps}", str(row.queries), brief(row.seconds)),
+                small(row.perceptibility),
             ]
             for row in rows
         ],
@@ -263,31 +224,5 @@ def _grouped(rows: Sequence[GradientRow], keys: Sequence[str]) -> dict[tuple[obj
 
 
 def _error(row: GradientRow) -> str:
-    shown = f"< {row.floor:.1e}" if row.error < row.floor else _small(row.error)
+    shown = f"< {row.floor:.1e}" if row.error < row.floor else small(row.error)
     return f"**{shown}**" if row.note else shown
-
-
-def _table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[str]:
-    """Columns whose heading ends in ">" are aligned to the right."""
-    yield "| " + " | ".join(column.removesuffix(">") for column in columns) + " |"
-    yield "|" + "|".join("---:" if column.endswith(">") else "---" for column in columns) + "|"
-    for row in rows:
-        yield "| " + " | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in row) + " |"
-
-
-def _map(texels: tuple[int, int]) -> str:
-    return f"{texels[0]}×{texels[1]}"
-
-
-def _small(value: float | str | None) -> str:
-    if value is None or isinstance(value, str):
-        return value or ""
-    return f"{value:.1e}" if value else "0"
-
-
-def _seconds(value: float | None) -> str:
-    return "" if value is None else f"{value:.2g}" if value < 10 else f"{value:.0f}"
-
-
-def _times(times: Times | None) -> str:
-    return "" if times is None else f"{times.median:.2g} [{times.lower:.2g}–{times.upper:.2g}]"

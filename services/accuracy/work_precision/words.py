@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 
+from services.accuracy.work_precision.clevr_subject import SCENE
 from services.accuracy.work_precision.collect import Found
 from services.accuracy.work_precision.gradients import IMAGE, GradientRow
 from services.accuracy.work_precision.shading_rows import ShadingRow
@@ -28,7 +29,7 @@ OMISSIONS = (
     "Mitsuba has no material of this model, so it cannot be a second reference; docs/benchmarks.md compares its speed "
     "on a problem of the same size.",
     "The viewer is far away, as is the default; one at the camera (`viewer: perspective`) is summed pixel by pixel.",
-    "Gradients and attacks are measured without shadows.",
+    "Gradients and attacks are measured without a floor and shadows.",
 )
 
 
@@ -37,6 +38,7 @@ def conclusions(found: Found) -> Iterator[str]:
     yield from _of_success(found.success)
     yield from _of_plans(found)
     yield from _of_maps(found)
+    yield from _of_scenes(found)
     yield from _of_signs(found)
     yield from _of_references(found)
     yield from _of_orders(found)
@@ -88,6 +90,8 @@ def _of_plans(found: Found) -> Iterator[str]:
             f"{plans[whole].largest:.1e}. The float32 sum, off by {plain.largest:.1e}, takes longer by a factor of "
             f"{times} (medians)."
         )
+    if not found.shading:
+        return
     promised = [(r, r.largest, r.estimate) for r in found.shading if r.largest is not None and r.estimate is not None]
     beyond = [one for one in promised if one[1] > max(one[2], EXACTLY)]
     lost = sum(row.note.startswith("misses") for row, _, _ in promised)
@@ -127,6 +131,16 @@ def _of_maps(found: Found) -> Iterator[str]:
         yield (
             f"The largest error of all is the map's: averaged to {own[0].map[0]}×{own[0].map[1]} texels instead of "
             f"{own[0].reference[0]}×{own[0].reference[1]}, exact images differ by up to {words}."
+        )
+
+
+def _of_scenes(found: Found) -> Iterator[str]:
+    for renderer in dict.fromkeys(row.renderer for row in found.scenes):
+        own = [row for row in found.scenes if (row.renderer, row.tolerance) == (renderer, DEFAULT)]
+        times = ", ".join(f"{row.seconds:.2g} ({row.scene})" for row in own)
+        yield (
+            f"{SCENE}, {renderer}: the plan within {DEFAULT:g} takes {times} seconds an image, each with one more "
+            f"option, and is off by {max(row.mean for row in own):.1e} at most in the mean over covered pixels."
         )
 
 
@@ -173,6 +187,8 @@ def _of_gradients(rows: list[GradientRow]) -> Iterator[str]:
             for row in best.values()
         )
         yield f"Central differences of {image} images, each at its best δ, have relative errors of: {words}."
+    if not rows:
+        return
     wrong = [row for row in one_by_one if row.delta == PAPER_STEP and row.image == "8 bit"]
     yield (
         f"At δ = {PAPER_STEP:.0e}, the paper's, differences of 8-bit images are more than half wrong in "

@@ -11,7 +11,8 @@ from torch import Tensor
 from services.accuracy.placing import placed
 from services.accuracy.work_precision import shading_rows
 from services.accuracy.work_precision.attack_runs import SCENES
-from services.accuracy.work_precision.collect import QUICK, Found, collect, shading
+from services.accuracy.work_precision.collect import Found, collect, shading
+from services.accuracy.work_precision.extent import QUICK
 from services.accuracy.work_precision.map_resolution import MapRow
 from services.accuracy.work_precision.progress import Progress
 from services.accuracy.work_precision.report import report, write
@@ -177,7 +178,12 @@ def test_times_have_a_spread() -> None:
 def test_the_report_says_everything(tmp_path: Path) -> None:
     """Stopped and continued it says the same: nothing that was measured is measured again."""
     tiny = dataclasses.replace(
-        QUICK, subjects=((*SMALL[:2], (32, 32), ((4, 8),)),), enough=0.0, steps=2, zoo={"steps": 1, "delta": 1e-2}
+        QUICK,
+        subjects=((*SMALL[:2], (32, 32), ((4, 8),)),),
+        scene=(24, 32),
+        enough=0.0,
+        steps=2,
+        zoo={"steps": 1, "delta": 1e-2},
     )
     steps: list[str] = []
     first = collect(tiny, Progress(tmp_path / "partial", "tiny", steps.append))
@@ -192,7 +198,7 @@ def test_the_report_says_everything(tmp_path: Path) -> None:
     assert sum(page.count(f"\n| {SCENES[0][0]} | {method} | ") for method in ("fgsm", "zoo")) == len(made.attacks) == 9
     for heading in (
         *("Work to a verified adversary", "The reference", "Resolution of the environment map"),
-        "Resolution of shadows",
+        *("Resolution of shadows", "Surfaces, floor and shadows"),
         *(
             "Orders of convergence",
             "Signs that FGSM takes",

@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from services.accuracy.placing import placed
-from services.accuracy.work_precision.collect import QUICK, estimates_of, objectives
+from services.accuracy.work_precision.collect import estimates_of, objectives
+from services.accuracy.work_precision.extent import QUICK
 from services.accuracy.work_precision.gradients import GradientRow, Objective, along_directions, differences
 from services.accuracy.work_precision.single_sample import Sampled
 from services.rendering.compositing import over_ground

@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 
 from services.accuracy.work_precision import convergence, independent_check, map_resolution, network_signs
-from services.accuracy.work_precision.collect import QUICK
 from services.accuracy.work_precision.convergence import slope, smooth_orders
+from services.accuracy.work_precision.extent import QUICK
 from services.accuracy.work_precision.shading_subject import GROUPS, Subject, subject
 from services.accuracy.work_precision.signs import wrong_signs
 from services.rendering.torch_renderer.shader import Shader
