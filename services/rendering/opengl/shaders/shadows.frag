@@ -129,7 +129,9 @@ float light_seen(int light, vec3 n) {
     vec2 blocked = vec2(0.0);
     // llvmpipe runs both sides of a branch, but no empty loop.
     bool far_off = any(greaterThan(abs(at.place) - wide, vec2(view.extent)));
-    int count = far_off || clear(view, at) ? 0 : shadow_samples;
+    // Where a fragment is far behind the casters, samples of a parallel light look farther than the least depths know.
+    bool known = wide + 10.0 * unit <= view.reach;  // which is a block of 8 texels more; 2 for the texels around
+    int count = far_off || (known && clear(view, at)) ? 0 : shadow_samples;
     for (int k = 0; k < count; ++k) passes(view, at, at.place + wide * light_sample(k), blocked);
     if (blocked.x == 0.0) return 1.0;
     float narrow = max(spread(view, at, maps.z, blocked.y / blocked.x), unit), passing = 0.0;

@@ -12,7 +12,7 @@ from services.rendering.opengl.camera import CameraMatrices
 from services.rendering.pyrender_renderer.camera import POLES, MovingCamera
 from services.rendering.pyrender_renderer.declaration import PYRENDER
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
-from services.scenes.description import Lights, PointLight, SceneObject
+from services.scenes.description import Floor, Lights, PointLight, SceneObject
 from services.scenes.mesh import FIT_RADIUS
 from services.scenes.resolve import ResolvedScene
 from services.scenes.view import NEAR
@@ -103,6 +103,15 @@ def test_a_scene_beyond_a_bound_starts_at_it(elevation: float, distance: float) 
     assert ((low <= camera.initial) & (camera.initial <= high)).all()
     assert elevation in (float(low[1]), float(high[1]))
     assert distance in (float(low[2]), float(high[2]), 1.8)
+
+
+def test_over_a_floor_it_stays_above_the_plane_from_near_and_from_far() -> None:
+    """The steepest view from below the horizon is that from the farthest place."""
+    under = scene((60, 80), elevation=0.5, distance=2.0).model_copy(update={"floor": Floor(size=10.0, height=-0.5)})
+    low, high = MovingCamera(placed(under, six_parts())).bounds
+    assert float(low[1]) < 0
+    for distance in (float(low[2]), float(high[2])):
+        assert distance * sin(float(low[1])) >= -0.5 - 1e-12
 
 
 def test_it_is_attacked_only_if_it_is_named() -> None:

@@ -1,5 +1,6 @@
 """Which texels a pixel sees: against a ball's shadow in closed form, and against rays through every triangle."""
 
+from dataclasses import replace
 from math import pi
 
 import numpy as np
@@ -10,10 +11,20 @@ from services.errors import InvalidRequest
 from services.rendering.kernels import compiled
 from services.rendering.opengl.gbuffer import rasterise
 from services.rendering.torch_renderer.directions import directions
-from services.rendering.torch_renderer.visibility import WHOLE, casters, texel_directions, visibility
-from services.scenes.description import Scene, SceneObject, Shadows
+from services.rendering.torch_renderer.visibility import WHOLE, casters, inner_balls, texel_directions, visibility
+from services.scenes.description import Camera, Scene, SceneObject, Shadows
+from services.scenes.metallic_roughness import with_surface
 from tests.unit.rendering import shapes
-from tests.unit.rendering.shadow_scenes import CENTRE, RADIUS, ball, distance_to_line, ground_points, meets, over_ground
+from tests.unit.rendering.shadow_scenes import (
+    CENTRE,
+    RADIUS,
+    ball,
+    distance_to_line,
+    ground_points,
+    meets,
+    over_ground,
+    square,
+)
 
 MIDDLES = Shadows(texel_samples=1)
 
@@ -111,6 +122,83 @@ def test_a_convex_thing_alone_is_not_in_shadow() -> None:
             shapes.placed(Scene(**dict(shapes.scene(elevation=0.3)) | {"shadows": Shadows()}), shapes.mesh(own))
         )
         assert (seen == WHOLE).all()
+
+
+def test_from_inside_a_ball_nothing_is_seen_past_it() -> None:
+    """The camera is in it: what is convex hides nothing outside of itself only."""
+    around = shapes.mesh(shapes.sphere(3.0, rings=24))
+    description = shapes.scene((8, 12), elevation=0.3).model_copy(update={"shadows": MIDDLES})
+    scene = shapes.placed(description, around)
+    _, seen = found(scene)
+    _, rays = shapes.rays(description.camera)
+    inwards = -rays.reshape(-1, 3)  # of a ball about the origin, about: far from the horizon
+    above = directions(16, 32).numpy() @ (inwards / np.linalg.norm(inwards, axis=1, keepdims=True)).T > 0.8
+    assert above.sum() > 500
+    assert (seen.numpy()[above] == 0).all()
+
+
+def test_the_outline_of_what_is_under_a_roof_is_under_it_too() -> None:
+    """Where the ray through a pixel's middle misses the ball, its depth says where the surface is, not the camera's
+    place, above which there is no roof."""
+    scene = over_ground(ball(), square(1.3, 0.6, (0.2, -0.1)), shadows=MIDDLES, elevation=0.15)
+    gbuffer = rasterise(scene)
+    pixels, seen = found(scene)
+    index = gbuffer.object_index.flatten()[pixels].numpy()
+    up = gbuffer.normals.reshape(-1, 3)[pixels].numpy()[:, 1] > 0.3
+    eye, rays = shapes.rays(scene.description.camera)
+    rays = rays.reshape(-1, 3)[pixels]
+    missed = distance_to_line(np.broadcast_to(eye, rays.shape), rays, CENTRE) > RADIUS
+    assert eye[1] < 1.0
+    assert ((index == 1) & up & missed).sum() >= 2
+    assert (seen.numpy()[:32][:, (index == 1) & up] == 0).all()  # the row of texels about the zenith
+
+
+def test_the_ball_inside_a_box_touches_its_nearest_sides() -> None:
+    """And there is none inside what is not convex."""
+    sides = np.array([0.5, 0.2, 0.9])
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * sides
+    faces = [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1), (2, 3, 7), (2, 7, 6)]
+    faces += [(0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)]
+    box = shapes.mesh(shapes.part(corners, faces, corners / np.linalg.norm(corners, axis=1, keepdims=True)))
+    thing = SceneObject(mesh="primitive/cube", translation=(0.1, 1.0, 0.3), scale=2.0)
+    scene = over_ground((box, thing), (shapes.six_parts(), SceneObject(mesh="primitive/cube")))
+    ground, inside, parts = inner_balls(scene, *casters(scene))
+    np.testing.assert_allclose(inside, (0.1, 1.0, 0.3, 2 * 0.2), rtol=2e-4, atol=1e-6)
+    assert inside[3] < 2 * 0.2
+    assert ground[3] == parts[3] == 0
+
+
+def test_a_scene_twenty_times_as_large_sees_the_same() -> None:
+    """Two finely divided balls in one mesh, which is not convex: its faces cast no shadow on their neighbours."""
+    left, right = (shapes.sphere(0.3, rings=32) for _ in range(2))
+    apart = np.array([0.35, 0.0, 0.0])
+    pair = shapes.mesh(
+        shapes.part(
+            np.vstack([left.vertices - apart, right.vertices + apart]),
+            np.vstack([left.faces, right.faces + len(left.vertices)]),
+            np.vstack([left.normals, right.normals]),
+        )
+    )
+    images = []
+    for scale in (1.0, 20.0):
+        thing = SceneObject(mesh="primitive/sphere", scale=scale)
+        description = Scene(
+            camera=Camera(size=(18, 24), elevation=0.5, distance=2.0 * scale), objects=(thing,), shadows=MIDDLES
+        )
+        images.append(found(shapes.placed(description, pair))[1])
+    assert (images[0] < WHOLE).float().mean() > 0.01
+    assert (images[0] != images[1]).float().mean() < 1e-3
+
+
+def test_what_is_blended_casts_no_shadow() -> None:
+    """A glTF part that is drawn over what is behind it, whatever its opacity."""
+    own, thing = ball()
+    solid = with_surface(own, 0.0, 0.5)
+    surface = solid.parts[0].metallic_roughness
+    assert surface is not None
+    blended = replace(solid.parts[0], metallic_roughness=replace(surface, alpha_mode="BLEND"))
+    for parts, owners in ((solid.parts, {0, 1}), ((blended,), {0})):
+        assert set(casters(over_ground((shapes.mesh(*parts), thing)))[1].tolist()) == owners
 
 
 def test_glass_casts_no_shadow() -> None:
