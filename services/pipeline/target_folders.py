@@ -14,8 +14,9 @@ from pydantic import ValidationError
 from services.errors import InvalidRequest, printable
 from services.extensions import NAME
 from services.pipeline.field_errors import invalid_fields
+from services.questions.answers import ANSWERS
 from services.suggestions import there_are
-from services.targets.architectures import ARCHITECTURES
+from services.targets.architectures import ARCHITECTURES, AnsweringArchitecture
 from services.targets.custom.allow_list import endpoint_refusal, factory_refusal
 from services.targets.custom.card import Card
 from services.targets.imagenet import imagenet_labels
@@ -71,17 +72,20 @@ def _register(folder: Path) -> TargetFolder:
         reason = f"{error.field}: {error.detail}"
         UNAVAILABLE[folder.name] = reason
         return TargetFolder(name, error=reason)
+    architecture = None if card.architecture is None else ARCHITECTURES[card.architecture]
+    answers = isinstance(architecture, AnsweringArchitecture)
     info = TargetInfo(
         name=folder.name,
         title=card.title or folder.name,
-        task="classification",
+        task="question answering" if answers else "classification",
         input_size=card.preprocessing.input_size,
         classes=len(labels),
         differentiable=_differentiable(file, card),
-        takes_question=False,
+        takes_question=answers,
         source=card.source,
         licence=card.licence,
-        vocabulary="imagenet" if card.labels == "imagenet" else "custom",
+        vocabulary=card.labels if card.labels in ("imagenet", "clevr") else "custom",
+        example=architecture.example if isinstance(architecture, AnsweringArchitecture) else None,
         card_sha256=digest,
     )
 
@@ -164,9 +168,11 @@ def _labels(folder: Path, card: Card) -> tuple[str, ...]:
         return card.labels
     if card.labels == "imagenet":
         return imagenet_labels()
+    if card.labels == "clevr":
+        return ANSWERS
     field = f"{CARD}: labels"
     if Path(card.labels).name != card.labels or not card.labels.endswith(".txt"):
-        raise InvalidRequest(field, 'must be a list, "imagenet", or the name of a .txt file in the folder')
+        raise InvalidRequest(field, 'must be a list, "imagenet", "clevr", or the name of a .txt file in the folder')
     try:
         lines = _read(folder / card.labels, "write one label a line").decode("utf-8").splitlines()
     except UnicodeDecodeError as error:

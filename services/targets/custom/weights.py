@@ -6,16 +6,15 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import nn
 
-from services.targets.architectures import ARCHITECTURES
+from services.targets.architectures import Architecture
 from services.targets.custom.graph import Unreadable
 
 
-def read(path: Path, architecture: str, classes: int) -> nn.Module:
-    """Returns the network with the weights of the file.
+def read(path: Path, name: str, known: Architecture, classes: int) -> nn.Module:
+    """Returns the network of an architecture with the weights of the file.
 
     Raises Unreadable if the file is no safetensors file, or does not fit; names what is missing or left over.
     """
-    known = ARCHITECTURES[architecture]
     try:
         state = load_file(path)
     except SafetensorError as error:
@@ -24,7 +23,7 @@ def read(path: Path, architecture: str, classes: int) -> nn.Module:
     try:
         known.fill(network, state)
     except KeyError as error:
-        raise Unreadable(f"it does not fit {architecture} with {classes} classes: it lacks {error.args[0]}") from error
+        raise Unreadable(f"it does not fit {name} with {classes} classes: it lacks {error.args[0]}") from error
     except (ValueError, RuntimeError) as error:
-        raise Unreadable(f"it does not fit {architecture} with {classes} classes: {error}") from error
+        raise Unreadable(f"it does not fit {name} with {classes} classes: {error}") from error
     return network

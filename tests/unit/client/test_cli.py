@@ -27,6 +27,7 @@ COMMANDS = [
     ["demo"],
     ["targets"],
     ["targets", "check"],
+    ["targets", "convert-clevr-iep"],
     *(["jobs", *rest] for rest in ([], ["list"], ["show"], ["watch"], ["cancel"], ["download"])),
     *(["campaign", *rest] for rest in ([], ["run"], ["submit"], ["list"], ["show"], ["pause"], ["resume"], ["cancel"])),
     *(["campaign", *rest] for rest in (["table"], ["export"])),
