@@ -4,7 +4,9 @@ from collections.abc import Callable, Iterator, Mapping
 
 from services.errors import InvalidRequest
 from services.pipeline.campaign_expand import job_of
-from services.pipeline.campaign_spec import CampaignSpec, Grid, SceneGrid
+from services.pipeline.campaign_questions import Member
+from services.pipeline.campaign_scenes import SceneGrid
+from services.pipeline.campaign_spec import CampaignSpec, Grid
 from services.pipeline.spec import JobSpec
 
 Places = Mapping[str, str]
@@ -15,7 +17,7 @@ def most_jobs(campaign: CampaignSpec) -> int:
     """The largest number of jobs that the campaign may have; `selection.most` limits it, other rules do not."""
     total = len(campaign.jobs)
     for grid in campaign.grids:
-        scenes = _scenes(grid)
+        scenes = grid.count()
         if grid.selection.most is not None:
             scenes = min(scenes, grid.selection.most)
         total += scenes * len(grid.targets) * len(grid.attacks) * len(grid.seeds)
@@ -34,19 +36,12 @@ def check_size(campaign: CampaignSpec, limit: int) -> None:
             f"the campaign may have {count:,} jobs, and the limit is {limit:,}; list fewer scenes, attacks or "
             "seeds, or set selection.most",
         )
-    asked = sum(_scenes(grid) * len(grid.targets) * _renderers(grid) for grid in campaign.grids) + len(campaign.jobs)
+    asked = sum(grid.count() * len(grid.targets) * _renderers(grid) for grid in campaign.grids) + len(campaign.jobs)
     if asked > limit:
         raise InvalidRequest(
             "grids",
             f"the campaign asks the networks for {asked:,} views, and the limit is {limit:,}; list fewer scenes",
         )
-
-
-def _scenes(grid: Grid) -> int:
-    if not isinstance(grid.scenes, SceneGrid):
-        return len(grid.scenes)
-    names = grid.scenes.mesh_names()
-    return len(names) * len(grid.scenes.azimuths(names[0]))
 
 
 def _renderers(grid: Grid) -> int:
@@ -74,7 +69,7 @@ def _meshes(campaign: CampaignSpec) -> Iterator[tuple[str, str]]:
             for name in grid.scenes.mesh_names():
                 yield name, f"grids.{g}.scenes.{listed.get(name, 'kinds')}"
             continue
-        for s, scene in enumerate(grid.scenes):
+        for s, scene in enumerate(grid.scenes or ()):
             for k, thing in enumerate(scene.objects):
                 yield thing.mesh, f"grids.{g}.scenes.{s}.objects.{k}.mesh"
     for j, job in enumerate(campaign.jobs):
@@ -88,15 +83,14 @@ def samples(campaign: CampaignSpec) -> Iterator[tuple[JobSpec, Places]]:
     With each come the places of its parts in the campaign, for `placed`.
     """
     for g, grid in enumerate(campaign.grids):
-        generated = isinstance(grid.scenes, SceneGrid)
-        scene = grid.scene_list()[0]
+        member = _sample(grid, f"grids.{g}")
         seen = set()
         for t, target in enumerate(grid.targets):
             for c, column in enumerate(grid.attacks):
-                job = job_of(grid, scene, target, column.attack)
+                job = job_of(grid, member, target, column.attack)
                 if _kind(job) not in seen:
                     seen.add(_kind(job))
-                    yield job, _places(f"grids.{g}", generated, t, c)
+                    yield job, _places(grid, f"grids.{g}", t, c)
     seen = set()
     for j, job in enumerate(campaign.jobs):
         if _kind(job) not in seen:
@@ -111,19 +105,33 @@ def _kind(job: JobSpec) -> tuple[object, ...]:
     return job.target.name, attack.renderer, attack.base_renderer, attack.method, *limits
 
 
-def _places(grid: str, generated: bool, target: int, column: int) -> dict[str, str]:
-    scenes = f"{grid}.scenes"
-    of_scene = {
+def _sample(grid: Grid, place: str) -> Member:
+    try:
+        return grid.sample()
+    except InvalidRequest as error:
+        raise InvalidRequest(f"{place}.{error.field}", error.detail) from error
+
+
+def _places(grid: Grid, place: str, target: int, column: int) -> dict[str, str]:
+    return {
+        **_places_of_scene(grid, place),
+        "target": f"{place}.targets.{target}",
+        "attack": f"{place}.attacks.{column}.attack",
+        "": place,
+    }
+
+
+def _places_of_scene(grid: Grid, place: str) -> dict[str, str]:
+    if grid.generate is not None:
+        return dict.fromkeys(("scene", "record", "target.question"), f"{place}.generate")
+    scenes = f"{place}.scenes"
+    if not isinstance(grid.scenes, SceneGrid):
+        return {"scene": f"{scenes}.0"}
+    return {
         "scene.objects.0.mesh": f"{scenes}.meshes",
         "scene.objects.0.material": f"{scenes}.material",
         "scene.objects.0": f"{scenes}.camera",
         "scene": scenes,
-    }
-    return {
-        **(of_scene if generated else {"scene": f"{scenes}.0"}),
-        "target": f"{grid}.targets.{target}",
-        "attack": f"{grid}.attacks.{column}.attack",
-        "": grid,
     }
 
 

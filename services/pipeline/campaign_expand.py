@@ -4,10 +4,11 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 
 from services.attacks.spec import AttackSettings
+from services.pipeline.campaign_questions import Member
 from services.pipeline.campaign_spec import CampaignSpec, Grid, Selection
 from services.pipeline.names import attack_name
 from services.pipeline.spec import JobSpec, TargetChoice
-from services.scenes.description import Scene
+from services.questions.records import QuestionRecord
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,8 @@ class View:
     """A job with this scene and target, and an attack on this renderer's image."""
     selection: Selection | None
     """The grid's rules; None if the view's jobs are run whatever the answer."""
+    asked: tuple[QuestionRecord, ...] = ()
+    """The generated questions that are asked about it."""
 
     @property
     def image_renderer(self) -> str:
@@ -64,11 +67,11 @@ def views(campaign: CampaignSpec) -> list[View]:
     """All views of a campaign: by grid, scene, target and renderer, then those of the single jobs."""
     found: list[View] = []
     for index, grid in enumerate(campaign.grids):
-        for member, scene in enumerate(grid.scene_list()):
-            for probe in _probes(grid, scene):
-                found.append(View(len(found), index, member, probe, grid.selection))
-    for member, job in enumerate(campaign.jobs):
-        found.append(View(len(found), None, member, job, None))
+        for number, member in enumerate(grid.members()):
+            for probe in _probes(grid, member):
+                found.append(View(len(found), index, number, probe, grid.selection, member.questions))
+    for number, job in enumerate(campaign.jobs):
+        found.append(View(len(found), None, number, job, None))
     return found
 
 
@@ -77,20 +80,26 @@ def filled(view: View, spec: JobSpec | None) -> View:
     return view if spec is None else replace(view, probe=spec)
 
 
-def _probes(grid: Grid, scene: Scene) -> Iterator[JobSpec]:
+def _probes(grid: Grid, member: Member) -> Iterator[JobSpec]:
     for target in grid.targets:
         seen = set()
         for column in grid.attacks:
-            probe = job_of(grid, scene, target, column.attack)
+            probe = job_of(grid, member, target, column.attack)
             if image_renderer(probe) not in seen:
                 seen.add(image_renderer(probe))
                 yield probe
 
 
-def job_of(grid: Grid, scene: Scene, target: TargetChoice, attack: AttackSettings) -> JobSpec:
-    """The job of a grid with this scene, target and attack, and seed 0."""
+def job_of(grid: Grid, member: Member, target: TargetChoice, attack: AttackSettings) -> JobSpec:
+    """The job of a grid with this scene, its questions, this target and attack, and seed 0."""
+    words = tuple(one.question for one in member.questions)
+    if len(words) == 1:
+        target = target.model_copy(update={"question": words[0]})
+    elif words:
+        target = target.model_copy(update={"questions": words})
     return JobSpec(
-        scene=scene,
+        scene=member.scene,
+        record=member.record,
         target=target,
         goal=grid.goal,
         attack=attack,

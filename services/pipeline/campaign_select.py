@@ -1,11 +1,13 @@
 """Chooses the views of a campaign that are attacked, from the networks' first answers; says why others are not."""
 
+import operator
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from services.pipeline.campaign_expand import View
+from services.pipeline.campaign_spec import Selection
 from services.pipeline.names import scene_name
 from services.pipeline.spec import JobSpec
 
@@ -20,6 +22,11 @@ class FirstAnswer(BaseModel):
     confidence: float | None = None
     truth: list[str] = Field([], description="the labels that are right; empty if nobody knows them")
     refused: str | None = Field(None, description="why the view cannot be attacked at all")
+    programs: list[list[dict[str, object]]] = Field(
+        [],
+        exclude_if=operator.not_,
+        description="the network's programs of the questions that were asked",
+    )
     spec: JobSpec | None = Field(None, description="the probe as it would run, with scene and goal filled in")
     identity: str | None = Field(None, description="digest of scene, weights, backend, versions and answer; for reuse")
 
@@ -36,6 +43,7 @@ class ChosenView(BaseModel):
 
     number: int
     scene: str = Field(description="short name of the scene's meshes")
+    questions: list[str] = Field([], exclude_if=operator.not_, description="the questions that are asked about it")
     azimuth: float = Field(description="of the camera, radians")
     target: str
     renderer: str = Field(description="the renderer of the image")
@@ -59,7 +67,7 @@ def choose(views: Sequence[View], answers: Mapping[int, FirstAnswer]) -> list[Ch
             if view.group == group:
                 units.setdefault(view.unit, []).append(view)
         fit = [unit for unit in units.values() if not any(why[view.number] for view in unit)]
-        passed = _not_among_the_most_confident([unit[0] for unit in fit], answers)
+        passed = _not_among_the_preferred([unit[0] for unit in fit], answers)
         for unit in units.values():
             reason = passed.get(unit[0].number, "") or _of_another(unit, why)
             why |= {view.number: why[view.number] or reason for view in unit}
@@ -71,6 +79,8 @@ def _unfit(view: View, answer: FirstAnswer | None) -> str:
         return "its first answer could not be found"
     if answer.refused is not None:
         return answer.refused
+    if view.asked and answer.programs != [one.program.written() for one in view.asked if one.program is not None]:
+        return "the network has another program than that of the question"
     rules = view.selection
     if rules is None:
         return ""
@@ -88,11 +98,12 @@ def _of_another(unit: Sequence[View], why: Mapping[int, str]) -> str:
     return next((f"of {view.probe.target.name}: {why[view.number]}" for view in unit if why[view.number]), "")
 
 
-def _not_among_the_most_confident(own: Sequence[View], answers: Mapping[int, FirstAnswer]) -> dict[int, str]:
+def _not_among_the_preferred(own: Sequence[View], answers: Mapping[int, FirstAnswer]) -> dict[int, str]:
     rules = own[0].selection if own else None
     if rules is None:
         return {}
-    ranked = sorted(own, key=lambda view: (-_confidence(answers[view.number]), view.number))
+    listed = rules.prefer == "listed"
+    ranked = sorted(own, key=lambda view: (0.0 if listed else -_confidence(answers[view.number]), view.number))
     meshes: Counter[str] = Counter()
     classes: Counter[tuple[str, ...]] = Counter()
     taken = 0
@@ -102,11 +113,11 @@ def _not_among_the_most_confident(own: Sequence[View], answers: Mapping[int, Fir
         # the class of a view whose truth is not known is the network's answer
         truth = tuple(answers[view.number].truth) or (str(answers[view.number].label),)
         if rules.per_mesh is not None and meshes[mesh] >= rules.per_mesh:
-            why[view.number] = _more(rules.per_mesh, " of its mesh")
+            why[view.number] = _more(rules, rules.per_mesh, " of its mesh")
         elif rules.per_class is not None and classes[truth] >= rules.per_class:
-            why[view.number] = _more(rules.per_class, " of its class")
+            why[view.number] = _more(rules, rules.per_class, " of its class")
         elif rules.most is not None and taken >= rules.most:
-            why[view.number] = _more(rules.most, "")
+            why[view.number] = _more(rules, rules.most, "")
         else:
             meshes[mesh] += 1
             classes[truth] += 1
@@ -114,8 +125,13 @@ def _not_among_the_most_confident(own: Sequence[View], answers: Mapping[int, Fir
     return why
 
 
-def _more(count: int, whose: str) -> str:
-    return f"there is a more confident view{whose}" if count == 1 else f"there are {count} more confident views{whose}"
+def _more(rules: Selection, count: int, whose: str) -> str:
+    which = "earlier" if rules.prefer == "listed" else "more confident"
+    return f"there is {_a(which)} view{whose}" if count == 1 else f"there are {count} {which} views{whose}"
+
+
+def _a(word: str) -> str:
+    return f"an {word}" if word[0] in "aeiou" else f"a {word}"
 
 
 def _mesh(view: View) -> str:
@@ -130,6 +146,7 @@ def _record(view: View, answer: FirstAnswer | None, why: str) -> ChosenView:
     return ChosenView(
         number=view.number,
         scene=scene_name({"scene": {"objects": [{"mesh": thing.mesh} for thing in view.probe.scene.objects]}}),
+        questions=[one.question for one in view.asked],
         azimuth=view.probe.scene.camera.azimuth,
         target=view.probe.target.name,
         renderer=view.image_renderer,

@@ -5,25 +5,19 @@ It is the same JSON for `POST /v1/campaigns` and `scene-attack campaign run`. Th
 
 from collections.abc import Iterable, Mapping
 from functools import cache
-from itertools import zip_longest
-from math import pi
-from random import Random
-from typing import Annotated, Any, Self, TypeVar
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, ValidationError, field_validator, model_validator
 
 from services.analysis.requests import AnalysisRequest
 from services.attacks.spec import AttackSettings, Goal, Seed
 from services.errors import InvalidRequest, printable
+from services.pipeline.campaign_questions import Member, QuestionGrid
+from services.pipeline.campaign_scenes import MAX_LISTED, SceneGrid, once
 from services.pipeline.field_errors import invalid_fields
 from services.pipeline.spec import AnyAttack, AnyTolerance, JobSpec, TargetChoice, with_method
 from services.rendering.plan import DEFAULT_TOLERANCE
-from services.scenes import furniture_kinds
-from services.scenes.description import Angle, Camera, Colour, Lights, Model, Scene, SceneObject
-from services.suggestions import there_are
-
-MAX_LISTED = 20_000
-"""Largest number of scenes, meshes or jobs that a campaign may list."""
+from services.scenes.description import Model, Scene, absent
 
 
 def _shown(name: str) -> str:
@@ -36,93 +30,13 @@ def _shown(name: str) -> str:
 Name = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_shown)]
 
 
-Listed = TypeVar("Listed")
-
-
-def _once(value: tuple[Listed, ...]) -> tuple[Listed, ...]:
-    """The list itself. Raises ValueError if an entry comes twice: its jobs would count as so many cases."""
-    seen: dict[Listed, int] = {}
-    for index, one in enumerate(value):
-        if seen.setdefault(one, index) != index:
-            raise ValueError(f"{index}: is the same as entry {seen[one]}; the same job is one case, list it once")
-    return value
-
-
-class RandomViews(Model):
-    """Azimuths drawn uniformly from [0, π), as the paper's, for each mesh its own."""
-
-    random: Annotated[int, Field(ge=1, le=1000)] = Field(description="number of azimuths of each mesh")
-    seed: Seed = Field(0, description="seed of the azimuths; those of a mesh do not depend on the other meshes")
-
-
-class SceneGrid(Model):
-    """One object per scene: meshes × azimuths. All scenes have the same camera, lights, ground and material."""
-
-    meshes: tuple[Annotated[str, Field(min_length=1, max_length=200)], ...] = Field(
-        (), max_length=MAX_LISTED, description="names of meshes"
-    )
-    kinds: tuple[str, ...] = Field(
-        (), max_length=100, description="kinds of library furniture, all meshes of which are added"
-    )
-    per_kind: Annotated[int, Field(ge=1, le=1000)] | None = Field(
-        None, description="only the first so many meshes of each kind; null: all"
-    )
-    views: RandomViews | Annotated[tuple[Angle, ...], Field(min_length=1, max_length=1000)] = Field(
-        (Camera().azimuth,), description="azimuths in radians, or how many to draw at random"
-    )
-    material: str = Field("matte", max_length=64, description="DSBRDF preset of the torch renderer")
-    camera: Camera = Field(Camera(), description="the camera, whose azimuth the views replace")
-    lights: Lights = Lights()
-    ground: Colour = Scene.model_fields["ground"].default
-
-    @field_validator("kinds")
-    @classmethod
-    def _known_kinds(cls, value: tuple[str, ...]) -> tuple[str, ...]:
-        for kind in value:
-            if kind not in furniture_kinds.kinds():
-                raise ValueError(f"there is no kind {kind!r}; {there_are(kind, furniture_kinds.kinds())}")
-        return value
-
-    @field_validator("views")
-    @classmethod
-    def _each_once(cls, value: RandomViews | tuple[float, ...]) -> RandomViews | tuple[float, ...]:
-        return value if isinstance(value, RandomViews) else _once(value)
-
-    @model_validator(mode="after")
-    def _some_meshes(self) -> Self:
-        if not self.meshes and not self.kinds:
-            raise ValueError("meshes: name at least one mesh, or a kind in `kinds`")
-        return self
-
-    def mesh_names(self) -> tuple[str, ...]:
-        """The names of all meshes, each once: those listed, then those of the kinds, taking turns between kinds."""
-        of_kinds = [furniture_kinds.kinds()[kind][: self.per_kind] for kind in self.kinds]
-        turns = (mesh for turn in zip_longest(*of_kinds) for mesh in turn if mesh is not None)
-        return tuple(dict.fromkeys((*self.meshes, *turns)))
-
-    def azimuths(self, mesh: str) -> tuple[float, ...]:
-        """The azimuths of a mesh's views."""
-        if not isinstance(self.views, RandomViews):
-            return self.views
-        draw = Random(f"{self.views.seed} {mesh}").random  # a text seeds the same generator on every machine
-        return tuple(pi * draw() for _ in range(self.views.random))
-
-    def scenes(self) -> tuple[Scene, ...]:
-        """The first view of every mesh, then the second of every mesh, and so on: a part of them has all kinds."""
-        columns = [[self._scene(mesh, azimuth) for azimuth in self.azimuths(mesh)] for mesh in self.mesh_names()]
-        return tuple(scene for row in zip(*columns, strict=True) for scene in row)
-
-    def _scene(self, mesh: str, azimuth: float) -> Scene:
-        return Scene(
-            camera=self.camera.model_copy(update={"azimuth": azimuth}),
-            objects=(SceneObject(mesh=mesh, material=self.material),),
-            lights=self.lights,
-            ground=self.ground,
-        )
+def _confident(value: object) -> bool:
+    """Whether it is what was done before there was a choice, so that a stored request leaves it out."""
+    return value == "confident"
 
 
 class Selection(Model):
-    """The views that are attacked: those whose first answer is right, the most confident first, as in the paper."""
+    """The views that are attacked: those whose first answer is right, and of these the preferred ones."""
 
     right: bool = Field(True, description="only views whose truth is known and whose first answer is right")
     least_confidence: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = Field(
@@ -142,6 +56,12 @@ class Selection(Model):
         description="attack the same views of every target of the grid, as in the paper: the rules hold for all of "
         "them, and the most confident are those of the grid's first target",
     )
+    prefer: Literal["confident", "listed"] = Field(
+        "confident",
+        exclude_if=_confident,
+        description="which views the rules that limit their number take: the most confident, as the paper takes views "
+        "of objects, or those listed first; the paper draws its images with questions at random",
+    )
 
 
 class Column(Model):
@@ -159,8 +79,11 @@ class Column(Model):
 class Grid(Model):
     """All combinations of scenes, targets, attacks and seeds."""
 
-    scenes: SceneGrid | Annotated[tuple[Scene, ...], Field(min_length=1, max_length=MAX_LISTED)] = Field(
-        description="scenes, or meshes and views to make them of"
+    scenes: SceneGrid | Annotated[tuple[Scene, ...], Field(min_length=1, max_length=MAX_LISTED)] | None = Field(
+        None, exclude_if=absent, description="scenes, or meshes and views to make them of"
+    )
+    generate: QuestionGrid | None = Field(
+        None, exclude_if=absent, description="in place of `scenes`: scenes after CLEVR, and questions about each"
     )
     targets: tuple[TargetChoice, ...] = Field(
         (TargetChoice(),), min_length=1, max_length=32, description="the networks; each is a row of the table"
@@ -189,12 +112,36 @@ class Grid(Model):
 
     @field_validator("scenes", "targets", "seeds")
     @classmethod
-    def _each_once(cls, value: SceneGrid | tuple[Any, ...]) -> SceneGrid | tuple[Any, ...]:
-        return value if isinstance(value, SceneGrid) else _once(value)
+    def _each_once(cls, value: SceneGrid | tuple[Any, ...] | None) -> SceneGrid | tuple[Any, ...] | None:
+        return once(value) if isinstance(value, tuple) else value
 
-    def scene_list(self) -> tuple[Scene, ...]:
-        """All scenes, in order."""
-        return self.scenes.scenes() if isinstance(self.scenes, SceneGrid) else self.scenes
+    @model_validator(mode="after")
+    def _scenes_or_questions(self) -> Self:
+        if self.scenes is None and self.generate is None:
+            raise ValueError("scenes: is required, or `generate` in its place")
+        if self.scenes is not None and self.generate is not None:
+            raise ValueError("generate: leave it out where `scenes` is given")
+        for index, target in enumerate(self.targets):
+            if self.generate is not None and (target.question is not None or target.questions):
+                raise ValueError(f"targets.{index}: leave its question out; those of `generate` are asked")
+        return self
+
+    def members(self) -> tuple[Member, ...]:
+        """All scenes, in order, with the questions that are asked about them."""
+        if self.generate is not None:
+            return self.generate.members()
+        scenes = self.scenes.scenes() if isinstance(self.scenes, SceneGrid) else self.scenes
+        return tuple(map(Member, scenes or ()))
+
+    def sample(self) -> Member:
+        """The first scene, with one question if questions are asked."""
+        return self.members()[0] if self.generate is None else self.generate.sample()
+
+    def count(self) -> int:
+        """The largest number of members that there may be, without making them."""
+        if self.generate is not None:
+            return self.generate.count()
+        return self.scenes.count() if isinstance(self.scenes, SceneGrid) else len(self.scenes or ())
 
 
 class CampaignSpec(Model):

@@ -29,7 +29,7 @@ def test_every_network_has_its_own_views_and_all_columns() -> None:
     scenes = {"material": "plastic", "camera": {"size": [448, 448]}, "views": {"random": 4, "seed": 0}}
     asked = campaign({name: meshes(name) for name in TARGETS}, columns(120), scenes, 30)
     assert [grid.targets[0].name for grid in asked.grids] == list(TARGETS)
-    assert all(len(grid.scene_list()) >= 2 * 30 for grid in asked.grids[:2])
+    assert all(grid.count() >= 2 * 30 for grid in asked.grids[:2])
     assert all(
         [column.name for column in grid.attacks] == [one["name"] for one in columns(120)] for grid in asked.grids
     )

@@ -11,7 +11,8 @@ import pytest
 from services.errors import InvalidRequest
 from services.pipeline.campaign_check import check_meshes, check_size, most_jobs, placed, samples
 from services.pipeline.campaign_expand import jobs, views
-from services.pipeline.campaign_spec import CampaignSpec, RandomViews, SceneGrid, parse
+from services.pipeline.campaign_scenes import RandomViews, SceneGrid
+from services.pipeline.campaign_spec import CampaignSpec, parse
 from services.scenes import furniture_kinds
 from services.settings import Settings
 from services.targets import registry
@@ -43,7 +44,7 @@ def changed(**values: Any) -> dict[str, Any]:
     ("data", "field", "words"),
     [
         ({}, "grids", "needs a grid, or jobs"),
-        ({"grids": [{"attacks": [IMAGE]}]}, "grids.0.scenes", "but is missing"),
+        ({"grids": [{"attacks": [IMAGE]}]}, "grids.0.scenes", "is required, or `generate`"),
         (changed(scenes={}), "grids.0.scenes.meshes", "name at least one mesh"),
         (changed(scenes={"kinds": ["chairs"]}), "grids.0.scenes.kinds", "did you mean 'chair'"),
         (changed(scenes={"meshes": ["a"], "views": {"random": 0}}), "grids.0.scenes.views.random", "from 1 to 1000"),
@@ -197,10 +198,16 @@ def test_an_attack_whose_bounds_differ_is_checked_of_its_own() -> None:
 
 @pytest.mark.parametrize(
     ("name", "most"),
-    [("small", 27), ("differentiable", 1400), ("lite0", 360), ("equal-p", 520), ("nondifferentiable", 210)],
+    [
+        ("campaign-small", 27),
+        ("paper-differentiable", 1400),
+        ("paper-lite0", 360),
+        ("paper-equal-p", 520),
+        ("paper-nondifferentiable", 210),
+    ],
 )
 def test_the_examples_are_requests_within_the_limit(name: str, most: int) -> None:
-    [file] = (Path(__file__).parents[3] / "examples").glob(f"*-{name}.json")
+    file = Path(__file__).parents[3] / "examples" / f"{name}.json"
     campaign = parse(json.loads(file.read_text("utf-8")))
     check_size(campaign, Settings.model_fields["max_campaign_jobs"].default)
     assert most_jobs(campaign) == most

@@ -22,10 +22,9 @@ from services.questions.facts import Facts
 from services.scenes.clevr.description import describe
 from services.scenes.clevr.generator import generate
 from services.targets import registry
-from services.targets.iep.checkpoint import Checkpoint
 from services.targets.iep.target import IepTarget
 from tests.unit.jobs.small import LIBRARY, SPHERE
-from tests.unit.targets.iep.seeded import INFO, TAUGHT, generator, network, program, target
+from tests.unit.targets.iep.seeded import INFO, TAUGHT, favouring, program, target
 
 RECORD = generate(8, 2, objects=(4, 4))
 SCENE = describe(RECORD, (60, 80)).model_copy(update={"shadows": None})
@@ -142,15 +141,9 @@ def right(lines: list[str]) -> str:
     return answer(program(*lines), Facts.of(RECORD))
 
 
-def favouring(said: str, *asked: Any) -> IepTarget:
-    """The seeded network, in which one answer to questions about the original is a little likelier than all others."""
-    own, made = ANSWERS.index(said), network()
-    scores = torch.stack([prepare_exactly(parse(asking(one)), LIBRARY).logits for one in asked])
-    with torch.no_grad():
-        bias = made.engine.classifier[-1].bias
-        assert isinstance(bias, torch.Tensor)
-        bias[own] += float((scores.amax(dim=1) - scores[:, own]).max()) + 0.02
-    return IepTarget("iep-right", Checkpoint(made, generator()), "1" * 64)
+def right_of(said: str, *asked: Any) -> IepTarget:
+    """The seeded network, which answers so to questions about the original."""
+    return favouring(said, torch.stack([prepare_exactly(parse(asking(one)), LIBRARY).logits for one in asked]))
 
 
 LARGE = ["scene", "filter_size 0 large", "count 1"]
@@ -161,7 +154,7 @@ def run(tmp_path: Path) -> Iterator[Any]:
     """Runs a job on the network that has the question right before the attack."""
     asked = calls(*LARGE)
     info = INFO.model_copy(update={"name": "iep-right"})
-    with registry.registered(info, favouring(right(LARGE), asked)):
+    with registry.registered(info, right_of(right(LARGE), asked)):
 
         def job(**changes: Any) -> Any:
             data = asking(asked, **changes)
@@ -271,7 +264,7 @@ AGAIN = ["scene", "filter_size 0 large", "filter_size 1 large", "count 2"]
 
 def test_several_questions_are_attacked_together(tmp_path: Path) -> None:
     both = [calls(*LARGE), calls(*AGAIN)]
-    own = favouring(right(LARGE), *both)
+    own = right_of(right(LARGE), *both)
     with registry.registered(INFO.model_copy(update={"name": "iep-right"}), own):
         data = asking(None, attack=ATTACK | {"steps": 60})
         data["target"] = {"name": "iep-right", "questions": both}
