@@ -5,13 +5,13 @@ from pathlib import Path
 
 from benchmarks.study import __doc__ as about
 from benchmarks.study import examples
-from benchmarks.study.page import FOLDER, NAMES, WITH_EXAMPLES, write
+from benchmarks.study.pages import FOLDER, NAMES, WITH_EXAMPLES, write
 from benchmarks.study.record import save
 from benchmarks.study.recording import of_folder
 
 
 def main() -> None:
-    """Makes a record of a campaign that has been run, or the page of all records."""
+    """Makes a record of a campaign that has been run, or the pages of all records."""
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.study", description=about, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -19,7 +19,7 @@ def main() -> None:
     record = commands.add_parser("record", help="make the record of a campaign that has been run")
     record.add_argument("folder", type=Path, help="the folder of `scene-attack campaign run`")
     record.add_argument("name", choices=NAMES, help="the name of the record")
-    page = commands.add_parser("page", help="write the page and its curves from the records")
+    page = commands.add_parser("page", help="write the pages and their curves from the records")
     for one in (record, page):
         one.add_argument("--study", type=Path, default=FOLDER, help="folder of records and page (default docs/study)")
     options = parser.parse_args()

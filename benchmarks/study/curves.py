@@ -1,12 +1,13 @@
 """The curves of the study: successes against work over all cases, and the paper's mean curves, as SVG."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from benchmarks.study.chart import Panel, Series, figure
+from benchmarks.study.question_tables import attacks
 from benchmarks.study.record import Record
 from benchmarks.study.tables import title
 from services.analysis.campaign_curves import MeanCurves
-from services.analysis.campaign_table import Cell, Corners
+from services.analysis.campaign_table import Cell, Corners, corners
 
 
 def differentiable(record: Record, target: str) -> str:
@@ -22,6 +23,30 @@ def differentiable(record: Record, target: str) -> str:
         (0, 1),
     )
     return figure([*_success(cells, target), loss], [cell.attack for cell in cells])
+
+
+def questions(record: Record, target: str) -> str:
+    """Of one network that answers questions, each attacked by itself: successes against steps, queries and p."""
+    cells = [cell for cell in _own(record, target)[0] if cell.attack in attacks(record)]
+    jobs = [job for job in record.jobs if job.target == target and job.success]
+    by_step = {one.attack: [job.step or 0.0 for job in jobs if job.attack == one.attack] for one in cells}
+    by_p = {one.attack: [1000 * (job.p or 0.0) for job in jobs if job.attack == one.attack] for one in cells}
+    panels = (
+        _linear(cells, f"{title(target)}: success against steps", "step", by_step),
+        _success(cells, target)[0],
+        _linear(cells, "Success against p", "p ×10⁻³", by_p),
+    )
+    return figure(panels, [cell.attack for cell in cells])
+
+
+def _linear(cells: Sequence[Cell], name: str, unit: str, values: Mapping[str, Sequence[float]]) -> Panel:
+    """Successes whose value, of a job, is at most that of the axis."""
+    end = max((value for own in values.values() for value in own), default=1.0) or 1.0
+    lines = []
+    for cell in cells:
+        points = [(at, 100 * count / cell.success.of) for at, count in corners(list(values[cell.attack]))]
+        lines.append(Series(cell.attack, [(0.0, 0.0), *points], steps=True))
+    return Panel(name, unit, "verified, % of all cases", lines, (0.0, 1.05 * end), (0.0, 100.0))
 
 
 def nondifferentiable(record: Record, target: str) -> str:

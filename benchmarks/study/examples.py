@@ -21,6 +21,18 @@ PIXELS = "image"
 """Name of the column that attacks pixels, which has no example: its differences are noise."""
 
 
+class Answered(BaseModel):
+    """A question of an example, with the network's answers before and after."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    question: str
+    before: str
+    before_confidence: float
+    after: str
+    after_confidence: float
+
+
 class Example(BaseModel):
     """An adversary that the page shows. Its images are `<name>-before.png`, `-attacked.png` and `-difference.png`."""
 
@@ -38,6 +50,7 @@ class Example(BaseModel):
     p: float
     request: str
     credits: tuple[str, ...]
+    questions: tuple[Answered, ...] = ()
 
 
 def median_success(jobs: Sequence[Job]) -> Job | None:
@@ -75,6 +88,16 @@ def of_record(record: Record, name: str, folder: Path, out: Path) -> list[Exampl
                 p=job.p or 0.0,
                 request=job.request,
                 credits=tuple(result.provenance.credits),
+                questions=tuple(
+                    Answered(
+                        question=one.text,
+                        before=str(one.before),
+                        before_confidence=one.before_confidence or 0.0,
+                        after=str(one.after),
+                        after_confidence=one.after_confidence or 0.0,
+                    )
+                    for one in job.questions
+                ),
             )
         )
     return found
@@ -93,5 +116,6 @@ def save(folder: Path, campaign: str, examples: Sequence[Example]) -> None:
     for path in folder.glob(f"{campaign}-*.png"):
         if path.name not in named:
             path.unlink()
-    lines = [json.dumps(one.model_dump(mode="json"), ensure_ascii=False) for one in [*kept, *examples]]
+    whole = (one.model_dump(mode="json", exclude_defaults=True) for one in [*kept, *examples])
+    lines = [json.dumps(one, ensure_ascii=False) for one in whole]
     (folder / "examples.json").write_text("[\n" + ",\n".join(lines) + "\n]\n", "utf-8")

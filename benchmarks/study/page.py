@@ -1,130 +1,128 @@
-"""Writes the study's page and its curves from the records in a folder. No figure of the page is typed by hand."""
+"""The parts of a page of the study, which are written from the records in a folder. No figure is typed by hand."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.study import curves, equal_p, examples, reasons, tables
+from benchmarks.study import examples, tables
 from benchmarks.study.record import Record, load
-
-TEXT = Path(__file__).with_name("classification.md")
-"""The hand-written text, with the places of tables and curves as {{name}}."""
-FOLDER = Path(__file__).parents[2] / "docs" / "study"
-PAGE = "classification.md"
-DIFFERENTIABLE, NONDIFFERENTIABLE, LITE0 = "differentiable", "nondifferentiable", "lite0"
-EQUAL_P = "equal-p"
-NAMES = (DIFFERENTIABLE, LITE0, NONDIFFERENTIABLE, EQUAL_P)
-"""The records by the names of their files; each is of the campaign examples/paper-<name>.json."""
-WITH_EXAMPLES = (DIFFERENTIABLE, NONDIFFERENTIABLE)
-"""The campaigns of which examples are shown."""
 
 
 @dataclass(frozen=True)
 class Study:
-    """The results in a folder: the records that are there, and the examples."""
+    """The results of a page in a folder: the records that are there, and the examples."""
 
     records: Mapping[str, Record]
     examples: list[examples.Example]
 
-    @classmethod
-    def of(cls, folder: Path) -> "Study":
-        """Reads a folder. Raises FileNotFoundError if there is no record in it."""
-        paths = {name: folder / f"{name}.json" for name in NAMES}
+
+@dataclass(frozen=True)
+class Part:
+    """A part of a page, and the records that it is written from."""
+
+    write: Callable[[Study], str]
+    records: tuple[str, ...] = ()
+    says: bool = True
+    """Whether it says which of these are missing; of several parts in a row of the same records the first does."""
+
+
+@dataclass(frozen=True)
+class Page:
+    """A page of docs/study and its curves.
+
+    name: of the page, and of the hand-written text beside this file, with the places of the parts as {{name}}.
+    curves: the records by the names of their files, each of the campaign examples/paper-<name>.json, with what draws
+    the curves of a record and a network. with_examples: the campaigns of which examples are shown. parts: by name.
+    """
+
+    name: str
+    curves: Mapping[str, Callable[[Record, str], str]]
+    with_examples: tuple[str, ...]
+    parts: Mapping[str, Part]
+
+    def study(self, folder: Path) -> Study:
+        """Reads a folder. Raises FileNotFoundError if it has none of the page's records."""
+        paths = {name: folder / f"{name}.json" for name in self.curves}
         records = {name: load(path) for name, path in paths.items() if path.exists()}
         if not records:
             raise FileNotFoundError(f"{folder} has none of {', '.join(path.name for path in paths.values())}")
-        return cls(records, examples.load(folder))
+        return Study(records, [one for one in examples.load(folder) if one.campaign in self.with_examples])
 
-    @property
-    def differentiable(self) -> list[Record]:
-        """The records of the first table."""
-        return [self.records[name] for name in (DIFFERENTIABLE, LITE0) if name in self.records]
+    def files(self, folder: Path) -> dict[str, str]:
+        """The text of every file that follows from the results in a folder, by its name: the page and the curves.
 
-
-def files(folder: Path) -> dict[str, str]:
-    """The text of every file that follows from the results in a folder, by its name: the page and the curves."""
-    study = Study.of(folder)
-    charts = _charts(study)
-    text = TEXT.read_text("utf-8")
-    for name, part in _PARTS.items():
-        mark = "{{" + name + "}}"
-        if text.count(mark) != 1:
-            raise ValueError(f"{TEXT.name} must have {mark} once")
-        text = text.replace(mark, _part(study, part))
-    return {PAGE: text, **charts}
-
-
-def write(folder: Path) -> list[Path]:
-    """Writes these files and returns their paths."""
-    texts = files(folder)
-    for name, text in texts.items():
-        (folder / name).write_text(text, "utf-8")
-    return [folder / name for name in texts]
+        Raises as `study` does.
+        """
+        study = self.study(folder)
+        text = Path(__file__).with_name(self.name).read_text("utf-8")
+        for name, part in self.parts.items():
+            mark = "{{" + name + "}}"
+            if text.count(mark) != 1:
+                raise ValueError(f"{self.name} must have {mark} once")
+            text = text.replace(mark, _part(study, part))
+        charts = {
+            chart(name, target): self.curves[name](record, target)
+            for name, record in study.records.items()
+            for target in record.table().targets
+        }
+        return {self.name: text, **charts}
 
 
-def _part(study: Study, part: "Part") -> str:
+def _part(study: Study, part: Part) -> str:
     """A part of the page; it names the campaigns of its records that have not been run, of which it has no figure."""
     missing = [f"`examples/paper-{name}.json`" for name in part.records if name not in study.records]
     said = f"*Not run yet: {' and '.join(missing)}.*" if missing else ""
     return "\n\n".join(one for one in (said if part.says else "", part.write(study)) if one)
 
 
-def _charts(study: Study) -> dict[str, str]:
-    return {
-        _chart(name, target): _CURVES[name](record, target)
-        for name, record in study.records.items()
-        for target in record.table().targets
-    }
-
-
-def _chart(name: str, target: str) -> str:
+def chart(name: str, target: str) -> str:
+    """The name of the file of a record's and network's curves."""
     return f"{name}-{target}.svg"
 
 
-def _if_any(write: Callable[[list[Record]], str]) -> Callable[[Study], str]:
-    """A part of the records of the first table; empty if there is none."""
-    return lambda study: write(study.differentiable) if study.differentiable else ""
-
-
-def _one(name: str, write: Callable[[Record], str]) -> Callable[[Study], str]:
+def of_one(name: str, write: Callable[[Record], str]) -> Callable[[Study], str]:
     """A part of one record; empty if it is missing."""
     return lambda study: write(study.records[name]) if name in study.records else ""
 
 
-def _images(study: Study, *names: str) -> str:
-    return "\n\n".join(
-        f"![{tables.title(target)}: successes against work, and mean curves]({_chart(name, target)})"
+def curves_of(*names: str) -> Callable[[Study], str]:
+    """The curves of these records."""
+    return lambda study: "\n\n".join(
+        f"![{tables.title(target)}: successes against work, and mean curves]({chart(name, target)})"
         for name in names
         if name in study.records
         for target in study.records[name].table().targets
     )
 
 
-def _orders(study: Study) -> str:
-    return "\n".join(
-        f"- {tables.orders(record, target)}" for record in study.differentiable for target in record.table().targets
-    )
-
-
-def _examples(study: Study) -> str:
+def shown(study: Study) -> str:
+    """The examples: a row of three images for each, with the answers before and after."""
     if not study.examples:
         return ""
     rows = []
     for one in study.examples:
-        what = f"{tables.title(one.target)}, {one.attack}"
-        said = f"{one.before}, {one.before_confidence:.0%}", f"**{one.after}**, {one.after_confidence:.0%}"
-        notes = (*said, f"{what}<br>p {1e3 * one.p:.1f}")
         images = (f"![{text}]({one.name}-{text}.png)" for text in examples.IMAGES.values())
-        rows.append([f"{image}<br>{note}" for image, note in zip(images, notes, strict=True)])
+        rows.append([f"{image}<br>{note}" for image, note in zip(images, _notes(one), strict=True)])
     creators = sorted({credit for one in study.examples for credit in one.credits})
     table = "\n".join(
         "| " + " | ".join(cells) + " |"
         for cells in (("before", "attacked, rendered afresh", "difference ×5"), (":---:",) * 3, *rows)
     )
-    return f"{table}\n\n<small>{'; '.join(creators)}</small>"
+    return f"{table}\n\n<small>{'; '.join(creators)}</small>" if creators else table
 
 
-def _foot(study: Study) -> str:
+def _notes(one: examples.Example) -> tuple[str, str, str]:
+    """What stands below the images of an example: the answers before, those after, and the attack."""
+    about = f"{tables.title(one.target)}, {one.attack}<br>p {1e3 * one.p:.1f}"
+    if not one.questions:
+        return f"{one.before}, {one.before_confidence:.0%}", f"**{one.after}**, {one.after_confidence:.0%}", about
+    before = (f"{asked.question} {asked.before}, {asked.before_confidence:.0%}" for asked in one.questions)
+    after = (f"**{asked.after}**, {asked.after_confidence:.0%}" for asked in one.questions)
+    return "<br>".join(before), "<br>".join(after), about
+
+
+def foot(study: Study) -> str:
+    """The provenance of each record, and the commands."""
     blocks = []
     for name, record in study.records.items():
         versions = ", ".join(f"{package} {number}" for package, number in record.versions.items())
@@ -142,38 +140,3 @@ def _foot(study: Study) -> str:
         [*blocks, "", "`python -m benchmarks.study record FOLDER NAME` makes a record of a campaign's folder, "
          "`python -m benchmarks.study page` writes this page."]
     )  # fmt: skip
-
-
-_CURVES: dict[str, Callable[[Record, str], str]] = {
-    DIFFERENTIABLE: curves.differentiable,
-    LITE0: curves.differentiable,
-    NONDIFFERENTIABLE: curves.nondifferentiable,
-    EQUAL_P: equal_p.draw,
-}
-
-
-@dataclass(frozen=True)
-class Part:
-    """A part of the page, and the records that it is written from."""
-
-    write: Callable[[Study], str]
-    records: tuple[str, ...] = ()
-    says: bool = True
-    """Whether it says which of these are missing; of several parts in a row of the same records the first does."""
-
-
-_BOTH = (DIFFERENTIABLE, LITE0)
-_PARTS = {
-    "views": Part(lambda study: tables.views(list(study.records.values()))),
-    "differentiable": Part(_if_any(tables.differentiable), _BOTH),
-    "orders": Part(_orders, _BOTH, says=False),
-    "differentiable curves": Part(lambda study: _images(study, *_BOTH), _BOTH, says=False),
-    "coverage": Part(_if_any(reasons.by_coverage), _BOTH, says=False),
-    "confidence": Part(_if_any(reasons.by_confidence), _BOTH, says=False),
-    "work": Part(_if_any(tables.work), _BOTH, says=False),
-    "nondifferentiable": Part(_one(NONDIFFERENTIABLE, tables.nondifferentiable), (NONDIFFERENTIABLE,)),
-    "nondifferentiable curves": Part(lambda study: _images(study, NONDIFFERENTIABLE), (NONDIFFERENTIABLE,), says=False),
-    "equal p": Part(_one(EQUAL_P, equal_p.section), (EQUAL_P,)),
-    "examples": Part(_examples),
-    "foot": Part(_foot),
-}

@@ -18,6 +18,35 @@ class _Record(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
+class Asked(_Record):
+    """A question of a job. A job that failed has no answers of the network, and none about what came of it."""
+
+    text: str
+    family: str
+    """The kind of its family, such as "two_hop"."""
+    kind: str
+    """Of the answers that it asks for: boolean, integer, or an attribute."""
+    functions: tuple[str, ...]
+    """Those of its program, in order."""
+    right: str
+    right_after: str | None = None
+    """The right answer to the attacked scene; None where the question is ill-posed there."""
+    before: str | None = None
+    before_confidence: float | None = None
+    after: str | None = None
+    after_confidence: float | None = None
+    of_kind: bool | None = None
+    """Whether the answer after the attack is of the kind that is asked for."""
+    outcome: str | None = None
+    first: int | None = None
+    """The number of the function that was fooled first (benchmarks.study.fooled_first); None if it was not fooled."""
+
+    @property
+    def fooled(self) -> bool:
+        """Whether the attack succeeded on it."""
+        return self.outcome == SUCCESS
+
+
 class Job(_Record):
     """One job: what was attacked, what the network said before, in the loop and afterwards, and what it cost.
 
@@ -59,6 +88,8 @@ class Job(_Record):
     """Pixels of the image, where `covered` is known."""
     request: str
     scene: str = ""
+    questions: tuple[Asked, ...] = ()
+    """What was asked about the scene; several questions were attacked together."""
 
     @model_validator(mode="after")
     def _a_success_was_right_before(self) -> Self:

@@ -5,6 +5,7 @@ import platform
 from pathlib import Path
 from typing import Any
 
+from benchmarks.study.asked import asked
 from benchmarks.study.record import Job, Record, Views
 from services.analysis.campaign_curves import MEASURES, MeanCurves
 from services.pipeline.campaign_case import case_of
@@ -13,6 +14,7 @@ from services.pipeline.campaign_result import CampaignResult
 from services.pipeline.campaign_select import FirstAnswer, choose
 from services.pipeline.campaign_spec import CampaignSpec
 from services.pipeline.result import Result
+from services.pipeline.spec import JobSpec
 
 DIGITS = 12
 """Hexadecimal digits kept of a SHA-256: enough to find a request or a scene again."""
@@ -45,7 +47,9 @@ def of_folder(folder: Path) -> Record:
         credits=tuple(sorted({credit for result in there for credit in result.provenance.credits})),
         views=_views(found, answers, chosen),
         jobs=tuple(
-            _job(job, request, result, answers[job.view])
+            _job(job, request, result, answers[job.view]).model_copy(
+                update={"questions": asked(found[job.view].asked, result, folder / "jobs" / request)}
+            )
             for job, request, result in zip(planned, requests, results, strict=True)
         ),
         curves=tuple(_rounded(curves) for curves in whole.curves),
@@ -68,7 +72,7 @@ def _job(job: PlannedJob, request: str, result: Result | None, answer: FirstAnsw
     about: dict[str, Any] = {
         "target": job.target,
         "attack": job.attack,
-        "mesh": ", ".join(thing.mesh for thing in job.spec.scene.objects),
+        "mesh": _subject(job.spec),
         "azimuth": round(job.spec.scene.camera.azimuth, 4),
         "seed": job.spec.seed,
         "truth": tuple(answer.truth),
@@ -100,6 +104,13 @@ def _job(job: PlannedJob, request: str, result: Result | None, answer: FirstAnsw
     )
 
 
+def _subject(spec: JobSpec) -> str:
+    """The name of a scene after CLEVR, else the meshes of a scene."""
+    if spec.record is not None:
+        return spec.record.image_filename.removesuffix(".png")
+    return ", ".join(thing.mesh for thing in spec.scene.objects)
+
+
 def _lowered(result: Result) -> bool | None:
     found = [row.objective for row in result.trace if row.objective is not None]
     return min(found) < found[0] if found else None
@@ -129,7 +140,7 @@ def _views(found: list[View], answers: dict[int, FirstAnswer], chosen: list[int]
                 asked=len(numbers),
                 right=sum(answer.right for answer in own),
                 chosen=len(taken),
-                meshes=len({found[number].probe.scene.objects[0].mesh for number in taken}),
+                meshes=len({_subject(found[number].probe) for number in taken}),
                 least_confidence=_short(min(sure, default=None)),
             )
         )

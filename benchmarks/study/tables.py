@@ -14,8 +14,11 @@ TITLES = {
     "alexnet-furniture": "AlexNet",
     "resnet34-furniture": "ResNet-34",
     "efficientnet-lite0": "EfficientNet-Lite0",
+    "iep": "IEP",
 }
-"""Names of the networks on the page; the first two are the paper's architectures."""
+"""Names of the networks on the pages, in their order there; the first two are the paper's architectures."""
+CLASSIFICATION, VQA = "classification", "vqa"
+"""The paper's tasks."""
 NONE = "–"
 BETWEEN = "\u00a0·\u00a0"
 """Stands between a rate and a p, which a line is not broken at."""
@@ -39,42 +42,50 @@ def markdown(columns: Iterable[str], rows: Iterable[Iterable[str]], texts: int =
     return "\n".join("| " + " | ".join(cells) + " |" for cells in (columns, rule, *rows))
 
 
+def ordered(targets: Iterable[str]) -> list[str]:
+    """Networks in the order of the pages; those that have no name there come last."""
+    names = list(TITLES)
+    return sorted(targets, key=lambda target: names.index(target) if target in TITLES else len(names))
+
+
 def title(target: str) -> str:
     """The name of a network on the page."""
     return TITLES.get(target, target)
 
 
-def differentiable(records: Sequence[Record]) -> str:
-    """The paper's first table: for each network its row, and ours by its count, verified, and in truncated pixels.
+def differentiable(records: Sequence[Record], task: str = CLASSIFICATION) -> str:
+    """The paper's table of a task: for each network its row, and ours by its count, verified, and in truncated pixels.
 
-    An attack called "<column>, <setting>" has rows of its own, for that setting, in the column.
+    Attacks called "<column>, <setting>" have rows of their own, for that setting, in their columns.
     """
-    columns: list[str] = paper()["differentiable"]["columns"]
+    stated = paper()[task]["differentiable"]
+    columns: list[str] = stated["columns"]
     rows: list[list[str]] = []
     for table in (record.table() for record in records):
-        for target in sorted(table.targets, key=list(TITLES).index):
-            of_paper = _of_paper(target, columns)
+        for target in ordered(table.targets):
+            of_paper = _of_paper(stated, target)
             own = [of_paper[:1], _rows({name: table.cell(target, name) for name in columns}, "", columns), of_paper[1:]]
+            settings: dict[str, dict[str, Cell | None]] = {}
             for attack in table.attacks:
                 column, comma, setting = attack.partition(", ")
                 if comma and (cell := table.cell(target, attack)) is not None:
-                    own.append(_rows({column: cell}, f"{setting}, ", columns))
+                    settings.setdefault(setting, {})[column] = cell
+            own += [_rows(cells, f"{setting}, ", columns) for setting, cells in settings.items()]
             block = [row for part in own for row in part]
             rows += [[f"**{title(target)}**" if number == 0 else "", *row] for number, row in enumerate(block)]
     return markdown(("network", "", "n", *columns), rows, texts=2)
 
 
-def _of_paper(target: str, columns: Sequence[str]) -> list[list[str]]:
+def _of_paper(stated: Mapping[str, Any], target: str) -> list[list[str]]:
     """The paper's rows of a network: successes and p, and truncated pixels if it states them; none if it has none."""
-    stated = paper()["differentiable"]
     theirs = stated["targets"].get(target)
     if theirs is None:
         return []
     values = (f"{rate:.1f}{BETWEEN}{p:.1f}" for rate, p in zip(theirs["success"], theirs["p"], strict=True))
     rows = [["paper", str(stated["views"]), *values]]
     if any(value is not None for value in theirs["truncated"]):
-        pixels = dict(zip(columns, theirs["truncated"], strict=True))
-        rows.append(["truncated, paper", "", *(_number(pixels[name]) for name in columns)])
+        pixels = dict(zip(stated["columns"], theirs["truncated"], strict=True))
+        rows.append(["truncated, paper", "", *(_number(pixels[name]) for name in stated["columns"])])
     return rows
 
 
@@ -89,16 +100,16 @@ def _rows(cells: Mapping[str, Cell | None], setting: str, columns: Sequence[str]
     ]
 
 
-def nondifferentiable(record: Record) -> str:
+def nondifferentiable(record: Record, task: str = CLASSIFICATION) -> str:
     """Successes of the attacks on the second renderer's image and parameters, beside the paper's counts."""
-    stated, table = paper()["nondifferentiable"], record.table()
+    stated, table = paper()[task]["nondifferentiable"], record.table()
     rows: list[list[str]] = []
-    for target in sorted(table.targets, key=list(TITLES).index):
+    for target in ordered(table.targets):
         if (theirs := stated["targets"].get(target)) is not None:
-            for name in ("image", "physical"):
-                rate = Rate.of_cases(theirs[name], stated["views"])
-                asked = f"paper: {name}, {theirs['steps']} steps"
-                rows.append([f"**{title(target)}**" if name == "image" else "", asked, *_counts(rate), "", "", "", ""])
+            for number, (name, steps, count) in enumerate(theirs["attacks"]):
+                asked = f"paper: {name}, {steps:,} steps"
+                counts = _counts(Rate.of_cases(count, stated["views"]))
+                rows.append([f"**{title(target)}**" if number == 0 else "", asked, *counts, "", "", "", ""])
         for attack in table.attacks:
             if (cell := table.cell(target, attack)) is not None:
                 loop = f"{cell.loop_success.count}{OF}{cell.loop_success.of}"
@@ -125,7 +136,7 @@ def work(records: Sequence[Record]) -> str:
     """Per cent of all cases that were fooled within so many queries, and within so many seconds."""
     rows = []
     for table in (record.table() for record in records):
-        for target in sorted(table.targets, key=list(TITLES).index):
+        for target in ordered(table.targets):
             cells = [cell for cell in table.cells if cell.target == target and cell.success.of]
             for number, cell in enumerate(cells):
                 shares = [share_at(cell.by_queries, cell.success.of, budget) for budget in QUERIES]
@@ -136,8 +147,8 @@ def work(records: Sequence[Record]) -> str:
     return markdown(("network", "attack", "n", *heads), rows, texts=2)
 
 
-def views(records: Sequence[Record]) -> str:
-    """How many views were asked for, right, and attacked."""
+def views(records: Sequence[Record], of: str = "models") -> str:
+    """How many views were asked for, right, and attacked, and of how many models or scenes."""
     rows = [
         [
             title(one.target),
@@ -152,7 +163,7 @@ def views(records: Sequence[Record]) -> str:
         for record in records
         for one in record.views
     ]
-    columns = ("network", "renderer", "size", "views asked for", "right", "attacked", "models", "least confident")
+    columns = ("network", "renderer", "size", "views asked for", "right", "attacked", of, "least confident")
     return markdown(columns, rows, texts=2)
 
 

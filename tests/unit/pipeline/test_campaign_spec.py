@@ -204,6 +204,8 @@ def test_an_attack_whose_bounds_differ_is_checked_of_its_own() -> None:
         ("paper-lite0", 360),
         ("paper-equal-p", 520),
         ("paper-nondifferentiable", 210),
+        ("paper-vqa-differentiable", 520),
+        ("paper-vqa-nondifferentiable", 24),
     ],
 )
 def test_the_examples_are_requests_within_the_limit(name: str, most: int) -> None:

@@ -8,7 +8,7 @@ import pytest
 from pydantic import ValidationError
 
 from benchmarks.study.examples import median_success
-from benchmarks.study.page import FOLDER, NAMES
+from benchmarks.study.pages import FOLDER, NAMES
 from benchmarks.study.record import Job, Record, load, save
 from benchmarks.study.recording import of_folder
 from services.pipeline.campaign_expand import views
