@@ -13,7 +13,10 @@ from services.errors import JobFailure
 from services.training.iep.processes import each
 from tests.unit.training.iep.small import After, never
 
-SLEEP = "import time; from services.training.iep.processes import each; list(each(time.sleep, [600, 600], 2, bool))"
+SLEEP = """import signal, time
+from services.training.iep.processes import each
+signal.signal(signal.SIGINT, signal.default_int_handler)  # the tests may have been begun in the background, without it
+list(each(time.sleep, [600, 600], 2, bool))"""
 
 
 def children(of: psutil.Process) -> list[psutil.Process]:
@@ -52,11 +55,14 @@ def test_processes_end_when_the_iterator_is_closed() -> None:
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
 def test_processes_end_with_their_parent(number: signal.Signals) -> None:
     with subprocess.Popen([sys.executable, "-c", SLEEP], stderr=subprocess.DEVNULL) as parent:
-        deadline = time.monotonic() + 120
-        while len(started := children(psutil.Process(parent.pid))) < 2:
-            assert parent.poll() is None, "it ended before its processes were there"
-            assert time.monotonic() < deadline
-            os.sched_yield()
-        parent.send_signal(number)
-        parent.wait(60)
+        try:
+            deadline = time.monotonic() + 120
+            while len(started := children(psutil.Process(parent.pid))) < 2:
+                assert parent.poll() is None, "it ended before its processes were there"
+                assert time.monotonic() < deadline
+                os.sched_yield()
+            parent.send_signal(number)
+            parent.wait(60)
+        finally:
+            parent.kill()
         assert not psutil.wait_procs(started, timeout=60)[1]
