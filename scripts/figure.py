@@ -1,4 +1,5 @@
-"""Draws a figure for the documentation from a result: original, attacked, perturbation, with the network's answers.
+"""Draws a figure for the documentation from a result: original, attacked, perturbation, with the network's answers
+and the question, if it was asked one.
 
 scene-attack run examples/torch-combined.json --out out/combined
 .venv/bin/python scripts/figure.py out/combined docs/images/combined.png
@@ -11,7 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from services.pipeline.result import Result
 
-SIDE, GAP, CAPTION = 336, 12, 60
+SIDE, GAP, HEADING, CAPTION = 336, 12, 34, 60
 PAPER, INK, SOFT = "#ffffff", "#1c1930", "#5d5875"
 
 
@@ -24,14 +25,18 @@ def figure(directory: Path) -> Image.Image:
         ("attacked.png", f"{result.attacked.label}, {result.attacked.confidence:.0%}", "attacked, rendered afresh"),
         ("perturbation.png", "the difference, 5 times", perceptibility),
     ]
-    sheet = Image.new("RGB", (3 * SIDE + 2 * GAP, SIDE + CAPTION), PAPER)
+    rows, columns = result.spec["scene"]["camera"]["size"]
+    side, top = SIDE * rows // columns, HEADING * len(result.questions)
+    sheet = Image.new("RGB", (3 * SIDE + 2 * GAP, top + side + CAPTION), PAPER)
     draw = ImageDraw.Draw(sheet)
+    for index, question in enumerate(result.questions):
+        draw.text((0, HEADING * index), question.question or "", INK, ImageFont.load_default(19))
     for index, (name, title, note) in enumerate(panels):
         left = index * (SIDE + GAP)
         with Image.open(directory / name) as image:
-            sheet.paste(image.convert("RGB").resize((SIDE, SIDE), Image.Resampling.LANCZOS), (left, 0))
-        draw.text((left, SIDE + 8), title, INK, ImageFont.load_default(19))
-        draw.text((left, SIDE + 34), note, SOFT, ImageFont.load_default(15))
+            sheet.paste(image.convert("RGB").resize((SIDE, side), Image.Resampling.LANCZOS), (left, top))
+        draw.text((left, top + side + 8), title, INK, ImageFont.load_default(19))
+        draw.text((left, top + side + 34), note, SOFT, ImageFont.load_default(15))
     return sheet
 
 
