@@ -6,6 +6,7 @@ The valid values and their meaning are read from the request's JSON schema, so t
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from math import pi
 from typing import Any
 
@@ -16,6 +17,8 @@ Schema = Mapping[str, Any]
 
 MAX_SHOWN = 60
 """Characters of a given value that a message shows."""
+MAX_ERRORS = 256
+"""Errors of a request that are looked at, of a list of many items that are all wrong."""
 _ANGLES = {pi / 2: "π/2", -pi / 2: "-π/2", 2 * pi: "2π", -2 * pi: "-2π"}
 _OWN_WORDS = ("value_error", "assertion_error")
 """Types of errors whose message was written for the request's models."""
@@ -35,16 +38,18 @@ class _Place:
 def invalid_fields(items: Iterable[Mapping[str, Any]], schema: Schema) -> list[InvalidRequest]:
     """Returns one InvalidRequest for each invalid field, in the order of `items`.
 
-    `items` are the dictionaries of `pydantic.ValidationError.errors()`, with `loc` relative to the model of `schema`.
+    `items` are the dictionaries of `pydantic.ValidationError.errors()`, with `loc` relative to the model of `schema`;
+    the first MAX_ERRORS count.
     A field with alternatives is reported once, with all of them; where an alternative has fields of its own that are
     invalid, those are reported instead.
     """
     found: dict[tuple[str, ...], str] = {}
-    for item in items:
+    for item in islice(items, MAX_ERRORS):
         path, detail = _error(item, schema)
         found.setdefault(path, detail)
     # an error of an enclosing field follows from the errors within it, or is of an alternative that was not meant
-    inner = [path for path in found if not any(other[: len(path)] == path != other for other in found)]
+    enclosing = {path[:length] for path in found for length in range(len(path))}
+    inner = [path for path in found if path not in enclosing]
     return [InvalidRequest(encodable(".".join(path) or "body"), encodable(found[path])) for path in inner]
 
 
