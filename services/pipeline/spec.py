@@ -3,6 +3,7 @@
 The union of attacks in a request consists of all registered attacks, the operator's extensions among them.
 """
 
+import json
 import operator
 from collections.abc import Iterable, Mapping
 from functools import cache
@@ -123,6 +124,18 @@ class JobSpec(Model):
         AnalysisRequest(), description="analyses of the stored perturbation to make after the attack; default none"
     )
     seed: Seed = Field(0, description="seed of every random number in the job")
+
+    @field_validator("record")
+    @classmethod
+    def _writable(cls, value: SceneRecord | None) -> SceneRecord | None:
+        """Refuses a record that JSON cannot hold: its texts and the fields of others may be anything that was read."""
+        try:
+            if value is not None:
+                json.dumps(value.model_dump(mode="json"), ensure_ascii=False, allow_nan=False).encode()
+        except (ValueError, RecursionError) as error:
+            said = "it has a text that is no Unicode, a number that is not finite, or is nested too deep"
+            raise ValueError(said) from error
+        return value
 
     @model_validator(mode="before")
     @classmethod

@@ -7,7 +7,7 @@ fields, `camera` and `lights`, without which a scene cannot be drawn again as it
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, FailFast, Field, ValidationError, model_validator
 
 from services import atomic_write
 from services.errors import InvalidRequest
@@ -17,6 +17,8 @@ from services.scenes.clevr.rig import Rig
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
+Indices = Annotated[tuple[int, ...], FailFast()]
+Rows = Annotated[tuple[Indices, ...], FailFast()]
 
 
 class Record(BaseModel):
@@ -81,8 +83,8 @@ class SceneRecord(Record):
     split: str
     image_index: int
     image_filename: str
-    objects: tuple[ObjectRecord, ...]
-    relationships: dict[Relation, tuple[tuple[int, ...], ...]]
+    objects: Annotated[tuple[ObjectRecord, ...], FailFast()]
+    relationships: dict[Relation, Rows]
     directions: dict[Literal["left", "right", "front", "behind", "above", "below"], Vector]
     camera: CameraRecord | None = None
     lights: LightsRecord | None = None
@@ -94,7 +96,7 @@ class SceneRecord(Record):
             rows = self.relationships.get(name, ())
             if len(rows) != count or not all(0 <= other < count for row in rows for other in row):
                 raise ValueError(
-                    f"relationships.{name} must have a list of other objects' indices for each of {count} objects"
+                    f"relationships.{name}: it must have a list of other objects' indices for each of {count} objects"
                 )
         return self
 

@@ -1,8 +1,9 @@
 """CLEVR scenes in requests: one that is to be generated, and the checks of one that somebody wrote."""
 
+from math import hypot
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, ValidationError
 
 from services.errors import InvalidRequest
 from services.scenes.clevr.description import describe, rig_of
@@ -11,6 +12,11 @@ from services.scenes.clevr.placement import check, placed_in
 from services.scenes.clevr.records import SceneRecord
 from services.scenes.clevr.relations import RELATIONS, relationships
 from services.scenes.description import Model, Scene
+
+LEAST_ASIDE = 1e-6
+"""Least distance of a camera from the vertical through the origin: from there nothing is left or right."""
+_FIELDS = {"Camera": "camera.position", "PointLight": "lights", "SceneObject": "objects"}
+"""The parts of a description, and the fields of a record that they follow from."""
 
 
 class Generate(Model):
@@ -32,22 +38,30 @@ def scene_of(record: SceneRecord) -> Scene:
     """Returns the description of a scene that a request gives as a record.
 
     Raises InvalidRequest, which names the field, for objects that float, overlap or leave the frame
-    ("record.objects.2"), and for relations that are not those of the objects' places ("record.relationships.left.0").
+    ("record.objects.2"), for relations that are not those of the objects' places ("record.relationships.left.0"), and
+    for a camera or lights that a scene cannot have ("record.camera.position").
     """
     if not 0 < len(record.objects) <= MAX_OBJECTS:
         raise InvalidRequest("record.objects", f"there are {len(record.objects)}; a scene has 1 to {MAX_OBJECTS}")
     if missing := [name for name in RELATIONS if name not in record.directions]:
         raise InvalidRequest("record.directions", f"it has no direction of {missing[0]}")
+    rig = rig_of(record)
+    if hypot(*rig.camera[:2]) < LEAST_ASIDE:
+        raise InvalidRequest("record.camera.position", "it is straight above or below the origin, which it looks at")
     try:
-        check(placed_in(record), rig_of(record))
+        check(placed_in(record), rig)
     except InvalidRequest as error:
         raise InvalidRequest(f"record.{error.field}", error.detail) from error
     found = relationships([one.coords_3d for one in record.objects], dict(record.directions.items()))
     for name in RELATIONS:
         for k, (stated, true) in enumerate(zip(record.relationships[name], found[name], strict=True)):
             if sorted(stated) != true:
+                said = f"{sorted(stated)}" if len(stated) <= MAX_OBJECTS else f"{len(stated)} objects"
                 raise InvalidRequest(
                     f"record.relationships.{name}.{k}",
-                    f"it has {sorted(stated)}; by their places the objects {name} of object {k} are {true}",
+                    f"it has {said}; by their places the objects {name} of object {k} are {true}",
                 )
-    return describe(record)
+    try:
+        return describe(record)
+    except ValidationError as error:
+        raise InvalidRequest(f"record.{_FIELDS[error.title]}", error.errors()[0]["msg"]) from error
