@@ -74,9 +74,9 @@ class QuestionGrid(Model):
     @field_validator("kinds")
     @classmethod
     def _known_kinds(cls, value: tuple[str, ...]) -> tuple[str, ...]:
-        for kind in value:
+        for index, kind in enumerate(value):
             if kind not in KINDS:
-                raise ValueError(f"there is no kind {kind!r}; {there_are(kind, KINDS)}")
+                raise ValueError(f"{index}: there is no kind {kind!r}; {there_are(kind, KINDS)}")
         return value
 
     @model_validator(mode="after")
