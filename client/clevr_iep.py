@@ -58,8 +58,8 @@ def write(engine: Path, generator: Path, trunk: Path, out: Path, any_trunk: bool
     running code, or that has another network than the published one; for a trunk with another SHA-256 than
     torchvision's, unless any is allowed; and for a folder that has something in it.
     """
-    if out.exists() and any(out.iterdir()):
-        raise InvalidRequest("--out", f"{out} is not empty")
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InvalidRequest("--out", f"{out} is not empty, or no folder")
     _check_trunk(trunk, any_trunk)
     of_engine, of_generator = _read("--engine", engine), _read("--generator", generator)
     _check_settings(_part(of_engine, "--engine", "execution_engine_kwargs"))
@@ -68,9 +68,9 @@ def write(engine: Path, generator: Path, trunk: Path, out: Path, any_trunk: bool
         raise InvalidRequest("--generator", "its functions are not those of the engine; take both of one training")
     try:
         network = build(
-            _trunk_state(_read("--trunk", trunk)),
-            _engine_state(_part(of_engine, "--engine", "execution_engine_state")),
-            _part(of_generator, "--generator", "program_generator_state"),
+            _trunk_state(_weights("--trunk", _read("--trunk", trunk))),
+            _engine_state(_weights("--engine", _part(of_engine, "--engine", "execution_engine_state"))),
+            _weights("--generator", _part(of_generator, "--generator", "program_generator_state")),
             Vocabulary(words, functions, _tokens(of_engine, "--engine", "answer")),
         )
     except ValueError as error:
@@ -93,6 +93,13 @@ def _read(option: str, path: Path) -> Mapping[str, Any]:
     return found
 
 
+def _weights(option: str, found: Mapping[Any, Any]) -> Mapping[str, Tensor]:
+    for name, value in found.items():
+        if not isinstance(name, str) or not isinstance(value, Tensor):
+            raise InvalidRequest(option, f"what it has by the name {name!r} is no weight with a name")
+    return found
+
+
 def _part(checkpoint: Mapping[str, Any], option: str, name: str) -> Mapping[str, Any]:
     found = checkpoint.get(name)
     if not isinstance(found, Mapping):
@@ -103,7 +110,9 @@ def _part(checkpoint: Mapping[str, Any], option: str, name: str) -> Mapping[str,
 def _tokens(checkpoint: Mapping[str, Any], option: str, kind: str) -> tuple[str, ...]:
     """Returns the tokens of a kind in the order of their numbers."""
     numbers = _part(_part(checkpoint, option, "vocab"), option, f"{kind}_token_to_idx")
-    tokens = tuple(sorted(numbers, key=lambda token: int(numbers[token])))
+    if not all(isinstance(token, str) and type(number) is int for token, number in numbers.items()):
+        raise InvalidRequest(option, f"the {kind} tokens of its vocab are not texts with numbers")
+    tokens = tuple(sorted(numbers, key=numbers.__getitem__))
     if [numbers[token] for token in tokens] != list(range(len(tokens))):
         raise InvalidRequest(option, f"the {kind} tokens of its vocab are not numbered from 0 on")
     return tokens

@@ -67,7 +67,10 @@ def load(path: Path) -> Checkpoint:
     for name, expected in _fixed().items():
         if metadata.get(name) != expected:
             raise ValueError(f"{path} has other {name} than this version: {metadata.get(name)}")
-    network, generator = Network(json.loads(metadata["cells"])), ProgramGenerator()
+    cells = metadata.get("cells", "")
+    if not (cells.isascii() and cells.isdecimal()):
+        raise ValueError(f"{path} has no number of cells: {cells!r}")
+    network, generator = Network(int(cells)), ProgramGenerator()
     for part, module in (("network", network), ("generator", generator)):
         _load_into(module, part, tensors)
     return Checkpoint(network, generator)
