@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+from services.attacks.feasible import fixed
 from services.attacks.leave_out import Effects, measure, without
 from services.attacks.problem import AttackProblem
 from services.rendering.plan import Item, Plan
@@ -17,15 +18,17 @@ class LeavingOut:
     names: tuple[str, ...]
     groups: tuple[str, ...]
     """The group of each coordinate."""
+    stays: tuple[bool, ...]
+    """Whether each coordinate was fixed before, so that nothing was measured of it."""
 
     @property
     def settings(self) -> dict[str, object]:
         """What was measured, as JSON: the advantage, the effect of each coordinate, and what is left out."""
         effects = self.effects
-        alone = zip(self.names, self.groups, effects.alone.tolist(), strict=True)
+        alone = zip(self.names, self.groups, self.stays, effects.alone.tolist(), strict=True)
         return {
             "advantage": effects.advantage,
-            "effects": {name: effect for name, group, effect in alone if group in self.change},
+            "effects": {name: effect for name, group, stays, effect in alone if group in self.change and not stays},
             "left_out": self._left_out(),
             "together": effects.together,
         }
@@ -35,7 +38,7 @@ class LeavingOut:
         items = []
         for group, change in self.change.items():
             left = self._left_out(group)
-            of = self.groups.count(group)
+            of = sum(own == group and not stays for own, stays in zip(self.groups, self.stays, strict=True))
             items.append(
                 Item(
                     part=group,
@@ -69,5 +72,6 @@ def leaving_out(problem: AttackProblem, change: Mapping[str, float]) -> tuple[At
         for name in problem.renderer.names(group) or [group] * layout.shapes[group].numel()
     )
     groups = tuple(group for group in layout.groups for _ in range(layout.shapes[group].numel()))
-    found = LeavingOut(change, effects, names, groups)
+    stays = tuple(fixed(problem.constraint, layout).tolist())
+    found = LeavingOut(change, effects, names, groups, stays)
     return replace(problem, constraint=without(problem, effects.left_out)), found

@@ -231,12 +231,19 @@ def test_what_cannot_reach_the_answer_is_left_out_and_listed(run: Any, tmp_path:
     attack |= {"groups": ["color", "rotation"], "leave_out": {"color": 1e-9, "rotation": 1e-9}}
     result = run(attack=attack)
     measured = result.settings["leave_out"]
-    assert len(measured["effects"]) == 2 * 12
+    # nothing is said of the turns that stay: they are not measured
+    assert len(measured["effects"]) == 12 + 4
+    assert {name.split()[-1] for name in measured["effects"] if "rotation" in name} == {"y"}
     # so small moves of all change the advantage by less than 1 % of it
     assert sum(measured["effects"].values()) <= 0.01 * measured["advantage"]
     assert len(measured["left_out"]) == 12 + 4 - 1  # all that is free but the most effective
     listed = {item.part: item for item in result.plan.items if item.what == "coordinates that reach the answer"}
-    assert sum(one.of - one.kept for one in listed.values()) == len(measured["left_out"])
+    assert {part: one.of for part, one in listed.items()} == {"color": 12, "rotation": 4}
+    assert sum(one.kept for one in listed.values()) == 1
+    for part, one in listed.items():
+        left = [name for name in measured["left_out"] if part in name]
+        assert one.of - one.kept == len(left)
+        assert one.why.endswith(f"together: {', '.join(left) or 'none is left out'}")
     assert all(name in listed["color"].why + listed["rotation"].why for name in measured["left_out"])
     moved = load_file(tmp_path / "perturbation.safetensors")
     assert sum(int(value.count_nonzero()) for value in moved.values()) <= 1
