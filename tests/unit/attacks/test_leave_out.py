@@ -1,5 +1,7 @@
 """Coordinates are left out of a search only if they were measured to do nothing that counts."""
 
+from collections.abc import Mapping
+
 import pytest
 import torch
 
@@ -69,3 +71,50 @@ def test_an_advantage_that_is_gone_leaves_nothing_out_that_does_anything() -> No
     found = measure(case, {"a": 0.01})
     assert not bool(found.left_out[6:].any())  # group "b" was not measured
     assert float(found.alone[found.left_out].sum()) <= SHARE * max(found.advantage, 0.0)
+
+
+class OneSided(FreeRenderer):
+    """Group "b" is at a bound: 1 its largest value if `side` is 1, its smallest if it is -1."""
+
+    side = 1
+
+    def bounds(self) -> dict[str, tuple[torch.Tensor, torch.Tensor]]:
+        free, zero = torch.tensor(torch.inf), torch.tensor(0.0)
+        return {"a": (-free, free), "b": (-free, zero) if self.side > 0 else (zero, free)}
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_the_effect_is_that_of_the_larger_of_both_sides(side: int) -> None:
+    renderer = OneSided()
+    renderer.side = side
+    bounded, free = (measure(problem(one, LinearTarget()), CHANGE).alone for one in (renderer, FreeRenderer()))
+    assert torch.allclose(bounded, free, rtol=1e-6)
+    assert bool((bounded > 0).all())
+
+
+class Product(FreeRenderer):
+    """The first two coordinates of group "b" do nothing alone, and much together."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.weights["b"][:, :2] = 0.0
+
+    def render(self, parameters: Mapping[str, torch.Tensor]) -> torch.Tensor:
+        image = super().render(parameters)
+        return image if "b" not in parameters else image + 1e3 * parameters["b"][:, :2].prod(dim=1)[:, None, None, None]
+
+
+def test_what_counts_together_is_not_left_out_together() -> None:
+    found = measure(problem(Product(), LinearTarget()), CHANGE)
+    assert found.alone[6:8].tolist() == [0, 0]
+    assert not bool(found.left_out[6:8].all())
+    assert found.together <= SHARE * found.advantage
+
+
+def test_effects_are_those_of_moves_that_the_constraint_allows() -> None:
+    renderer, target = FreeRenderer(), LinearTarget()
+    free = measure(problem(renderer, target), CHANGE).alone
+    held = measure(problem(renderer, target, constraint=Ball(0.002)), CHANGE).alone
+    assert torch.allclose(held[:5], 0.2 * free[:5], rtol=1e-6)
+    assert held[5] == 0
+    assert torch.allclose(held[6:], free[6:], rtol=1e-6)
