@@ -183,3 +183,54 @@ def test_every_question_of_several_keeps_what_it_finds() -> None:
     found = SceneLimits(both, "pyrender", initial())
     assert not found.holds(recoloured(0, other))
     assert found.holds(found.project(recoloured(0, other)))
+
+
+def unique_of(k: int) -> list[str]:
+    """The functions that find object k alone by its attributes."""
+    names = ("size", "color", "material", "shape")
+    return ["scene", *(f"filter_{n} {i} {RECORD.objects[k].value(n)}" for i, n in enumerate(names)), "unique 4"]
+
+
+def test_an_answer_that_stays_for_another_set_is_not_allowed() -> None:
+    one, other = RECORD.objects[0].color, next(o.color for o in RECORD.objects if o.color != RECORD.objects[0].color)
+    there = [k for k, o in enumerate(RECORD.objects) if o.color == other]
+    asked = program("scene", f"filter_color 0 {one}", "exist 1")
+    perturbation = recoloured(there[0], one)
+    # there still is one, but the set has another object
+    assert question(asked).right_after("pyrender", perturbation) == "yes"
+    assert not limits(asked).holds(perturbation)
+
+
+def test_a_question_that_would_be_ill_posed_is_not_allowed() -> None:
+    asked = program(*unique_of(0), "query_shape 5")
+    other = next(color for color in RGB if color not in {one.color for one in RECORD.objects})
+    assert question(asked).right_after("pyrender", recoloured(0, other)) is None
+    found = limits(asked)
+    assert not found.holds(recoloured(0, other))
+    assert question(asked).right_after("pyrender", found.project(recoloured(0, other))) == question(asked).right
+
+
+def test_objects_that_would_meet_do_not() -> None:
+    """Each moves halfway to the other, where they would meet."""
+    perturbation = nothing()
+    for k, j in ((0, 1), (1, 0)):
+        perturbation["translation"][k] = towards(k, j, 0.5)["translation"][k]
+    perturbation["color"][3] = 0.01
+    found = limits(COUNT)
+    assert not found.holds(perturbation)
+    projected = found.project(perturbation)
+    assert spheres_apart(projected, 0)
+    assert spheres_apart(projected, 1)
+    assert bool(projected["translation"][0].any())  # the first comes first
+    assert torch.equal(projected["color"], perturbation["color"])
+
+
+def test_a_camera_that_comes_too_near_is_brought_back() -> None:
+    camera = SCENE.camera
+    start = torch.tensor([camera.azimuth, camera.elevation, camera.distance, 0.0]).double()
+    found = SceneLimits([question(COUNT)], "pyrender", initial() | {"camera": start})
+    perturbation = nothing() | {"camera": torch.tensor([0.0, 0.0, -8.0, 0.0]).double()}
+    assert not found.holds(perturbation)
+    moved = found.project(perturbation)
+    assert found.holds(moved)
+    assert -8 < float(moved["camera"][2]) < 0
