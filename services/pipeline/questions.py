@@ -19,10 +19,13 @@ from services.rendering.protocol import Parameters
 from services.scenes.clevr.attacked import record_after
 from services.scenes.clevr.records import SceneRecord
 from services.scenes.clevr.request import scene_of
+from services.scenes.clevr.rig import IMAGE_SIZE
 from services.scenes.description import Camera, Scene, SceneObject
 from services.targets.protocol import ProgramTarget, Target
 
 FIELD = "target.question"
+PROPORTION = 0.01
+"""Largest relative difference of an image's proportions from those of CLEVR's."""
 ROUNDING = 1e-6
 """Largest difference between a scene and the one that follows from its record, for a record that was described on
 another machine, whose trigonometric functions round differently."""
@@ -152,13 +155,21 @@ def _right(program: Program, record: SceneRecord, field: str, given: object) -> 
 
 
 def _check_scene(scene: Scene, record: SceneRecord) -> None:
-    """Raises InvalidRequest("scene") unless objects and camera are those of the record, and as `scene_of` does."""
+    """Raises InvalidRequest("scene") unless objects and camera are those of the record, and as `scene_of` does.
+
+    Raises InvalidRequest("scene.camera.size") for an image of other proportions, whose frame would be another.
+    """
     due = scene_of(record)
     same = len(scene.objects) == len(due.objects) and all(
         _is_same(one, other) for one, other in zip(scene.objects, due.objects, strict=True)
     )
     if not same or not _is_seen_from(scene.camera, due.camera):
         raise InvalidRequest("scene", "its objects and camera are not those of `record`; leave it out")
+    rows, columns = scene.camera.size
+    if not isclose(rows / columns, IMAGE_SIZE[0] / IMAGE_SIZE[1], rel_tol=PROPORTION):
+        raise InvalidRequest(
+            "scene.camera.size", f"{rows}×{columns} has not the proportions of CLEVR's images, 3 to 4, as 240×320 has"
+        )
     if Facts.of(record_after(record, scene)) != Facts.of(record):
         raise InvalidRequest("record", "its attributes and relations are not those of its objects")
 

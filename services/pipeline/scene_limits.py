@@ -1,6 +1,7 @@
 """Keeps attacks on a scene after CLEVR within scenes that exist and in which the question has the same answer.
 
-Objects stay on the plane, upright, apart from each other and inside the frame. What the question's functions find in
+Objects stay on the plane, upright, apart from each other, inside the frame and in view: who hides an object behind
+another has not fooled the network that no longer counts it. What the question's functions find in
 the scene, such as the set of the red objects, stays too: a red cube that has turned blue is no adversary of a question
 about red cubes. The parameters that an attack moves are then the paper's: energy and position of each light, and of
 each object its colour, its place on the plane and its turn.
@@ -20,7 +21,12 @@ from services.rendering.plan import Item, Plan
 from services.rendering.protocol import Parameters
 from services.rendering.pyrender_renderer.declaration import PYRENDER
 from services.scenes.clevr.attacked import record_after, rig_after
+from services.scenes.clevr.description import rig_of
+from services.scenes.clevr.generator import MIN_PIXELS
+from services.scenes.clevr.layout import Placed
 from services.scenes.clevr.placement import check, placed_in
+from services.scenes.clevr.rig import Rig
+from services.scenes.clevr.visibility import visible_pixels
 
 HALVINGS = 8
 """Halvings of the search for the largest share of a change that is allowed: a share is found to 1/256."""
@@ -39,6 +45,8 @@ class SceneLimits:
         self._record, self._scene = questions[0].record, questions[0].scene
         self._renderer = renderer
         self._outputs = self._found({})
+        seen = visible_pixels(placed_in(self._record), rig_of(self._record))
+        self._least_seen = [min(MIN_PIXELS, pixels) for pixels in seen]
         self.fixed = {group: _fixed(group, value) for group, value in initial.items()}
 
     def holds(self, perturbation: Parameters) -> bool:
@@ -46,11 +54,16 @@ class SceneLimits:
         if not can_carry(self._renderer, tuple(perturbation)):
             return True
         scene, _, _ = described(self._scene, self._renderer, perturbation)
+        placed, rig = placed_in(record_after(self._record, scene)), rig_after(self._record, scene.camera)
         try:
-            check(placed_in(record_after(self._record, scene)), rig_after(self._record, scene.camera))
+            check(placed, rig)
         except InvalidRequest:
             return False
-        return self._found(perturbation) == self._outputs
+        return self._found(perturbation) == self._outputs and self._in_view(placed, rig)
+
+    def _in_view(self, placed: Sequence[Placed], rig: Rig) -> bool:
+        """Whether each object is seen in as many pixels as the generator asks for, or as at the start if fewer."""
+        return all(n >= least for n, least in zip(visible_pixels(placed, rig), self._least_seen, strict=True))
 
     def project(self, perturbation: Parameters) -> Parameters:
         """Returns a perturbation that holds: itself if it does, else one in which changes are made smaller.
@@ -113,7 +126,7 @@ class SceneLimits:
 
 _WHY = {
     "illumination": "the light from all around stays: the paper attacks energy and position of the lights",
-    "translation": "objects stay on the plane; what overlaps, leaves the frame or changes the question's answer is "
+    "translation": "objects stay on the plane; what overlaps, hides one, leaves the frame or changes the answer is "
     "kept out of the search",
     "rotation": "objects stay upright",
     "color": "no colour that the question asks about becomes another; the others are free",

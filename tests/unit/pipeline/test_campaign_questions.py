@@ -75,7 +75,7 @@ def test_each_question_is_a_job_or_those_of_a_scene_together() -> None:
         ({"generate": {}}, "grids.0.generate.images", "is missing"),
         ({"generate": GENERATE | {"objects": [4, 3]}}, "grids.0.generate.objects", "the fewest, 4, are more"),
         ({"generate": GENERATE | {"objects": [3, 11]}}, "grids.0.generate.objects.1", "from 1 to 10"),
-        ({"generate": GENERATE | {"kinds": ["zero_hopp"]}}, "grids.0.generate.kinds", "did you mean 'zero_hop'"),
+        ({"generate": GENERATE | {"kinds": ["zero_hopp"]}}, "grids.0.generate.kinds.0", "did you mean 'zero_hop'"),
         ({"generate": GENERATE | {"questions": 17}}, "grids.0.generate.questions", "from 1 to 16"),
         ({"generate": GENERATE | {"together": True}}, "grids.0.generate.together", "there is one question"),
         ({"generate": GENERATE | {"scenes": 3}}, "grids.0.generate.scenes", "no such field"),

@@ -234,3 +234,19 @@ def test_a_camera_that_comes_too_near_is_brought_back() -> None:
     moved = found.project(perturbation)
     assert found.holds(moved)
     assert -8 < float(moved["camera"][2]) < 0
+
+
+def test_an_object_is_not_hidden_behind_another() -> None:
+    """Moved behind the large object 1, the small object 4 is seen in no pixel."""
+    record = generate(21, 1, objects=(3, 5))
+    hidden = {"translation": torch.zeros(len(record.objects), 3, dtype=torch.float64)}
+    behind = torch.tensor(record.directions["behind"][:2])
+    gap = RADIUS[record.objects[1].size] + RADIUS[record.objects[4].size] + 0.05
+    place = torch.tensor(record.objects[1].coords_3d[:2]) + gap * behind
+    x, y = (place - torch.tensor(record.objects[4].coords_3d[:2])).tolist()
+    hidden["translation"][4] = torch.tensor([x, 0.0, -y])
+    found = SceneLimits([question(COUNT, record)], "pyrender", nothing())
+    assert not found.holds(hidden)
+    shorter = found.project(hidden)
+    assert found.holds(shorter)
+    assert 0 < float(shorter["translation"].norm()) < float(hidden["translation"].norm())
