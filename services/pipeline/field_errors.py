@@ -141,8 +141,10 @@ def expected(schema: Schema, root: Schema) -> str:
     if "enum" in schema:
         return f"one of {', '.join(map(json.dumps, schema['enum']))}"
     kind = schema.get("type")
-    if kind in ("null", "boolean"):
-        return "null" if kind == "null" else "true or false"
+    if kind == "null":
+        return "null"
+    if kind == "boolean":
+        return "true or false"
     if kind in ("integer", "number"):
         return ("an integer" if kind == "integer" else "a number") + _range(schema)
     if kind == "string":

@@ -25,6 +25,7 @@ from services.scenes.clevr.description import rig_of
 from services.scenes.clevr.generator import MIN_PIXELS
 from services.scenes.clevr.layout import Placed
 from services.scenes.clevr.placement import check, placed_in
+from services.scenes.clevr.records import SceneRecord
 from services.scenes.clevr.rig import Rig
 from services.scenes.clevr.visibility import visible_pixels
 
@@ -44,7 +45,7 @@ class SceneLimits:
         self._programs = [question.program for question in questions]
         self._record, self._scene = questions[0].record, questions[0].scene
         self._renderer = renderer
-        self._outputs = self._found({})
+        self._outputs = self._found(self._record)
         seen = visible_pixels(placed_in(self._record), rig_of(self._record))
         self._least_seen = [min(MIN_PIXELS, pixels) for pixels in seen]
         self.fixed = {group: _fixed(group, value) for group, value in initial.items()}
@@ -53,13 +54,18 @@ class SceneLimits:
         """Whether a perturbation leaves the objects where objects can be, and what the question finds as it is."""
         if not can_carry(self._renderer, tuple(perturbation)):
             return True
-        scene, _, _ = described(self._scene, self._renderer, perturbation)
-        placed, rig = placed_in(record_after(self._record, scene)), rig_after(self._record, scene.camera)
+        record, rig = self._attacked(perturbation)
+        placed = placed_in(record)
         try:
             check(placed, rig)
         except InvalidRequest:
             return False
-        return self._found(perturbation) == self._outputs and self._in_view(placed, rig)
+        return self._found(record) == self._outputs and self._in_view(placed, rig)
+
+    def _attacked(self, perturbation: Parameters) -> tuple[SceneRecord, Rig]:
+        """The record of the attacked scene, and its camera and lights."""
+        scene, _, _ = described(self._scene, self._renderer, perturbation)
+        return record_after(self._record, scene), rig_after(self._record, scene.camera)
 
     def _in_view(self, placed: Sequence[Placed], rig: Rig) -> bool:
         """Whether each object is seen in as many pixels as the generator asks for, or as at the start if fewer."""
@@ -112,11 +118,8 @@ class SceneLimits:
             low, high = (middle, high) if allowed(middle) else (low, middle)
         return low
 
-    def _found(self, perturbation: Parameters) -> list[tuple[Value, ...]] | None:
+    def _found(self, record: SceneRecord) -> list[tuple[Value, ...]] | None:
         """The outputs of the functions of all questions; None if one is ill-posed."""
-        record = self._record
-        if can_carry(self._renderer, tuple(perturbation)):
-            record = record_after(record, described(self._scene, self._renderer, perturbation)[0])
         facts = Facts.of(record)
         try:
             return [execute(program, facts) for program in self._programs]
