@@ -7,10 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from services.pipeline.spec import parse
 from services.questions.answers import ANSWERS
 from services.questions.functions import FUNCTIONS
 from services.questions.templates.families import FAMILIES
 from services.questions.text import WORDS
+from services.scenes.clevr.request import scene_of
 
 PAGE = (Path(__file__).parents[3] / "docs" / "vqa.md").read_text("utf-8")
 
@@ -20,6 +22,16 @@ def test_the_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.chdir(tmp_path)
     exec(compile(example.replace("range(100)", "range(3)"), "vqa.md", "exec"), {})
     assert len(json.loads((tmp_path / "CLEVR_new_questions.json").read_text())["questions"]) == 30
+
+
+def test_the_scene_of_ones_own_is_a_request(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (example,) = re.findall(r'^```python title="scene_of_mine.py"\n(.*?)^```$', PAGE, re.M | re.S)
+    monkeypatch.chdir(tmp_path)
+    exec(compile(example, "scene_of_mine.py", "exec"), {})
+    spec = parse(json.loads((tmp_path / "mine.json").read_text()))
+    assert spec.record is not None
+    assert [one.color for one in spec.record.objects] == ["red", "blue", "green"]
+    assert spec.scene == scene_of(spec.record)
 
 
 def test_every_function_is_in_the_table() -> None:
