@@ -84,12 +84,22 @@ class SameSite:
             return await self.app(scope, receive, send)
         headers = Headers(scope=scope)
         host = headers.get("host", "")
-        if self.loopback and not is_loopback(urlsplit(f"//{host}").hostname or ""):
-            return await problem(421, f"this service does not answer for host {host!r}")(scope, receive, send)
+        if host and not _hostname(host):
+            return await problem(400, f"{host[:100]!r} is no host")(scope, receive, send)
+        if self.loopback and not is_loopback(_hostname(host)):
+            return await problem(421, f"this service does not answer for host {host[:100]!r}")(scope, receive, send)
         origin = headers.get("origin")
-        if origin is not None and scope["method"] not in ("GET", "HEAD") and urlsplit(origin).netloc != host:
+        if origin is not None and scope["method"] not in ("GET", "HEAD") and origin.partition("://")[2] != host:
             return await problem(403, "requests from other web sites are refused")(scope, receive, send)
         return await self.app(scope, receive, send)
+
+
+def _hostname(host: str) -> str:
+    """The name or address in a Host header; "" if it is none."""
+    try:
+        return urlsplit(f"//{host}").hostname or ""
+    except ValueError:
+        return ""
 
 
 def is_loopback(host: str) -> bool:

@@ -10,24 +10,22 @@ from pydantic import BaseModel, Field
 from starlette.datastructures import MutableHeaders
 from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse, Response
+from starlette.routing import Match
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from api.preflight import Unavailable
-from services.errors import InvalidRequest
+from api.schemas import BadField
+from api.warm_process import Unavailable
+from services.errors import InvalidRequest, without_folders
 from services.jobs.repository import KeyReused, QueueFull
 from services.logs import logger
 from services.pipeline.campaign_spec import named as campaign_fields
 from services.pipeline.spec import named
 
 MEDIA_TYPE = "application/problem+json"
+MAX_DETAIL = 5000
+"""Characters of the error in words, which repeats the first invalid fields."""
+_METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE")
 log = logger(__name__)
-
-
-class BadField(BaseModel):
-    """A field of a request with an invalid value."""
-
-    field: str = Field(description='dotted path in the request, e.g. "scene.objects.0.mesh"')
-    detail: str = Field(description="why the value is invalid, and which values are valid")
 
 
 class ProblemDetails(BaseModel):
@@ -45,8 +43,8 @@ def problem(status: int, detail: str, errors: Sequence[InvalidRequest] = (), hea
     body = ProblemDetails(
         title=HTTPStatus(status).phrase,
         status=status,
-        detail=detail,
-        errors=[BadField(field=error.field, detail=error.detail) for error in errors],
+        detail=without_folders(detail)[:MAX_DETAIL],
+        errors=[BadField(field=error.field, detail=without_folders(error.detail)) for error in errors],
     )
     return JSONResponse(body.model_dump(), status, headers, MEDIA_TYPE)
 
@@ -89,7 +87,9 @@ def install(app: FastAPI) -> None:
         return invalid(fields([item | {"loc": item["loc"][1:]} for item in items]))
 
     @app.exception_handler(HTTPException)
-    def _http(_: Request, error: HTTPException) -> Response:
+    def _http(request: Request, error: HTTPException) -> Response:
+        if error.status_code == 405:  # the framework names the methods of the first route of the path only
+            error.headers = {"Allow": ", ".join(_allowed(app, request.url.path))}
         return http_problem(error)
 
     @app.exception_handler(QueueFull)
@@ -108,7 +108,18 @@ def install(app: FastAPI) -> None:
     @app.exception_handler(Exception)
     def _unexpected(_: Request, error: Exception) -> Response:
         log.error("request failed", exc_info=error)
-        return problem(500, "the service made a mistake; its log says which")
+        # The server closes the connection after this, so a client must not send its next request on it.
+        return problem(500, "the service made a mistake; its log says which", headers={"Connection": "close"})
+
+
+def _allowed(app: FastAPI, path: str) -> list[str]:
+    """The methods of all routes of a path."""
+    asked = {"type": "http", "path": path, "root_path": "", "headers": []}
+    return [
+        method
+        for method in _METHODS
+        if any(route.matches(asked | {"method": method})[0] is Match.FULL for route in app.router.routes)
+    ]
 
 
 _LATER = {"Retry-After": "5"}

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, Field
 
-from services.errors import InvalidRequest
+from services.errors import InvalidRequest, without_folders
 from services.extensions import Extension
 from services.jobs.models import Artifact, Campaign, Job, State
 from services.pipeline.outcome import Outcome
@@ -16,6 +16,13 @@ from services.pipeline.spec import JobSpec
 from services.pipeline.target_folders import TargetFolder
 from services.pipeline.warning import JobWarning
 from services.scenes.library import Entry
+
+
+class BadField(BaseModel):
+    """A field of a request with an invalid value."""
+
+    field: str = Field(description='dotted path in the request, e.g. "scene.objects.0.mesh"')
+    detail: str = Field(description="why the value is invalid, and which values are valid")
 
 
 class ProgressView(BaseModel):
@@ -50,11 +57,17 @@ class JobSummary(BaseModel):
         description="the request with the values of all fields filled in; as it was stored, if its attack or renderer "
         "is not installed any more"
     )
-    warnings: list[JobWarning] = Field(
-        default_factory=list, description="what the request was warned of when it was accepted"
+    checked: bool = Field(
+        True,
+        description="whether the scene was rendered and the network asked, before the job was accepted or by a worker "
+        "since; `warnings` is empty and `spec` as it was sent until then",
     )
+    warnings: list[JobWarning] = Field(default_factory=list, description="what the request was warned of")
     outcome: Outcome | None = Field(description="the part of the result that lists show, once the job succeeded")
     failure: FailureView | None
+    errors: list[BadField] = Field(
+        default_factory=list, description="the invalid fields of a job in the state rejected: its request cannot run"
+    )
 
     @classmethod
     def of(cls, job: Job) -> Self:
@@ -88,6 +101,8 @@ def _fields(job: Job) -> dict:  # type: ignore[type-arg]
         "seed": job.seed,
         "progress": progress,
         "spec": job.spec,
+        "checked": job.checked,
+        "errors": job.errors or [],
         "warnings": job.warnings or [],
         "outcome": job.outcome,
         "failure": failure,
@@ -153,7 +168,7 @@ class ExtensionView(BaseModel):
     def of(cls, extension: Extension) -> Self:
         """The view of a loaded file."""
         adds = sorted(f"{kind} {name}" for kind, name in extension.adds)
-        return cls(file=extension.name, sha256=extension.sha256, adds=adds, error=extension.error)
+        return cls(file=extension.name, sha256=extension.sha256, adds=adds, error=_shown(extension.error))
 
 
 class TargetFolderView(BaseModel):
@@ -166,7 +181,7 @@ class TargetFolderView(BaseModel):
     @classmethod
     def of(cls, folder: TargetFolder) -> Self:
         """The view of a folder."""
-        return cls(name=folder.name, card_sha256=folder.card_sha256, error=folder.error)
+        return cls(name=folder.name, card_sha256=folder.card_sha256, error=_shown(folder.error))
 
 
 class Readiness(BaseModel):
@@ -182,6 +197,10 @@ class Readiness(BaseModel):
     targets: list[TargetFolderView] = Field(
         description="the networks of your own that this process registered or left out, one folder each"
     )
+
+
+def _shown(error: str | None) -> str | None:
+    return None if error is None else without_folders(error)
 
 
 def cursor_after(job: Job | Campaign) -> str:

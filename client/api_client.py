@@ -12,7 +12,7 @@ from httpx_sse import connect_sse
 
 from services import atomic_write
 
-TERMINAL = ("succeeded", "failed", "cancelled")
+TERMINAL = ("succeeded", "failed", "rejected", "cancelled")
 _PATIENCE = 30.0
 """Seconds without a byte after which an event stream counts as dropped; the service sends a comment more often."""
 _CHECK = 300.0

@@ -7,7 +7,7 @@ worker renews the lease, and kills the process if it does not stop.
 import json
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,8 @@ from services.pipeline.campaign_views import first_answers
 from services.pipeline.execute import Progress, execute
 from services.pipeline.outcome import outcome
 from services.pipeline.result import Result
-from services.pipeline.spec import parse
+from services.pipeline.spec import JobSpec, digest, parse
+from services.pipeline.warning import JobWarning
 from services.scenes.library import Library
 from services.settings import Settings, settings
 
@@ -109,6 +110,29 @@ class Jobs:
         self._working_files.forget(repository, attempt.job_id)
 
     def _attack(self, attempt: Attempt, job: Job, reporter: Reporter) -> None:
+        repository, unchecked = self._repository, not job.checked
+
+        def checked(spec: JobSpec, warnings: Sequence[JobWarning]) -> None:
+            nonlocal unchecked
+            if unchecked:
+                unchecked = False
+                repository.checked(attempt, spec.model_dump(mode="json"), digest(spec), warnings)
+
+        try:
+            self._execute(attempt, job, reporter, checked)
+        except InvalidRequest as error:
+            if not unchecked:
+                raise
+            log.info("job rejected", job=attempt.job_id, error=str(error))
+            repository.reject(attempt, error)
+
+    def _execute(
+        self,
+        attempt: Attempt,
+        job: Job,
+        reporter: Reporter,
+        checked: Callable[[JobSpec, Sequence[JobWarning]], None],
+    ) -> None:
         with self._working_files.attempt_directory(attempt) as out:
             result = execute(
                 parse(job.spec),
@@ -117,6 +141,7 @@ class Jobs:
                 progress=reporter.progress,
                 cancelled=reporter.stop,
                 checkpoint=self._working_files.checkpoint(attempt.job_id),
+                checked=checked,
             )
             self._keep(attempt, result, out)
 

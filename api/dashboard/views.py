@@ -46,6 +46,8 @@ class Page:
     times: dict[str, datetime]
     attempt: int
     failure_detail: str | None
+    errors: list[dict[str, Any]]
+    """The invalid fields of a rejected job."""
     warnings: list[Any]
     result: dict[str, Any] | None
     subsets: list[dict[str, Any]]
@@ -99,6 +101,7 @@ def page(job: Job, events: Iterable[Event], artifacts: Sequence[Artifact]) -> Pa
         times=job.times,
         attempt=job.attempt,
         failure_detail=job.failure_detail,
+        errors=job.errors or [],
         warnings=job.warnings or [],
         result=with_outcome(job.result),
         subsets=subsets(job.result),

@@ -1,7 +1,7 @@
 """Routes for the files of a finished job."""
 
 import re
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Header, HTTPException, Response
 from fastapi.responses import FileResponse
@@ -11,6 +11,12 @@ from api.state import KnownJob, ServicesDependency, no_such
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
+_ANSWERS: dict[int | str, dict[str, Any]] = {
+    200: {"content": {"application/octet-stream": {}, "application/json": {}, "image/png": {}}},
+    206: {"description": "the requested range"},
+    304: {"description": "the client has the file already"},
+}
+
 
 @router.get("/{job_id}/artifacts")
 def listing(job: KnownJob, services: ServicesDependency) -> ArtifactList:
@@ -18,19 +24,15 @@ def listing(job: KnownJob, services: ServicesDependency) -> ArtifactList:
     return ArtifactList(items=[ArtifactView.of(artifact) for artifact in services.repository.artifacts(job.id)])
 
 
-@router.get(
-    "/{job_id}/artifacts/{name}",
-    response_class=FileResponse,
-    responses={
-        200: {"content": {"application/octet-stream": {}, "application/json": {}, "image/png": {}}},
-        206: {"description": "the requested range"},
-        304: {"description": "the client has the file already"},
-    },
-)
+@router.head("/{job_id}/artifacts/{name}", response_class=FileResponse, responses=_ANSWERS)
+@router.get("/{job_id}/artifacts/{name}", response_class=FileResponse, responses=_ANSWERS)
 def download(
     job: KnownJob, name: str, services: ServicesDependency, if_none_match: Annotated[str | None, Header()] = None
 ) -> Response:
-    """Downloads a file. Its ETag is the hash of its bytes, it never changes, and Range requests return parts of it."""
+    """Downloads a file; HEAD answers the same without the file.
+
+    Its ETag is the hash of its bytes, it never changes, and Range requests return parts of it.
+    """
     artifact = services.repository.artifact(job.id, name)
     if artifact is None:
         raise no_such("artifact")

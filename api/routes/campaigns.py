@@ -2,9 +2,10 @@
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Header, Query, Response
+from fastapi import APIRouter, Depends, Header, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
+from api.bodies import body_of
 from api.campaign_schemas import (
     CampaignJobPage,
     CampaignJobView,
@@ -13,7 +14,8 @@ from api.campaign_schemas import (
     CampaignView,
     ViewList,
 )
-from api.routes.jobs import json_body
+from api.routes.connection import while_connected
+from api.routes.jobs import client_of, json_body
 from api.schemas import cursor_after, read_cursor
 from api.state import Services, ServicesDependency, no_such
 from services.analysis.campaign_text import to_csv, to_latex
@@ -41,9 +43,9 @@ WholeCampaign = Annotated[Campaign, Depends(whole_campaign)]
 
 @router.post("", status_code=202, response_model=CampaignView, dependencies=[Depends(json_body)])
 async def submit(
-    spec: CampaignSpec,
+    spec: Annotated[CampaignSpec, Depends(body_of(CampaignSpec))],
     services: ServicesDependency,
-    response: Response,
+    request: Request,
     idempotency_key: Annotated[
         str | None,
         Header(min_length=1, max_length=255, description="a repeated key gets the first answer again, and no new job"),
@@ -52,23 +54,28 @@ async def submit(
     """Starts a campaign.
 
     The request, its size and the names in it are checked before the answer, and one job for each target, renderer and
-    method as a whole. What is wrong with a single view shows when the views are selected: it is then not attacked.
+    method as a whole, as far as that takes a few seconds. What is wrong with a single view shows when the views are
+    selected: it is then not attacked.
     """
-    key = None if idempotency_key is None else Key(idempotency_key, request_digest(spec))
+    key = None
+    if idempotency_key is not None:
+        key = Key(idempotency_key, await run_in_threadpool(request_digest, spec))
     campaign = None if key is None else await run_in_threadpool(services.campaigns.record.of_key, key)
     if campaign is None:
-        await _check(spec, services)
+        await while_connected(request, _check(spec, services, client_of(request)))
         campaign = await run_in_threadpool(services.campaigns.submit, spec, idempotency_key)
-    response.headers["Location"] = f"/v1/campaigns/{campaign.id}"
-    return CampaignView.accepted(campaign, spec)
+    # The answer to a long list of jobs is large, so it is written in a thread too.
+    answer = await run_in_threadpool(lambda: CampaignView.accepted(campaign, spec).model_dump_json())
+    headers = {"Location": f"/v1/campaigns/{campaign.id}"}
+    return Response(answer, 202, headers, "application/json")
 
 
-async def _check(spec: CampaignSpec, services: Services) -> None:
+async def _check(spec: CampaignSpec, services: Services, client: str) -> None:
     check_size(spec, services.max_campaign_jobs)
     await run_in_threadpool(check_meshes, spec, services.library.check_mesh)
     for job, places in await run_in_threadpool(lambda: list(samples(spec))):
         try:
-            await services.preflight.check(job)
+            await services.preflight.check(job, client)
         except InvalidRequest as error:
             raise placed(error, places) from error
 
@@ -134,7 +141,7 @@ def jobs(
     campaign: WholeCampaign,
     services: ServicesDependency,
     limit: Annotated[int, Query(ge=1, le=500)] = 100,
-    after: Annotated[int, Query(ge=-1, description="number of a job; the page begins after it")] = -1,
+    after: Annotated[int, Query(ge=-1, le=2**31 - 1, description="number of a job; the page begins after it")] = -1,
 ) -> CampaignJobPage:
     """Lists the planned jobs in the order in which they are queued."""
     found = services.campaigns.record.jobs(campaign.id, limit + 1, after)

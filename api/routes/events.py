@@ -9,13 +9,16 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 from api.routes.following import events
 from api.state import KnownJob, ServicesDependency
 
+LARGEST = 2**31 - 1
+"""Largest number of an event that a client may name."""
+
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
 
 def resume_after(
     job: KnownJob,
     last_event_id: Annotated[
-        int | None, Header(ge=0, description="number of the last event seen; the stream goes on after it")
+        int | None, Header(ge=0, le=LARGEST, description="number of the last event seen; the stream goes on after it")
     ] = None,
 ) -> int:
     """The number of the event after which to resume. Answers 204 if no event will follow, so that browsers stop."""

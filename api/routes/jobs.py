@@ -1,16 +1,20 @@
 """Routes that submit, list, read and cancel jobs."""
 
 import re
+from functools import partial
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Header, HTTPException, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
+from api.bodies import body_of
+from api.routes.connection import while_connected
 from api.routes.following import until_over
 from api.schemas import JobPage, JobSummary, JobView, cursor_after, read_cursor
 from api.state import KnownJob, ServicesDependency, no_such
 from services.jobs.models import Job, State
 from services.jobs.repository import Key
+from services.pipeline.names_known import check_names
 from services.pipeline.spec import JobSpec, digest
 
 LONGEST_WAIT = 30.0
@@ -32,10 +36,16 @@ def wait_preferred(prefer: Annotated[str | None, Header()] = None) -> float | No
     return None if found is None else min(float(found[1]), LONGEST_WAIT)
 
 
+def client_of(request: Request) -> str:
+    """The client of a request: those who share an address share its turns."""
+    return "" if request.client is None else request.client.host
+
+
 @router.post("", status_code=202, response_model=JobView, dependencies=[Depends(json_body)])
 async def submit(
-    spec: JobSpec,
+    spec: Annotated[JobSpec, Depends(body_of(JobSpec))],
     services: ServicesDependency,
+    request: Request,
     response: Response,
     wait: Annotated[float | None, Depends(wait_preferred)],
     idempotency_key: Annotated[
@@ -45,16 +55,22 @@ async def submit(
 ) -> Any:
     """Queues one attack.
 
-    The request is checked completely before the answer, so a request that is answered by 202 is a job. With
-    `Prefer: wait=N` the answer comes when the job has ended (200) or after N seconds, at most 30 (202). `warnings` says
-    why a job that runs may show less than it seems to: the network is wrong before the attack, nobody knows the truth,
-    or the network is unsure.
+    The request's fields, names and limits are checked before the answer. So is whether the scene can be rendered and
+    attacked, if that takes no longer than a few seconds. Otherwise `checked` is false and a worker checks it first: a
+    request that cannot run ends as `rejected`, with the errors that the answer 422 would have had.
+
+    With `Prefer: wait=N` the answer comes when the job has ended (200) or after N seconds, at most 30 (202). `warnings`
+    says why a job that runs may show less than it seems to: the network is wrong before the attack, nobody knows the
+    truth, or the network is unsure.
     """
     key = None if idempotency_key is None else Key(idempotency_key, digest(spec))
     body = None if key is None else await run_in_threadpool(services.repository.first_answer, key)
     if body is None:
-        spec, warnings = await services.preflight.check(spec)
-        body = await run_in_threadpool(services.submissions.submit, spec, key, _answer, warnings)
+        await run_in_threadpool(check_names, spec, services.library)
+        found = await while_connected(request, services.preflight.check(spec, client_of(request)))
+        spec, warnings = (spec, ()) if found is None else (found.spec, found.warnings)
+        submit_now = partial(services.submissions.submit, checked=found is not None)
+        body = await run_in_threadpool(submit_now, spec, key, _answer, warnings)
     response.headers["Location"] = f"/v1/jobs/{body['id']}"
     if wait is not None:
         job = await until_over(services.repository, body["id"], wait)

@@ -1,11 +1,13 @@
 """The route of the re-rendering defence."""
 
 import binascii
+from typing import Annotated
 
 from fastapi import APIRouter, Depends
 from pydantic import BaseModel, Field, model_validator
 from starlette.concurrency import run_in_threadpool
 
+from api.bodies import body_of
 from api.rerenderer import decoded
 from api.routes.jobs import json_body
 from api.state import Services, ServicesDependency, no_such
@@ -49,7 +51,9 @@ class RerenderingView(BaseModel):
 
 
 @router.post("", dependencies=[Depends(json_body)])
-async def rerender(body: RerenderingBody, services: ServicesDependency) -> RerenderingView:
+async def rerender(
+    body: Annotated[RerenderingBody, Depends(body_of(RerenderingBody))], services: ServicesDependency
+) -> RerenderingView:
     """Fits the scene's normals, illumination and material to an image, and classifies the fitted scene's rendering.
 
     The answer comes when the fit has ended: one image at a time, for at most five minutes.

@@ -19,7 +19,9 @@ def list_jobs(
     url: UrlOption = DEFAULT_URL,
     state: Annotated[
         str | None,
-        typer.Option(help="List only jobs in this state: queued, running, cancelling, succeeded, failed or cancelled."),
+        typer.Option(
+            help="List only jobs in this state: queued, running, cancelling, succeeded, failed, rejected or cancelled."
+        ),
     ] = None,
     limit: Annotated[int, typer.Option(min=1, max=100, help="Largest number of jobs to list.")] = 20,
     as_json: JsonOption = False,

@@ -14,8 +14,10 @@ from sqlalchemy import or_, select, update
 from sqlalchemy.orm import Session
 from sqlalchemy.sql.elements import ColumnElement
 
+from services.errors import InvalidRequest, without_folders
 from services.jobs.models import Artifact, Event, Job, State
 from services.jobs.transactions import Transactions, not_held
+from services.pipeline.warning import JobWarning
 
 ACTIVE = (State.RUNNING, State.CANCELLING)
 
@@ -102,9 +104,25 @@ class Attempts(Transactions):
             return ended
 
     def fail(self, attempt: Attempt, kind: str, detail: str) -> bool:
-        """Ends the job with a typed failure. Returns False if the attempt was fenced off."""
+        """Ends the job with a typed failure, recorded without folders. Returns False if the attempt was fenced off."""
         with self._write() as session:
-            return self._end(session, attempt, State.FAILED, failure_kind=kind, failure_detail=detail)
+            return self._end(session, attempt, State.FAILED, failure_kind=kind, failure_detail=without_folders(detail))
+
+    def reject(self, attempt: Attempt, error: InvalidRequest) -> bool:
+        """Ends a job whose request cannot run. Returns False if the attempt was fenced off."""
+        with self._write() as session:
+            said = [{"field": error.field, "detail": without_folders(error.detail)}]
+            return self._end(session, attempt, State.REJECTED, errors=said)
+
+    def checked(self, attempt: Attempt, spec: dict[str, Any], digest: str, warnings: Sequence[JobWarning]) -> None:
+        """Records that the request of the attempt's job can run: `spec` with what was left open filled in, its digest,
+        and what its sender is warned of. Changes nothing if the attempt was fenced off.
+        """
+        said = [one.model_dump(mode="json") for one in warnings]
+        with self._write() as session:
+            session.execute(
+                update(Job).where(*_fence(attempt)).values(checked=True, spec=spec, digest=digest, warnings=said)
+            )
 
     def cancelled(self, attempt: Attempt) -> bool:
         """Records that the attempt stopped because the job was cancelled. Returns False if it was fenced off."""

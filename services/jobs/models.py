@@ -4,24 +4,27 @@ from datetime import UTC, datetime
 from enum import StrEnum
 from typing import Any
 
-from sqlalchemy import JSON, BigInteger, DateTime, Dialect, Enum, ForeignKey, Index, String, Text, TypeDecorator
+from sqlalchemy import JSON, BigInteger, DateTime, Dialect, Enum, ForeignKey, Index, String, Text, TypeDecorator, true
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 
 class State(StrEnum):
-    """The state of a job. Succeeded means that it ran to its end, not that the network was fooled."""
+    """The state of a job. Succeeded means that it ran to its end, not that the network was fooled. Rejected means that
+    its request turned out to be one that cannot run: it was accepted before its check had ended.
+    """
 
     QUEUED = "queued"
     RUNNING = "running"
     CANCELLING = "cancelling"
     SUCCEEDED = "succeeded"
     FAILED = "failed"
+    REJECTED = "rejected"
     CANCELLED = "cancelled"
 
     @property
     def terminal(self) -> bool:
         """Whether the job has ended, so that its state cannot change any more."""
-        return self in (State.SUCCEEDED, State.FAILED, State.CANCELLED)
+        return self in (State.SUCCEEDED, State.FAILED, State.REJECTED, State.CANCELLED)
 
 
 class CampaignState(StrEnum):
@@ -107,6 +110,7 @@ class Job(Base):
     cancelling_at: Mapped[datetime | None]
     succeeded_at: Mapped[datetime | None]
     failed_at: Mapped[datetime | None]
+    rejected_at: Mapped[datetime | None]
     cancelled_at: Mapped[datetime | None]
 
     sent_at: Mapped[datetime | None]
@@ -118,6 +122,10 @@ class Job(Base):
     lease_owner: Mapped[str | None] = mapped_column(String(100))
     lease_until: Mapped[datetime | None]
 
+    checked: Mapped[bool] = mapped_column(default=True, server_default=true())
+    """Whether the scene was rendered and the network asked before the job was accepted, or by a worker since."""
+    errors: Mapped[list[dict[str, Any]] | None]
+    """The invalid fields of a rejected job, each as {"field", "detail"}."""
     warnings: Mapped[list[Any] | None]
     """What the sender was warned of (services.pipeline.warning.JobWarning); None in records of version 0.1."""
     phase: Mapped[str | None] = mapped_column(String(32))

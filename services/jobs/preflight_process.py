@@ -47,14 +47,26 @@ def answer(message: dict[str, Any], data: bytes, library: Library) -> dict[str, 
         return {"field": error.field, "detail": error.detail}
     except JobFailure as error:
         log.warning("preflight failed", kind=error.kind, exc_info=error)
+        if error.kind == "out-of-memory" and "check" in message:
+            return _too_large()
         return {"trouble": f"{error.kind}: {error.detail}"}
     except (Exception, SystemExit) as error:  # an extension's code may end the process it is run in
         if out_of_memory(error) and "mesh" in message:
             return {"field": "file", "detail": "it needs more memory than reading a mesh may take"}
+        if out_of_memory(error) and "check" in message:
+            return _too_large()
         if out_of_memory(error):
-            return {"trouble": "out-of-memory: it needs more memory than the process that checks requests may have"}
+            return {"trouble": "out-of-memory: it needs more memory than the process that re-renders may have"}
         log.error("preflight failed", exc_info=error)
         return {"trouble": "internal: the service's log says why"}
+
+
+def _too_large() -> dict[str, Any]:
+    allowed = settings().job_memory_bytes / 2**30
+    detail = (
+        f"rendering it once takes more memory than a job may have, {allowed:g} GiB; ask for a smaller image, a smaller"
+    )
+    return {"field": "scene", "detail": f"{detail} environment map or fewer objects"}
 
 
 def _rerender(request: dict[str, Any], data: bytes, library: Library) -> dict[str, Any]:

@@ -60,6 +60,8 @@ class Repository(Attempts):
         key: Key | None,
         answer: Callable[[Job], dict[str, Any]],
         warnings: Sequence[JobWarning] = (),
+        *,
+        checked: bool = True,
     ) -> tuple[Job | None, dict[str, Any]]:
         """Records a new queued job. Returns it and `answer(job)`, or None and the key's first answer if it was used.
 
@@ -72,7 +74,12 @@ class Repository(Attempts):
             if (session.scalar(select(func.count()).select_from(Job).where(*single)) or 0) >= max_queued:
                 raise QueueFull
             job = self._add_job(
-                session, spec.model_dump(mode="json"), seed=spec.seed, digest=digest(spec), warnings=warnings
+                session,
+                spec.model_dump(mode="json"),
+                seed=spec.seed,
+                digest=digest(spec),
+                warnings=warnings,
+                checked=checked,
             )
             said = answer(job)
             if key is not None:

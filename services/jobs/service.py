@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from redis.exceptions import RedisError
@@ -31,15 +32,20 @@ class Submissions:
         key: Key | None,
         answer: Callable[[Job], dict[str, Any]],
         warnings: Sequence[JobWarning] = (),
+        *,
+        checked: bool = True,
     ) -> dict[str, Any]:
         """Records the job, then sends its id. Returns `answer(job)`, or the first answer if the key was used before.
 
+        A worker checks first whether a spec that was not `checked` can run.
+
         Raises QueueFull, and KeyReused if the key came with another request.
         """
+        create = partial(self.repository.create, spec, self.max_queued, key, answer, warnings, checked=checked)
         try:
-            job, said = self.repository.create(spec, self.max_queued, key, answer, warnings)
+            job, said = create()
         except IntegrityError:  # another process recorded the same key at the same moment
-            job, said = self.repository.create(spec, self.max_queued, key, answer, warnings)
+            job, said = create()
         if job is not None:
             self._send(job)
         return said

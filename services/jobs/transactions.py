@@ -42,6 +42,7 @@ class Transactions:
         digest: str | None = None,
         campaign_id: str | None = None,
         warnings: Sequence[JobWarning] = (),
+        checked: bool = True,
     ) -> Job:
         """Records a new queued job and its first event."""
         now = self._clock()
@@ -57,6 +58,7 @@ class Transactions:
             campaign_id=campaign_id,
             attempt=0,
             lost=0,
+            checked=checked,
             warnings=[one.model_dump(mode="json") for one in warnings],
             events=1,
         )
@@ -84,10 +86,12 @@ class Transactions:
 
 
 def story(job: Job) -> dict[str, Any]:
-    """The data of a state event: state and attempt, with the outcome or the failure of a job that has ended."""
+    """The data of a state event: state and attempt; of a job that has ended the outcome, failure or bad fields."""
     data: dict[str, Any] = {"state": job.state.value, "attempt": job.attempt}
     if job.state == State.SUCCEEDED:
         data["outcome"] = job.outcome
+    if job.state == State.REJECTED:
+        data["errors"] = job.errors
     if job.state == State.FAILED:
         data["failure"] = {"kind": job.failure_kind, "detail": job.failure_detail}
     return data

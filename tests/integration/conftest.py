@@ -16,7 +16,7 @@ import httpx
 import psutil
 import pytest
 
-TERMINAL = ("succeeded", "failed", "cancelled")
+TERMINAL = ("succeeded", "failed", "rejected", "cancelled")
 PATIENCE = 120.0
 
 
@@ -104,6 +104,8 @@ def serving(data: Path, **environ: str) -> Iterator[Stack]:
         "SCENE_ATTACK_PORT": "0",
         "SCENE_ATTACK_LEASE_SECONDS": "5",
         "SCENE_ATTACK_THREADS": "1",
+        "SCENE_ATTACK_CHECK_WAIT_SECONDS": "60",
+        "SCENE_ATTACK_CHECK_SECONDS": "120",
         **environ,
     }
     with (

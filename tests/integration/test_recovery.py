@@ -41,7 +41,7 @@ def test_a_killed_process_does_not_lose_its_job(stack: Stack, undisturbed: str, 
     assert perturbation(stack, job_id) == undisturbed
     # It went on from its checkpoint: the trace was not begun again.
     assert [row["step"] for row in job["result"]["trace"]] == sorted({row["step"] for row in job["result"]["trace"]})
-    assert not runner.is_running()
+    assert not runner.is_running() or runner.status() == psutil.STATUS_ZOMBIE  # until its new parent asks for it
     assert worker.is_running() == (module == "worker.job_process")
     assert len(stack.processes("worker.rq_worker")) == len(stack.processes("worker.job_process")) == 1
 

@@ -58,7 +58,7 @@ if (live?.dataset.events) {
   source.addEventListener("progress", update);
   source.addEventListener("state", (event) => {
     update();
-    if (["succeeded", "failed", "cancelled"].includes(JSON.parse(event.data).state)) source.close();
+    if (["succeeded", "failed", "rejected", "cancelled"].includes(JSON.parse(event.data).state)) source.close();
   });
   source.addEventListener("error", () => {
     connection.hidden = false;

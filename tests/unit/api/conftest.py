@@ -42,7 +42,12 @@ OUTCOME = Outcome(
 def app(redis_url: str, tmp_path_factory: pytest.TempPathFactory) -> FastAPI:
     """The real app with database, Redis and preflight process, and no worker: jobs stay queued."""
     settings = Settings(
-        data=tmp_path_factory.mktemp("data"), redis_url=redis_url, max_upload_bytes=300_000, max_faces=5000
+        data=tmp_path_factory.mktemp("data"),
+        redis_url=redis_url,
+        max_upload_bytes=300_000,
+        max_faces=5000,
+        check_wait_seconds=60,
+        check_seconds=120,
     )
     return create_app(settings)
 

@@ -8,6 +8,7 @@ import httpx
 import pytest
 from httpx import ASGITransport
 
+from services.errors import InvalidRequest
 from services.jobs.repository import Repository
 from services.pipeline.outcome import outcome as line_of
 from services.pipeline.result import Result
@@ -214,6 +215,16 @@ async def test_failed_job_says_why_in_plain_words(repository: Repository) -> Non
     tags = Tags((await get(repository, f"/jobs/{job.id}")).text)
     assert "The process running the job died more often than it may be restarted." in tags.text
     assert "its process died 3 times" in tags.text
+    assert not tags.all("form")
+
+
+async def test_a_rejected_job_names_its_bad_fields(repository: Repository) -> None:
+    job = add(repository)
+    repository.reject(start(repository, job), InvalidRequest("goal.reach", "there is no label 'tensch'"))
+    tags = Tags((await get(repository, f"/jobs/{job.id}")).text)
+    assert "Why it was rejected" in tags.text
+    assert "goal.reach" in tags.text
+    assert "there is no label 'tensch'" in tags.text
     assert not tags.all("form")
 
 

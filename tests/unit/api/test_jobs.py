@@ -1,3 +1,4 @@
+import itertools
 from concurrent.futures import ThreadPoolExecutor
 
 import psutil
@@ -6,6 +7,8 @@ from httpx import Client
 
 from api.state import Services
 from tests.unit.api.conftest import SPHERE
+
+AZIMUTHS = (0.001 * k for k in itertools.count(1))
 
 
 def submit(client: Client, **headers: str) -> dict[str, object]:
@@ -145,8 +148,41 @@ def test_more_jobs_than_the_queue_takes_are_put_off(client: Client, services: Se
 
 def test_a_lost_preflight_process_is_replaced(client: Client) -> None:
     submit(client)
-    [child] = [one for one in psutil.Process().children() if "services.jobs.preflight_process" in one.cmdline()]
-    child.kill()
-    statuses = [client.post("/v1/jobs", json=SPHERE).status_code for _ in range(2)]
+    for child in psutil.Process().children():
+        if "services.jobs.preflight_process" in child.cmdline():
+            child.kill()
+    statuses = [client.post("/v1/jobs", json=unseen()).status_code for _ in range(2)]
     assert statuses[-1] == 202
     assert set(statuses) <= {202, 503}
+
+
+def unseen() -> dict[str, object]:
+    """A request that no other is like, so that its check is not remembered."""
+    camera = SPHERE["scene"]["camera"] | {"azimuth": next(AZIMUTHS)}
+    return SPHERE | {"scene": SPHERE["scene"] | {"camera": camera}}
+
+
+def test_a_check_is_remembered_for_other_seeds(client: Client) -> None:
+    spec = unseen()
+    first = client.post("/v1/jobs", json=spec).json()
+    asked = len(client.get("/v1/jobs").json()["items"])
+    assert asked
+    second = client.post("/v1/jobs", json=spec | {"seed": 5}).json()
+    assert (first["checked"], second["checked"]) == (True, True)
+    assert second["seed"] == second["spec"]["seed"] == 5
+    assert second["spec"] == first["spec"] | {"seed": 5}
+
+
+def test_a_job_whose_check_takes_too_long_is_accepted_unchecked(client: Client, services: Services) -> None:
+    pool = services.preflight.specs
+    patience, pool.seconds = pool.seconds, 0.0
+    try:
+        answer = client.post("/v1/jobs", json=unseen() | {"goal": {"reach": "no such thing"}})
+        named = client.post("/v1/jobs", json={"scene": {"objects": [{"mesh": "furniture/sofaa"}]}})
+    finally:
+        pool.seconds = patience
+    assert answer.status_code == 202, answer.text
+    assert not answer.json()["checked"]
+    assert answer.json()["spec"]["goal"]["reach"] == "no such thing"
+    assert named.status_code == 422  # names need no process
+    assert named.json()["errors"][0]["field"] == "scene.objects.0.mesh"

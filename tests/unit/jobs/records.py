@@ -11,8 +11,8 @@ SPEC = parse({"scene": {"objects": [{"mesh": "primitive/sphere"}]}, "seed": 7})
 OUTCOME = {"fooled": True, "verified": False}
 
 
-def add(repository: Repository, spec: JobSpec = SPEC) -> Job:
-    job, _ = repository.create(spec, 1000, None, lambda job: {"id": job.id})
+def add(repository: Repository, spec: JobSpec = SPEC, *, checked: bool = True) -> Job:
+    job, _ = repository.create(spec, 1000, None, lambda job: {"id": job.id}, checked=checked)
     assert job is not None
     return job
 

@@ -4,9 +4,11 @@ from math import nan
 import pytest
 from sqlalchemy.exc import StatementError
 
+from services.errors import InvalidRequest
 from services.jobs.attempts import Attempt, Standing
 from services.jobs.models import State
 from services.jobs.repository import Key, KeyReused, QueueFull, Repository
+from services.pipeline.warning import JobWarning
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import OUTCOME, SPEC, add, artifact, row, start
 
@@ -227,3 +229,39 @@ def test_a_full_queue_takes_no_more(repository: Repository) -> None:
     start(repository, started)
     repository.create(SPEC, 2, None, lambda _: {})
     assert len(repository.page(None, 9, None)) == 3
+
+
+def test_a_job_accepted_before_its_check_is_settled_by_its_worker(repository: Repository) -> None:
+    job = add(repository, checked=False)
+    before = repository.get(job.id)
+    assert before is not None
+    assert not before.checked
+    attempt = start(repository, job)
+    warning = JobWarning(code="low-confidence", field="scene", text="it is unsure")
+    repository.checked(attempt, {"seed": 7, "goal": {"leave": "balloon"}}, "ab" * 32, [warning])
+    found = row(repository, job)
+    assert (found["checked"], found["digest"], found["spec"]["goal"]) == (True, "ab" * 32, {"leave": "balloon"})
+    assert found["warnings"] == [warning.model_dump(mode="json")]
+    assert found["state"] is State.RUNNING
+
+
+def test_a_rejected_job_has_ended_and_says_which_fields_are_bad(repository: Repository) -> None:
+    job = add(repository, checked=False)
+    attempt = start(repository, job)
+    assert repository.reject(attempt, InvalidRequest("goal.leave", "there is no such label"))
+    found = row(repository, job)
+    errors = [{"field": "goal.leave", "detail": "there is no such label"}]
+    assert (found["state"], found["errors"], found["lease_owner"]) == (State.REJECTED, errors, None)
+    assert found["events"][-1][2] == {"state": "rejected", "attempt": 1, "errors": errors}
+    assert State.REJECTED.terminal
+    assert repository.lease(job.id, "w", 20) is None
+
+
+def test_an_attempt_that_was_taken_back_settles_and_rejects_nothing(repository: Repository) -> None:
+    job = add(repository, checked=False)
+    late = start(repository, job)
+    repository.give_back(late)
+    before = row(repository, job)
+    repository.checked(late, {}, "ab" * 32, [])
+    assert not repository.reject(late, InvalidRequest("goal", "it is bad"))
+    assert row(repository, job) == before

@@ -7,11 +7,14 @@ import torch
 from services.attacks.trace import TraceRow
 from services.errors import InvalidRequest, JobFailure
 from services.jobs.database import connect, migrate
+from services.jobs.models import State
 from services.jobs.repository import Repository
 from services.pipeline.execute import Progress
+from services.pipeline.spec import JobSpec, digest
 from services.settings import Settings
-from tests.unit.jobs.records import add, start
-from worker.job_process import POLL_SECONDS, REPORT_SECONDS, Reporter, classify
+from tests.unit.jobs import small
+from tests.unit.jobs.records import add, row, start
+from worker.job_process import POLL_SECONDS, REPORT_SECONDS, Jobs, Reporter, classify
 
 ROW = {
     "loss": 0.5,
@@ -36,7 +39,11 @@ class Seconds:
 
 @pytest.fixture
 def repository(tmp_path: Path) -> Repository:
-    settings = Settings(data=tmp_path)
+    return record(tmp_path)
+
+
+def record(data: Path) -> Repository:
+    settings = Settings(data=data)
     engine = connect(settings)
     migrate(engine, settings)
     return Repository(engine)
@@ -98,3 +105,27 @@ def test_a_job_that_must_stop_is_told_at_the_next_look(repository: Repository, w
 )
 def test_every_end_has_a_name(error: BaseException, kind: str) -> None:
     assert classify(error).kind == kind
+
+
+@pytest.mark.parametrize(("label", "state"), [("tench", State.SUCCEEDED), ("no such thing", State.REJECTED)])
+def test_a_job_accepted_before_its_check_is_checked_first(tmp_path: Path, label: str, state: State) -> None:
+    repository, jobs = record(tmp_path), Jobs(Settings(data=tmp_path))
+    job = add(repository, small.spec(attack={"steps": 1}, goal={"reach": label}), checked=False)
+    jobs.run(start(repository, job))
+    found = row(repository, job)
+    assert found["state"] is state
+    if state is State.REJECTED:
+        assert [error["field"] for error in found["errors"]] == ["goal.reach"]
+        assert not found["checked"]
+    else:
+        assert found["checked"]
+        assert found["spec"] == found["result"]["spec"]
+        assert found["spec"]["goal"]["leave"] is None
+        assert found["digest"] == digest(JobSpec.model_validate(found["spec"]))
+
+
+def test_a_checked_job_whose_mesh_has_gone_failed(tmp_path: Path) -> None:
+    repository, jobs = record(tmp_path), Jobs(Settings(data=tmp_path))
+    job = add(repository, small.spec(scene={"objects": [{"mesh": f"sha256:{'0' * 64}"}]}))
+    jobs.run(start(repository, job))
+    assert row(repository, job)["failure_kind"] == "asset-missing"

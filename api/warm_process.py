@@ -1,0 +1,96 @@
+"""A warm process of the API, which answers one request at a time and is started again when it has died."""
+
+import asyncio
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, BinaryIO
+
+from services.errors import InvalidRequest
+from services.jobs.child import Child, ChildDied
+from services.logs import logger
+from services.settings import Settings
+
+START_SECONDS = 180.0
+"""Longest time that the process may take to load."""
+
+log = logger(__name__)
+
+
+class Unavailable(Exception):
+    """The request could not be answered now; the client may try again."""
+
+
+class TooSlow(Exception):
+    """The process had not answered in time, and was killed."""
+
+
+class WarmProcess:
+    """A child that runs `python -m services.jobs.preflight_process` and stays warm between requests."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._child: Child | None = None
+        # With one thread, requests wait for one another; the request of a client that disconnects still finishes.
+        self._thread = ThreadPoolExecutor(1, "preflight")
+
+    async def start(self) -> None:
+        """Starts the process and waits until it is warm. Raises Unavailable if it does not start."""
+        await asyncio.get_running_loop().run_in_executor(self._thread, self._warm)
+
+    def close(self) -> None:
+        """Ends the process; requests that wait for it are dropped."""
+        child = self._child
+        if child is not None:
+            child.end()  # a request in progress gets ChildDied
+        self._thread.shutdown(cancel_futures=True)
+        if self._child is not None:
+            self._child.kill()
+            self._child = None
+
+    async def ask(self, message: dict[str, Any], file: BinaryIO | None, seconds: float) -> dict[str, Any]:
+        """Returns the answer to a request with the bytes of `file`, which may take `seconds` once the process is warm.
+
+        Raises InvalidRequest for an invalid field, TooSlow, ChildDied if the process ended, and Unavailable.
+        """
+        loop = asyncio.get_running_loop()
+        answer = await loop.run_in_executor(self._thread, self._ask, message, file, seconds)
+        if "field" in answer:
+            raise InvalidRequest(answer["field"], answer["detail"])
+        if "trouble" in answer:
+            raise Unavailable(f"the check of this request failed: {answer['trouble']}")
+        return answer
+
+    def _ask(self, message: dict[str, Any], file: BinaryIO | None, seconds: float) -> dict[str, Any]:
+        child = self._warm()
+        try:
+            # Waiting uploads stay on the disk; only the file of this request is read into memory.
+            child.send(message, b"" if file is None else file.read())
+            answer = child.receive(seconds)
+        except ChildDied:
+            log.warning("preflight process died", pid=child.pid)
+            self._end(child)
+            raise
+        if answer is None:
+            log.warning("preflight process was too slow", pid=child.pid, seconds=seconds)
+            self._end(child)
+            raise TooSlow
+        return answer
+
+    def _warm(self) -> Child:
+        if self._child is not None and self._child.alive():
+            return self._child
+        if self._child is not None:
+            self._child.kill()
+        child = self._child = Child("services.jobs.preflight_process", self._settings)
+        try:
+            ready = child.receive(START_SECONDS)
+        except ChildDied:
+            ready = None
+        if ready is None:
+            self._end(child)
+            raise Unavailable("the process that checks requests does not start; the service's log says why")
+        log.info("preflight process ready", pid=child.pid)
+        return child
+
+    def _end(self, child: Child) -> None:
+        child.kill()
+        self._child = None
