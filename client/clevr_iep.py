@@ -7,8 +7,10 @@ numbers, so that reading one runs no code of its file.
 
 import hashlib
 import json
+import re
 from collections.abc import Mapping
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
 
 import torch
@@ -25,6 +27,7 @@ from services.targets.iep_released.vocabulary import Vocabulary
 TRUNKS = ("63fe2227", "5d3b4d8f")
 """How the SHA-256 of torchvision's ResNet-101 of 2016 (IMAGENET1K_V1) begins, in its two formats: its files are named
 by it. Later weights of the same shapes give other features."""
+_REASON = re.compile(r"Unsupported operand \d+|(?i:unsupported) (?:global: )?GLOBAL \S+")
 DUE = {
     "stem_num_layers": 2,
     "stem_batchnorm": False,
@@ -86,11 +89,19 @@ def write(engine: Path, generator: Path, trunk: Path, out: Path, any_trunk: bool
 def _read(option: str, path: Path) -> Mapping[str, Any]:
     try:
         found = torch.load(path, map_location="cpu", weights_only=True)
+    except UnpicklingError as error:
+        raise InvalidRequest(option, f"{path} cannot be read as weights: {_reason(error)}") from error
     except Exception as error:  # an error of its own for each way in which a file can be wrong
         raise InvalidRequest(option, f"{path} cannot be read as weights: {summary(error)}") from error
     if not isinstance(found, Mapping):
         raise InvalidRequest(option, f"{path} holds a {type(found).__name__}, not a dictionary")
     return found
+
+
+def _reason(error: UnpicklingError) -> str:
+    """torch's reason without what it says around it: how to read the file in the way that may run its code."""
+    found = _REASON.search(str(error))
+    return summary(UnpicklingError(found[0])) if found else "torch's reader of weights refuses it"
 
 
 def _weights(option: str, found: Mapping[Any, Any]) -> Mapping[str, Tensor]:

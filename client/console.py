@@ -49,7 +49,14 @@ def table(columns: Iterable[str], rows: Iterable[Iterable[str | Text]], *, title
     return made
 
 
-STATE_STYLES = {"succeeded": "green", "failed": "red", "cancelled": "yellow", "running": "cyan", "cancelling": "yellow"}
+STATE_STYLES = {
+    "succeeded": "green",
+    "failed": "red",
+    "rejected": "red",
+    "cancelled": "yellow",
+    "running": "cyan",
+    "cancelling": "yellow",
+}
 
 
 def state_text(state: str) -> Text:

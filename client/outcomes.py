@@ -29,6 +29,18 @@ def cells(scene: str, attack: str, outcome: Mapping[str, Any]) -> list[str | Tex
     ]
 
 
+def goal_line(spec: Mapping[str, Any]) -> str | None:
+    """The goal of a full spec, if there are wrong answers that do not meet it; None for other goals."""
+    goal = spec["goal"]
+    if goal.get("reach") is not None:
+        return f"Goal: the answer {goal['reach']!r}. Another wrong answer does not meet it."
+    if goal.get("leave_kind"):
+        return (
+            "Goal: an answer of another kind than the question asks for. A wrong answer of its kind does not meet it."
+        )
+    return None
+
+
 def thousandths(p: float | None) -> str:
     """A perceptibility in thousandths; a dash where it was not measured, as in results of version 0.1."""
     return "–" if p is None else f"{p * 1000:.2f}"

@@ -1,7 +1,9 @@
 """Defines the errors of requests and jobs, and how errors of other code, such as an extension's, become one of them."""
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 ERROR_LENGTH = 500
 """Characters of an error that are kept: it is logged by every process, and shown at each call of `/readyz`."""
@@ -84,3 +86,14 @@ def encodable(text: str) -> str:
 def printable(text: str) -> str:
     """Returns the text with control characters and bytes that are no UTF-8 escaped: JSON and terminals refuse them."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+_FOLDERS = re.compile(r"(?<![\w.:/])(/[^\s/'\"]+)(/[^\s/'\"]+)*/(?=[^\s/'\"])")
+
+
+def without_folders(text: str) -> str:
+    """Returns the text with each absolute path of this machine cut to its last name, as the API's clients may see it.
+
+    Paths of the API, such as /v1/targets, stay: they begin with no folder of the machine.
+    """
+    return _FOLDERS.sub(lambda found: "" if Path(found[1]).is_dir() else found[0], text)

@@ -42,7 +42,7 @@ def run(
     from client.console import err, print_json, report_extensions, table
     from client.console import out as stdout
     from client.live import JobLine
-    from client.outcomes import COLUMNS, cells
+    from client.outcomes import COLUMNS, cells, goal_line
     from client.question_tables import print_answered
     from services.device import check_device
     from services.pipeline.names import attack_name, job_name
@@ -64,6 +64,8 @@ def run(
     from services.pipeline.outcome import outcome
 
     stdout().print(table(COLUMNS, [cells(name, attack, outcome(result))]))
+    if line_of_goal := goal_line(result.spec):
+        stdout().print(line_of_goal, markup=False, highlight=False, soft_wrap=True)
     print_answered(result.questions, out)
     print_subsets(result.subsets, result.attribution)
     print_analyses(result.analyses)
@@ -166,7 +168,7 @@ def _execute(spec: "JobSpec", out: Path, line: "JobLine") -> "Result":
             library(),
             progress=report,
             checkpoint=checkpoint,
-            warn=lambda found: warn(one.model_dump() for one in found),
+            checked=lambda _, found: warn(one.model_dump() for one in found),
         )
     except InvalidRequest:
         begun.unlink()

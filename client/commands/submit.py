@@ -27,7 +27,8 @@ def submit(
 ) -> None:
     """Queue a job at a running service.
 
-    With --watch the exit code is 0 if the job succeeded (ran to its end), and 1 if it failed or was cancelled.
+    With --watch the exit code is 0 if the job succeeded (ran to its end), 2 if it was rejected because its request
+    cannot run, and 1 if it failed or was cancelled.
     """
     from client import spec_input
     from client.api_client import ApiClient
@@ -38,6 +39,8 @@ def submit(
     with ApiClient(url) as client:
         job = client.submit(data)
         warn(job.get("warnings", ()))
+        if not job.get("checked", True):
+            err().print("accepted before its check had ended; a worker checks it first")
         if watch:
             err().print(f"{client.url}/jobs/{job['id']}", markup=False, highlight=False)
             job = follow(client, job)
@@ -48,7 +51,7 @@ def submit(
         else:
             out().print(f"{job['id']}  {client.url}/jobs/{job['id']}", markup=False, highlight=False)
     if watch and job["state"] != "succeeded":
-        raise typer.Exit(1)
+        raise typer.Exit(2 if job["state"] == "rejected" else 1)
 
 
 def follow(client: "ApiClient", job: dict[str, Any]) -> dict[str, Any]:
@@ -78,5 +81,7 @@ def show(job: dict[str, Any]) -> None:
         print_answered([QuestionResult.model_validate(one) for one in job["result"].get("questions", ())])
         return
     out().print(table(("id", "state", "scene", "attack"), [[job["id"], state_text(job["state"]), scene, attack]]))
+    for error in job.get("errors", ()):
+        err().print(f"rejected: {error['field']}: {error['detail']}", markup=False, highlight=False)
     if job.get("failure"):
         err().print(f"failed ({job['failure']['kind']}): {job['failure']['detail']}", markup=False, highlight=False)

@@ -6,7 +6,7 @@ all of them are moved together, at random signs; as long as that changes the adv
 back.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import torch
@@ -60,10 +60,13 @@ class Effects:
 
 
 @torch.no_grad()
-def measure(problem: AttackProblem, change: Mapping[str, float]) -> Effects:
+def measure(
+    problem: AttackProblem, change: Mapping[str, float], report: Callable[[int, int], None] = lambda _, __: None
+) -> Effects:
     """Measures the coordinates of the groups in `change`, moved by this much in the group's units.
 
     Two images and queries for each coordinate that the constraint does not fix, and DRAWS or more in addition.
+    `report` is told the number of the former that are done, and of all.
     """
     layout = problem.layout
     moves = layout.spread({group: change.get(group, 0.0) for group in layout.groups})
@@ -75,7 +78,7 @@ def measure(problem: AttackProblem, change: Mapping[str, float]) -> Effects:
     sides[2 * rows, candidates] = moves[candidates]
     sides[2 * rows + 1, candidates] = -moves[candidates]
     [start] = _advantages(problem, nothing[None])
-    changes = (_advantages(problem, _within(problem, sides.to(nothing.dtype))) - start).abs()
+    changes = (_advantages(problem, _within(problem, sides.to(nothing.dtype)), report) - start).abs()
     alone = layout.zeros().double()
     alone[candidates] = changes.reshape(-1, 2).amax(dim=1)
     limit = SHARE * max(0.0, float(start))
@@ -104,11 +107,14 @@ def _within(problem: AttackProblem, vectors: Tensor) -> Tensor:
     return projected(problem.constraint, problem.layout, clamped(problem, vectors))
 
 
-def _advantages(problem: AttackProblem, vectors: Tensor) -> Tensor:
+def _advantages(
+    problem: AttackProblem, vectors: Tensor, report: Callable[[int, int], None] = lambda _, __: None
+) -> Tensor:
     """The advantage of the present answer at perturbations [B, total], float64 [B] on the CPU."""
     start = problem.layout.flatten(problem.initial)
     found = []
     for chunk in torch.split(vectors, per_batch(problem)):
         images = problem.render(problem.layout.unflatten(start + chunk))
         found.append(problem.goal.advantage(problem.logits(images)).double().cpu())
+        report(sum(map(len, found)), len(vectors))
     return torch.cat(found)

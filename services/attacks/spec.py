@@ -25,7 +25,7 @@ from services.targets.info import LONGEST_LABEL
 Rate = Annotated[float, Field(ge=0, le=MAX_STEP, allow_inf_nan=False)]
 MAX_LABELS = 1000
 """Largest number of labels that count as one answer."""
-Label = Annotated[str, Field(min_length=1, max_length=LONGEST_LABEL)] | Annotated[int, Field(ge=0, strict=True)]
+Label = Annotated[str, Field(min_length=1, max_length=LONGEST_LABEL)] | Annotated[int, Field(ge=0)]
 Labels = Label | Annotated[tuple[Label, ...], Field(max_length=MAX_LABELS)]
 
 LARGEST_SEED = 2**63 - 1

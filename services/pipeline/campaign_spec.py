@@ -19,6 +19,9 @@ from services.pipeline.spec import AnyAttack, AnyTolerance, JobSpec, TargetChoic
 from services.rendering.plan import DEFAULT_TOLERANCE
 from services.scenes.description import Model, Scene, absent
 
+MOST_GENERATED = 200
+"""Jobs in a list whose scenes are to be generated, 10 ms each before the answer; a grid's are made afterwards."""
+
 
 def _shown(name: str) -> str:
     """The name itself. Raises ValueError for control characters: terminals, which show names, would obey them."""
@@ -153,6 +156,17 @@ class CampaignSpec(Model):
     reuse: bool = Field(
         True, description="take the result of an earlier job with the same request, backend, weights and versions"
     )
+
+    @field_validator("jobs", mode="before")
+    @classmethod
+    def _few_generated(cls, data: Any) -> Any:
+        listed = data if isinstance(data, list | tuple) else ()
+        count = sum(isinstance(one, dict) and one.get("generate") is not None for one in listed)
+        if count > MOST_GENERATED:
+            raise ValueError(
+                f"{count:,} jobs have `generate`, and {MOST_GENERATED} may; use `generate` of a grid for more"
+            )
+        return data
 
     @model_validator(mode="after")
     def _something(self) -> Self:

@@ -47,7 +47,7 @@ class Progress(BaseModel):
     """The progress of a running job: its phase, the steps taken, and the largest number of steps.
 
     `row` is the newest row of the trace in the phase "attacking", otherwise None. `analysis` is the name of the
-    analysis in progress, whose images are then counted instead of steps.
+    analysis in progress, or "leave_out" before the attack; its images are then counted instead of steps.
     """
 
     phase: Literal["loading", "attacking", "analysing"]
@@ -65,14 +65,15 @@ def execute(
     progress: Callable[[Progress], None] = lambda _: None,
     cancelled: Callable[[], bool] = lambda: False,
     checkpoint: Path | None = None,
-    warn: Callable[[Sequence[JobWarning]], None] = lambda _: None,
+    checked: Callable[[JobSpec, Sequence[JobWarning]], None] = lambda _, __: None,
 ) -> Result:
     """Runs a job and writes its files into `out`.
 
     The files are result.json, trace.json, perturbation.safetensors (one tensor for each group), original.png,
     attacked.png, and perturbation.png (the difference times 5, plus 128); for questions also what the network attends
-    to (`question_result`). `progress` is called in every phase and with every row of the trace, `warn` once before the
-    attack. The attack writes the file `checkpoint` every few seconds and resumes from it.
+    to (`question_result`). `progress` is called in every phase and with every row of the trace, `checked` once before
+    the attack with the spec as it runs and the warnings. The attack writes the file `checkpoint` every few seconds and
+    resumes from it.
     Raises InvalidRequest, JobFailure, or Cancelled once `cancelled()`, which is called before every rendering, is true.
     """
 
@@ -80,13 +81,17 @@ def execute(
         if cancelled():
             raise Cancelled
 
+    def report(phase: Literal["loading", "analysing"], name: str, done: int, of: int) -> None:
+        interrupt()
+        progress(Progress(phase=phase, step=done, steps=of, analysis=name))
+
     steps = (spec.attack.steps + 1) * (spec.attack.restarts + 1) - 1
     progress(Progress(phase="loading", steps=steps))
     interrupt()
     prepared = prepare(spec, library)
-    warn(prepared.warnings)
+    checked(prepared.spec, prepared.warnings)
     problem = _problem(prepared, interrupt)
-    problem, left_out = leaving_out(problem, spec.attack.leave_out)
+    problem, left_out = leaving_out(problem, spec.attack.leave_out, partial(report, "loading", "leave_out"))
 
     def fresh() -> Method:
         with named(f"method {spec.attack.method!r}"):
@@ -110,12 +115,7 @@ def execute(
         found.settings |= {"leave_out": left_out.settings}
     progress(Progress(phase="analysing", step=found.step, steps=steps))
     interrupt()
-
-    def report(name: str, done: int, of: int) -> None:
-        interrupt()
-        progress(Progress(phase="analysing", step=done, steps=of, analysis=name))
-
-    return _write(prepared, problem, found, out, library, report, left_out)
+    return _write(prepared, problem, found, out, library, partial(report, "analysing"), left_out)
 
 
 def _problem(prepared: Prepared, interrupt: Callable[[], None]) -> AttackProblem:

@@ -17,8 +17,12 @@ Schema = Mapping[str, Any]
 
 MAX_SHOWN = 60
 """Characters of a given value that a message shows."""
-MAX_ERRORS = 256
+MAX_ERRORS = 100
 """Errors of a request that are looked at, of a list of many items that are all wrong."""
+MAX_PART = 100
+"""Characters of each part of a path: a client may have named a field by a megabyte."""
+MAX_DETAIL = 1500
+"""Characters of a message."""
 _ANGLES = {pi / 2: "π/2", -pi / 2: "-π/2", 2 * pi: "2π", -2 * pi: "-2π"}
 _OWN_WORDS = ("value_error", "assertion_error")
 """Types of errors whose message was written for the request's models."""
@@ -50,7 +54,15 @@ def invalid_fields(items: Iterable[Mapping[str, Any]], schema: Schema) -> list[I
     # an error of an enclosing field follows from the errors within it, or is of an alternative that was not meant
     enclosing = {path[:length] for path in found for length in range(len(path))}
     inner = [path for path in found if path not in enclosing]
-    return [InvalidRequest(encodable(".".join(path) or "body"), encodable(found[path])) for path in inner]
+    return [InvalidRequest(_path(path), _shortened(encodable(found[path]), MAX_DETAIL)) for path in inner]
+
+
+def _path(parts: Sequence[str]) -> str:
+    return ".".join(_shortened(encodable(part), MAX_PART) for part in parts) or "body"
+
+
+def _shortened(text: str, most: int) -> str:
+    return text if len(text) <= most else f"{text[:most]}…"
 
 
 def _error(item: Mapping[str, Any], schema: Schema) -> tuple[tuple[str, ...], str]:
@@ -188,5 +200,6 @@ def _given(value: Any) -> str:
     """The given value as JSON, shortened; an object is not shown."""
     if isinstance(value, Mapping):
         return "an object"
-    text = json.dumps(value, ensure_ascii=False, default=str)
-    return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}…"
+    # Each piece has a character or more: of a megabyte, or of a list in a list without end, the beginning is written.
+    pieces = islice(json.JSONEncoder(ensure_ascii=False, default=str).iterencode(value), MAX_SHOWN + 1)
+    return _shortened("".join(pieces), MAX_SHOWN)

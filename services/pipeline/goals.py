@@ -96,6 +96,9 @@ def settle(asked: Asked, table: Iterable[int], logits: Tensor) -> Settled:
     first = int(logits.argmax())
     confidence = float(probability(logits, first))
     said = f"{labels[first]!r} ({confidence:.2f})"
+    if leave and first not in leave and asked.truth and first in asked.truth:
+        said += f", which is right and not {_words(leave, labels)}"
+        raise InvalidRequest("goal.leave", f"the network says {said}; leave this field out to attack that answer")
     if leave and first not in leave:
         raise InvalidRequest(
             "goal.leave",

@@ -1,6 +1,6 @@
 """A job's coordinates that are left out of the search because they hardly change the answer, measured at its start."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from services.attacks.feasible import fixed
@@ -57,14 +57,16 @@ class LeavingOut:
         return [name for name, own, left in rows if left and group in (None, own)]
 
 
-def leaving_out(problem: AttackProblem, change: Mapping[str, float]) -> tuple[AttackProblem, LeavingOut | None]:
+def leaving_out(
+    problem: AttackProblem, change: Mapping[str, float], report: Callable[[int, int], None]
+) -> tuple[AttackProblem, LeavingOut | None]:
     """Measures the coordinates of the groups in `change`; returns the problem without those that hardly count.
 
-    The problem itself and None if there is nothing to measure.
+    The problem itself and None if there is nothing to measure. `report` is told the number of images done, and of all.
     """
     if not change:
         return problem, None
-    effects = measure(problem, change)
+    effects = measure(problem, change, report)
     layout = problem.layout
     names = tuple(
         name

@@ -12,10 +12,11 @@ from services.attacks.verifier import Verifier
 from services.errors import InvalidRequest
 from services.pipeline import goals
 from services.pipeline.analysis_fields import check_analysis, load_targets
+from services.pipeline.checked import Checked
 from services.pipeline.expectations import check_range, moving_groups, with_cost
 from services.pipeline.extensions import ATTACKS
 from services.pipeline.job_plan import JobPlan
-from services.pipeline.questions import AskedQuestion, asked_questions, goal_of
+from services.pipeline.questions import AskedQuestion, asked_questions, check_scene, goal_of
 from services.pipeline.scene_limits import SceneLimits, limits_of
 from services.pipeline.spec import JobSpec
 from services.pipeline.surrogates import check_surrogate, surrogate
@@ -33,14 +34,6 @@ from services.scenes.library import Library
 from services.scenes.resolve import ResolvedScene, resolve
 from services.targets import registry
 from services.targets.protocol import ProgramTarget, Target
-
-
-@dataclass(frozen=True)
-class Checked:
-    """A request that can run: its spec as it would run, and what its sender is warned of."""
-
-    spec: JobSpec
-    warnings: tuple[JobWarning, ...]
 
 
 @dataclass
@@ -100,6 +93,7 @@ def plan(spec: JobSpec, library: Library) -> JobPlan:
     """
     scene = resolved_scene(spec, library)
     questions: tuple[AskedQuestion, ...] = ()
+    check_scene(spec)
     if spec.target.asked is not None or spec.target.questions:
         asking = spec.model_copy(update={"scene": scene.description})
         questions = asked_questions(asking, registry.load(spec.target.name))

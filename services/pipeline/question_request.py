@@ -23,7 +23,7 @@ class Call(Model):
     function: Word = Field(
         validation_alias=AliasChoices("function", "type"), description="a function of the language, e.g. `filter_color`"
     )
-    inputs: tuple[Annotated[int, Field(strict=True)], ...] = Field(
+    inputs: tuple[int, ...] = Field(
         (), max_length=8, description="numbers of the earlier functions whose outputs it takes, from 0"
     )
     value_inputs: tuple[Word, ...] = Field(

@@ -15,6 +15,8 @@ from services.questions.executor import IllPosed, answer
 from services.questions.facts import Facts
 from services.questions.functions import Type
 from services.questions.program import InvalidProgram, Program
+from services.questions.said import difference
+from services.questions.written import program_in
 from services.rendering.protocol import Parameters
 from services.scenes.clevr.attacked import record_after
 from services.scenes.clevr.records import SceneRecord
@@ -68,8 +70,9 @@ def asked_questions(spec: JobSpec, target: Target) -> tuple[AskedQuestion, ...]:
 
     Raises InvalidRequest for a question to a target that takes none and for none to one that does, for a question
     outside the language, an invalid program, and an ill-posed question ("target.question"); for a scene that has no
-    record ("record"), or that is not its record's ("scene").
+    record ("record"); and as `check_scene` does, whatever the target.
     """
+    check_scene(spec)
     choice = spec.target
     given: list[tuple[str, str | tuple[Call, ...], str]] = []
     if choice.question is not None and choice.asked is not None:
@@ -91,7 +94,6 @@ def asked_questions(spec: JobSpec, target: Target) -> tuple[AskedQuestion, ...]:
         raise InvalidRequest(
             "record", f"{target.name} is asked about scenes after CLEVR; give the scene as `record` or `generate`"
         )
-    _check_scene(spec.scene, spec.record)
     return tuple(
         AskedQuestion(
             field=field,
@@ -138,11 +140,16 @@ def _names(labels: object) -> set[object]:
 
 def _program(target: ProgramTarget, asked: str, field: str) -> Program:
     try:
-        return target.program(asked)
+        program = target.program(asked)
+        other = None if program_in(asked) is not None else difference(asked, program)
+        if other is not None:
+            said = f"the program made of it asks something else: {other}"
+            raise InvalidRequest("question", f"{said}; word it as CLEVR's questions are, or give its program")
     except InvalidProgram as error:
         raise InvalidRequest(field if error.node is None else f"{field}.{error.node}", error.detail) from error
     except InvalidRequest as error:
         raise InvalidRequest(field, error.detail) from error
+    return program
 
 
 def _right(program: Program, record: SceneRecord, field: str, given: object) -> str:
@@ -154,11 +161,15 @@ def _right(program: Program, record: SceneRecord, field: str, given: object) -> 
         raise InvalidRequest(field, error.detail) from error
 
 
-def _check_scene(scene: Scene, record: SceneRecord) -> None:
-    """Raises InvalidRequest("scene") unless objects and camera are those of the record, and as `scene_of` does.
+def check_scene(spec: JobSpec) -> None:
+    """Checks a scene that is given beside its record.
 
+    Raises InvalidRequest("scene") unless objects and camera are those of the record, and as `scene_of` does.
     Raises InvalidRequest("scene.camera.size") for an image of other proportions, whose frame would be another.
     """
+    if spec.record is None:
+        return
+    scene, record = spec.scene, spec.record
     due = scene_of(record)
     same = len(scene.objects) == len(due.objects) and all(
         _is_same(one, other) for one, other in zip(scene.objects, due.objects, strict=True)

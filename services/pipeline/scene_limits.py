@@ -1,13 +1,14 @@
 """Keeps attacks on a scene after CLEVR within scenes that exist and in which the question has the same answer.
 
 Objects stay on the plane, upright, apart from each other, inside the frame and in view: who hides an object behind
-another has not fooled the network that no longer counts it. What the question's functions find in
-the scene, such as the set of the red objects, stays too: a red cube that has turned blue is no adversary of a question
-about red cubes. The parameters that an attack moves are then the paper's: energy and position of each light, and of
-each object its colour, its place on the plane and its turn.
+another has not fooled the network that no longer counts it. What the question's functions find in the scene, such as
+the set of the red objects, stays too: a red cube that has turned blue is no adversary of a question about red cubes,
+nor is one that is about as near to purple as to red. The parameters that an attack moves are then the paper's: energy
+and position of each light, and of each object its colour, its place on the plane and its turn.
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -20,7 +21,7 @@ from services.questions.facts import Facts
 from services.rendering.plan import Item, Plan
 from services.rendering.protocol import Parameters
 from services.rendering.pyrender_renderer.declaration import PYRENDER
-from services.scenes.clevr.attacked import record_after, rig_after
+from services.scenes.clevr.attacked import other_readings, record_after, rig_after
 from services.scenes.clevr.description import rig_of
 from services.scenes.clevr.generator import MIN_PIXELS
 from services.scenes.clevr.layout import Placed
@@ -28,9 +29,12 @@ from services.scenes.clevr.placement import check, placed_in
 from services.scenes.clevr.records import SceneRecord
 from services.scenes.clevr.rig import Rig
 from services.scenes.clevr.visibility import visible_pixels
+from services.scenes.description import Scene
 
 HALVINGS = 8
 """Halvings of the search for the largest share of a change that is allowed: a share is found to 1/256."""
+ROLL = 3
+"""The coordinate of the group `camera` that turns the camera about its viewing direction."""
 UP = 1
 """The axis that points up: an object does not move along it, and turns about no other."""
 
@@ -54,18 +58,22 @@ class SceneLimits:
         """Whether a perturbation leaves the objects where objects can be, and what the question finds as it is."""
         if not can_carry(self._renderer, tuple(perturbation)):
             return True
-        record, rig = self._attacked(perturbation)
+        scene, _, _ = described(self._scene, self._renderer, perturbation)
+        record, rig = self._attacked(perturbation, scene)
         placed = placed_in(record)
         try:
             check(placed, rig)
         except InvalidRequest:
             return False
-        return self._found(record) == self._outputs and self._in_view(placed, rig)
+        read = (record, *_read_otherwise(record, scene))
+        return all(self._found(one) == self._outputs for one in read) and self._in_view(placed, rig)
 
-    def _attacked(self, perturbation: Parameters) -> tuple[SceneRecord, Rig]:
+    def _attacked(self, perturbation: Parameters, scene: Scene) -> tuple[SceneRecord, Rig]:
         """The record of the attacked scene, and its camera and lights."""
-        scene, _, _ = described(self._scene, self._renderer, perturbation)
-        return record_after(self._record, scene), rig_after(self._record, scene.camera)
+        rig = rig_after(self._record, scene.camera)
+        if CAMERA in perturbation:
+            rig = replace(rig, roll=float(perturbation[CAMERA][ROLL]))  # which a scene does not have
+        return record_after(self._record, scene), rig
 
     def _in_view(self, placed: Sequence[Placed], rig: Rig) -> bool:
         """Whether each object is seen in as many pixels as the generator asks for, or as at the start if fewer."""
@@ -127,12 +135,20 @@ class SceneLimits:
             return None
 
 
+def _read_otherwise(record: SceneRecord, scene: Scene) -> Iterator[SceneRecord]:
+    """The record with the colour of one object read as another name that is about as near."""
+    for k, (thing, shown) in enumerate(zip(record.objects, scene.objects, strict=True)):
+        for color in other_readings(shown.color):
+            other = thing.model_copy(update={"color": color})
+            yield record.model_copy(update={"objects": (*record.objects[:k], other, *record.objects[k + 1 :])})
+
+
 _WHY = {
     "illumination": "the light from all around stays: the paper attacks energy and position of the lights",
     "translation": "objects stay on the plane; what overlaps, hides one, leaves the frame or changes the answer is "
     "kept out of the search",
     "rotation": "objects stay upright",
-    "color": "no colour that the question asks about becomes another; the others are free",
+    "color": "no colour that the question asks about becomes another, or nearly; the others are free",
 }
 """What is said of a group in the plan."""
 

@@ -7,7 +7,9 @@ colours in [0,1]; +y is up. Every field but the mesh has a default, and bounds t
 from math import pi
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
+from pydantic import ConfigDict, Field, ValidationInfo, field_validator
+
+from services.strict import Strict
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Unit = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
@@ -38,8 +40,8 @@ METALLIC = "0: plastic, 1: metal (pyrender, by glTF's metallic-roughness BRDF)"
 ROUGHNESS = "0: smooth, 1: rough (pyrender, by the same BRDF); below 0.04 it is drawn as 0.04"
 
 
-class Model(BaseModel):
-    """Base class of every part of a request: frozen, without unknown fields."""
+class Model(Strict):
+    """Base class of every part of a request: strict, frozen, without unknown fields."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 

@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING, Literal, TypeVar
 
 from pydantic import BaseModel
 
+from services.errors import InvalidRequest
 from services.extensions import Registry
+from services.suggestions import there_are
 
 if TYPE_CHECKING:
     import torch
@@ -75,6 +77,15 @@ def register(info: TargetInfo, labels: Callable[[], tuple[str, ...]]) -> Callabl
         return load
 
     return decorate
+
+
+def known(name: str) -> RegisteredTarget:
+    """Returns the target of that name, which is not loaded. Raises InvalidRequest("target.name") for an unknown one."""
+    if name in UNAVAILABLE:
+        raise InvalidRequest("target.name", f"target {name!r} is not available: {UNAVAILABLE[name]}")
+    if name not in TARGETS:
+        raise InvalidRequest("target.name", f"there is no target {name!r}; {there_are(name, TARGETS)}")
+    return TARGETS[name]
 
 
 def available() -> list[TargetInfo]:

@@ -9,8 +9,10 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import torch
-from safetensors.torch import load_file, save
+from safetensors.torch import save
 from torch import Tensor, nn
+
+from services.targets import weights_file
 
 LARGEST = 127
 """Largest magnitude of a stored integer."""
@@ -70,16 +72,16 @@ def to_bytes(state: Mapping[str, Tensor]) -> bytes:
 
 def read(path: Path) -> dict[str, Tensor]:
     """Returns the float32 weights of a file."""
-    return dequantize(load_file(path))
+    return dequantize(weights_file.read(path)[0])
 
 
 def load_in_factors(network: nn.Module, path: Path) -> None:
     """Loads a file's weights into a network of their names. A matrix that is a product of two becomes two layers.
 
     The product is the same function with fewer numbers: AlexNet's two of rank 256 are 6 million instead of 54 million,
-    which every image has to read. Raises ValueError as `load_into` does.
+    which every image has to read. Raises ValueError as `load_into` does, and for a weight that is not finite.
     """
-    state = _floats(load_file(path))
+    state = _floats(weights_file.read(path)[0])
     left, right = FACTORS
     for name in [name for name in state if name.endswith(left)]:
         whole = name.removesuffix(left)

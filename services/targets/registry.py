@@ -7,9 +7,8 @@ from functools import lru_cache
 import torch
 
 from services.errors import InvalidRequest
-from services.suggestions import there_are
 from services.targets import probe
-from services.targets.info import TARGETS, UNAVAILABLE, RegisteredTarget, TargetInfo, available, register
+from services.targets.info import TARGETS, TargetInfo, available, known, register
 from services.targets.protocol import Target
 
 __all__ = ["TargetInfo", "available", "card", "has_gradient", "labels", "load", "no_gradient", "registered"]
@@ -20,12 +19,12 @@ def labels(name: str) -> tuple[str, ...]:
 
     Raises InvalidRequest("target.name") for an unknown name, and for labels that cannot be listed or are not unique.
     """
-    return probe.labels(name, _known(name))
+    return probe.labels(name, known(name))
 
 
 def card(name: str) -> TargetInfo:
     """Returns a target's model card. Raises InvalidRequest("target.name") for an unknown name."""
-    return _known(name).info
+    return known(name).info
 
 
 @lru_cache(maxsize=4)
@@ -34,7 +33,7 @@ def load(name: str, dtype: torch.dtype = torch.float32) -> Target:
 
     Raises InvalidRequest("target.name") for an unknown one, and for one that breaks its protocol (`probe.load`).
     """
-    return probe.load(name, _known(name), dtype)
+    return probe.load(name, known(name), dtype)
 
 
 @lru_cache(maxsize=64)
@@ -42,7 +41,7 @@ def has_gradient(name: str) -> bool:
     """Whether the target's scores have a gradient with respect to the images: its card, it and torch say so. Raises as
     `load` does.
     """
-    return _known(name).info.differentiable is not False and probe.has_gradient(load(name), card(name).example)
+    return known(name).info.differentiable is not False and probe.has_gradient(load(name), card(name).example)
 
 
 def no_gradient(name: str) -> str:
@@ -68,11 +67,3 @@ def registered(info: TargetInfo, target: Target) -> Iterator[None]:
         TARGETS.restore(before)
         load.cache_clear()
         has_gradient.cache_clear()
-
-
-def _known(name: str) -> RegisteredTarget:
-    if name in UNAVAILABLE:
-        raise InvalidRequest("target.name", f"target {name!r} is not available: {UNAVAILABLE[name]}")
-    if name not in TARGETS:
-        raise InvalidRequest("target.name", f"there is no target {name!r}; {there_are(name, TARGETS)}")
-    return TARGETS[name]

@@ -4,7 +4,7 @@ A colour is the nearest of CLEVR's eight; relations follow from the new places, 
 and material are those of the record: no attack changes an object's mesh, scale or surface.
 """
 
-from math import cos, degrees, sin
+from math import cos, degrees, dist, sin
 
 from services.scenes.clevr.attributes import RGB
 from services.scenes.clevr.description import rig_of
@@ -12,6 +12,10 @@ from services.scenes.clevr.records import ObjectRecord, SceneRecord
 from services.scenes.clevr.relations import relationships
 from services.scenes.clevr.rig import Rig, Vector, Viewpoint
 from services.scenes.description import Camera, Scene, SceneObject
+
+CLEARLY = 2.0
+"""A colour is clearly of a name if every other is at least so many times as far. At the middle between two names a
+person, too, may say either."""
 
 
 def record_after(record: SceneRecord, scene: Scene) -> SceneRecord:
@@ -44,7 +48,18 @@ def rig_after(record: SceneRecord, camera: Camera) -> Rig:
 
 def nearest_color(color: Vector) -> str:
     """Returns the name of CLEVR's colour nearest to linear reflectances in [0,1], by Euclidean distance."""
-    return min(RGB, key=lambda name: sum((255 * a - b) ** 2 for a, b in zip(color, RGB[name], strict=True)))
+    return _by_distance(color)[0][1]
+
+
+def other_readings(color: Vector) -> tuple[str, ...]:
+    """Returns the other names that a colour may be read as: those less than `CLEARLY` times as far as the nearest."""
+    (nearest, _), *others = _by_distance(color)
+    return tuple(name for distance, name in others if distance < CLEARLY * nearest)
+
+
+def _by_distance(color: Vector) -> list[tuple[float, str]]:
+    """CLEVR's colours with their distances from linear reflectances in [0,1], nearest first."""
+    return sorted((dist([255 * a for a in color], RGB[name]), name) for name in RGB)
 
 
 def _object(old: ObjectRecord, new: SceneObject, viewpoint: Viewpoint) -> ObjectRecord:

@@ -63,7 +63,8 @@ def rig_of(record: SceneRecord) -> Rig:
     base = Rig()
     x, y, _ = record.directions["behind"]
     turn = atan2(-x, y) - base.azimuth
-    return Rig(*(_turned(point, turn) for point in (base.camera, base.key, base.fill, base.back)))
+    camera, key, fill, back = (_turned(point, turn) for point in (base.camera, base.key, base.fill, base.back))
+    return Rig(camera, key, fill, back)
 
 
 def _object(one: ObjectRecord) -> SceneObject:

@@ -37,11 +37,12 @@ def generate(
     for _ in range(DISCARDS):
         placed = place(count, rig, random)
         if min(visible_pixels(placed, rig)) >= MIN_PIXELS:
-            return _record(placed, rig, split, index)
+            return record_of(placed, rig, split, index)
     raise InvalidRequest("objects", f"{count} objects cannot all be seen in {MIN_PIXELS} pixels each")
 
 
-def _record(placed: Sequence[Placed], rig: Rig, split: str, index: int) -> SceneRecord:
+def record_of(placed: Sequence[Placed], rig: Rig, split: str = "new", index: int = 0) -> SceneRecord:
+    """Returns the record of placed objects under a camera and lights, with the directions and relations they have."""
     viewpoint, along = Viewpoint(rig), directions(rig)
     return SceneRecord.model_validate(
         {

@@ -7,13 +7,14 @@ fields, `camera` and `lights`, without which a scene cannot be drawn again as it
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, FailFast, Field, ValidationError, model_validator
+from pydantic import ConfigDict, FailFast, Field, ValidationError, model_validator
 
 from services import atomic_write
 from services.errors import InvalidRequest
 from services.scenes.clevr.attributes import ATTRIBUTES
 from services.scenes.clevr.relations import RELATIONS, Relation
 from services.scenes.clevr.rig import Rig
+from services.strict import Strict
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
@@ -21,8 +22,8 @@ Indices = Annotated[tuple[int, ...], FailFast()]
 Rows = Annotated[tuple[Indices, ...], FailFast()]
 
 
-class Record(BaseModel):
-    """Base class of what is in CLEVR's files: frozen; unknown fields are kept and written again."""
+class Record(Strict):
+    """Base class of what is in CLEVR's files: strict, frozen; unknown fields are kept and written again."""
 
     model_config = ConfigDict(extra="allow", frozen=True, validate_by_name=True, validate_by_alias=True)
 

@@ -2,10 +2,9 @@
 
 from pathlib import Path
 
-from safetensors import SafetensorError
-from safetensors.torch import load_file
 from torch import nn
 
+from services.targets import weights_file
 from services.targets.architectures import Architecture
 from services.targets.custom.graph import Unreadable
 
@@ -13,12 +12,13 @@ from services.targets.custom.graph import Unreadable
 def read(path: Path, name: str, known: Architecture, classes: int) -> nn.Module:
     """Returns the network of an architecture with the weights of the file.
 
-    Raises Unreadable if the file is no safetensors file, or does not fit; names what is missing or left over.
+    Raises Unreadable if the file is no safetensors file, has a weight that is not finite, or does not fit; names what
+    is missing or left over.
     """
     try:
-        state = load_file(path)
-    except SafetensorError as error:
-        raise Unreadable(f"it is no safetensors file: {error}") from error
+        state, _ = weights_file.read(path)
+    except ValueError as error:
+        raise Unreadable(str(error)) from error
     network = known.build(classes)
     try:
         known.fill(network, state)

@@ -10,7 +10,6 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
@@ -22,6 +21,7 @@ from services.targets.iep.prefix import TOKENS
 from services.targets.iep.program_generator import ProgramGenerator
 from services.targets.iep.vocabulary import KINDS
 from services.targets.quantized import dequantize, quantize
+from services.targets.weights_file import read
 
 MAX_BYTES = 10_000_000
 HOW_TO_GET_WEIGHTS = "restore the project's own, or train them: scene-attack train iep"
@@ -59,17 +59,15 @@ def round_weights(module: nn.Module) -> None:
 def load(path: Path) -> Checkpoint:
     """Reads a checkpoint. Raises ValueError, which says why, if the file is not one of this code."""
     try:
-        with safe_open(path, framework="pt") as file:
-            metadata = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - it is no dictionary
-    except (SafetensorError, OSError) as error:
-        raise ValueError(f"{path} cannot be read: {error}") from error
+        tensors, metadata = read(path)
+    except (ValueError, OSError) as error:
+        raise ValueError(f"{path.name} cannot be read: {error}") from error
     for name, expected in _fixed().items():
         if metadata.get(name) != expected:
-            raise ValueError(f"{path} has other {name} than this version: {metadata.get(name)}")
+            raise ValueError(f"{path.name} has other {name} than this version: {metadata.get(name)}")
     cells = metadata.get("cells", "")
     if not (cells.isascii() and cells.isdecimal()):
-        raise ValueError(f"{path} has no number of cells: {cells!r}")
+        raise ValueError(f"{path.name} has no number of cells: {cells!r}")
     network, generator = Network(int(cells)), ProgramGenerator()
     for part, module in (("network", network), ("generator", generator)):
         _load_into(module, part, tensors)

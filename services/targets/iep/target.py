@@ -119,7 +119,7 @@ def read(name: str, path: Path, dtype: torch.dtype) -> IepTarget:
     Raises InvalidRequest("target.name"), which says what is missing or wrong.
     """
     if not path.is_file():
-        raise InvalidRequest("target.name", f"the weights of {name} are not there: {path}; {HOW_TO_GET_WEIGHTS}")
+        raise InvalidRequest("target.name", f"the weights of {name}, {path.name}, are not there; {HOW_TO_GET_WEIGHTS}")
     try:
         checkpoint = load(path)
     except ValueError as error:

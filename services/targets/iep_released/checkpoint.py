@@ -10,7 +10,6 @@ from dataclasses import asdict, dataclass
 from itertools import count
 from pathlib import Path
 
-from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
@@ -20,6 +19,7 @@ from services.targets.iep_released.engine import Engine
 from services.targets.iep_released.generator import ProgramGenerator
 from services.targets.iep_released.trunk import STAGES, Trunk
 from services.targets.iep_released.vocabulary import Vocabulary
+from services.targets.weights_file import read
 
 State = Mapping[str, Tensor]
 
@@ -71,12 +71,7 @@ def to_bytes(network: Released) -> bytes:
 
 def load(path: Path) -> Released:
     """Reads the file of a network. Raises ValueError, which says why, if it is none."""
-    try:
-        with safe_open(path, framework="pt") as file:
-            metadata = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - it is no dictionary
-    except SafetensorError as error:
-        raise ValueError(f"it is no safetensors file: {error}") from error
+    tensors, metadata = read(path)
     try:
         vocabulary = Vocabulary(**{kind: tuple(of) for kind, of in json.loads(metadata["vocabulary"]).items()})
     except (KeyError, TypeError, AttributeError, ValueError) as error:
@@ -89,8 +84,16 @@ def _below(prefix: str, tensors: State) -> dict[str, Tensor]:
     return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
 
 
+def _shape(state: State, name: str, dimensions: int) -> tuple[int, ...]:
+    """The shape of a weight. Raises ValueError for other dimensions, and KeyError if there is no such weight."""
+    shape = tuple(state[name].shape)
+    if len(shape) != dimensions or 0 in shape:
+        raise ValueError(f"{name} has the shape {list(shape)}; one of {dimensions} dimensions above 0 is due")
+    return shape
+
+
 def _trunk(state: State) -> Trunk:
-    return Trunk(len(state["conv1.weight"]), [_blocks(state, f"layer{k}") for k in range(1, STAGES + 1)])
+    return Trunk(_shape(state, "conv1.weight", 4)[0], [_blocks(state, f"layer{k}") for k in range(1, STAGES + 1)])
 
 
 def _blocks(state: State, stage: str) -> int:
@@ -98,15 +101,15 @@ def _blocks(state: State, stage: str) -> int:
 
 
 def _engine(state: State) -> Engine:
-    width, features = state["stem.0.weight"].shape[:2]
-    hidden, pooled = state["classifier.4.weight"].shape
-    projection, answers = len(state["classifier.0.weight"]), len(state["classifier.6.weight"])
+    width, features = _shape(state, "stem.0.weight", 4)[:2]
+    hidden, pooled = _shape(state, "classifier.4.weight", 2)
+    projection, answers = _shape(state, "classifier.0.weight", 4)[0], _shape(state, "classifier.6.weight", 2)[0]
     return Engine(features, width, projection, pooled, hidden, answers)
 
 
 def _generator(state: State) -> ProgramGenerator:
-    (words, embedding), functions = state["encoder_embed.weight"].shape, len(state["decoder_embed.weight"])
-    hidden = state["decoder_linear.weight"].shape[1]
+    words, embedding = _shape(state, "encoder_embed.weight", 2)
+    functions, hidden = _shape(state, "decoder_embed.weight", 2)[0], _shape(state, "decoder_linear.weight", 2)[1]
     layers = next(k for k in count() if f"encoder_rnn.weight_ih_l{k}" not in state)
     return ProgramGenerator(words, functions, embedding, hidden, layers)
 
@@ -114,10 +117,10 @@ def _generator(state: State) -> ProgramGenerator:
 def _check_sizes(trunk: State, engine: State, generator: State, vocabulary: Vocabulary) -> None:
     """Raises ValueError if parts do not fit together, and KeyError for a weight that is missing."""
     pairs = {
-        "features": (len(trunk[f"layer{STAGES}.0.conv3.weight"]), engine["stem.0.weight"].shape[1]),
-        "words": (len(generator["encoder_embed.weight"]), len(vocabulary.words)),
-        "functions": (len(generator["decoder_embed.weight"]), len(vocabulary.functions)),
-        "answers": (len(engine["classifier.6.weight"]), len(vocabulary.answers)),
+        "features": (_shape(trunk, f"layer{STAGES}.0.conv3.weight", 4)[0], _shape(engine, "stem.0.weight", 4)[1]),
+        "words": (_shape(generator, "encoder_embed.weight", 2)[0], len(vocabulary.words)),
+        "functions": (_shape(generator, "decoder_embed.weight", 2)[0], len(vocabulary.functions)),
+        "answers": (_shape(engine, "classifier.6.weight", 2)[0], len(vocabulary.answers)),
     }
     for name, (one, other) in pairs.items():
         if one != other:

@@ -2,7 +2,7 @@ from typing import Any
 
 import pytest
 
-from client.outcomes import successes, verdict, verified, warn
+from client.outcomes import goal_line, successes, verdict, verified, warn
 
 
 def line(outcome: str | None, right_before: bool | None, verified: bool = True) -> dict[str, Any]:
@@ -47,3 +47,10 @@ def test_warnings_are_for_people_and_name_their_field(capsys: pytest.CaptureFixt
     shown = capsys.readouterr()
     assert shown.err == "warning: goal.truth: nobody has said [bold]what[/bold]\n"
     assert shown.out == ""
+
+
+def test_a_goal_is_stated_if_a_wrong_answer_may_not_meet_it() -> None:
+    """Else a job that held, with a wrong answer beside it, reads as a mistake of the program."""
+    assert goal_line({"goal": {"truth": ["4"], "leave": "4", "reach": None}}) is None
+    assert "the answer '1'" in str(goal_line({"goal": {"leave": "4", "reach": "1"}}))
+    assert "of another kind" in str(goal_line({"goal": {"reach": None, "leave_kind": True}}))

@@ -24,6 +24,8 @@ def test_dash_is_standard_input(monkeypatch: pytest.MonkeyPatch) -> None:
         (b"{", "not JSON: Expecting property name enclosed in double quotes: line 1 column 2"),
         (b"[]", "holds a JSON list; a spec is an object"),
         (b"\xff", "not UTF-8 text"),
+        (b"[" * 200_000, "nested deeper than 64"),
+        (b'{"a": ' + b"[" * 500 + b"]" * 500 + b"}", "nested deeper than 64"),
     ],
 )
 def test_says_what_is_wrong_with_a_file(tmp_path: Path, text: bytes, said: str) -> None:

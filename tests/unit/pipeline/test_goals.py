@@ -73,6 +73,12 @@ def test_a_label_to_leave_must_be_the_first_answer_and_states_the_truth_where_no
     assert (found.goal.leave, found.truth) == ((2,), (2,)), "the sender is believed most"
 
 
+def test_a_right_answer_that_is_none_to_leave_is_not_called_wrong() -> None:
+    with pytest.raises(InvalidRequest, match="which is right and not 'snorkel'") as refused:
+        settled("mask", truth="mask", leave="snorkel")
+    assert refused.value.field == "goal.leave"
+
+
 def test_an_empty_truth_says_that_nobody_knows() -> None:
     found = settled("mask", table=(2, 3), truth=[])
     assert (found.goal.leave, found.truth) == ((2,), ())

@@ -56,7 +56,7 @@ RECORDS: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "negative index": (put("relationships", "left", 0, [-1]), "record.relationships.left"),
     "index too large": (put("relationships", "left", 0, [10**400]), "record.relationships.left"),
     "too few rows": (put("relationships", "left", [[]]), "record.relationships.left"),
-    "directions of no length": (put("directions", "left", [0, 0, 0]), "record.relationships.left.1"),
+    "directions of no length": (put("directions", "left", [0, 0, 0]), "record.directions.left"),
 }
 
 

@@ -20,96 +20,17 @@ from services.questions.answers import ANSWERS, KINDS
 from services.questions.executor import answer
 from services.questions.facts import Facts
 from services.scenes.clevr.description import describe
-from services.scenes.clevr.generator import generate
 from services.targets import registry
 from services.targets.iep.target import IepTarget
 from tests.unit.jobs.small import LIBRARY, SPHERE
+from tests.unit.pipeline.question_requests import ATTACK, RECORD, asking, calls
 from tests.unit.targets.iep.seeded import INFO, TAUGHT, favouring, program, target
-
-RECORD = generate(8, 2, objects=(4, 4))
-SCENE = describe(RECORD, (60, 80)).model_copy(update={"shadows": None})
-"""Small and without shadows, so that it is drawn at once."""
-WHERE = {"record": RECORD.model_dump(mode="json"), "scene": SCENE.model_dump(mode="json")}
-ATTACK = {"renderer": "image", "base_renderer": "pyrender", "method": "fgsm", "steps": 2}
 
 
 @pytest.fixture(autouse=True)
 def _seeded() -> Iterator[None]:
     with registry.registered(INFO, target()):
         yield
-
-
-def asking(question: Any, **changes: Any) -> dict[str, Any]:
-    """The request of a question."""
-    return WHERE | {"target": {"name": INFO.name, "question": question}, "attack": ATTACK} | changes
-
-
-def calls(*lines: str) -> list[dict[str, Any]]:
-    return program(*lines).written()
-
-
-def several(*questions: Any, question: Any = None, **changes: Any) -> dict[str, Any]:
-    """The request of several questions together."""
-    target = {"name": INFO.name, "question": question, "questions": questions}
-    return asking(None, **changes) | {"target": target}
-
-
-ABSENT = next(
-    f"filter_color 0 {color}"
-    for color in ("red", "blue", "green", "gray", "cyan")
-    if color not in {one.color for one in RECORD.objects}
-)
-
-HUGE = RECORD.model_dump(mode="json")
-HUGE["objects"][0]["size"] = "huge"
-
-FLOATING = RECORD.model_dump(mode="json")
-FLOATING["objects"][0]["coords_3d"][2] += 0.5
-
-REFUSED: list[tuple[str, str, dict[str, Any]]] = [
-    ("target.question", "'mauve', is not known", asking("How many mauve things are there?")),
-    ("target.question", "needs 1 to 128", asking("?!")),
-    ("target.question", "is required", WHERE | {"target": {"name": INFO.name}}),
-    ("target.question.1", "takes 1 input", asking([{"function": "scene"}, {"function": "count"}])),
-    ("target.question.1", "no function 'cuont'", asking([{"function": "scene"}, {"function": "cuont", "inputs": [0]}])),
-    ("target.question.2", "must be an object", asking(calls("scene", "filter_size 0 large", "query_color 1"))),
-    (
-        "target.question.1.inputs.0",
-        "must be an integer",
-        asking([{"function": "scene"}, {"function": "count", "inputs": ["0"]}]),
-    ),
-    ("target.question", "it needs 1 to 64", asking([])),
-    ("target.question.2", "there is none", asking(calls("scene", ABSENT, "unique 1", "query_size 2"))),
-    ("target.question.1", "there are 4", asking(calls("scene", "unique 0", "query_size 1"))),
-    ("record.objects.0", "floats above", asking(calls("scene", "count 0"), record=FLOATING)),
-    ("record", "give the scene as `record` or `generate`", asking(calls("scene", "count 0"), record=None)),
-    ("scene", "are not those of `record`", asking(calls("scene", "count 0"), scene=SPHERE)),
-    ("goal.reach", "has no label 'mauve'", asking(calls("scene", "count 0"), goal={"reach": "mauve"})),
-    ("goal.truth", "the right answer is '4'", asking(calls("scene", "count 0"), goal={"truth": "3"})),
-    ("goal.leave_kind", "only a question", {"scene": SPHERE, "goal": {"leave_kind": True}}),
-    ("goal.leave", "of the kind integer", asking(calls("scene", "count 0"), goal={"leave_kind": True, "leave": "4"})),
-    ("goal.reach", "is a label to leave", asking(calls("scene", "count 0"), goal={"leave_kind": True, "reach": "3"})),
-    ("target.questions.1.1", "no function 'cuont'", several(calls("scene", "count 0"), calls("scene", "cuont 0"))),
-    ("target.questions.1", "needs 1 to 64", several(calls("scene", "count 0"), [])),
-    ("target.questions.1", "'mauve', is not known", several(calls("scene", "count 0"), "Is it mauve?")),
-    ("target.questions.0.1", "there are 4", several(calls("scene", "unique 0", "query_size 1"))),
-    ("target.questions", "either `question` or `questions`", several(calls("scene", "count 0"), question="Is it red?")),
-    ("goal.reach", "have answers of their own", several(calls("scene", "count 0"), goal={"reach": "3"})),
-    ("target.questions.0", "gets it wrong before", several(calls("scene", "count 0"))),
-    ("analysis.adaptive", "there are several", several(calls("scene", "count 0"), analysis={"adaptive": {}})),
-    ("generate", "leave it out where scene is given", {"scene": SPHERE, "generate": {"seed": 1}}),
-    ("generate.objects", "from 1 to 10", {"generate": {"objects": 11}}),
-    ("record.objects.0.size", "must be", {"record": HUGE}),
-    ("scene", "is missing", {"target": {"name": INFO.name}}),
-]
-
-
-@pytest.mark.parametrize(("field", "words", "data"), REFUSED, ids=[f"{a}-{b}" for a, b, _ in REFUSED])
-def test_refused_before_anything_is_queued(field: str, words: str, data: dict[str, Any]) -> None:
-    with pytest.raises(InvalidRequest) as refused:
-        preflight(parse(data), LIBRARY)
-    assert words in str(refused.value)
-    assert refused.value.field == field
 
 
 def test_a_record_or_a_seed_becomes_a_scene_with_its_record() -> None:

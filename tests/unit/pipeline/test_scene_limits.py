@@ -1,6 +1,7 @@
 """The perturbations that a CLEVR scene allows, against distances, outlines and answers that are found here anew."""
 
-from math import hypot
+from dataclasses import replace
+from math import dist, hypot, pi, tan
 
 import pytest
 import torch
@@ -13,9 +14,11 @@ from services.questions.facts import Facts
 from services.questions.program import Program
 from services.rendering.protocol import Parameters
 from services.scenes.clevr.attributes import RADIUS, RGB
-from services.scenes.clevr.description import describe
+from services.scenes.clevr.description import describe, rig_of
 from services.scenes.clevr.generator import generate
 from services.scenes.clevr.records import SceneRecord
+from services.scenes.clevr.rig import VERTICAL_FIELD_OF_VIEW, Viewpoint
+from services.scenes.view import camera_pose
 from tests.unit.targets.iep.seeded import program
 
 RECORD = generate(8, 2, objects=(5, 5))
@@ -126,10 +129,21 @@ def test_a_colour_that_is_asked_about_may_not_become_another() -> None:
     projected = asked.project(perturbation)
     assert asked.holds(projected)
     share = float(projected["color"][0].norm() / perturbation["color"][0].norm())
-    # half of the way to a colour it is as near, unless a third colour is nearer before
-    assert 0 < share <= 0.5
+    # a third of the way to a colour it is half as near to its own, unless a third colour is nearer before
+    assert 0 < share <= 1 / 3 + 1 / 256
     counted = question(program("scene", f"filter_color 0 {own}", "count 1"))
     assert int(counted.right_after("pyrender", perturbation) or "-1") == int(counted.right) - 1
+
+
+def test_a_colour_between_two_names_is_read_as_either() -> None:
+    """A green cylinder of (53, 56, 44) was still nearer to green than to gray, and looked gray."""
+    own = RECORD.objects[0].color
+    perturbation = recoloured(0, min(set(RGB) - {own}, key=lambda one: dist(RGB[one], RGB[own])))
+    perturbation["color"] *= 0.45
+    asked = program("scene", f"filter_color 0 {own}", "count 1")
+    assert question(asked).right_after("pyrender", perturbation) == question(asked).right  # its own name is the nearest
+    assert not limits(asked).holds(perturbation)
+    assert limits(COUNT).holds(perturbation)
 
 
 def test_places_that_are_asked_about_keep_their_relations() -> None:
@@ -250,3 +264,36 @@ def test_an_object_is_not_hidden_behind_another() -> None:
     shorter = found.project(hidden)
     assert found.holds(shorter)
     assert 0 < float(shorter["translation"].norm()) < float(hidden["translation"].norm())
+
+
+@pytest.mark.parametrize("roll", [-2.0, -0.3, 0.4, 1.5])
+def test_a_rolled_camera_has_the_axes_of_the_renderer_s(roll: float) -> None:
+    rig = replace(rig_of(RECORD), roll=roll)
+    pose = camera_pose(rig.azimuth, rig.elevation, rig.distance, roll)
+    seen = Viewpoint(rig)
+    for axis, column in ((seen.right, 0), (seen.up, 1)):
+        x, y, z = axis
+        assert torch.tensor([x, z, -y]).tolist() == pytest.approx(pose[:3, column].tolist(), abs=1e-6)
+
+
+def at_a_side(record: SceneRecord) -> bool:
+    """Whether the centre of an object would be outside a square frame of the height of CLEVR's."""
+    seen = Viewpoint(rig_of(record))
+    places = [seen.in_camera(one.coords_3d) for one in record.objects]
+    return any(abs(right / depth) > tan(VERTICAL_FIELD_OF_VIEW / 2) for right, _, depth in places)
+
+
+def test_a_camera_that_rolls_objects_out_of_the_frame_is_turned_back() -> None:
+    """A frame of 4 to 3 that stands on end is narrower: an object at the side of the image is outside."""
+    record = next(one for k in range(100) if at_a_side(one := generate(8, k, objects=(5, 5))))
+    camera = {"camera": torch.zeros(4, dtype=torch.float64)}
+    limits = SceneLimits([question(COUNT, record)], "pyrender", camera)
+
+    def rolled(angle: float) -> Parameters:
+        return {"camera": torch.tensor([0.0, 0.0, 0.0, angle]).double()}
+
+    assert limits.holds(rolled(0.0))
+    assert not limits.holds(rolled(pi / 2))
+    moved = limits.project(rolled(pi / 2))
+    assert limits.holds(moved)
+    assert 0 < float(moved["camera"][3]) < pi / 2

@@ -42,7 +42,7 @@ def test_an_answer_that_was_wrong_became_right_or_is_still_wrong(unknown: Result
     said: list[JobWarning] = []
     for truth, outcome in ((unknown.attacked.label, "became-right"), ("grand piano", "still-wrong")):
         job = spec(ATTACK, goal={"truth": truth})
-        found = execute(job, tmp_path / outcome, LIBRARY, warn=said.extend)
+        found = execute(job, tmp_path / outcome, LIBRARY, checked=lambda _, found: said.extend(found))
         assert (found.outcome, found.right_before, found.attacked) == (outcome, False, unknown.attacked)
         assert found.verified, "the goal, to leave the first answer, is met"
         assert not success(found)

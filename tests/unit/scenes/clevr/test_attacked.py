@@ -5,7 +5,7 @@ from math import degrees
 import numpy as np
 import pytest
 
-from services.scenes.clevr.attacked import nearest_color, record_after, rig_after
+from services.scenes.clevr.attacked import nearest_color, other_readings, record_after, rig_after
 from services.scenes.clevr.attributes import RGB
 from services.scenes.clevr.description import describe, rig_of
 from services.scenes.clevr.generator import generate
@@ -55,7 +55,10 @@ def test_a_colour_is_the_nearest_of_the_eight() -> None:
     random = np.random.default_rng(0)
     names, colors = list(RGB), np.array(list(RGB.values())) / 255
     for color in random.uniform(0, 1, (200, 3)):
-        assert nearest_color(tuple(color)) == names[int(np.linalg.norm(colors - color, axis=1).argmin())]
+        distances = np.linalg.norm(colors - color, axis=1)
+        assert nearest_color(tuple(color)) == names[int(distances.argmin())]
+        about_as_near = {name for name, far in zip(names, distances, strict=True) if far < 2 * distances.min()}
+        assert {nearest_color(tuple(color)), *other_readings(tuple(color))} == about_as_near
 
 
 @pytest.mark.parametrize("record", RECORDS, ids=lambda record: str(record.image_index))

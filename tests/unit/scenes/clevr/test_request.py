@@ -9,6 +9,7 @@ from services.errors import InvalidRequest
 from services.scenes.clevr.description import describe
 from services.scenes.clevr.generator import generate
 from services.scenes.clevr.records import SceneRecord
+from services.scenes.clevr.relations import relationships
 from services.scenes.clevr.request import Generate, scene_of
 
 RECORD = generate(3, 1, objects=(4, 4))
@@ -73,3 +74,38 @@ def test_a_scene_has_objects_and_directions() -> None:
     blind = RECORD.model_copy(update={"directions": {"left": (1.0, 0.0, 0.0)}})
     with pytest.raises(InvalidRequest, match="no direction of right"):
         scene_of(blind)
+
+
+def towards(*, camera: bool = True, **changes: tuple[float, float, float]) -> SceneRecord:
+    """RECORD with other directions, and with the relations that its places have along them."""
+    data = RECORD.model_dump(mode="json")
+    data["directions"] |= changes
+    data["relationships"] = relationships([one.coords_3d for one in RECORD.objects], data["directions"])
+    if not camera:
+        del data["camera"], data["lights"]
+    return SceneRecord.model_validate(data)
+
+
+@pytest.mark.parametrize("camera", [True, False])
+def test_directions_must_be_those_of_the_camera(camera: bool) -> None:
+    """Else what is right by the record is not what the image shows."""
+    left, right = RECORD.directions["left"], RECORD.directions["right"]
+    x, y, z = left
+    cases = [
+        ({"left": right, "right": left}, "left"),
+        ({"left": (0.0, 0.0, 0.0)}, "left"),
+        ({"right": (5 * right[0], 5 * right[1], 0.0)}, "right"),
+    ]
+    for changes, name in cases:
+        with pytest.raises(InvalidRequest, match="it is") as refused:
+            scene_of(towards(camera=camera, **changes))
+        assert refused.value.field == f"record.directions.{name}"
+    assert scene_of(towards(camera=camera, left=(x + 1e-4, y - 1e-4, z)))  # as exact as official files are
+
+
+def test_a_camera_and_lights_are_given_together() -> None:
+    """One alone would not be used, and the image would be another than the sender meant."""
+    for absent in ("camera", "lights"):
+        with pytest.raises(InvalidRequest, match="or leave out both") as refused:
+            scene_of(RECORD.model_copy(update={absent: None}))
+        assert refused.value.field == f"record.{absent}"

@@ -106,6 +106,13 @@ def test_what_is_no_checkpoint_of_this_code_is_refused(network: Network, tmp_pat
         save_file({name: value for name, value in tensors.items() if missing not in name}, path, metadata)
         with pytest.raises(ValueError, match="do not fit"):
             load(path)
+    for ending in (".bias", ".scale"):
+        name = next(name for name in tensors if name.endswith(ending))
+        broken = tensors[name].clone()
+        broken.view(-1)[0] = torch.nan
+        save_file(tensors | {name: broken}, path, metadata)
+        with pytest.raises(ValueError, match=f"{name} has values that are not finite"):
+            load(path)
 
 
 def _metadata(path: Path) -> dict[str, str]:

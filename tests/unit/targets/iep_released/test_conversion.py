@@ -108,7 +108,12 @@ REFUSED: dict[str, tuple[str, str, Callable[[Published], Any]]] = {
     "another trunk": (
         "trunk",
         "they have 1 and 64 features",
-        lambda of: of.trunk | {"layer3.0.conv3.weight": torch.zeros(1)},
+        lambda of: of.trunk | {"layer3.0.conv3.weight": torch.zeros(1, 2, 1, 1)},
+    ),
+    "a weight without dimensions": (
+        "trunk",
+        r"layer3.0.conv3.weight has the shape \[\]; one of 4 dimensions",
+        lambda of: of.trunk | {"layer3.0.conv3.weight": torch.tensor(1.0)},
     ),
     "no trunk": ("trunk", "it lacks layer3.0.conv3.weight", lambda _: {"conv1.weight": torch.zeros(4)}),
 }
@@ -147,6 +152,20 @@ def test_the_command_takes_the_trunk_of_the_training_only(
     assert "not empty" in str(again.exception)
 
 
+SIZED = (
+    ("trunk", "conv1.weight"),
+    ("trunk", "layer3.0.conv3.weight"),
+    ("engine", "stem.0.weight"),
+    ("engine", "classifier.0.weight"),
+    ("engine", "classifier.4.weight"),
+    ("engine", "classifier.6.weight"),
+    ("generator", "encoder_embed.weight"),
+    ("generator", "decoder_embed.weight"),
+    ("generator", "decoder_linear.weight"),
+)
+"""The weights from whose shapes the network's sizes follow."""
+
+
 def test_a_folder_that_does_not_fit_is_refused(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from safetensors import safe_open
     from safetensors.torch import save_file
@@ -171,6 +190,19 @@ def test_a_folder_that_does_not_fit_is_refused(root: Path, tmp_path: Path, monke
         ),
         "other-size": (weights, metadata, card.replace("224,\n   224", "160,\n   160"), "fails on 2 RGB images"),
     }
+    for part, weight in SIZED:
+        for tensor in (torch.tensor(0.5), torch.zeros(3)):
+            mistakes[f"{part}-{weight.replace('.', '-')}-{tensor.dim()}"] = (
+                weights | {f"{part}.{weight}": tensor},
+                *(metadata, card, rf"{weight} has the shape \[3?\]; one of [24] dimensions"),
+            )
+    for bad in (torch.nan, torch.inf, -torch.inf):
+        broken = weights["engine.classifier.6.bias"].clone()
+        broken[3] = bad
+        mistakes[f"not-finite-{bad}"] = (
+            weights | {"engine.classifier.6.bias": broken},
+            *(metadata, card, "engine.classifier.6.bias has values that are not finite"),
+        )
     for name, (tensors, about, written, _) in mistakes.items():
         (tmp_path / name).mkdir()
         save_file(tensors, tmp_path / name / "model.safetensors", about)
@@ -180,3 +212,14 @@ def test_a_folder_that_does_not_fit_is_refused(root: Path, tmp_path: Path, monke
         for name, (*_, said) in mistakes.items():
             with pytest.raises(InvalidRequest, match=said):
                 registry.load(name)
+
+
+def test_a_refused_pickle_is_not_recommended_to_be_read_unsafely(made: Published, tmp_path: Path) -> None:
+    """torch's message says how to read the file so that its code runs, before it says what is wrong with it."""
+    torch.save(made.engine | {"args": Code()}, tmp_path / "code.pt")
+    (tmp_path / "plain.pt").write_bytes(pickle.dumps(print, protocol=2))
+    for name, reason in (("code.pt", r"GLOBAL \w+\.mkdir"), ("plain.pt", "cannot be read as weights")):
+        with pytest.raises(InvalidRequest, match=reason) as refused:
+            made.converted(tmp_path / "out", engine=tmp_path / name)
+        assert "weights_only" not in refused.value.detail
+        assert "add_safe_globals" not in refused.value.detail

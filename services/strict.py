@@ -1,0 +1,85 @@
+"""The base class of data that others write: numbers are numbers, and the length of a list is checked before its items.
+
+Pydantic's own strict mode would also refuse a list in the place of a tuple, and an object in that of a model; JSON has
+nothing else to give. An integer of JSON counts as a number; a text or a boolean does not, and 1.0 is no integer.
+"""
+
+from collections.abc import Callable, Sized
+from typing import Any
+
+from pydantic import BaseModel, GetCoreSchemaHandler, model_validator
+from pydantic_core import CoreSchema, PydanticCustomError, PydanticKnownError, core_schema
+
+MOST_FIELDS = 256
+"""Fields of an object. No model has more, and no renderer more groups of parameters."""
+LONG = 64
+"""Items of a list up to which each wrong item is reported; of a list that may be longer, the first one is."""
+MOST_NESTED = 64
+"""Lists and objects within each other. No request needs a third of it; far more exhaust the stack of whoever reads."""
+
+
+def is_nested_deeper(data: object, most: int = MOST_NESTED) -> bool:
+    """Whether JSON data has more than `most` lists and objects within each other."""
+    level = [data]
+    for _ in range(most + 1):
+        level = [
+            part
+            for one in level
+            if isinstance(one, dict | list)
+            for part in (one.values() if isinstance(one, dict) else one)
+            if isinstance(part, dict | list)
+        ]
+        if not level:
+            return False
+    return True
+
+
+def _strict(schema: Any, owner: type) -> Any:
+    """Returns a part of a class's schema in which numbers are strict, and lists and objects are measured first."""
+    if isinstance(schema, list | tuple):
+        return type(schema)(_strict(part, owner) for part in schema)
+    if not isinstance(schema, dict):
+        return schema
+    kind = schema.get("type")
+    if kind == "model" and schema["cls"] is not owner and issubclass(schema["cls"], Strict):
+        return schema  # it is strict already
+    made = {name: part if name in ("metadata", "default") else _strict(part, owner) for name, part in schema.items()}
+    if kind in ("bool", "int", "float"):
+        return made | {"strict": True}
+    if kind == "dict":
+        return core_schema.no_info_before_validator_function(_few, made)
+    if kind in ("tuple", "list") and "max_length" in made:
+        most = made["max_length"]
+        # pydantic counts a list while it validates the items
+        return core_schema.no_info_before_validator_function(_at_most(most), made | {"fail_fast": most > LONG})
+    return made
+
+
+def _at_most(most: int) -> Callable[[Any], Any]:
+    def counted(data: Any) -> Any:
+        if isinstance(data, Sized) and len(data) > most:
+            raise PydanticKnownError("too_long", {"field_type": "List", "max_length": most, "actual_length": len(data)})
+        return data
+
+    return counted
+
+
+def _few(data: Any) -> Any:
+    if isinstance(data, Sized) and len(data) > MOST_FIELDS:
+        raise PydanticCustomError("value_error", f"it has {len(data):,} fields, and may have {MOST_FIELDS}")
+    return data
+
+
+class Strict(BaseModel):
+    """Base class of models whose data others write. Schemas of derived classes are made strict when they are built."""
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Pydantic's schema of the class, made strict."""
+        made: CoreSchema = _strict(handler(source), cls)
+        return made
+
+    @model_validator(mode="before")
+    @classmethod
+    def _few_fields(cls, data: Any) -> Any:
+        return _few(data) if isinstance(data, dict) else data
