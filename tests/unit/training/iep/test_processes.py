@@ -4,7 +4,7 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import closing
+from contextlib import closing, suppress
 
 import psutil
 import pytest
@@ -21,8 +21,14 @@ list(each(time.sleep, [600, 600], 2, bool))"""
 
 def children(of: psutil.Process) -> list[psutil.Process]:
     """The processes of a pool; the tracker that multiprocessing starts beside them is none."""
-    found = of.children(recursive=True)
-    return [one for one in found if any("spawn_main" in argument for argument in one.cmdline())]
+    return [one for one in of.children(recursive=True) if "spawn_main" in command_line(one)]
+
+
+def command_line(process: psutil.Process) -> str:
+    """Its words, none once it has ended, even while its parent has not yet asked how."""
+    with suppress(psutil.NoSuchProcess):
+        return " ".join(process.cmdline())
+    return ""
 
 
 @pytest.mark.parametrize("processes", [1, 2])
