@@ -1,16 +1,16 @@
 """Trains the engine of IEP with one departure from the published network undone at a time. Writes
 results/iep_departures.json.
 
-It reads the folder of a training that has finished its trunk (`scene-attack train iep`) and writes nothing there. All
-variants see the same batches of the same questions for the same number of steps, with a short schedule, and answer the
-same questions about scenes that no engine was trained on, with true programs. The trunk was trained on these scenes
-too, which favours all variants alike. Seconds are of the processor.
+It draws the first scenes of the recipe, as far as they are not in its folder. All variants begin with the trunk that
+ships and its engine's mask of all objects, see the same batches of the same questions for the same number of steps,
+with a short schedule, and answer the same questions about scenes that they were not trained on, with true programs.
+The trunk was trained on these scenes too, which favours all variants alike. Seconds are of the processor.
 """
 
 import argparse
 import tempfile
 import time
-from itertools import islice
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +21,19 @@ from torch import Tensor
 from benchmarks.iep_variants import VARIANTS, Variant
 from benchmarks.report import RESULTS, save
 from services.questions.answers import ANSWERS
+from services.scenes.library import Library
+from services.settings import settings
+from services.targets.iep.checkpoint import load
+from services.targets.iep.engine import Engine
+from services.training.iep import features
 from services.training.iep.data import DataFolder, Piece, examples_of, objects_of
 from services.training.iep.engine_training import Draw
 from services.training.iep.examples import Example
+from services.training.iep.export import SHIPPED
 from services.training.iep.loop import Schedule, Step, TrainingLoop
 from services.training.iep.metrics import OVERALL, Share, by_family
-from services.training.iep.recipe import RECIPE
-from services.training.iep.trunk_training import ObjectFinder, hand_over
+from services.training.iep.processes import cores
+from services.training.iep.recipe import RECIPE, SHARD
 
 AT_ONCE = 64
 """Questions that are answered together."""
@@ -36,25 +42,30 @@ AT_ONCE = 64
 def main() -> None:
     """Runs the trainings and writes the result; see --help."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--folder", type=Path, default=Path("out/training/iep"), help="of the training")
-    parser.add_argument("--shards", type=int, default=40, help="files of 100 scenes to train on (default 40)")
+    parser.add_argument("--folder", type=Path, default=Path("out/iep-departures"), help="of the drawn scenes")
+    parser.add_argument("--shards", type=int, default=30, help="files of 100 scenes to train on (default 30)")
     parser.add_argument("--held-out", type=int, default=4, help="files of 100 scenes to answer about (default 4)")
     parser.add_argument("--steps", type=int, default=1500, help="steps of each variant (default 1500)")
     parser.add_argument("--seed", type=int, default=0, help="of the training's data, and of the variants")
+    parser.add_argument("--processes", type=int, default=cores(), help="that draw scenes; default: one for each core")
     parser.add_argument("--out", type=Path, default=RESULTS / "iep_departures.json")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    data = DataFolder(options.folder / "data", RECIPE, options.seed)
-    pieces = _with_features(data, options.folder / "features", options.shards + options.held_out)
+    shipped = load(SHIPPED).network
+    scenes = SHARD * (options.shards + options.held_out)
+    recipe = replace(RECIPE, shares={"pyrender": 1.0}, scenes={"train": scenes})
+    data = DataFolder(options.folder / "data", recipe, options.seed)
+    library = Library(settings().cache_dir, settings().data_dir)
+    data.draw_missing(["train"], library, _say, lambda: False, options.processes)
+    features.write_missing(options.folder / "features", shipped.trunk, data, "train", _say, lambda: False)
+    pieces = data.pieces("train")
     held_out = Questions(data, pieces[: options.held_out], options.folder)
     training = Questions(data, pieces[options.held_out :], options.folder)
-    finder = ObjectFinder()
-    finder.load_state_dict(torch.load(options.folder / "trunk.checkpoint", weights_only=True)["module"])
     schedule = Schedule(options.steps, RECIPE.engine.rate)
     about = {"steps": options.steps, "batch": RECIPE.engine_batch, "scenes": len(training.features)}
     rows = []
     for variant in VARIANTS:
-        rows.append(_row(variant, training, held_out, finder, schedule, options.seed))
+        rows.append(_row(variant, training, held_out, shipped.engine, schedule, options.seed))
         print(rows[-1], flush=True)
         backend = f"cpu; torch {torch.__version__} 1 thread"
         save(options.out, str(__doc__).split("\n\n")[0], backend, options.seed, **about, rows=rows)
@@ -72,22 +83,17 @@ class Questions:
         self.cells = [[one.cell for one in scene] for scene in objects_of(shards)]
 
 
-def _with_features(data: DataFolder, folder: Path, count: int) -> list[Piece]:
-    """Returns the first pieces of the training split that the trunk's features are there of."""
-    there = (piece for piece in data.pieces("train") if (folder / data.path(piece).name).is_file())
-    found = list(islice(there, count))
-    if len(found) < count:
-        raise SystemExit(f"{folder} has features of {len(found)} files; {count} are needed: train the trunk first")
-    return found
+def _say(what: str, done: float, total: float, words: str) -> None:
+    print(f"{what} {done:,.0f} of {total:,.0f} {words}", flush=True)
 
 
 def _row(
-    variant: Variant, training: Questions, held_out: Questions, finder: ObjectFinder, schedule: Schedule, seed: int
+    variant: Variant, training: Questions, held_out: Questions, shipped: Engine, schedule: Schedule, seed: int
 ) -> dict[str, Any]:
     """Trains a variant and returns what it can do."""
     torch.manual_seed(seed)
     engine = variant.build()
-    hand_over(finder, engine)
+    engine.stem.mask.load_state_dict(shipped.stem.mask.state_dict())
     began = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
         step = step_of(variant, engine, training, RECIPE.engine_batch)

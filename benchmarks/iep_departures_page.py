@@ -23,10 +23,11 @@ def page(result: dict[str, Any]) -> str:
     parts = [
         "# Departures of IEP's engine from the published network",
         f"The engine was trained with one departure undone at a time, {result['steps']:,} steps of {result['batch']} "
-        f"questions about {result['scenes']:,} scenes, the same for all, on the features of the trunk that ships. The "
-        "table has the share of right answers, in percent, to questions about scenes that no engine was trained on, "
-        "with true programs. The schedule is short, so the shares are lower than those of the network that ships, and "
-        "a difference says what a departure is worth after so many steps.",
+        f"questions about {result['scenes']:,} scenes, the same for all, on the features of the trunk that ships, and "
+        "began with its engine's mask of all objects. The table has the share of right answers, in percent, to "
+        "questions about scenes that these engines were not trained on, with true programs. The schedule is short, so "
+        "the shares are lower than those of the network that ships, and a difference says what a departure is worth "
+        "after so many steps.",
         "\n".join("| " + " | ".join(cells) + " |" for cells in lines),
         "Intervals are Wilson's. *3×3 convolutions* are in the residual blocks of modules that give a map. The module "
         "of `unique` is as those of other functions of one set, with its mask supervised.",
