@@ -1,14 +1,16 @@
-"""Middleware that refuses requests before they are parsed: bodies that are too large, and other web sites' requests."""
+"""Middleware that refuses requests before they are parsed: bodies that are too large, other web sites' requests, and
+addresses with a character that no text may have.
+"""
 
 from collections.abc import Mapping
 from ipaddress import ip_address
-from urllib.parse import urlsplit
+from urllib.parse import parse_qsl, urlsplit
 
 from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from api.problems import BadRequestField, http_problem, problem
+from api.problems import BadRequestField, http_problem, invalid, problem
 from services.errors import InvalidRequest
 
 JSON_BYTES = 2**20
@@ -66,6 +68,28 @@ async def _drain(receive: Receive) -> None:
         message = await receive()
         if message["type"] != "http.request" or not message.get("more_body", False):
             return
+
+
+class NoNul:
+    """Refuses paths and queries with the character U+0000, which PostgreSQL takes in no text. `services.strict` refuses
+    it in bodies, HTTP in headers.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI."""
+        if scope["type"] != "http":
+            return await self.app(scope, receive, send)
+        if "\0" in scope["path"]:
+            return await problem(404, "no path has the character U+0000")(scope, receive, send)
+        if b"%00" in scope["query_string"]:
+            parameters = parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
+            name = next((name for name, value in parameters if "\0" in value), "query")
+            refused = InvalidRequest(name, "it has the character U+0000, which no text may have")
+            return await invalid([refused])(scope, receive, send)
+        return await self.app(scope, receive, send)
 
 
 class SameSite:

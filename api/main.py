@@ -12,7 +12,7 @@ from starlette.middleware import Middleware
 
 from api import dashboard
 from api.description import describe
-from api.limits import BodyLimit, SameSite, is_loopback
+from api.limits import BodyLimit, NoNul, SameSite, is_loopback
 from api.preflight import Preflight
 from api.problems import Answers, install
 from api.rerenderer import Rerenderer
@@ -83,6 +83,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
         middleware=[
             Middleware(Answers),
             Middleware(SameSite, loopback=is_loopback(chosen.host)),
+            Middleware(NoNul),
             Middleware(BodyLimit, uploads={assets.PATH: chosen.max_upload_bytes}),
         ],
     )

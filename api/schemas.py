@@ -215,6 +215,8 @@ def read_cursor(cursor: str) -> tuple[datetime, str]:
         place = datetime.fromisoformat(time)
         if place.tzinfo is None:
             raise ValueError("no time zone")
+        if not job_id.isalnum():
+            raise ValueError("no id")
     except (ValueError, binascii.Error) as error:
         raise InvalidRequest("cursor", "take it from `next` of the page before") from error
     return place, job_id

@@ -16,7 +16,10 @@ class Settings(BaseSettings):
 
     cache: Path = Field(Path("~/.cache/scene-attack"), description="downloaded and derived files; safe to delete")
     data: Path = Field(Path("~/.local/share/scene-attack"), description="database, artifacts, uploaded assets")
-    database_url: str | None = Field(None, description="SQLAlchemy URL; default: SQLite (WAL) in the data directory")
+    database_url: str | None = Field(
+        None,
+        description="SQLAlchemy URL, of PostgreSQL for several machines; default: SQLite (WAL) in the data directory",
+    )
     redis_url: str | None = Field(None, description="redis:// URL; default: an embedded Redis on loopback")
     host: str = Field("127.0.0.1", description="address the API listens on")
     port: int = Field(8008, ge=0, le=65535, description="port the API listens on; 0 picks a free one")

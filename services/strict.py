@@ -1,4 +1,5 @@
-"""The base class of data that others write: numbers are numbers, and the length of a list is checked before its items.
+"""The base class of data that others write: numbers are numbers, the length of a list is checked before its items, and
+no text has the character U+0000, which PostgreSQL cannot store.
 
 Pydantic's own strict mode would also refuse a list in the place of a tuple, and an object in that of a model; JSON has
 nothing else to give. An integer of JSON counts as a number; a text or a boolean does not, and 1.0 is no integer.
@@ -46,6 +47,8 @@ def _strict(schema: Any, owner: type) -> Any:
     made = {name: part if name in ("metadata", "default") else _strict(part, owner) for name, part in schema.items()}
     if kind in ("bool", "int", "float"):
         return made | {"strict": True}
+    if kind == "str":
+        return core_schema.no_info_after_validator_function(_no_nul, made)
     if kind == "dict":
         return core_schema.no_info_before_validator_function(_few, made)
     if kind in ("tuple", "list") and "max_length" in made:
@@ -62,6 +65,12 @@ def _at_most(most: int) -> Callable[[Any], Any]:
         return data
 
     return counted
+
+
+def _no_nul(text: str) -> str:
+    if "\0" in text:
+        raise PydanticCustomError("value_error", "it has the character U+0000, which no text may have")
+    return text
 
 
 def _few(data: Any) -> Any:

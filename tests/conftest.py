@@ -6,6 +6,8 @@ import pytest
 from redis import Redis
 from redis.exceptions import RedisError
 
+from tests import postgresql
+from tests.postgresql import Postgresql
 from worker.redis_server import EmbeddedRedis
 
 
@@ -22,6 +24,25 @@ def redis_url() -> Iterator[str]:
         yield server.url
         process.terminate()
     server.remove()
+
+
+@pytest.fixture(scope="session")
+def postgresql_server() -> Iterator[Postgresql]:
+    with postgresql.running() as server:
+        yield server
+
+
+@pytest.fixture(scope="session")
+def postgresql_database(postgresql_server: Postgresql) -> str:
+    """The name of a database with the tables."""
+    return postgresql_server.migrated()
+
+
+@pytest.fixture
+def postgresql_url(postgresql_server: Postgresql, postgresql_database: str) -> str:
+    """The URL of a PostgreSQL database with the tables and no rows."""
+    postgresql_server.empty(postgresql_database)
+    return postgresql_server.url(postgresql_database)
 
 
 def _answers(client: Redis) -> bool:

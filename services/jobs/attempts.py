@@ -53,7 +53,7 @@ class Attempts(Transactions):
                 [Job.state == State.QUEUED, not_held()],
                 attempt=Job.attempt + 1,
                 lease_owner=owner,
-                lease_until=self._clock() + timedelta(seconds=seconds),
+                lease_until=self._now(session) + timedelta(seconds=seconds),
                 phase=None,
                 step=None,
                 steps=None,
@@ -71,7 +71,7 @@ class Attempts(Transactions):
     def renew(self, attempt: Attempt, seconds: float) -> Standing:
         """Extends the lease to `seconds` from now. Returns the attempt's standing."""
         with self._write() as session:
-            until = self._clock() + timedelta(seconds=seconds)
+            until = self._now(session) + timedelta(seconds=seconds)
             session.execute(update(Job).where(*_fence(attempt)).values(lease_until=until))
         return self.standing(attempt)
 
@@ -89,7 +89,7 @@ class Attempts(Transactions):
                 return False
             data = {"phase": phase, "step": step, "steps": steps, "rows": list(rows)}
             session.add(
-                Event(job_id=attempt.job_id, number=number, kind="progress", data=data, created_at=self._clock())
+                Event(job_id=attempt.job_id, number=number, kind="progress", data=data, created_at=self._now(session))
             )
             return True
 
@@ -147,16 +147,19 @@ class Attempts(Transactions):
         """Ends all attempts whose lease has lapsed, or that the dead worker `owner` holds, as `lose` does. Returns the
         ids of their jobs.
         """
-        gone = Job.lease_until < self._clock()
-        if owner is not None:
-            gone = or_(gone, Job.lease_owner == owner)
         with self._write() as session:
-            found = session.execute(select(Job.id, Job.attempt).where(Job.state.in_(ACTIVE), gone)).all()
+            gone = Job.lease_until < self._now(session)
+            if owner is not None:
+                gone = or_(gone, Job.lease_owner == owner)
+            ended = select(Job.id, Job.attempt).where(Job.state.in_(ACTIVE), gone)
+            # in one order, so that two supervisors that take jobs back at once wait for each other and never in a ring
+            found = session.execute(ended.order_by(Job.id).with_for_update()).all()
             for job_id, number in found:
                 self._return(session, Attempt(job_id, number), lost=1, max_attempts=max_attempts)
         return [job_id for job_id, _ in found]
 
     def _return(self, session: Session, attempt: Attempt, *, lost: int, max_attempts: int) -> None:
+        self._lock(session, attempt.job_id)
         fence = _fence(attempt)[1:]
         free = {"lease_owner": None, "lease_until": None, "lost": Job.lost + lost}
         if self._move(session, attempt.job_id, State.CANCELLED, [*fence, Job.state == State.CANCELLING], **free):

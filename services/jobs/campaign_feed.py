@@ -80,7 +80,8 @@ class Feeder(Transactions):
     def _queue_one(self, campaign_id: str) -> bool:
         """Queues the next job of a campaign. Returns whether there may be another one after it."""
         with self._write() as session:
-            state = session.scalar(select(Campaign.state).where(Campaign.id == campaign_id))
+            # held until the job is there, so that another supervisor does not queue the same one
+            state = session.scalar(select(Campaign.state).where(Campaign.id == campaign_id).with_for_update())
             if state is CampaignState.SELECTING:
                 return self._queue_selection(session, campaign_id)
             if state is CampaignState.RUNNING:
@@ -110,7 +111,7 @@ class Feeder(Transactions):
     def _fail(self, campaign_id: str, why: str) -> None:
         log.warning("campaign failed", campaign=campaign_id, why=why)
         with self._write() as session:
-            values = {"state": CampaignState.FAILED, "ended_at": self._clock(), "failure": why}
+            values = {"state": CampaignState.FAILED, "ended_at": self._now(session), "failure": why}
             session.execute(update(Campaign).where(Campaign.id == campaign_id).values(values))
 
     def _plan(self, campaign_id: str) -> None:
@@ -140,12 +141,12 @@ class Feeder(Transactions):
             }
             for number, job in enumerate(jobs(campaign, picked))
         ]
-        values: dict[str, Any] = {
-            "state": CampaignState.RUNNING,
-            "selected_at": self._clock(),
-            "views": [view.model_dump(mode="json") for view in chosen],
-        }
         with self._write() as session:
+            values: dict[str, Any] = {
+                "state": CampaignState.RUNNING,
+                "selected_at": self._now(session),
+                "views": [view.model_dump(mode="json") for view in chosen],
+            }
             selecting = (Campaign.id == campaign_id, Campaign.state == CampaignState.SELECTING)
             if session.scalar(update(Campaign).where(*selecting).values(values).returning(Campaign.id)) is None:
                 return  # paused or cancelled meanwhile, or planned by another supervisor
@@ -182,6 +183,7 @@ class Feeder(Transactions):
             .where(~CampaignJob.ended, Job.state.in_([state for state in State if state.terminal]))
             .limit(AT_ONCE)
             .options(undefer(Job.result))
+            .with_for_update(of=CampaignJob, skip_locked=True)
         )
         with self._write() as session:
             rows = session.execute(query).all()
@@ -209,7 +211,7 @@ class Feeder(Transactions):
         left = select(CampaignJob.number).where(CampaignJob.campaign_id == campaign_id, ~CampaignJob.ended).exists()
         with self._write() as session:
             done = (Campaign.id == campaign_id, Campaign.state == CampaignState.RUNNING, ~left)
-            values = {"state": CampaignState.FINISHED, "ended_at": self._clock()}
+            values = {"state": CampaignState.FINISHED, "ended_at": self._now(session)}
             if session.scalar(update(Campaign).where(*done).values(values).returning(Campaign.id)) is not None:
                 log.info("campaign finished", campaign=campaign_id)
 

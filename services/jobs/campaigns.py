@@ -12,7 +12,7 @@ from sqlalchemy.orm import Session, undefer
 from services.analysis.campaign_curves import Curves
 from services.analysis.campaign_table import Case
 from services.jobs.models import Campaign, CampaignJob, CampaignState, Job, JobKind, State
-from services.jobs.repository import Key, KeyReused
+from services.jobs.repository import Key, KeyReused, place
 from services.jobs.transactions import Transactions
 from services.pipeline.campaign_spec import CampaignSpec
 
@@ -44,7 +44,7 @@ class Campaigns(Transactions):
                 name=spec.name,
                 state=CampaignState.SELECTING,
                 spec=spec.model_dump(mode="json"),
-                created_at=self._clock(),
+                created_at=self._now(session),
                 view_count=view_count,
                 key=key,
                 request_digest=digest,
@@ -69,7 +69,7 @@ class Campaigns(Transactions):
         if state is not None:
             query = query.where(Campaign.state == state)
         if before is not None:
-            query = query.where(tuple_(Campaign.created_at, Campaign.id) < tuple_(*before))
+            query = query.where(tuple_(Campaign.created_at, Campaign.id) < place(before))
         with self._read() as session:
             return list(session.scalars(query))
 
@@ -77,13 +77,13 @@ class Campaigns(Transactions):
         """Holds the campaign's queued jobs back; running jobs go on to their end. Returns it, or None if unknown."""
         active = (CampaignState.SELECTING, CampaignState.RUNNING)
         with self._write() as session:
-            self._set(session, campaign_id, active, state=CampaignState.PAUSED, paused_at=self._clock())
+            self._set(session, campaign_id, active, state=CampaignState.PAUSED, paused_at=self._now(session))
             return session.get(Campaign, campaign_id)
 
     def resume(self, campaign_id: str) -> Campaign | None:
         """Lets the jobs of a paused campaign go on. Returns the campaign, or None if the id is unknown."""
         with self._write() as session:
-            campaign = session.get(Campaign, campaign_id)
+            campaign = session.get(Campaign, campaign_id, with_for_update=True)
             if campaign is not None and campaign.state is CampaignState.PAUSED:
                 campaign.state = CampaignState.SELECTING if campaign.selected_at is None else CampaignState.RUNNING
                 campaign.paused_at = None
@@ -97,11 +97,15 @@ class Campaigns(Transactions):
         open_states = [state for state in CampaignState if not state.terminal]
         with self._write() as session:
             if self._set(
-                session, campaign_id, open_states, state=CampaignState.CANCELLED, ended_at=self._clock(), paused_at=None
+                session,
+                campaign_id,
+                open_states,
+                state=CampaignState.CANCELLED,
+                ended_at=self._now(session),
+                paused_at=None,
             ):
-                for job_id in session.scalars(
-                    select(Job.id).where(Job.campaign_id == campaign_id, Job.state.in_((State.QUEUED, State.RUNNING)))
-                ).all():
+                own = (Job.campaign_id == campaign_id, Job.state.in_((State.QUEUED, State.RUNNING)))
+                for job_id in session.scalars(select(Job.id).where(*own).order_by(Job.id).with_for_update()).all():
                     if self._move(session, job_id, State.CANCELLED, [Job.state == State.QUEUED]) is None:
                         self._move(session, job_id, State.CANCELLING, [Job.state == State.RUNNING])
             return session.get(Campaign, campaign_id)

@@ -1,32 +1,62 @@
-"""Opens the database and migrates its tables."""
+"""Opens the database and migrates its tables. It is SQLite on one machine, and PostgreSQL for several."""
 
 import fcntl
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from alembic import command
 from alembic.config import Config
-from sqlalchemy import Connection, Engine, create_engine, event, make_url
+from sqlalchemy import Connection, Engine, create_engine, event, make_url, text
+from sqlalchemy.exc import ArgumentError, NoSuchModuleError
 
+from services.errors import InvalidRequest
 from services.settings import Settings
 
 MIGRATIONS = Path(__file__).parent / "migrations"
 BUSY_MILLISECONDS = 10_000
 """How long a transaction waits for another one's lock; SQLite has one writer at a time."""
+CONNECT_SECONDS = 5
+"""How long to wait for PostgreSQL's answer to a new connection."""
+_MIGRATING = 0x5CE4EA77
+"""The number of the lock that PostgreSQL gives one migration at a time."""
 
 
 def connect(settings: Settings) -> Engine:
-    """Returns an engine for the settings' database, which is SQLite in the data directory unless a URL is set."""
+    """Returns an engine for the settings' database, which is SQLite in the data directory unless a URL is set.
+
+    Raises InvalidRequest if the URL is none of SQLite or PostgreSQL, or the driver is not installed.
+    """
     url = settings.database_url or f"sqlite:///{settings.data_dir / 'jobs.sqlite'}"
-    # Numbers that are not finite are refused, because JSON cannot represent them.
-    engine = create_engine(url, json_serializer=partial(json.dumps, allow_nan=False), pool_pre_ping=True)
-    if make_url(url).get_backend_name() == "sqlite":
+    kind = _kind(url)
+    options: dict[str, Any] = {}
+    if kind == "postgresql":
+        options = {"connect_args": {"connect_timeout": CONNECT_SECONDS, "application_name": "scene-attack"}}
+    try:
+        # Numbers that are not finite are refused, because JSON cannot represent them.
+        engine = create_engine(url, json_serializer=partial(json.dumps, allow_nan=False), pool_pre_ping=True, **options)
+    except ModuleNotFoundError as error:
+        detail = f"{error.name} is not installed; PostgreSQL needs the extra: pip install 'scene-attack[postgresql]'"
+        raise InvalidRequest("SCENE_ATTACK_DATABASE_URL", detail) from error
+    if kind == "sqlite":
         settings.data_dir.mkdir(parents=True, exist_ok=True)
         event.listen(engine, "connect", _tune_sqlite)
         event.listen(engine, "begin", _begin_sqlite)
     return engine
+
+
+def _kind(url: str) -> str:
+    try:
+        kind = make_url(url).get_backend_name()
+    except (ArgumentError, NoSuchModuleError):
+        kind = ""
+    if kind not in ("sqlite", "postgresql"):  # the URL itself may have a password and is not shown
+        detail = "must be a URL such as postgresql://user:password@host:5432/name, or sqlite:////absolute/path"
+        raise InvalidRequest("SCENE_ATTACK_DATABASE_URL", detail)
+    return kind
 
 
 def _tune_sqlite(connection: Any, _record: Any) -> None:
@@ -52,11 +82,22 @@ def _begin_sqlite(connection: Connection) -> None:
 
 def migrate(engine: Engine, settings: Settings) -> None:
     """Migrates the tables to the newest revision. Processes that start together wait for one another."""
+    with _alone(engine, settings), engine.execution_options(writes=True).begin() as connection:
+        if engine.dialect.name == "postgresql":  # held until the transaction ends
+            connection.execute(text("SELECT pg_advisory_xact_lock(:number)"), {"number": _MIGRATING})
+        config = Config()
+        config.set_main_option("script_location", str(MIGRATIONS).replace("%", "%%"))
+        config.attributes["connection"] = connection
+        command.upgrade(config, "head")
+
+
+@contextmanager
+def _alone(engine: Engine, settings: Settings) -> Iterator[None]:
+    """Holds a lock in the data directory, which the processes of a SQLite database share."""
+    if engine.dialect.name != "sqlite":
+        yield
+        return
     settings.data_dir.mkdir(parents=True, exist_ok=True)
     with (settings.data_dir / "migrate.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        with engine.execution_options(writes=True).begin() as connection:
-            config = Config()
-            config.set_main_option("script_location", str(MIGRATIONS).replace("%", "%%"))
-            config.attributes["connection"] = connection
-            command.upgrade(config, "head")
+        yield

@@ -2,7 +2,6 @@
 
 from contextlib import suppress
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
 
 import rq
 from redis import Redis
@@ -84,7 +83,7 @@ def reconcile(repository: Repository, queue: Queue) -> int:
     for job in jobs:
         if _message_id(job.job_id, job.attempt) in waiting or _settling(job):
             continue
-        if job.sent_at is not None:
+        if job.sent_ago is not None:
             queue.forget(job.job_id, job.attempt)
         queue.send(job.job_id, job.attempt)
         repository.sent(job.job_id, job.attempt)
@@ -93,7 +92,7 @@ def reconcile(repository: Repository, queue: Queue) -> int:
 
 
 def _settling(job: Waiting) -> bool:
-    return job.sent_at is not None and datetime.now(UTC) - job.sent_at < timedelta(seconds=SETTLE_SECONDS)
+    return job.sent_ago is not None and job.sent_ago < SETTLE_SECONDS
 
 
 def _message_id(job_id: str, attempt: int) -> str:

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import func, select, text, tuple_, update
+from sqlalchemy import func, literal, select, text, tuple_, update
 from sqlalchemy.orm import Session, undefer
+from sqlalchemy.sql.elements import ColumnElement
 
 from services.jobs.attempts import Attempts
-from services.jobs.models import Artifact, Event, IdempotencyKey, Job, JobKind, State
+from services.jobs.models import Artifact, Event, IdempotencyKey, Job, JobKind, State, UtcTime
 from services.jobs.transactions import not_held
 from services.pipeline.spec import JobSpec, digest
 from services.pipeline.warning import JobWarning
@@ -36,11 +37,13 @@ class Key:
 
 @dataclass(frozen=True)
 class Waiting:
-    """A queued job: its id, the number of attempts it has had, and the time when its id was last put on the queue."""
+    """A queued job: its id, the number of attempts it has had, and how many seconds ago its id was last put on the
+    queue, by the database's clock; None if it was not yet.
+    """
 
     job_id: str
     attempt: int
-    sent_at: datetime | None
+    sent_ago: float | None
 
 
 class Repository(Attempts):
@@ -117,7 +120,7 @@ class Repository(Attempts):
         if state is not None:
             query = query.where(Job.state == state)
         if before is not None:
-            query = query.where(tuple_(Job.created_at, Job.id) < tuple_(*before))
+            query = query.where(tuple_(Job.created_at, Job.id) < place(before))
         with self._read() as session:
             return list(session.scalars(query))
 
@@ -127,6 +130,7 @@ class Repository(Attempts):
         Returns the job, or None if the id is unknown.
         """
         with self._write() as session:
+            self._lock(session, job_id)
             if self._move(session, job_id, State.CANCELLED, [Job.state == State.QUEUED]) is None:
                 self._move(session, job_id, State.CANCELLING, [Job.state == State.RUNNING])
             return session.get(Job, job_id)
@@ -154,8 +158,12 @@ class Repository(Attempts):
         columns = select(Job.id, Job.attempt, Job.sent_at)
         with self._read() as session:
             waiting = columns.where(Job.state == State.QUEUED, not_held())
-            found = session.execute(waiting.order_by(Job.queued_at, Job.id))
-            return [Waiting(*row) for row in found]
+            found = session.execute(waiting.order_by(Job.queued_at, Job.id)).all()
+            now = self._now(session)
+        return [
+            Waiting(one.id, one.attempt, None if one.sent_at is None else (now - one.sent_at).total_seconds())
+            for one in found
+        ]
 
     def sent(self, job_id: str, attempt: int) -> None:
         """Records that a queued job's id was put on the queue now."""
@@ -163,8 +171,15 @@ class Repository(Attempts):
             session.execute(
                 update(Job)
                 .where(Job.id == job_id, Job.attempt == attempt, Job.state == State.QUEUED)
-                .values(sent_at=self._clock())
+                .values(sent_at=self._now(session))
             )
+
+
+def place(before: tuple[datetime, str]) -> ColumnElement[Any]:
+    """A (created_at, id) as SQL. The time has the columns' type: PostgreSQL would compare an aware datetime with a
+    column that has no time zone in the zone of the session.
+    """
+    return tuple_(literal(before[0], UtcTime()), before[1])
 
 
 def _first_answer(session: Session, key: Key) -> dict[str, Any] | None:

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from typing import Any
 from uuid import uuid4
 
-from sqlalchemy import Engine, or_, select, update
+from sqlalchemy import Engine, func, or_, select, update
 from sqlalchemy.orm import Session
 from sqlalchemy.sql.elements import ColumnElement
 
@@ -15,12 +15,28 @@ from services.pipeline.warning import JobWarning
 
 
 class Transactions:
-    """Sessions for reading and writing. `clock` returns the time of every write; tests replace it."""
+    """Sessions for reading and writing. The time of every write is the database's; tests replace it by `clock`."""
 
-    def __init__(self, engine: Engine, clock: Callable[[], datetime] = lambda: datetime.now(UTC)) -> None:
+    def __init__(self, engine: Engine, clock: Callable[[], datetime] | None = None) -> None:
         self._reads = engine
         self._writes = engine.execution_options(writes=True)
         self._clock = clock
+
+    def _now(self, session: Session) -> datetime:
+        """The time by the database's clock, which is one for all machines: theirs may differ by more than a lease."""
+        if self._clock is not None:
+            return self._clock()
+        if session.get_bind().dialect.name == "sqlite":  # it is part of this process, and has this machine's clock
+            return datetime.now(UTC)
+        found: datetime = session.scalars(select(func.clock_timestamp())).one()
+        return found.astimezone(UTC)
+
+    def _lock(self, session: Session, job_id: str) -> None:
+        """Holds a job's row until the transaction ends, so that what is read of it stays true until it is changed.
+
+        SQLite needs no such lock: it has one writer at a time.
+        """
+        session.execute(select(Job.id).where(Job.id == job_id).with_for_update())
 
     @contextmanager
     def _read(self) -> Iterator[Session]:
@@ -45,7 +61,7 @@ class Transactions:
         checked: bool = True,
     ) -> Job:
         """Records a new queued job and its first event."""
-        now = self._clock()
+        now = self._now(session)
         job = Job(
             id=uuid4().hex,
             state=State.QUEUED,
@@ -71,7 +87,7 @@ class Transactions:
         self, session: Session, job_id: str, to: State, where: Sequence[ColumnElement[bool]], **values: Any
     ) -> Job | None:
         """Changes a job's state if it meets the conditions `where`, and records the event; otherwise returns None."""
-        now = self._clock()
+        now = self._now(session)
         changed = (
             update(Job)
             .where(Job.id == job_id, *where)

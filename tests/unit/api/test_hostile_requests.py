@@ -1,5 +1,6 @@
 """Requests that a client can send without effort: each has its status, a short answer, and no place on the server."""
 
+import base64
 import json
 import threading
 from pathlib import Path
@@ -39,6 +40,9 @@ BODIES = {
     "bad attacks": ("/v1/campaigns", '{"grids": [{"attacks": [' + '{"attack": {"x": 1}},' * 63 + "{}]}]}", 422),
     "a long name": ("/v1/jobs", '{"' + "k" * 1_000_000 + '": 1}', 422),
     "a long method": ("/v1/jobs", '{"attack": {"method": "' + "k" * 1_000_000 + '"}}', 422),
+    "NUL in a campaign's name": ("/v1/campaigns", '{"name": "a\\u0000", "grids": []}', 422),
+    "NUL in a name of a parameter": ("/v1/jobs", '{"attack": {"bounds": {"a\\u0000": 1}}}', 422),
+    "NUL in a job's id": ("/v1/rerenderings", '{"image": {"job": "a\\u0000"}}', 422),
     "a bad image": ("/v1/rerenderings", '{"image": {"job": "' + "k" * 1_000_000 + '"}}', 422),
     **{
         f"nested {depth} in {path} {place}": (path, text.replace("…", nested(depth)), status)
@@ -85,6 +89,23 @@ def test_a_bad_header_is_the_clients(
     answer = client.request(method, path, headers=headers)
     assert answer.status_code == status, answer.text[:500]
     assert len(answer.content) < 1000
+
+
+CURSOR = base64.urlsafe_b64encode(b"2030-01-01T00:00:00+00:00 a" + bytes(1))
+NUL = {
+    "a path": ("/v1/jobs/a%00b", 404, None),
+    "a campaign of a list": ("/v1/jobs?limit=5&campaign=a%00", 422, "campaign"),
+    "a cursor": (f"/v1/jobs?cursor={CURSOR.decode()}", 422, "cursor"),
+}
+
+
+@pytest.mark.parametrize(("path", "status", "field"), NUL.values(), ids=NUL)
+def test_a_character_that_no_database_stores_is_refused(
+    client: Client, path: str, status: int, field: str | None
+) -> None:
+    answer = client.get(path)
+    assert answer.status_code == status
+    assert [error["field"] for error in answer.json()["errors"]] == ([] if field is None else [field])
 
 
 @pytest.mark.parametrize("number", ["9" * 12, "9" * 20, "9" * 5000, "-1", "x"])

@@ -26,11 +26,21 @@ def clock() -> Clock:
     return Clock()
 
 
-@pytest.fixture
-def engine(tmp_path: Path) -> Iterator[Engine]:
+@pytest.fixture(params=["sqlite", "postgresql"])
+def database(request: pytest.FixtureRequest, tmp_path: Path) -> Settings:
+    """Settings with a database that has the tables and no rows: each of the two kinds in turn."""
+    if request.param == "postgresql":
+        return Settings(data=tmp_path, database_url=request.getfixturevalue("postgresql_url"))
     settings = Settings(data=tmp_path)
     engine = connect(settings)
     migrate(engine, settings)
+    engine.dispose()
+    return settings
+
+
+@pytest.fixture
+def engine(database: Settings) -> Iterator[Engine]:
+    engine = connect(database)
     yield engine
     engine.dispose()
 

@@ -1,13 +1,14 @@
 """Campaigns in the record, moved on by the supervisor's feeder; the worker is played by the test."""
 
+from copy import deepcopy
 from typing import Any
 
 import pytest
-from sqlalchemy import Engine
+from sqlalchemy import Engine, update
 
 from services.jobs.campaign_feed import CHUNK, Feeder
 from services.jobs.campaign_service import request_digest
-from services.jobs.models import CampaignState, State
+from services.jobs.models import Campaign, CampaignState, State
 from services.jobs.repository import Key, KeyReused, Repository
 from services.pipeline.campaign_spec import CampaignSpec
 from services.pipeline.outcome import outcome
@@ -196,10 +197,10 @@ def test_a_key_belongs_to_one_request(stage: Stage) -> None:
 
 def test_a_campaign_that_is_no_request_any_more_fails_by_name(stage: Stage, engine: Engine) -> None:
     campaign = stage.begin(spec(1))
+    changed = deepcopy(stage.campaign(campaign).spec)
+    changed["grids"][0]["attacks"][0]["attack"]["method"] = "gone"
     with engine.execution_options(writes=True).begin() as connection:
-        connection.exec_driver_sql(
-            "UPDATE campaigns SET spec = json_set(spec, '$.grids[0].attacks[0].attack.method', 'gone')"
-        )
+        connection.execute(update(Campaign).values(spec=changed))
     stage.feeder.tick()
     assert stage.state(campaign) is CampaignState.FAILED
     assert "gone" in (stage.campaign(campaign).failure or "")

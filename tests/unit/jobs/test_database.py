@@ -8,9 +8,12 @@ from alembic.migration import MigrationContext
 from sqlalchemy import Engine, text
 from sqlalchemy.exc import IntegrityError
 
+from services.errors import InvalidRequest
 from services.jobs.database import connect, migrate
 from services.jobs.models import Base
 from services.settings import Settings
+
+SQLITE = pytest.mark.parametrize("database", ["sqlite"], indirect=True)
 
 
 def test_the_migrations_make_the_tables_of_the_models(engine: Engine) -> None:
@@ -19,8 +22,12 @@ def test_the_migrations_make_the_tables_of_the_models(engine: Engine) -> None:
         assert compare_metadata(context, Base.metadata) == []
 
 
-def test_processes_that_start_together_migrate_once(tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
+def test_processes_that_start_together_migrate_once(kind: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     settings = Settings(data=tmp_path)
+    if kind == "postgresql":
+        server = request.getfixturevalue("postgresql_server")
+        settings = Settings(data=tmp_path, database_url=server.url(server.create()))
     engines = [connect(settings) for _ in range(4)]
     with ThreadPoolExecutor(4) as pool:
         list(pool.map(lambda engine: migrate(engine, settings), engines))
@@ -30,6 +37,15 @@ def test_processes_that_start_together_migrate_once(tmp_path: Path) -> None:
         engine.dispose()
 
 
+@pytest.mark.parametrize("url", ["no url at all", "mysql://root:secret@host/name", "nosuch://host"])
+def test_a_url_of_another_database_is_bad_input_and_not_shown(url: str) -> None:
+    with pytest.raises(InvalidRequest, match="postgresql://") as error:
+        connect(Settings(database_url=url))
+    assert error.value.field == "SCENE_ATTACK_DATABASE_URL"
+    assert "secret" not in str(error.value)
+
+
+@SQLITE
 def test_sqlite_is_opened_for_several_processes(engine: Engine) -> None:
     with engine.connect() as connection:
         pragmas = {
@@ -41,6 +57,7 @@ def test_sqlite_is_opened_for_several_processes(engine: Engine) -> None:
         connection.execute(text("INSERT INTO artifacts VALUES ('none', 'a', 'b', 'c', 1)"))
 
 
+@SQLITE
 def test_a_transaction_that_writes_holds_the_lock_from_its_start(engine: Engine, tmp_path: Path) -> None:
     other = sqlite3.connect(tmp_path / "jobs.sqlite", timeout=0)
     with engine.execution_options(writes=True).begin() as connection:

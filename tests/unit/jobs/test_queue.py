@@ -1,7 +1,6 @@
 import json
 import zlib
 from collections.abc import Iterator
-from datetime import UTC, datetime, timedelta
 
 import pytest
 from rq.job import Job as Message
@@ -19,13 +18,6 @@ def queue(redis_url: str) -> Iterator[Queue]:
     redis.flushall()
     yield Queue(redis)
     redis.close()
-
-
-@pytest.fixture
-def clock() -> Clock:
-    clock = Clock()
-    clock.now = datetime.now(UTC)
-    return clock
 
 
 def lost(queue: Queue) -> None:
@@ -65,10 +57,10 @@ def test_what_was_recorded_but_never_sent_is_sent(repository: Repository, queue:
 
 @pytest.mark.parametrize("accident", [lost, taken_and_dropped])
 def test_what_redis_lost_is_sent_again(repository: Repository, queue: Queue, clock: Clock, accident) -> None:  # type: ignore[no-untyped-def]
-    clock.now -= timedelta(seconds=SETTLE_SECONDS + 1)
     job = add(repository)
     assert reconcile(repository, queue) == 1
     accident(queue)
+    clock.advance(SETTLE_SECONDS + 1)
     assert reconcile(repository, queue) == 1
     assert queue.waiting() == {f"{job.id}-0"}
 
