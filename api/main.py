@@ -1,5 +1,6 @@
 """The HTTP API: its application, and the function that serves it."""
 
+import gc
 import socket
 import sys
 from collections.abc import AsyncIterator
@@ -18,6 +19,7 @@ from api.problems import Answers, install
 from api.rerenderer import Rerenderer
 from api.routes import artifacts, assets, campaigns, events, health, jobs, library, rerenderings
 from api.state import Services
+from api.watcher import Watcher
 from services.device import check_device
 from services.errors import JobFailure
 from services.jobs.artifacts import ArtifactStore
@@ -56,6 +58,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
         preflight = Preflight(chosen)
         preflight.start()
         rerenderer = Rerenderer(chosen)
+        watcher = Watcher(repository)
         app.state.services = Services(
             repository=repository,
             queue=queue,
@@ -65,11 +68,13 @@ def create_app(values: Settings | None = None) -> FastAPI:
             preflight=preflight,
             rerenderer=rerenderer,
             campaigns=CampaignService(Campaigns(engine), queue),
+            watcher=watcher,
             max_campaign_jobs=chosen.max_campaign_jobs,
         )
         try:
             yield
         finally:
+            watcher.close()
             preflight.close()
             rerenderer.close()
             redis.close()
@@ -102,11 +107,15 @@ def run(listener: socket.socket | None = None) -> int:
     check_device()
     configure("api")
     values = settings()
+    app = create_app(values)
+    # What has been imported by now stays for ever: the garbage collector need not look at it again and again.
+    gc.collect()
+    gc.freeze()
     listener = listener or socket.create_server((values.host, values.port))
     log.info("listening", address=listener.getsockname())
     log_extensions()
     config = uvicorn.Config(
-        create_app(values),
+        app,
         log_config=None,
         access_log=False,
         server_header=False,

@@ -44,7 +44,7 @@ class FailureView(BaseModel):
 
 
 class JobSummary(BaseModel):
-    """A job without its result, as lists show it."""
+    """A job without its request and result, as lists show it."""
 
     id: str
     state: State = Field(description="succeeded means that it ran to its end, not that the network was fooled")
@@ -53,14 +53,17 @@ class JobSummary(BaseModel):
     attempt: int = Field(description="number of attempts that were started")
     seed: int
     progress: ProgressView | None
-    spec: Annotated[JobSpec | dict[str, Any], Field(union_mode="left_to_right")] = Field(
-        description="the request with the values of all fields filled in; as it was stored, if its attack or renderer "
-        "is not installed any more"
-    )
+    name: str = Field(description="the question, or the meshes of a job without one; of several questions their number")
+    scene: str = Field(description="the meshes without their folders")
+    attack: str = Field(description="renderer, parameter groups and method in short")
+    renderer: str
+    method: str
+    target: str = Field(description="name of the network")
+    question: str | None = Field(description="the first question; null for a job without one")
     checked: bool = Field(
         True,
         description="whether the scene was rendered and the network asked, before the job was accepted or by a worker "
-        "since; `warnings` is empty and `spec` as it was sent until then",
+        "since; `warnings` is empty and the request as it was sent until then",
     )
     warnings: list[JobWarning] = Field(default_factory=list, description="what the request was warned of")
     outcome: Outcome | None = Field(description="the part of the result that lists show, once the job succeeded")
@@ -76,14 +79,18 @@ class JobSummary(BaseModel):
 
 
 class JobView(JobSummary):
-    """A job with its result."""
+    """A job with its request and its result."""
 
+    spec: Annotated[JobSpec | dict[str, Any], Field(union_mode="left_to_right")] = Field(
+        description="the request with the values of all fields filled in; as it was stored, if its attack or renderer "
+        "is not installed any more"
+    )
     result: Result | None = Field(description="the result, once the job succeeded")
 
     @classmethod
     def of(cls, job: Job, with_result: bool = False) -> Self:
         """The view of a job in the database; `with_result` requires that the job was read with its result."""
-        return cls(**_fields(job), result=job.result if with_result else None)
+        return cls(**_fields(job), spec=job.spec, result=job.result if with_result else None)
 
 
 def _fields(job: Job) -> dict:  # type: ignore[type-arg]
@@ -100,7 +107,13 @@ def _fields(job: Job) -> dict:  # type: ignore[type-arg]
         "attempt": job.attempt,
         "seed": job.seed,
         "progress": progress,
-        "spec": job.spec,
+        "name": job.name,
+        "scene": job.scene,
+        "attack": job.attack,
+        "renderer": job.renderer,
+        "method": job.method,
+        "target": job.target,
+        "question": job.question,
         "checked": job.checked,
         "errors": job.errors or [],
         "warnings": job.warnings or [],

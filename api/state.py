@@ -7,6 +7,7 @@ from fastapi import Depends, HTTPException, Request
 
 from api.preflight import Preflight
 from api.rerenderer import Rerenderer
+from api.watcher import Watcher
 from services.jobs.artifacts import ArtifactStore
 from services.jobs.campaign_service import CampaignService
 from services.jobs.models import Job
@@ -18,7 +19,7 @@ from services.scenes.library import Library
 
 @dataclass(frozen=True)
 class Services:
-    """The record of jobs and campaigns, the queue, the files, and the processes that check and re-render."""
+    """The record of jobs and campaigns, the queue, the files, and what checks, re-renders and watches."""
 
     repository: Repository
     queue: Queue
@@ -28,6 +29,7 @@ class Services:
     preflight: Preflight
     rerenderer: Rerenderer
     campaigns: CampaignService
+    watcher: Watcher
     max_campaign_jobs: int
 
 
@@ -42,8 +44,8 @@ ServicesDependency = Annotated[Services, Depends(services)]
 
 
 def known_job(job_id: str, services: ServicesDependency) -> Job:
-    """The job with the id in the path, without its result. Answers 404 if there is none."""
-    job = services.repository.get(job_id)
+    """The job with the id in the path, without request and result. Answers 404 if there is none."""
+    job = services.repository.line(job_id)
     if job is None:
         raise no_such("job")
     return job

@@ -9,7 +9,7 @@ from api.dashboard.charts import Chart, chart
 from api.dashboard.questions import Question, SceneObject, objects, questions
 from services.attacks.verdict import judge, with_outcome
 from services.jobs.models import Artifact, Event, Job, State
-from services.pipeline.names import attack_name, job_name, question_names, scene_name
+from services.pipeline.names import question_names
 
 IMAGES = ("original.png", "attacked.png", "perturbation.png")
 SEARCHED = ("coordinates", "coordinates that reach the answer")
@@ -75,10 +75,10 @@ def line(job: Job) -> Line:
     return Line(
         id=job.id,
         state=job.state,
-        name=job_name(job.spec),
-        scene=scene_name(job.spec),
-        attack=attack_name(job.spec),
-        target=job.spec["target"]["name"],
+        name=job.name or "",
+        scene=job.scene or "",
+        attack=job.attack or "",
+        target=job.target or "",
         created_at=job.created_at,
         phase=job.phase,
         step=job.step,

@@ -1,12 +1,12 @@
 """The route for a job's events, as server-sent events."""
 
 from collections.abc import AsyncIterator
+from contextlib import aclosing
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Header, HTTPException
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
-from api.routes.following import events
 from api.state import KnownJob, ServicesDependency
 
 LARGEST = 2**31 - 1
@@ -38,5 +38,6 @@ async def stream(
     `progress` event is {"phase", "step", "steps", "rows"}, where rows are those of the trace since the last event. A
     job that was interrupted repeats some of its steps.
     """
-    async for event in events(services.repository, job.id, after):
-        yield ServerSentEvent(data=event.data, event=event.kind, id=str(event.number))
+    async with aclosing(services.watcher.events(job, after)) as events:
+        async for event in events:
+            yield ServerSentEvent(data=event.data, event=event.kind, id=str(event.number))

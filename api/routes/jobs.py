@@ -9,7 +9,6 @@ from starlette.concurrency import run_in_threadpool
 
 from api.bodies import body_of
 from api.routes.connection import while_connected
-from api.routes.following import until_over
 from api.schemas import JobPage, JobSummary, JobView, cursor_after, read_cursor
 from api.state import KnownJob, ServicesDependency, no_such
 from services.jobs.models import Job, State
@@ -73,11 +72,13 @@ async def submit(
         body = await run_in_threadpool(submit_now, spec, key, _answer, warnings)
     response.headers["Location"] = f"/v1/jobs/{body['id']}"
     if wait is not None:
-        job = await until_over(services.repository, body["id"], wait)
         response.headers["Preference-Applied"] = f"wait={wait:g}"
-        if job is not None:
-            response.status_code = 200
-            return JobView.of(job, with_result=True)
+        queued = await run_in_threadpool(services.repository.line, body["id"])
+        if queued is not None and await services.watcher.until_over(queued, wait):
+            job = await run_in_threadpool(partial(services.repository.get, queued.id, with_result=True))
+            if job is not None:
+                response.status_code = 200
+                return JobView.of(job, with_result=True)
     return body
 
 
@@ -85,19 +86,20 @@ def _answer(job: Job) -> dict[str, Any]:
     return JobView.of(job).model_dump(mode="json")
 
 
-@router.get("")
+@router.get("", response_model=JobPage)
 def page(
     services: ServicesDependency,
     state: State | None = None,
     campaign: Annotated[str | None, Query(max_length=32, description="id of the campaign that queued the jobs")] = None,
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
     cursor: Annotated[str | None, Query(max_length=200, description="`next` of the page before")] = None,
-) -> JobPage:
+) -> Response:
     """Lists jobs, newest first."""
     before = None if cursor is None else read_cursor(cursor)
     jobs = services.repository.page(state, limit + 1, before, campaign)
     more = cursor_after(jobs[limit - 1]) if len(jobs) > limit else None
-    return JobPage(items=[JobSummary.of(job) for job in jobs[:limit]], next=more)
+    found = JobPage(items=[JobSummary.of(job) for job in jobs[:limit]], next=more)
+    return Response(found.model_dump_json(), media_type="application/json")  # the framework would validate it again
 
 
 @router.get("/{job_id}")

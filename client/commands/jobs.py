@@ -30,7 +30,6 @@ def list_jobs(
     from client.api_client import ApiClient
     from client.console import out, print_json, state_text, table
     from client.outcomes import answer_cell, verdict, verified
-    from services.pipeline.names import attack_name, job_name
 
     with ApiClient(url) as client:
         page = client.jobs(limit, state)
@@ -44,9 +43,9 @@ def list_jobs(
             [
                 job["id"],
                 state_text(job["state"]),
-                job_name(job["spec"]),
-                attack_name(job["spec"]),
-                job["spec"]["target"]["name"],
+                job["name"],
+                job["attack"],
+                job["target"],
                 "" if done is None else f"{answer_cell(done, 'before')} → {answer_cell(done, 'after')}",
                 "" if done is None else verdict(done),
                 "" if done is None else verified(done),

@@ -15,6 +15,7 @@ from sqlalchemy.orm import Session
 from sqlalchemy.sql.elements import ColumnElement
 
 from services.errors import InvalidRequest, without_folders
+from services.jobs.listed import listed
 from services.jobs.models import Artifact, Event, Job, State
 from services.jobs.transactions import Transactions, not_held
 from services.pipeline.warning import JobWarning
@@ -120,9 +121,8 @@ class Attempts(Transactions):
         """
         said = [one.model_dump(mode="json") for one in warnings]
         with self._write() as session:
-            session.execute(
-                update(Job).where(*_fence(attempt)).values(checked=True, spec=spec, digest=digest, warnings=said)
-            )
+            values = {"checked": True, "spec": spec, "digest": digest, "warnings": said, **listed(spec)}
+            session.execute(update(Job).where(*_fence(attempt)).values(values))
 
     def cancelled(self, attempt: Attempt) -> bool:
         """Records that the attempt stopped because the job was cancelled. Returns False if it was fenced off."""

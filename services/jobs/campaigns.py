@@ -7,7 +7,7 @@ from typing import Any
 from uuid import uuid4
 
 from sqlalchemy import func, select, tuple_, update
-from sqlalchemy.orm import Session, undefer
+from sqlalchemy.orm import Session, defer, undefer
 
 from services.analysis.campaign_curves import Curves
 from services.analysis.campaign_table import Case
@@ -174,6 +174,7 @@ class Campaigns(Transactions):
             .where(CampaignJob.campaign_id == campaign_id, CampaignJob.number > after)
             .order_by(CampaignJob.number)
             .limit(limit)
+            .options(defer(Job.spec))
         )
         with self._read() as session:
             return [(planned, job) for planned, job in session.execute(query)]

@@ -27,6 +27,9 @@ class State(StrEnum):
         return self in (State.SUCCEEDED, State.FAILED, State.REJECTED, State.CANCELLED)
 
 
+_TIMES = [(state.value, f"{state.value}_at") for state in State]
+
+
 class CampaignState(StrEnum):
     """The state of a campaign. Finished means that all its jobs have ended, however they did."""
 
@@ -88,10 +91,11 @@ class Job(Base):
 
     __tablename__ = "jobs"
     __table_args__ = (
-        Index("jobs_by_state", "state", "created_at"),
+        Index("jobs_by_state", "state", "created_at", "id"),
+        Index("jobs_by_turn", "state", "campaign_id", "kind"),
         Index("jobs_by_age", "created_at", "id"),
         Index("jobs_by_digest", "digest"),
-        Index("jobs_by_campaign", "campaign_id"),
+        Index("jobs_by_campaign", "campaign_id", "created_at", "id"),
     )
 
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
@@ -104,6 +108,15 @@ class Job(Base):
     """Digest of the spec (services.pipeline.campaign_case), by which a campaign finds earlier results."""
     campaign_id: Mapped[str | None] = mapped_column(String(32))
     """The campaign that queued the job."""
+
+    # What lists show of `spec` (services.jobs.listed); None for jobs that no list shows.
+    name: Mapped[str | None] = mapped_column(String(300))
+    scene: Mapped[str | None] = mapped_column(String(300))
+    attack: Mapped[str | None] = mapped_column(String(300))
+    renderer: Mapped[str | None] = mapped_column(String(300))
+    method: Mapped[str | None] = mapped_column(String(300))
+    target: Mapped[str | None] = mapped_column(String(300))
+    question: Mapped[str | None] = mapped_column(String(300))
 
     queued_at: Mapped[datetime | None]
     running_at: Mapped[datetime | None]
@@ -142,8 +155,8 @@ class Job(Base):
     @property
     def times(self) -> dict[str, datetime]:
         """The last time at which the job entered each state, in the order of the states."""
-        found = {state.value: getattr(self, f"{state.value}_at") for state in State}
-        return {state: time for state, time in found.items() if time is not None}
+        found = ((state, getattr(self, column)) for state, column in _TIMES)
+        return {state: time for state, time in found if time is not None}
 
 
 class Event(Base):

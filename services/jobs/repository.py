@@ -3,13 +3,13 @@
 Every change of a job is one transaction together with its event; a result and its artifacts are one, too.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import func, literal, select, text, tuple_, update
-from sqlalchemy.orm import Session, undefer
+from sqlalchemy import Select, func, literal, select, text, tuple_, update
+from sqlalchemy.orm import Session, defer, undefer
 from sqlalchemy.sql.elements import ColumnElement
 
 from services.jobs.attempts import Attempts
@@ -44,6 +44,19 @@ class Waiting:
     job_id: str
     attempt: int
     sent_ago: float | None
+
+
+@dataclass(frozen=True)
+class News:
+    """The next events of a job, in order, and whether nothing follows them: the job has ended, or was deleted."""
+
+    events: list[Event]
+    ended: bool
+
+
+_AT_ONCE = 500
+"""Rows that one query reads at most of what may be long."""
+_AS_LISTED = (defer(Job.spec), defer(Job.result))
 
 
 class Repository(Attempts):
@@ -95,6 +108,12 @@ class Repository(Attempts):
         with self._read() as session:
             return _first_answer(session, key)
 
+    def line(self, job_id: str) -> Job | None:
+        """An attack without its request and result, as lists show it, or None if the id is unknown."""
+        with self._read() as session:
+            job = session.get(Job, job_id, options=_AS_LISTED)
+            return None if job is None or job.kind is not JobKind.ATTACK else job
+
     def get(self, job_id: str, *, with_result: bool = False) -> Job | None:
         """An attack, or None if the id is unknown. The result, which may be large, is read only if `with_result`."""
         with self._read() as session:
@@ -109,11 +128,10 @@ class Repository(Attempts):
     def page(
         self, state: State | None, limit: int, before: tuple[datetime, str] | None, campaign: str | None = None
     ) -> list[Job]:
-        """At most `limit` attacks, newest first, older than `before`, a job's (created_at, id).
-
-        If given, only those in `state`, and only those that a campaign queued.
+        """At most `limit` attacks without their requests and results, newest first, older than `before`, a job's
+        (created_at, id). If given, only those in `state`, and only those that a campaign queued.
         """
-        query = select(Job).where(Job.kind == JobKind.ATTACK)
+        query = select(Job).where(Job.kind == JobKind.ATTACK).options(*_AS_LISTED)
         query = query.order_by(Job.created_at.desc(), Job.id.desc()).limit(limit)
         if campaign is not None:
             query = query.where(Job.campaign_id == campaign)
@@ -135,11 +153,29 @@ class Repository(Attempts):
                 self._move(session, job_id, State.CANCELLING, [Job.state == State.RUNNING])
             return session.get(Job, job_id)
 
-    def events(self, job_id: str, after: int, limit: int = 500) -> list[Event]:
-        """At most `limit` events of a job with a number above `after`, in order."""
-        query = select(Event).where(Event.job_id == job_id, Event.number > after).order_by(Event.number).limit(limit)
+    def news(self, seen: Mapping[str, int]) -> dict[str, News]:
+        """Of each job by its id and the number of its last event that was seen: what is new. Without the jobs of which
+        there is nothing new.
+        """
+        found = {}
         with self._read() as session:
-            return list(session.scalars(query))
+            for start in range(0, len(seen), _AT_ONCE):
+                ids = list(seen)[start : start + _AT_ONCE]
+                rows = session.execute(select(Job.id, Job.state, Job.events).where(Job.id.in_(ids)))
+                standing = {row.id: row for row in rows}
+                for job_id in ids:
+                    now = standing.get(job_id)
+                    if now is None:
+                        found[job_id] = News([], True)
+                    elif now.events > seen[job_id]:
+                        events = list(session.scalars(_events(job_id, seen[job_id], _AT_ONCE)))
+                        found[job_id] = News(events, now.state.terminal and events[-1].number >= now.events)
+        return found
+
+    def events(self, job_id: str, after: int, limit: int = _AT_ONCE) -> list[Event]:
+        """At most `limit` events of a job with a number above `after`, in order."""
+        with self._read() as session:
+            return list(session.scalars(_events(job_id, after, limit)))
 
     def artifacts(self, job_id: str) -> list[Artifact]:
         """The artifacts of a job, sorted by name."""
@@ -180,6 +216,10 @@ def place(before: tuple[datetime, str]) -> ColumnElement[Any]:
     column that has no time zone in the zone of the session.
     """
     return tuple_(literal(before[0], UtcTime()), before[1])
+
+
+def _events(job_id: str, after: int, limit: int) -> Select[Event]:
+    return select(Event).where(Event.job_id == job_id, Event.number > after).order_by(Event.number).limit(limit)
 
 
 def _first_answer(session: Session, key: Key) -> dict[str, Any] | None:

@@ -10,6 +10,7 @@ from sqlalchemy import Engine, func, or_, select, update
 from sqlalchemy.orm import Session
 from sqlalchemy.sql.elements import ColumnElement
 
+from services.jobs.listed import listed
 from services.jobs.models import Campaign, CampaignState, Event, Job, JobKind, State
 from services.pipeline.warning import JobWarning
 
@@ -77,6 +78,7 @@ class Transactions:
             checked=checked,
             warnings=[one.model_dump(mode="json") for one in warnings],
             events=1,
+            **(listed(spec) if kind is JobKind.ATTACK else {}),
         )
         session.add(job)
         session.flush()

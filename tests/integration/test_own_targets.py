@@ -71,7 +71,7 @@ def test_a_network_that_cannot_be_used_is_refused_before_anything_is_queued(stac
     assert answer.status_code == 422
     assert said in json.dumps(answer.json(), ensure_ascii=False)
     assert "target.name" in answer.text
-    assert not [job for job in stack.client.get("/v1/jobs").json()["items"] if job["spec"]["target"]["name"] == name]
+    assert not [job for job in stack.client.get("/v1/jobs").json()["items"] if job["target"] == name]
 
 
 def check(mine: Path, *arguments: str) -> "subprocess.CompletedProcess[str]":

@@ -200,6 +200,7 @@ def app(repository: Repository, campaigns: CampaignService | None = None) -> Fas
         preflight=none,
         rerenderer=none,
         campaigns=cast(Any, campaigns),
+        watcher=none,
         max_campaign_jobs=0,
     )
     return made

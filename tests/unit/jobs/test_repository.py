@@ -241,9 +241,11 @@ def test_a_job_accepted_before_its_check_is_settled_by_its_worker(repository: Re
     assert not before.checked
     attempt = start(repository, job)
     warning = JobWarning(code="low-confidence", field="scene", text="it is unsure")
-    repository.checked(attempt, {"seed": 7, "goal": {"leave": "balloon"}}, "ab" * 32, [warning])
+    filled = SPEC.model_dump(mode="json") | {"goal": {"leave": "balloon"}, "target": {"name": "filled in"}}
+    repository.checked(attempt, filled, "ab" * 32, [warning])
     found = row(repository, job)
     assert (found["checked"], found["digest"], found["spec"]["goal"]) == (True, "ab" * 32, {"leave": "balloon"})
+    assert (found["target"], found["name"]) == ("filled in", "sphere")
     assert found["warnings"] == [warning.model_dump(mode="json")]
     assert found["state"] is State.RUNNING
 
@@ -265,6 +267,6 @@ def test_an_attempt_that_was_taken_back_settles_and_rejects_nothing(repository: 
     late = start(repository, job)
     repository.give_back(late)
     before = row(repository, job)
-    repository.checked(late, {}, "ab" * 32, [])
+    repository.checked(late, SPEC.model_dump(mode="json"), "ab" * 32, [])
     assert not repository.reject(late, InvalidRequest("goal", "it is bad"))
     assert row(repository, job) == before

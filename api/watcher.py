@@ -1,0 +1,126 @@
+"""Follows jobs in the record while workers run them: one task reads what is new for all event streams of this process.
+
+A stream reads what happened before it began by itself. What follows is read once, however many streams wait for it.
+"""
+
+import asyncio
+from collections import deque
+from collections.abc import AsyncGenerator, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+from sqlalchemy.exc import SQLAlchemyError
+from starlette.concurrency import run_in_threadpool
+
+from services.jobs.models import Event, Job
+from services.jobs.repository import News, Repository
+from services.logs import logger
+
+POLL_SECONDS = 0.2
+"""Time between two reads of the record."""
+KEPT = 64
+"""Number of a job's last events that are kept for its streams; one that falls further behind reads the record."""
+
+log = logger(__name__)
+
+
+@dataclass(eq=False)
+class _Followed:
+    """A job that streams wait for: its last events, the number of the last one, and whether it has ended."""
+
+    last: int
+    ended: bool = False
+    events: deque[Event] = field(default_factory=lambda: deque(maxlen=KEPT))
+    streams: int = 0
+    news: asyncio.Event = field(default_factory=asyncio.Event)
+
+    def add(self, news: News) -> None:
+        """Adds what is new and wakes the streams."""
+        if news.events:
+            self.events.extend(news.events)
+            self.last = news.events[-1].number
+        self.ended = news.ended
+        heard, self.news = self.news, asyncio.Event()
+        heard.set()
+
+    def after(self, number: int) -> list[Event] | None:
+        """The events with a number above `number` up to the last, or None if some of them are not kept."""
+        if number >= self.last:
+            return []
+        if not self.events or self.events[0].number > number + 1 or self.events[-1].number < self.last:
+            return None
+        return [event for event in self.events if event.number > number]
+
+
+class Watcher:
+    """Reads the events of followed jobs. Its task runs while there are any."""
+
+    def __init__(self, repository: Repository) -> None:
+        self._repository = repository
+        self._followed: dict[str, _Followed] = {}
+        self._task: asyncio.Task[None] | None = None
+
+    def close(self) -> None:
+        """Stops reading."""
+        if self._task is not None:
+            self._task.cancel()
+
+    async def events(self, job: Job, after: int) -> AsyncGenerator[Event, None]:
+        """Yields the job's events with a number above `after` as they are recorded, until the job has ended."""
+        with self._following(job) as followed:
+            while True:
+                if after >= followed.last:
+                    if followed.ended:
+                        return
+                    await followed.news.wait()
+                found = followed.after(after)
+                if found is None:
+                    found = await run_in_threadpool(self._repository.events, job.id, after)
+                    if not found:
+                        return  # the job was deleted
+                for event in found:
+                    yield event
+                    after = event.number
+
+    async def until_over(self, job: Job, seconds: float) -> bool:
+        """Waits until the job has ended, at most for `seconds`. Returns whether it has."""
+        if job.state.terminal:
+            return True
+
+        async def over() -> None:
+            async for _ in self.events(job, job.events):
+                pass  # only their end is of interest
+
+        try:
+            await asyncio.wait_for(over(), seconds)
+        except TimeoutError:
+            return False
+        return True
+
+    @contextmanager
+    def _following(self, job: Job) -> Iterator[_Followed]:
+        followed = self._followed.setdefault(job.id, _Followed(job.events))
+        if job.state.terminal:  # nothing will follow, and what there is can be read
+            followed.last, followed.ended = max(followed.last, job.events), True
+        followed.streams += 1
+        if self._task is None or self._task.done():
+            self._task = asyncio.get_running_loop().create_task(self._watch())
+        try:
+            yield followed
+        finally:
+            followed.streams -= 1
+            if not followed.streams:
+                del self._followed[job.id]
+
+    async def _watch(self) -> None:
+        while self._followed:
+            seen = {job_id: followed.last for job_id, followed in self._followed.items() if not followed.ended}
+            try:
+                news = await run_in_threadpool(self._repository.news, seen)
+            except SQLAlchemyError as error:
+                log.warning("events not read, the streams wait", error=str(error))
+            else:
+                for job_id, found in news.items():
+                    if job_id in self._followed:
+                        self._followed[job_id].add(found)
+            await asyncio.sleep(POLL_SECONDS)
