@@ -1,5 +1,6 @@
 """The HTTP API: its application, and the function that serves it."""
 
+import asyncio
 import gc
 import socket
 import sys
@@ -22,6 +23,7 @@ from api.state import Services
 from api.watcher import Watcher
 from services.device import check_device
 from services.errors import JobFailure
+from services.jobs import watchdog
 from services.jobs.artifacts import ArtifactStore
 from services.jobs.campaign_service import CampaignService
 from services.jobs.campaigns import Campaigns
@@ -71,10 +73,12 @@ def create_app(values: Settings | None = None) -> FastAPI:
             watcher=watcher,
             max_campaign_jobs=chosen.max_campaign_jobs,
         )
+        alive = asyncio.create_task(_show_life())
         try:
             yield
         finally:
             watcher.close()
+            alive.cancel()
             preflight.close()
             rerenderer.close()
             redis.close()
@@ -97,6 +101,13 @@ def create_app(values: Settings | None = None) -> FastAPI:
     install(app)
     describe(app)
     return app
+
+
+async def _show_life() -> None:
+    watchdog.started()
+    while True:
+        watchdog.alive()
+        await asyncio.sleep(watchdog.SIGN_SECONDS)
 
 
 def run(listener: socket.socket | None = None) -> int:

@@ -1,6 +1,7 @@
 """A warm process of the API, which answers one request at a time and is started again when it has died."""
 
 import asyncio
+import time
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, BinaryIO
 
@@ -64,7 +65,7 @@ class WarmProcess:
         try:
             # Waiting uploads stay on the disk; only the file of this request is read into memory.
             child.send(message, b"" if file is None else file.read())
-            answer = child.receive(seconds)
+            answer = self._answer(child, seconds)
         except ChildDied:
             log.warning("preflight process died", pid=child.pid)
             self._end(child)
@@ -82,7 +83,7 @@ class WarmProcess:
             self._child.kill()
         child = self._child = Child("services.jobs.preflight_process", self._settings)
         try:
-            ready = child.receive(START_SECONDS)
+            ready = self._answer(child, START_SECONDS)
         except ChildDied:
             ready = None
         if ready is None:
@@ -90,6 +91,15 @@ class WarmProcess:
             raise Unavailable("the process that checks requests does not start; the service's log says why")
         log.info("preflight process ready", pid=child.pid)
         return child
+
+    def _answer(self, child: Child, seconds: float) -> dict[str, Any] | None:
+        """The child's next answer, or None if it takes more than `seconds` or the child hangs. Raises ChildDied."""
+        deadline = time.monotonic() + seconds
+        while (left := deadline - time.monotonic()) > 0 and child.still_seconds() < self._settings.stall_seconds:
+            answer = child.receive(min(left, 1.0))
+            if answer is not None:
+                return answer
+        return None
 
     def _end(self, child: Child) -> None:
         child.kill()

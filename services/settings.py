@@ -72,8 +72,16 @@ class Settings(BaseSettings):
     max_campaign_queued: int = Field(
         8, ge=1, le=1000, description="queued jobs of all campaigns; more workers than that need more"
     )
-    lease_seconds: float = Field(20.0, gt=0, description="a running job whose worker is silent so long is taken back")
-    max_attempts: int = Field(3, ge=1, description="times a job is started before it fails as worker-lost")
+    lease_seconds: float = Field(12.0, gt=0, description="a running job whose worker is silent so long is taken back")
+    stall_seconds: float = Field(
+        40.0,
+        gt=0,
+        description="a process that gives no sign of life for so long hangs: it is killed, and its job goes on; a job "
+        "process's sign is that it uses the processor",
+    )
+    max_attempts: int = Field(
+        5, ge=1, description="attempts in a row whose process died before it got further, until a job fails"
+    )
     job_seconds: float = Field(3600.0, gt=0, description="longest run of one job before it fails as timeout")
     job_memory_bytes: int = Field(
         16 * 2**30, ge=2**30, description="address space of a job process; beyond it the job fails as out-of-memory"

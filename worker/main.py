@@ -70,7 +70,8 @@ def _worker(index: int, values: Settings, repository: Repository) -> Program:
             for job_id in lost:
                 log.warning("job taken back from a dead worker", job=job_id, worker=name)
 
-    return Program(f"worker-{index}", command, values.environ(), ended=ended)
+    silent = values.stall_seconds
+    return Program(f"worker-{index}", command, values.environ(), ended=ended, silent_seconds=silent)
 
 
 def housekeeping(values: Settings, repository: Repository, feeder: Feeder) -> Callable[[], None]:

@@ -3,7 +3,11 @@
 import importlib.util
 import shutil
 import tempfile
+from contextlib import suppress
 from pathlib import Path
+
+from redis import Redis
+from redis.exceptions import RedisError
 
 from services.errors import JobFailure
 from worker.supervisor import Program
@@ -36,7 +40,13 @@ class EmbeddedRedis:
         command = [find_server()]
         for name, value in options.items():
             command += [f"--{name}", value]
-        return Program("redis", lambda: command, last=True)
+        return Program("redis", lambda: command, last=True, answers=self.answers, silent_seconds=8.0)
+
+    def answers(self) -> bool:
+        """Whether the server answers within a second."""
+        with Redis.from_url(self.url, socket_timeout=1, socket_connect_timeout=1) as client, suppress(RedisError):
+            return bool(client.ping())
+        return False
 
     def remove(self) -> None:
         """Deletes the server's directory, once the server has ended."""

@@ -5,13 +5,15 @@ The supervisor starts and restarts it with `python -m worker.rq_worker NAME`.
 
 import sys
 import time
+from itertools import count
 from typing import Any
 
 from redis.exceptions import RedisError
 from rq import SimpleWorker
+from rq.exceptions import StopRequested
 from rq.job import Job as Message
 
-from services.jobs import queue
+from services.jobs import queue, watchdog
 from services.jobs.child import ChildDied
 from services.jobs.database import connect as connect_database
 from services.jobs.repository import Repository
@@ -19,6 +21,9 @@ from services.logs import configure, logger
 from services.settings import settings
 from worker.runner import Runner
 from worker.task import bind
+
+AGAIN_SECONDS = 1.0
+"""Time between two tries to reach Redis."""
 
 log = logger(__name__)
 
@@ -42,11 +47,13 @@ class JobWorker(SimpleWorker):  # type: ignore[misc]
 
     def heartbeat(self, timeout: int | None = None, pipeline: Any = None) -> None:
         """Sends RQ's heartbeat, and records that this worker is alive."""
+        watchdog.alive()
         super().heartbeat(timeout, pipeline)
         queue.Queue(self.connection).alive(self.name)
 
     def register_death(self) -> None:
         """Records that this worker has ended."""
+        watchdog.alive()
         super().register_death()
         queue.Queue(self.connection).gone(self.name)
 
@@ -88,6 +95,19 @@ class JobWorker(SimpleWorker):  # type: ignore[misc]
         """Does nothing: RQ would call Redis within the signal handler, and fail to stop if Redis does not answer."""
 
 
+def _work(runner: Runner, name: str, redis_url: str) -> None:
+    """Runs jobs until the worker is stopped or Redis does not answer. The name must be new each time, since Redis may
+    still know the worker from before.
+    """
+    watchdog.alive()
+    try:
+        worker = JobWorker(runner, name=name, connection=queue.connect(redis_url))
+        bind(worker.run)
+        worker.work(logging_level="WARNING")
+    except RedisError as error:
+        log.warning("Redis is out of reach", error=str(error))
+
+
 def main() -> None:
     """Runs jobs until SIGTERM or SIGINT; exits with status 1 if the job process cannot be started."""
     configure("worker")
@@ -96,10 +116,14 @@ def main() -> None:
     runner = Runner(values, Repository(connect_database(values)), name)
     assert values.redis_url is not None
     try:
-        runner.ensure_ready()  # before the worker registers as live
-        worker = JobWorker(runner, name=name, connection=queue.connect(values.redis_url))
-        bind(worker.run)
-        worker.work(logging_level="WARNING")
+        for life in count():
+            runner.ensure_ready()  # before the worker registers as live
+            _work(runner, f"{name}-{life}", values.redis_url)
+            if runner.stopping:
+                break
+            time.sleep(AGAIN_SECONDS)  # Redis is away; the job process stays warm meanwhile
+    except StopRequested:  # between two lives
+        pass
     except ChildDied:
         log.error("the job process could not be started")
         sys.exit(1)

@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 from sqlalchemy.exc import OperationalError
 
+from services.jobs import watchdog
 from services.jobs.attempts import Attempt, Standing
 from services.jobs.child import Child, ChildDied
 from services.jobs.repository import Repository
@@ -40,6 +41,11 @@ class Runner:
         self._memory = 0
         self._stopping = False
 
+    @property
+    def stopping(self) -> bool:
+        """Whether the worker was asked to stop."""
+        return self._stopping
+
     def request_stop(self) -> None:
         """Makes `run` queue a running job again and return. May be called in a signal handler."""
         self._stopping = True
@@ -59,7 +65,9 @@ class Runner:
         started = time.monotonic()
         child = self._child = Child("worker.job_process", self._settings)
         while child.receive(POLL_SECONDS) is None:
-            if self._stopping or time.monotonic() - started > START_SECONDS:
+            watchdog.alive()
+            hangs = child.still_seconds() > self._settings.stall_seconds
+            if self._stopping or hangs or time.monotonic() - started > START_SECONDS:
                 self.close()
                 raise ChildDied
         self._jobs, self._memory = 0, child.memory()
@@ -86,7 +94,7 @@ class Runner:
             self._watch(attempt, beat)
         except ChildDied:
             self.close()
-            log.warning("job process died", job=job_id, attempt=attempt.number)
+            log.warning("attempt lost with its job process", job=job_id, attempt=attempt.number)
             self._repository.lose(attempt, self._settings.max_attempts)
 
     def _watch(self, attempt: Attempt, beat: Callable[[], None]) -> None:
@@ -97,6 +105,7 @@ class Runner:
         child.send({"job": attempt.job_id, "attempt": attempt.number})
         while child.receive(POLL_SECONDS) is None:
             now = time.monotonic()
+            watchdog.alive()
             if self._stopping:
                 self.close()
                 self._repository.give_back(attempt)
@@ -106,6 +115,9 @@ class Runner:
                 self.close()
                 self._repository.fail(attempt, "timeout", f"it ran longer than {self._settings.job_seconds:g} seconds")
                 return
+            if child.still_seconds() > self._settings.stall_seconds:
+                log.warning("job process hangs", job=attempt.job_id, attempt=attempt.number, pid=child.pid)
+                raise ChildDied
             if stop_requested_at is not None and now - stop_requested_at > STOP_SECONDS:
                 self.close()
                 self._repository.cancelled(attempt)  # changes nothing if the attempt was lost

@@ -60,7 +60,8 @@ def listen(host: str, port: int) -> socket.socket:
 def _api(values: Settings, listener: socket.socket) -> Program:
     # The supervisor owns the socket. It stays open while the API restarts, so that requests wait instead of failing.
     fd = listener.fileno()
-    return Program("api", lambda: [sys.executable, "-m", "api.main", str(fd)], values.environ(), fds=[fd])
+    command = [sys.executable, "-m", "api.main", str(fd)]
+    return Program("api", lambda: command, values.environ(), fds=[fd], silent_seconds=values.stall_seconds)
 
 
 def _reachable(host: str) -> str:

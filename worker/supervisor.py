@@ -1,4 +1,4 @@
-"""Supervises programs: starts them, restarts a program that ends, and ends all of them together."""
+"""Supervises programs: starts them, restarts a program that ends or hangs, and ends all of them together."""
 
 import os
 import signal
@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+from services.jobs import watchdog
 from services.jobs.parent_death import die_with_parent
 from services.logs import logger
 
@@ -19,6 +20,12 @@ STEADY_SECONDS = 10.0
 """A program that ran at least this long is restarted at once. Before, each failure doubles the wait and adds 0.1 s."""
 LONGEST_WAIT = 5.0
 """Longest wait before a restart, in seconds."""
+START_SECONDS = 180.0
+"""Longest time that a program may take to start."""
+ASK_SECONDS = 2.0
+"""Time between two looks for signs of life."""
+LONGEST_GAP = 5.0
+"""Time between two looks beyond which the supervisor itself stood still, or the machine slept."""
 STOP_SECONDS = 4.0
 """Time that programs have to end after SIGTERM, before they are killed."""
 
@@ -27,7 +34,11 @@ log = logger(__name__)
 
 @dataclass
 class Program:
-    """A program to keep running. `command()` is called before each start, and `ended()` after each end."""
+    """A program to keep running. `command()` is called before each start, and `ended()` after each end.
+
+    A program that hangs is killed. Either it sends signs of life (`services.jobs.watchdog`), or it is asked by
+    `answers()`.
+    """
 
     name: str
     command: Callable[[], Sequence[str]]
@@ -36,30 +47,62 @@ class Program:
     ended: Callable[[], None] = lambda: None
     last: bool = False
     """Whether to stop it after the others, because they use it while they stop."""
+    answers: Callable[[], bool] | None = None
+    """Whether it answers now; None for a program that sends signs of life of its own."""
+    silent_seconds: float = START_SECONDS
+    """Time without a sign of life after which it hangs. Before its first sign it has `START_SECONDS`."""
 
     process: "subprocess.Popen[bytes] | None" = field(default=None, init=False)
     _started: float = field(default=0.0, init=False)
     _wait: float = field(default=0.0, init=False)
+    _listener: watchdog.Listener | None = field(default=None, init=False)
+    _asked: float = field(default=0.0, init=False)
+    _silent: float = field(default=0.0, init=False)
+    _heard: bool = field(default=False, init=False)
 
     def keep_running(self) -> None:
         """Starts the program if it does not run and the wait after its last end is over."""
         if self.process is not None:
             status = self.process.poll()
             if status is None:
+                self._end_if_it_hangs(self.process)
                 return
             lived = time.monotonic() - self._started
             self._wait = 0.0 if lived > STEADY_SECONDS else min(LONGEST_WAIT, 2 * self._wait + 0.1)
             log.warning("program ended", program=self.name, status=status, restart_in=self._wait)
             self.process = None
             self._started = time.monotonic()
-            self.ended()
+            self.over()
         if time.monotonic() - self._started >= self._wait:
             self._start()
 
+    def over(self) -> None:
+        """Cleans up after its process has ended."""
+        if self._listener is not None:
+            self._listener.close()
+        self.ended()
+
+    def _end_if_it_hangs(self, process: "subprocess.Popen[bytes]") -> None:
+        now = time.monotonic()
+        gap = now - self._asked
+        if gap < ASK_SECONDS:
+            return
+        self._asked = now
+        assert self._listener is not None
+        if self._listener.heard() if self.answers is None else self.answers():
+            self._heard, self._silent = True, 0.0
+            return
+        self._silent += min(gap, LONGEST_GAP)
+        if self._silent > (self.silent_seconds if self._heard else START_SECONDS):
+            log.warning("program killed, it hangs", program=self.name, pid=process.pid)
+            process.kill()
+
     def _start(self) -> None:
+        self._listener = watchdog.Listener()
+        self._heard, self._silent, self._asked = False, 0.0, time.monotonic()
         self.process = subprocess.Popen(
             list(self.command()),
-            env=os.environ | self.environ,
+            env=os.environ | self.environ | self._listener.environ,
             pass_fds=tuple(self.fds),
             stdin=subprocess.DEVNULL,
             stdout=sys.__stderr__,
@@ -83,8 +126,10 @@ class Supervisor:
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: self._stop.set())
         due = time.monotonic()
+        watchdog.started()
         try:
             while not self._stop.is_set():
+                watchdog.alive()
                 for program in self._programs:
                     program.keep_running()
                 if time.monotonic() >= due:
@@ -113,4 +158,4 @@ class Supervisor:
                 log.warning("program killed, it did not stop", program=program.name)
                 program.process.kill()
                 program.process.wait()
-            program.ended()
+            program.over()

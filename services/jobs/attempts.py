@@ -21,6 +21,8 @@ from services.jobs.transactions import Transactions, not_held
 from services.pipeline.warning import JobWarning
 
 ACTIVE = (State.RUNNING, State.CANCELLING)
+PHASES = ("loading", "selecting", "attacking", "analysing")
+"""The phases of jobs, in their order."""
 
 
 @dataclass(frozen=True)
@@ -139,7 +141,9 @@ class Attempts(Transactions):
             self._return(session, attempt, lost=0, max_attempts=1)
 
     def lose(self, attempt: Attempt, max_attempts: int) -> None:
-        """Queues the job again after its process died, or fails it after `max_attempts` such deaths."""
+        """Queues the job again after its process died, or fails it after `max_attempts` such deaths in a row that came
+        before the attempt had got further than those before.
+        """
         with self._write() as session:
             self._return(session, attempt, lost=1, max_attempts=max_attempts)
 
@@ -161,18 +165,30 @@ class Attempts(Transactions):
     def _return(self, session: Session, attempt: Attempt, *, lost: int, max_attempts: int) -> None:
         self._lock(session, attempt.job_id)
         fence = _fence(attempt)[1:]
-        free = {"lease_owner": None, "lease_until": None, "lost": Job.lost + lost}
+        free: dict[str, Any] = {"lease_owner": None, "lease_until": None}
+        job = session.get(Job, attempt.job_id)
+        if job is None:
+            return
+        if lost:
+            came = distance(job.phase, job.step)
+            further = came > job.furthest
+            free |= {"lost": 0 if further else job.lost + 1, "furthest": max(came, job.furthest)}
         if self._move(session, attempt.job_id, State.CANCELLED, [*fence, Job.state == State.CANCELLING], **free):
             return
         if lost:
-            too_often = [*fence, Job.lost + lost >= max_attempts]
             reason = {
                 "failure_kind": "worker-lost",
-                "failure_detail": f"its process died {max_attempts} times",
+                "failure_detail": f"its process died or hung {max_attempts} times without getting any further",
             }
-            if self._move(session, attempt.job_id, State.FAILED, too_often, **free, **reason):
+            if free["lost"] >= max_attempts:
+                self._move(session, attempt.job_id, State.FAILED, fence, **free, **reason)
                 return
         self._move(session, attempt.job_id, State.QUEUED, fence, **free, sent_at=None)
+
+
+def distance(phase: str | None, step: int | None) -> int:
+    """How far a job has come, as a number that grows with its phases and steps; 0 before it has reported any."""
+    return 0 if phase is None else (PHASES.index(phase) << 32) + (step or 0)
 
 
 def _fence(attempt: Attempt) -> list[ColumnElement[bool]]:

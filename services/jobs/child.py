@@ -12,9 +12,11 @@ from collections.abc import Iterator
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from queue import SimpleQueue
-from threading import Thread
+from threading import Thread, Timer
 from typing import Any
 
+from services.jobs.parent_death import die_with_parent
+from services.jobs.stillness import Stillness
 from services.settings import Settings
 
 ALLOCATOR = {
@@ -24,6 +26,10 @@ ALLOCATOR = {
 }
 """Settings with which glibc keeps large freed blocks. By default it returns them to the system at once, and page faults
 raise the CPU time of a pass of 28 images from 370 to 560 ms. glibc reads them at start, so the parent sets them."""
+
+
+SEND_SECONDS = 30.0
+"""Time after which a child that does not take a request, since it hangs, is killed."""
 
 
 class ChildDied(Exception):
@@ -49,6 +55,7 @@ class Child:
             start_new_session=True,  # a Ctrl-C is for the supervisor to handle
         )
         theirs.close()
+        self._stillness = Stillness(self.pid)
 
     @property
     def pid(self) -> int:
@@ -67,12 +74,21 @@ class Child:
         except (OSError, IndexError):
             return 0
 
+    def still_seconds(self) -> float:
+        """How long the child has done nothing, in seconds; see `Stillness`."""
+        return self._stillness.seconds()
+
     def send(self, message: dict[str, Any], data: bytes = b"") -> None:
         """Sends a request, and the bytes `data` after it. Raises ChildDied."""
+        self._stillness = Stillness(self.pid)
+        limit = Timer(SEND_SECONDS, self.end)  # the pipe holds less than a large request
+        limit.start()
         try:
             self._connection.send_bytes(json.dumps(message).encode() + b"\n" + data)
         except OSError as error:
             raise ChildDied from error
+        finally:
+            limit.cancel()
 
     def receive(self, seconds: float) -> dict[str, Any] | None:
         """Returns the next answer, or None if none comes within `seconds`. Raises ChildDied."""
@@ -96,7 +112,11 @@ class Child:
 
 
 def connect() -> Connection:
-    """Returns the child's end of the pipe, whose file descriptor is the command line's first argument."""
+    """Returns the child's end of the pipe, whose file descriptor is the command line's first argument.
+
+    From then on the child ends with its parent's thread that started it, even if it hangs.
+    """
+    die_with_parent()
     return Connection(int(sys.argv[1]))
 
 

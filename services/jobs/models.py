@@ -4,7 +4,20 @@ from datetime import UTC, datetime
 from enum import StrEnum
 from typing import Any
 
-from sqlalchemy import JSON, BigInteger, DateTime, Dialect, Enum, ForeignKey, Index, String, Text, TypeDecorator, true
+from sqlalchemy import (
+    JSON,
+    BigInteger,
+    DateTime,
+    Dialect,
+    Enum,
+    ForeignKey,
+    Index,
+    String,
+    Text,
+    TypeDecorator,
+    text,
+    true,
+)
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 
@@ -131,7 +144,9 @@ class Job(Base):
     attempt: Mapped[int] = mapped_column(default=0)
     """Number of times that a worker leased the job. Writes carry it and change nothing if it has increased since."""
     lost: Mapped[int] = mapped_column(default=0)
-    """Number of attempts whose process died."""
+    """Number of attempts in a row that ended with their process before they got further than those before."""
+    furthest: Mapped[int] = mapped_column(BigInteger, default=0, server_default=text("0"))
+    """How far lost attempts got (services.jobs.attempts.distance)."""
     lease_owner: Mapped[str | None] = mapped_column(String(100))
     lease_until: Mapped[datetime | None]
 

@@ -15,6 +15,22 @@ pytestmark = pytest.mark.integration
 STEPS = 150
 """A few seconds of steps: time for a checkpoint, and to be killed in the middle."""
 
+DEADLY = """
+import os, signal
+from typing import Literal
+from services.attacks.fgsm import Fgsm, FgsmMethod
+from services.attacks.spec import register
+
+class Deadly(Fgsm):
+    method: Literal["deadly"] = "deadly"
+
+@register(Deadly)
+class DeadlyMethod(FgsmMethod):
+    def advance(self, problem, view, step):
+        os.kill(os.getpid(), signal.SIGKILL)
+"""
+"""An attack that kills its process at its first step."""
+
 
 @pytest.fixture(scope="module")
 def undisturbed(stack: Stack) -> str:
@@ -46,15 +62,29 @@ def test_a_killed_process_does_not_lose_its_job(stack: Stack, undisturbed: str, 
     assert len(stack.processes("worker.rq_worker")) == len(stack.processes("worker.job_process")) == 1
 
 
-def test_a_job_that_kills_its_process_every_time_fails_by_name(stack: Stack) -> None:
-    job_id = stack.submit(ENDLESS)
-    for attempt in (1, 2, 3):
-        until(lambda n=attempt: stack.job(job_id)["attempt"] == n, f"attempt {attempt}")
-        stack.attacking(job_id)
+def test_a_job_that_kills_its_process_every_time_fails_by_name(tmp_path: Path) -> None:
+    (tmp_path / "deadly.py").write_text(DEADLY)
+    deadly = QUICK | {"attack": QUICK["attack"] | {"method": "deadly"}}
+    extensions, attempts = str(tmp_path / "deadly.py"), "2"
+    with serving(tmp_path / "data", SCENE_ATTACK_EXTENSIONS=extensions, SCENE_ATTACK_MAX_ATTEMPTS=attempts) as stack:
+        job = stack.ended(stack.submit(deadly))
+        assert (job["state"], job["failure"]["kind"]) == ("failed", "worker-lost")
+        assert job["attempt"] in (2, 3)  # the first one may have got further than loading
+        assert stack.ended(stack.submit(QUICK))["state"] == "succeeded"
+
+
+def test_a_job_that_gets_further_each_time_may_lose_its_process_often(stack: Stack, undisturbed: str) -> None:
+    job_id = stack.submit(long(STEPS))
+    for _ in range(7):
+        checkpoint(stack, job_id)
+        saved = stack.attacking(job_id)["progress"]["step"]
+        if saved > STEPS * 0.8:
+            break
+        stack.attacking(job_id, saved + 1)
         stack.one("worker.job_process").kill()
-    job = stack.ended(job_id)
-    assert (job["state"], job["failure"]["kind"], job["attempt"]) == ("failed", "worker-lost", 3)
-    assert stack.ended(stack.submit(QUICK))["state"] == "succeeded"
+        until(lambda: stack.job(job_id)["state"] == "running", "the next attempt")
+    assert stack.ended(job_id)["state"] == "succeeded"
+    assert perturbation(stack, job_id) == undisturbed
 
 
 def test_redis_may_be_lost_with_all_it_held(stack: Stack) -> None:

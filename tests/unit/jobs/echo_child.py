@@ -13,4 +13,6 @@ if __name__ == "__main__":
             os.kill(os.getpid(), signal.SIGKILL)
         if message == {"do": "hang"}:
             signal.pause()
+        if message == {"do": "stop"}:
+            os.kill(os.getpid(), signal.SIGSTOP)
         reply(connection, {"message": message, "bytes": len(data)})

@@ -1,4 +1,5 @@
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -7,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from services.jobs import child as module
 from services.jobs.child import Child, ChildDied
 from services.settings import Settings
 
@@ -43,15 +45,23 @@ def test_silence_is_not_death(child: Child) -> None:
     assert child.alive()
 
 
-@pytest.mark.parametrize("busy", [False, True])
-def test_it_does_not_outlive_a_parent_that_is_killed(busy: bool) -> None:
+def test_a_child_that_takes_no_request_is_killed(child: Child, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "SEND_SECONDS", 0.1)
+    os.kill(child.pid, signal.SIGSTOP)
+    with pytest.raises(ChildDied):
+        child.send({"do": "echo"}, bytes(2**23))
+    assert child.kill() == -9
+
+
+@pytest.mark.parametrize("doing", ["nothing", "hang", "stop"])
+def test_it_does_not_outlive_a_parent_that_is_killed(doing: str) -> None:
     script = f"""
 from services.jobs.child import Child
 from services.settings import Settings
 child = Child({ECHO!r}, Settings())
 child.receive(30)
-if {busy}:
-    child.send({{"do": "hang"}})
+if {doing!r} != "nothing":
+    child.send({{"do": {doing!r}}})
 print(child.pid, flush=True)
 child.receive(60)
 """

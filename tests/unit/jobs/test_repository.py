@@ -132,8 +132,28 @@ def test_a_job_that_loses_its_process_too_often_fails(repository: Repository) ->
     repository.lose(start(repository, job), max_attempts=3)
     found = repository.get(job.id)
     assert found is not None
-    assert (found.state, found.failure_kind) == (State.FAILED, "worker-lost")
+    assert (found.state, found.failure_kind, found.lost) == (State.FAILED, "worker-lost", 3)
     assert repository.events(job.id, 0)[-1].data["failure"]["kind"] == "worker-lost"
+
+
+def test_an_attempt_that_got_further_does_not_count(repository: Repository) -> None:
+    job = add(repository)
+    ways = [("loading", 0), ("attacking", 3), ("attacking", 4), ("analysing", 0), ("analysing", 2)]
+    losses = []
+    for phase, step in ways:
+        attempt = start(repository, job)
+        repository.progress(attempt, phase, step, 9, [])
+        repository.lose(attempt, max_attempts=2)
+        found = repository.get(job.id)
+        assert found is not None
+        losses.append(found.lost)
+    assert losses == [1, 0, 0, 0, 0]
+    for expected in (State.QUEUED, State.FAILED):  # it dies twice where it was, having been further back
+        attempt = start(repository, job)
+        repository.progress(attempt, "attacking", 8, 9, [])
+        repository.progress(attempt, "analysing", 2, 9, [])
+        repository.lose(attempt, max_attempts=2)
+        assert state(repository, job.id) is expected
 
 
 def test_a_job_given_back_is_not_counted_as_lost(repository: Repository) -> None:

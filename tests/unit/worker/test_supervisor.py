@@ -102,6 +102,44 @@ def test_what_does_not_stop_is_killed(tmp_path: Path, monkeypatch: pytest.Monkey
     assert deaf.process.returncode == -signal.SIGKILL
 
 
+def test_what_hangs_is_killed_and_started_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "ASK_SECONDS", 0.0)
+    script = """
+import os, signal
+from services.jobs import watchdog
+watchdog.alive()
+os.kill(os.getpid(), signal.SIGSTOP)
+"""
+    ends: list[int] = []
+    hung = program("hung", script, ended=lambda: ends.append(1), silent_seconds=0.0)
+
+    class Twice(Scenario):
+        def done(self) -> bool:
+            return len(ends) == 2
+
+    Twice().run(hung)
+
+
+@pytest.mark.parametrize("starts", [True, False])
+def test_what_answers_is_left_alone_and_what_starts_too(monkeypatch: pytest.MonkeyPatch, starts: bool) -> None:
+    monkeypatch.setattr(module, "ASK_SECONDS", 0.0)
+    asked: list[int] = []
+    ends: list[int] = []
+
+    def answers() -> bool:
+        asked.append(1)
+        return not starts
+
+    steady = program("steady", "import signal; signal.pause()", answers=answers, ended=lambda: ends.append(1))
+    steady.silent_seconds = 0.0
+
+    class Asked(Scenario):
+        def done(self) -> bool:
+            return len(asked) >= 20 and not ends
+
+    Asked().run(steady)
+
+
 def test_a_signal_ends_the_supervisor() -> None:
     class Signalled(Scenario):
         def done(self) -> bool:
