@@ -45,7 +45,8 @@ def test_a_stopped_process_does_not_hold_its_job(stack: Stack, impatient: Stack,
     stopped, runs = impatient.one(module), impatient.one("worker.job_process")
     stop(stopped)
     job = impatient.ended(job_id)
-    assert (job["state"], job["attempt"]) == ("succeeded", 2)
+    assert job["state"] == "succeeded"
+    assert job["attempt"] >= 2  # more where others keep the machine so busy that a process stands still for as long
     assert perturbation(impatient, job_id) == wanted
     until(lambda: gone(stopped) and gone(runs), "what was stopped is killed")
 
