@@ -78,6 +78,12 @@ def summary(error: BaseException) -> str:
     return line if len(line) < ERROR_LENGTH else f"{line[: ERROR_LENGTH - 1]}…"
 
 
+def shortened(error: BaseException) -> str:
+    """Returns an error's message, of at most `ERROR_LENGTH`; it may hold whatever a file says."""
+    message = str(error)
+    return message if len(message) <= ERROR_LENGTH else f"{message[: ERROR_LENGTH - 1]}…"
+
+
 def encodable(text: str) -> str:
     """Returns the text with lone surrogates escaped: JSON may hold them ("\\ud800"), UTF-8 cannot."""
     return text.encode("utf-8", "backslashreplace").decode()

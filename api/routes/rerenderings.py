@@ -23,7 +23,7 @@ router = APIRouter(prefix="/v1/rerenderings", tags=["defence"])
 class ImageOfScene(Model):
     """An image: its bytes, or a file of a finished job."""
 
-    data: str | None = Field(None, description="a PNG or JPEG file in base64, of the size of the scene's camera")
+    data: str | None = Field(None, description="a PNG, JPEG or WebP file in base64, of the size of the scene's camera")
     job: str | None = Field(None, max_length=100, description="the id of a finished job")
     artifact: str = Field("attacked.png", max_length=100, description="the name of the job's file")
 

@@ -1,8 +1,5 @@
 """The re-rendering defence of one image of a known scene."""
 
-from io import BytesIO
-
-from PIL import Image
 from torch import Tensor
 
 from services.analysis.attribution import Tick
@@ -14,6 +11,7 @@ from services.pipeline.analyse import fitting_verifier, rerendered
 from services.pipeline.prepare import resolved_scene
 from services.pipeline.questions import asked_questions
 from services.pipeline.spec import JobSpec
+from services.scenes.image_file import FORMATS, open_image
 from services.scenes.library import Library
 from services.targets import registry
 
@@ -32,12 +30,12 @@ def rerender_image(
 
 
 def decode_image(data: bytes, size: tuple[int, int]) -> Tensor:
-    """Reads a PNG or JPEG file as uint8 [H, W, 3], whose height and width must be `size`.
+    """Reads a PNG, JPEG or WebP file as uint8 [H, W, 3], whose height and width must be `size`.
 
     Raises InvalidRequest("image"). The size is checked before the pixels are read.
     """
     try:
-        with Image.open(BytesIO(data), formats=("PNG", "JPEG")) as image:
+        with open_image(data) as image:
             _check_size((image.height, image.width), size)
             return pixels(image)
     except InvalidRequest:
@@ -45,7 +43,7 @@ def decode_image(data: bytes, size: tuple[int, int]) -> Tensor:
     except Exception as error:  # Pillow's parsers raise errors of many kinds for a damaged file
         if out_of_memory(error):
             raise
-        raise InvalidRequest("image", "it is not a PNG or JPEG file, or it is damaged") from error
+        raise InvalidRequest("image", f"it is not a {FORMATS} file, or it is damaged") from error
 
 
 def _check_size(found: tuple[int, int], size: tuple[int, int]) -> None:

@@ -13,25 +13,53 @@ _SIZES = {
     **dict.fromkeys(("double", "float64", "int64", "uint64"), 8),
 }
 _MAX_NODES = 10_000
+_MAX_ELEMENTS = {
+    "accessors": 50_000,
+    "bufferViews": 50_000,
+    "buffers": 100,
+    "images": 256,
+    "materials": 1_000,
+    "meshes": 10_000,
+    "samplers": 1_000,
+    "scenes": 100,
+    "textures": 1_000,
+}
+"""Largest length of each top-level array of a glTF file."""
+_MAX_PRIMITIVES = 10_000
+"""Of all meshes of a glTF file."""
+_MAX_PIECES = 2_000
+"""Materials of an obj file, solids of an stl file. The parser's time is their number times that of the rest."""
+_MAX_BLANK_LINES = 1_000
+"""Lines at the end of a ply file in text, beyond those that its header declares."""
 
 
 def _obj(data: bytes, max_faces: int) -> None:
     if b"\0" in data:
         raise ValueError("it is not text")
-    if not re.search(rb"^\s*v\s", data, re.MULTILINE):
+    # Lines are counted before they are kept, which takes 20 times the memory of a short line.
+    vertex_lines, face_lines = (_count_lines(data, key) for key in (rb"v[ \t]", rb"f\b"))
+    if not vertex_lines:
         raise ValueError("it has no vertices (`v x y z`)")
-    faces = re.findall(rb"^[ \t]*f\b([^\r\n]*)", data, re.MULTILINE)
-    if not faces:
+    if not face_lines:
         raise ValueError("it has no faces (`f a b c`)")
+    _check_triangle_count(face_lines, max_faces)
+    faces = re.findall(rb"^[ \t]*f\b([^\r\n]*)", data, re.MULTILINE)
     _check_triangle_count(sum(len(face.split()) - 2 for face in faces), max_faces)
+    _check_vertex_count(vertex_lines, max_faces)
+    materials = len(set(re.findall(rb"^[ \t]*usemtl\b([^\r\n]*)", data, re.MULTILINE)))
+    if materials > _MAX_PIECES:
+        raise ValueError(f"it has {materials:,} materials; at most {_MAX_PIECES:,} are taken")
     number = rb"[ \t]+-?\d+(?:/-?\d*){0,2}"
     for face in faces:
         # A backslash continues the line; the continuation is left to the parser.
         if not re.fullmatch(rb"(?:" + number + rb"){3,}[ \t]*\\?", face):
             raise ValueError(f"the face `f{face[:60].decode('latin-1')}` has no three vertex numbers")
     vertices = re.findall(rb"^[ \t]*v[ \t]+([^\r\n]*)", data, re.MULTILINE)
-    _check_vertex_count(len(vertices), max_faces)
     _check_numbers(b" ".join(vertices))
+
+
+def _count_lines(data: bytes, key: bytes) -> int:
+    return sum(1 for _ in re.finditer(rb"^[ \t]*" + key, data, re.MULTILINE))
 
 
 def _ply(data: bytes, max_faces: int) -> None:
@@ -61,9 +89,12 @@ def _ply(data: bytes, max_faces: int) -> None:
     _check_vertex_count(counts["vertex"], max_faces)
     if needed > len(body) + 1:
         raise ValueError(f"its header declares at least {needed:,} bytes of elements, but {len(body):,} follow")
-    if ascii_body and len(body.split(b"\n")) - 1 < sum(counts.values()):
-        raise ValueError("it has fewer lines than its header declares")
     if ascii_body:
+        lines_more = body.count(b"\n") - 1 - sum(counts.values())  # the first ends the header
+        if lines_more < -1:  # the last line may have no end
+            raise ValueError("it has fewer lines than its header declares")
+        if lines_more > _MAX_BLANK_LINES:
+            raise ValueError(f"it has {lines_more:,} lines more than its header declares")
         _check_numbers(body)
 
 
@@ -81,8 +112,11 @@ def _stl(data: bytes, max_faces: int) -> None:
     complete = len(re.findall(rb"\bvertex(?:[ \t]+[-+.\dA-Za-z]+){3}[ \t]*\r?$", data, re.IGNORECASE | re.MULTILINE))
     if not vertices:
         raise ValueError("it has no triangles")
-    if vertices % 3 or complete != vertices or b"endsolid" not in data.lower():
+    solids = len(re.findall(rb"endsolid", data, re.IGNORECASE))
+    if vertices % 3 or complete != vertices or not solids:
         raise ValueError("its triangles are incomplete")
+    if solids > _MAX_PIECES:
+        raise ValueError(f"it has {solids:,} solids; at most {_MAX_PIECES:,} are taken")
 
 
 def _off(data: bytes, max_faces: int) -> None:
@@ -115,6 +149,9 @@ def _glb(data: bytes, max_faces: int) -> None:
     if kind != 0x4E4F534A or 20 + chunk > len(data):
         raise ValueError("it does not begin with a whole chunk of JSON")
     file = GltfFile(data)
+    for name, most in _MAX_ELEMENTS.items():
+        if len(file.array(name)) > most:
+            raise ValueError(f"it has {len(file.array(name)):,} {name}; at most {most:,} are taken")
     if any("bufferView" not in accessor for accessor in file.items("accessors")):
         raise ValueError("it has accessors without data (compressed geometry is not read)")
     views = enumerate(file.items("bufferViews"))
@@ -126,10 +163,16 @@ def _glb(data: bytes, max_faces: int) -> None:
     ]
     if len(nodes) > _MAX_NODES or len(set(children)) != len(children):
         raise ValueError(f"its nodes are not a tree of at most {_MAX_NODES:,}")
+    primitives = sum(len(elements(mesh, "primitives", f"meshes[{k}]")) for k, mesh in enumerate(file.items("meshes")))
+    if primitives > _MAX_PRIMITIVES:
+        raise ValueError(f"it has {primitives:,} primitives; at most {_MAX_PRIMITIVES:,} are taken")
     corners, vertices = 0, 0
     for mesh in range(len(file.array("meshes"))):
-        for _, primitive, attributes in file.primitives(mesh):
+        for where, primitive, attributes in file.primitives(mesh):
             position = file.count(attributes["POSITION"])
+            for name, accessor in attributes.items():
+                if file.count(accessor) != position:
+                    raise ValueError(f"{where} has {file.count(accessor):,} of {name} for {position:,} vertices")
             corners += file.count(primitive["indices"]) if "indices" in primitive else position
             vertices += position
     # Every primitive is counted as a triangle list; a strip of the same length has more, which the reader counts.

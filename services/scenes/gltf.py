@@ -17,6 +17,10 @@ from services.scenes.mesh import Doubles, Longs, MaterialSettings, MetallicRough
 from services.scenes.surfaces import MAX_COORDINATE, Textures
 from services.scenes.tangents import derive_tangents
 
+MAX_PARTS = 2_000
+"""Largest number of primitives in the scene; each is a part, which is drawn by itself."""
+MAX_TEXELS = 2**29
+"""Bytes of all maps of all parts. A processed mesh on the disk holds a map once for each part that has it."""
 _MIN_HEIGHT = 1e-6
 """Ratio of a triangle's height to its longest edge below which a normal from float32 coordinates is noise."""
 
@@ -41,6 +45,8 @@ def read_gltf(data: bytes, max_faces: int) -> tuple[Part, ...]:
     if count > max_faces:
         raise ValueError(f"it has {count:,} triangles; at most {max_faces:,} are taken")
     parts = []
+    if (total := sum(len(primitives[index]) for index, _ in placed)) > MAX_PARTS:
+        raise ValueError(f"its scene has {total:,} primitives; at most {MAX_PARTS:,} are taken")
     for index, transform in placed:
         for primitive in primitives[index]:
             key = primitive.material
@@ -49,6 +55,7 @@ def read_gltf(data: bytes, max_faces: int) -> tuple[Part, ...]:
             parts.append(primitive.placed(transform))
     if not parts:
         raise ValueError("it has no triangles")
+    _check_texels([materials[primitive.material] for primitive in parts])
     return _parts(parts, [materials[primitive.material] for primitive in parts])
 
 
@@ -191,6 +198,15 @@ def _parts(primitives: list[_Primitive], materials: list[Material]) -> tuple[Par
     if not parts:
         raise ValueError("none of its triangles has an area")
     return fitted(tuple(sorted(parts, key=_blends)))
+
+
+def _check_texels(materials: list[Material]) -> None:
+    size = sum(texture.texels.nbytes for material in materials for texture in material.maps.values())
+    if size > MAX_TEXELS:
+        raise ValueError(
+            f"the textures of its parts take {size:,} bytes, each counted where it is used; at most "
+            f"{MAX_TEXELS:,} are taken"
+        )
 
 
 def _blends(part: Part) -> bool:

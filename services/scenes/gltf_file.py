@@ -5,7 +5,6 @@ import binascii
 import json
 import struct
 from functools import cached_property
-from io import BytesIO
 from math import isfinite
 from typing import Any
 
@@ -13,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from services.scenes.image_file import open_image
 from services.scenes.mesh import Doubles, Longs
 
-READ_EXTENSIONS = ("KHR_mesh_quantization",)
+READ_EXTENSIONS = ("KHR_mesh_quantization", "EXT_texture_webp")
 """glTF extensions that are supported and that a file may therefore require."""
 
 TRIANGLES, STRIP, FAN = 4, 5, 6
@@ -52,7 +52,7 @@ class GltfFile:
         if unread:
             names = ", ".join(str(name) for name in unread)
             raise ValueError(f"it requires the extension {names} (extensionsRequired), which is not read")
-        self._images: dict[int, Image.Image] = {}
+        self._images: dict[tuple[str, int], Image.Image] = {}
 
     def array(self, name: str) -> list[Any]:
         """Returns a top-level array of the JSON; empty if the JSON does not have it."""
@@ -115,19 +115,20 @@ class GltfFile:
         return stored[:, 0].astype(np.int64)
 
     def image(self, index: Any) -> Image.Image:
-        """Returns an image, not yet decoded; each call for an index returns the same object."""
-        if index not in self._images:
-            entry = self.item("images", index)
-            if "bufferView" in entry:
-                view = self.item("bufferViews", entry["bufferView"])
-                data = self._view(view, entry["bufferView"])
-            else:
+        """Returns an image, not yet decoded; images of the same bytes in the file are one object."""
+        entry = self.item("images", index)
+        view = entry.get("bufferView")
+        key = ("images", index) if view is None else ("bufferViews", size(view, f"images[{index}].bufferView"))
+        if key not in self._images:
+            if view is None:
                 data = _embedded(entry.get("uri"), f"images[{index}]")
+            else:
+                data = self._view(self.item("bufferViews", view), view)
             try:
-                self._images[index] = Image.open(BytesIO(data), formats=("PNG", "JPEG"))
-            except (OSError, SyntaxError) as error:
-                raise ValueError(f"images[{index}] is not a readable PNG or JPEG image") from error
-        return self._images[index]
+                self._images[key] = open_image(data)
+            except ValueError as error:
+                raise ValueError(f"images[{index}] is not a readable image: {error}") from error
+        return self._images[key]
 
     def _array(self, index: Any, columns: tuple[int, ...]) -> NDArray[Any]:
         accessor = self.item("accessors", index)
@@ -162,7 +163,11 @@ class GltfFile:
         entry = self.item("buffers", index)
         if index not in self._buffers:
             chunk = index == 0 and "uri" not in entry
-            self._buffers[index] = self._binary if chunk else _embedded(entry.get("uri"), f"buffers[{index}]")
+            found = self._binary if chunk else _embedded(entry.get("uri"), f"buffers[{index}]")
+            length = size(entry.get("byteLength"), f"buffers[{index}].byteLength")
+            if length > len(found):
+                raise ValueError(f"buffers[{index}].byteLength is {length:,}, which is more than the file holds")
+            self._buffers[index] = found[:length]
         return self._buffers[index]
 
     @cached_property

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from services.scenes.gltf_file import GltfFile, number, numbers
+from services.scenes.image_file import FORMATS
 from services.scenes.mesh import AlphaMode, Floats, MapName, MaterialSettings, TextureMap
 from services.scenes.surfaces import Textures
 
@@ -77,14 +78,16 @@ def _map(file: GltfFile, info: Any, textures: Textures, where: str) -> TextureMa
     if uv_set not in (0, 1):
         raise ValueError(f"{where}.texCoord is {uv_set!r}; TEXCOORD_0 and TEXCOORD_1 are read")
     texture = file.item("textures", info.get("index"))
-    if "source" not in texture:
-        raise ValueError(f"{where} has no image in PNG or JPEG")
+    webp = texture.get("extensions", {}).get("EXT_texture_webp", {}).get("source")
+    source = texture.get("source", webp)
+    if source is None:
+        raise ValueError(f"{where} has no image in {FORMATS}")
     sampler = file.item("samplers", texture["sampler"]) if "sampler" in texture else {}
     wrap = sampler.get("wrapS", _WRAPS[0]), sampler.get("wrapT", _WRAPS[0])
     if not all(mode in _WRAPS for mode in wrap):
         raise ValueError(f"{where} wraps as {wrap!r}; glTF has {', '.join(map(str, _WRAPS))}")
     try:
-        texels = textures.read(file.image(texture["source"]))
+        texels = textures.read(file.image(source))
     except (OSError, SyntaxError) as error:  # its header is intact, its data is not
-        raise ValueError(f"{where}: images[{texture['source']}] is not a readable PNG or JPEG image") from error
+        raise ValueError(f"{where}: images[{source}] is not a readable {FORMATS} image") from error
     return TextureMap(texels, uv_set, wrap)

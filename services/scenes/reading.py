@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from services.errors import InvalidRequest
+from services.errors import InvalidRequest, shortened
 from services.scenes.claims import CHECKS
 from services.scenes.gltf import read_gltf
 from services.scenes.mesh import Part
@@ -49,13 +49,14 @@ def read_mesh(data: bytes, kind: str, max_faces: int) -> tuple[Part, ...]:
         raise InvalidRequest("file", "it is empty")
     try:
         CHECKS[kind](data, max_faces)
-        if kind == "glb":
-            return read_gltf(data, max_faces)
-        # Suppress numpy's warnings: numbers that are not finite are reported below, by name.
+        # Suppress numpy's warnings: numbers that are not finite are reported by name.
         with np.errstate(all="ignore"):
-            scene = trimesh.load_scene(BytesIO(data), file_type=kind, resolver=_NoFiles(), process=False)
+            if kind == "glb":
+                return read_gltf(data, max_faces)
+            text = _utf8(data) if kind in ("obj", "off") else data
+            scene = trimesh.load_scene(BytesIO(text), file_type=kind, resolver=_NoFiles(), process=False)
     except ValueError as error:
-        raise InvalidRequest("file", f"it is not a readable {kind} mesh: {error}") from error
+        raise InvalidRequest("file", f"it is not a readable {kind} mesh: {shortened(error)}") from error
     except Exception as error:  # parsers raise many types of exceptions; in every case the file is invalid
         raise InvalidRequest("file", f"it is not a readable {kind} mesh ({type(error).__name__})") from error
     count = triangles(scene)
@@ -64,7 +65,16 @@ def read_mesh(data: bytes, kind: str, max_faces: int) -> tuple[Part, ...]:
     try:
         return to_parts(read_surfaces(scene))
     except (ValueError, OSError, SyntaxError) as error:  # a damaged texture is an OSError or a SyntaxError of Pillow
-        raise InvalidRequest("file", f"it cannot be shown: {error}") from error
+        raise InvalidRequest("file", f"it cannot be shown: {shortened(error)}") from error
+
+
+def _utf8(data: bytes) -> bytes:
+    """Returns text as UTF-8. Other text is taken as Latin-1: names of materials and comments may be in any encoding."""
+    try:
+        data.decode()
+    except UnicodeDecodeError:
+        return data.decode("latin-1").encode()
+    return data
 
 
 def triangles(scene: trimesh.Scene) -> int:

@@ -8,13 +8,14 @@ import numpy as np
 import trimesh
 from PIL import Image
 
+from services.scenes.image_file import MAX_PIXELS
 from services.scenes.mesh import Bytes, Doubles, Floats, Longs, Part, fitted
 from services.scenes.normals import CREASE_ANGLE, smooth_normals
 from services.scenes.srgb import to_linear
 
 MAX_TEXTURE = 1024
 """Largest side of a texture, pixels; larger textures are downscaled."""
-MAX_TEXTURE_SOURCE = 2**26
+MAX_TEXTURE_SOURCE = MAX_PIXELS
 """Maximum number of pixels of all textures of a file together, before downscaling."""
 MAX_COORDINATE = 1e30
 """Largest magnitude of a file's coordinates."""

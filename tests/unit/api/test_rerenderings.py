@@ -73,7 +73,7 @@ SMALL, FITTING = (in_base64(torch.zeros(size, size, 3, dtype=torch.uint8)) for s
         ({"image": {"data": SMALL}}, "scene", "needs its scene"),
         ({"image": {"data": "no base64!"}, "scene": SPHERE}, "image.data", "not base64"),
         ({"image": {"data": SMALL}, "scene": SPHERE}, "image", "8×8 pixels"),
-        ({"image": {"data": "AAAA"}, "scene": SPHERE}, "image", "not a PNG or JPEG"),
+        ({"image": {"data": "AAAA"}, "scene": SPHERE}, "image", "not a PNG, JPEG or WebP"),
         ({"image": {"data": base64.b64encode(CUT).decode()}, "scene": SPHERE}, "image", "it is damaged"),
         (
             {"image": {"data": FITTING}, "scene": SPHERE, "target": {"question": "what?"}},

@@ -1,0 +1,57 @@
+"""Opens image files that are not trusted: PNG, JPEG and WebP, and no other format that Pillow knows.
+
+Pillow asks each of its plug-ins whether it knows a file, and some run a program on it (Ghostscript on PostScript). The
+format is therefore chosen here, by the file's first bytes, and Pillow is given that one plug-in.
+"""
+
+import re
+import struct
+import warnings
+from io import BytesIO
+
+from PIL import Image
+
+FORMATS = "PNG, JPEG or WebP"
+MAX_PIXELS = 2**26
+"""Largest image, pixels; a decoded one takes 4 bytes for each."""
+_SIGNATURES = {"PNG": rb"\x89PNG\r\n\x1a\n", "JPEG": rb"\xff\xd8\xff", "WEBP": rb"RIFF....WEBPVP8"}
+
+
+def open_image(data: bytes) -> Image.Image:
+    """Returns an image, not yet decoded. Its size is read from the header.
+
+    Raises ValueError if the bytes are no PNG, JPEG or WebP image, or if the image has more than MAX_PIXELS.
+    """
+    kind = next((name for name, mark in _SIGNATURES.items() if re.match(mark, data, re.DOTALL)), None)
+    if kind is None:
+        raise ValueError(f"it is no {FORMATS} image")
+    try:
+        if kind == "WEBP":  # Pillow's plug-in allocates the canvas while it opens the file
+            _check_size(*_webp_size(data))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            image = Image.open(BytesIO(data), formats=(kind,))
+    except (OSError, SyntaxError, struct.error) as error:
+        raise ValueError(f"it is a damaged {kind} image") from error
+    except Image.DecompressionBombError as error:
+        raise ValueError(f"it has more than {MAX_PIXELS:,} pixels") from error
+    _check_size(image.width, image.height)
+    return image
+
+
+def _check_size(width: int, height: int) -> None:
+    if width * height > MAX_PIXELS:
+        raise ValueError(f"it has {width:,}×{height:,} pixels; at most {MAX_PIXELS:,} are taken")
+
+
+def _webp_size(data: bytes) -> tuple[int, int]:
+    """Width and height of a WebP file's canvas (RFC 9649, 2.5 to 2.7). Raises struct.error if the header is cut off."""
+    kind = data[12:16]
+    if kind == b"VP8X":
+        low, high, low_down, high_down = struct.unpack_from("<HBHB", data, 24)
+        return 1 + low + (high << 16), 1 + low_down + (high_down << 16)
+    if kind == b"VP8L":
+        (bits,) = struct.unpack_from("<I", data, 21)
+        return 1 + (bits & 0x3FFF), 1 + (bits >> 14 & 0x3FFF)
+    width, height = struct.unpack_from("<HH", data, 26)
+    return width & 0x3FFF, height & 0x3FFF
