@@ -50,4 +50,5 @@ ENV PATH=/app/.venv/bin:$PATH \
     SCENE_ATTACK_KERNEL_DIR=/kernels
 USER scene-attack
 EXPOSE 8008
+# Needs a key first, which is in the database: docker run --rm -v data:/data IMAGE scene-attack keys create me --scope admin
 CMD ["scene-attack", "serve", "--host", "0.0.0.0"]

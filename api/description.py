@@ -4,6 +4,7 @@ from typing import Any
 
 from fastapi import FastAPI
 
+from api.auth_rules import OPEN, RULES
 from api.problems import MEDIA_TYPE, ProblemDetails
 
 DESCRIPTION = """\
@@ -15,12 +16,21 @@ a problem document (RFC 9457). Angles are in radians, lengths in scene units, co
 
 ERRORS = {
     "400": "The request could not be read.",
+    "401": "A key is needed, and none was sent that is known, not revoked and not expired.",
+    "403": "The key's scopes do not allow this, or another web site made a browser send it.",
     "404": "The path names nothing that exists.",
     "413": "The body is too large.",
     "415": "The body has the wrong media type.",
     "416": "The file has no such range.",
     "422": "A field is wrong; `errors` names it.",
     "503": "The service cannot take the request now; `Retry-After` says when to try again.",
+}
+
+KEY = {
+    "type": "http",
+    "scheme": "bearer",
+    "description": "A key that `scene-attack keys create` made. The scope of each operation is listed with it; `admin` "
+    "allows all. While there is no key, programs of the service's machine need none.",
 }
 
 
@@ -45,8 +55,11 @@ def _errors(schema: dict[str, Any]) -> None:
     own = ProblemDetails.model_json_schema(ref_template="#/components/schemas/{model}")
     schemas |= own.pop("$defs")
     schemas["ProblemDetails"] = own
+    schema["components"]["securitySchemes"] = {"key": KEY}
     for path, operations in schema["paths"].items():
-        for operation in operations.values():
+        for method, operation in operations.items():
+            scope = RULES[f"{'GET' if method == 'head' else method.upper()} {path}"]
+            operation["security"] = [] if scope is OPEN else [{"key": [scope.value]}]
             answers = operation["responses"]
             for status in _possible(path, operation):
                 answers[status] = {
@@ -56,7 +69,7 @@ def _errors(schema: dict[str, Any]) -> None:
 
 
 def _possible(path: str, operation: dict[str, Any]) -> list[str]:
-    found = []
+    found = ["401", "403"] if operation["security"] else []
     if "{" in path:
         found.append("404")
     if "requestBody" in operation:

@@ -1,10 +1,9 @@
-"""Middleware that refuses requests before they are parsed: bodies that are too large, other web sites' requests, and
-addresses with a character that no text may have.
+"""Middleware that refuses requests before they are parsed: bodies that are too large, and addresses with a character
+that no text may have.
 """
 
 from collections.abc import Mapping
-from ipaddress import ip_address
-from urllib.parse import parse_qsl, urlsplit
+from urllib.parse import parse_qsl
 
 from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
@@ -90,47 +89,3 @@ class NoNul:
             refused = InvalidRequest(name, "it has the character U+0000, which no text may have")
             return await invalid([refused])(scope, receive, send)
         return await self.app(scope, receive, send)
-
-
-class SameSite:
-    """Refuses requests that another web site makes a browser send: foreign Origins, and foreign Hosts on loopback.
-
-    The service has no password yet, so a page that the user visits must not be able to start jobs on their machine.
-    """
-
-    def __init__(self, app: ASGIApp, loopback: bool) -> None:
-        self.app = app
-        self.loopback = loopback
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """ASGI."""
-        if scope["type"] != "http":
-            return await self.app(scope, receive, send)
-        headers = Headers(scope=scope)
-        host = headers.get("host", "")
-        if host and not _hostname(host):
-            return await problem(400, f"{host[:100]!r} is no host")(scope, receive, send)
-        if self.loopback and not is_loopback(_hostname(host)):
-            return await problem(421, f"this service does not answer for host {host[:100]!r}")(scope, receive, send)
-        origin = headers.get("origin")
-        if origin is not None and scope["method"] not in ("GET", "HEAD") and origin.partition("://")[2] != host:
-            return await problem(403, "requests from other web sites are refused")(scope, receive, send)
-        return await self.app(scope, receive, send)
-
-
-def _hostname(host: str) -> str:
-    """The name or address in a Host header; "" if it is none."""
-    try:
-        return urlsplit(f"//{host}").hostname or ""
-    except ValueError:
-        return ""
-
-
-def is_loopback(host: str) -> bool:
-    """Whether a host name or address is this machine's loopback."""
-    if host == "localhost":
-        return True
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return False

@@ -13,14 +13,19 @@ from fastapi import FastAPI
 from starlette.middleware import Middleware
 
 from api import dashboard
+from api.authentication import Authentication
 from api.description import describe
-from api.limits import BodyLimit, NoNul, SameSite, is_loopback
+from api.hosts import KnownHosts
+from api.limits import BodyLimit, NoNul
 from api.preflight import Preflight
 from api.problems import Answers, install
 from api.rerenderer import Rerenderer
 from api.routes import artifacts, assets, campaigns, events, health, jobs, library, rerenderings
+from api.same_site import SameSite
 from api.state import Services
 from api.watcher import Watcher
+from services.access.keys import AccessKeys
+from services.access.listening import check_listening
 from services.device import check_device
 from services.errors import JobFailure
 from services.jobs import watchdog
@@ -62,6 +67,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
         rerenderer = Rerenderer(chosen)
         watcher = Watcher(repository)
         app.state.services = Services(
+            keys=AccessKeys(engine),
             repository=repository,
             queue=queue,
             submissions=Submissions(repository, queue, chosen.max_queued),
@@ -91,7 +97,9 @@ def create_app(values: Settings | None = None) -> FastAPI:
         separate_input_output_schemas=False,
         middleware=[
             Middleware(Answers),
-            Middleware(SameSite, loopback=is_loopback(chosen.host)),
+            Middleware(KnownHosts, hosts=chosen.own_hosts),
+            Middleware(SameSite),
+            Middleware(Authentication),
             Middleware(NoNul),
             Middleware(BodyLimit, uploads={assets.PATH: chosen.max_upload_bytes}),
         ],
@@ -113,11 +121,13 @@ async def _show_life() -> None:
 def run(listener: socket.socket | None = None) -> int:
     """Serves until SIGTERM or SIGINT, on a socket already listening or else on the settings' address.
 
-    Raises InvalidRequest if the device of the settings is not there.
+    Raises InvalidRequest if the device of the settings is not there, or if other machines reach the address and there
+    is no key.
     """
     check_device()
     configure("api")
     values = settings()
+    check_listening(values)
     app = create_app(values)
     # What has been imported by now stays for ever: the garbage collector need not look at it again and again.
     gc.collect()

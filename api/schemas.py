@@ -204,11 +204,12 @@ class Readiness(BaseModel):
     database: bool
     redis: bool
     workers: int = Field(description="number of workers with a heartbeat in the last 15 seconds")
-    extensions: list[ExtensionView] = Field(
-        description="the extensions that this process loaded or left out; the service can be ready without the latter"
+    extensions: list[ExtensionView] | None = Field(
+        description="the extensions that this process loaded or left out; the service can be ready without the latter. "
+        "null for a caller without a key"
     )
-    targets: list[TargetFolderView] = Field(
-        description="the networks of your own that this process registered or left out, one folder each"
+    targets: list[TargetFolderView] | None = Field(
+        description="the networks of your own that this process registered or left out, one folder each; null likewise"
     )
 
 

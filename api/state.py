@@ -8,6 +8,7 @@ from fastapi import Depends, HTTPException, Request
 from api.preflight import Preflight
 from api.rerenderer import Rerenderer
 from api.watcher import Watcher
+from services.access.keys import AccessKeys
 from services.jobs.artifacts import ArtifactStore
 from services.jobs.campaign_service import CampaignService
 from services.jobs.models import Job
@@ -19,8 +20,9 @@ from services.scenes.library import Library
 
 @dataclass(frozen=True)
 class Services:
-    """The record of jobs and campaigns, the queue, the files, and what checks, re-renders and watches."""
+    """The keys, the record of jobs and campaigns, the queue, the files, and what checks, re-renders and watches."""
 
+    keys: AccessKeys
     repository: Repository
     queue: Queue
     submissions: Submissions

@@ -1,5 +1,6 @@
 """A client of the service's HTTP API."""
 
+import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,10 +41,16 @@ class Event:
 
 
 class ApiClient:
-    """Calls the service at a URL. Methods raise ApiError if it refuses, and httpx.HTTPError if it does not answer."""
+    """Calls the service at a URL, with the key in SCENE_ATTACK_KEY if there is one. Redirects are not followed, so that
+    the key goes nowhere else.
+
+    Methods raise ApiError if the service refuses, and httpx.HTTPError if it does not answer.
+    """
 
     def __init__(self, url: str, *, transport: httpx.BaseTransport | None = None) -> None:
-        self._http = httpx.Client(base_url=url, timeout=_PATIENCE, transport=transport)
+        key = os.environ.get("SCENE_ATTACK_KEY", "").strip()
+        headers = {"Authorization": f"Bearer {key}"} if key else {}
+        self._http = httpx.Client(base_url=url, headers=headers, timeout=_PATIENCE, transport=transport)
 
     def __enter__(self) -> Self:
         return self

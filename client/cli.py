@@ -5,7 +5,21 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from client.commands import accuracy, analyse, assets, campaign, demo, jobs, plan, run, serve, submit, targets, train
+from client.commands import (
+    accuracy,
+    analyse,
+    assets,
+    campaign,
+    demo,
+    jobs,
+    keys,
+    plan,
+    run,
+    serve,
+    submit,
+    targets,
+    train,
+)
 from services.errors import InvalidRequest, JobFailure
 
 app = typer.Typer(
@@ -43,6 +57,7 @@ submit.register(app)
 app.add_typer(jobs.app, name="jobs")
 app.add_typer(campaign.app, name="campaign")
 app.add_typer(assets.app, name="assets")
+app.add_typer(keys.app, name="keys")
 app.add_typer(targets.app, name="targets")
 app.add_typer(accuracy.app, name="accuracy")
 app.add_typer(train.app, name="train")

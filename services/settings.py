@@ -23,6 +23,10 @@ class Settings(BaseSettings):
     redis_url: str | None = Field(None, description="redis:// URL; default: an embedded Redis on loopback")
     host: str = Field("127.0.0.1", description="address the API listens on")
     port: int = Field(8008, ge=0, le=65535, description="port the API listens on; 0 picks a free one")
+    hosts: str | None = Field(
+        None,
+        description="names by which clients may call the service besides those of loopback, separated by commas",
+    )
     workers: int = Field(1, ge=1, le=64, description="job processes")
     device: str = Field(
         "auto",
@@ -121,6 +125,11 @@ class Settings(BaseSettings):
     def allowed_endpoints(self) -> frozenset[str]:
         """The URLs that cards may name, and the private addresses that these may have."""
         return _listed(self.target_endpoints)
+
+    @property
+    def own_hosts(self) -> frozenset[str]:
+        """The names by which clients may call the service, besides loopback's: those listed, and its own address."""
+        return (_listed(self.hosts) | {self.host}) - {"", "0.0.0.0", "::"}
 
     def environ(self) -> dict[str, str]:
         """Returns the environment variables that give a child process these settings."""

@@ -5,6 +5,7 @@ import sys
 
 import httpx
 
+from services.access.listening import check_listening
 from services.device import check_device
 from services.jobs.campaign_feed import Feeder
 from services.jobs.database import connect as connect_database
@@ -22,9 +23,11 @@ log = logger(__name__)
 def serve(values: Settings) -> int:
     """Runs the whole service until SIGTERM or SIGINT; prints "ready URL" once it takes jobs. Returns the exit status.
 
-    Raises OSError if the address is taken, InvalidRequest if the device of the settings is not there.
+    Raises OSError if the address is taken, InvalidRequest if the device of the settings is not there, or if other
+    machines reach the address and there is no key.
     """
     check_device()
+    check_listening(values)
     configure("supervisor")
     engine = connect_database(values)
     migrate(engine, values)

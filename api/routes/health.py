@@ -4,6 +4,7 @@ from fastapi import APIRouter, Response
 from redis.exceptions import RedisError
 from sqlalchemy.exc import SQLAlchemyError
 
+from api.authentication import KnownCaller
 from api.schemas import ExtensionView, Health, Readiness, TargetFolderView
 from api.state import ServicesDependency
 from services.pipeline.extensions import EXTENSIONS, TARGET_FOLDERS
@@ -20,7 +21,7 @@ async def healthz() -> Health:
 @router.get(
     "/readyz", responses={503: {"model": Readiness, "description": "the database, Redis or a worker is missing"}}
 )
-def readyz(services: ServicesDependency, response: Response) -> Readiness:
+def readyz(services: ServicesDependency, response: Response, caller: KnownCaller) -> Readiness:
     """Answers 200 if database and Redis answer and a worker is alive, otherwise 503, and says which are missing."""
     database = redis = True
     workers = 0
@@ -34,8 +35,8 @@ def readyz(services: ServicesDependency, response: Response) -> Readiness:
         redis = False
     ready = database and redis and workers > 0
     response.status_code = 200 if ready else 503
-    extensions = [ExtensionView.of(extension) for extension in EXTENSIONS]
-    targets = [TargetFolderView.of(folder) for folder in TARGET_FOLDERS]
+    extensions = None if caller is None else [ExtensionView.of(extension) for extension in EXTENSIONS]
+    targets = None if caller is None else [TargetFolderView.of(folder) for folder in TARGET_FOLDERS]
     return Readiness(
         ready=ready, database=database, redis=redis, workers=workers, extensions=extensions, targets=targets
     )

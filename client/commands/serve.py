@@ -9,7 +9,14 @@ import typer
 if TYPE_CHECKING:
     from services.settings import Settings
 
-HostOption = Annotated[str | None, typer.Option("--host", help="Address to listen on [SCENE_ATTACK_HOST, 127.0.0.1].")]
+HostOption = Annotated[
+    str | None,
+    typer.Option(
+        "--host",
+        help="Address to listen on; one that other machines reach needs a key first (`keys create`) "
+        "[SCENE_ATTACK_HOST, 127.0.0.1].",
+    ),
+]
 PortOption = Annotated[
     int | None, typer.Option("--port", "-p", help="Port to listen on, 0 for a free one [SCENE_ATTACK_PORT, 8008].")
 ]

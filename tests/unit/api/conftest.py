@@ -1,6 +1,7 @@
 import socket
 import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -52,9 +53,9 @@ def app(redis_url: str, tmp_path_factory: pytest.TempPathFactory) -> FastAPI:
     return create_app(settings)
 
 
-@pytest.fixture(scope="session")
-def client(app: FastAPI) -> Iterator[httpx.Client]:
-    """A client of the app, over HTTP."""
+@contextmanager
+def serving(app: FastAPI) -> Iterator[httpx.Client]:
+    """Serves an app, and gives a client of it, over HTTP."""
     listener = socket.create_server(("127.0.0.1", 0))
     server = uvicorn.Server(uvicorn.Config(app, log_config=None, timeout_graceful_shutdown=1))
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
@@ -65,6 +66,13 @@ def client(app: FastAPI) -> Iterator[httpx.Client]:
     server.should_exit = True
     thread.join()
     listener.close()
+
+
+@pytest.fixture(scope="session")
+def client(app: FastAPI) -> Iterator[httpx.Client]:
+    """A client of the app, over HTTP. The app has no key, so it needs none."""
+    with serving(app) as client:
+        yield client
 
 
 @pytest.fixture

@@ -192,6 +192,7 @@ def app(repository: Repository, campaigns: CampaignService | None = None) -> Fas
     made.include_router(dashboard.router)
     none = cast(Any, None)
     made.state.services = Services(
+        keys=none,
         repository=repository,
         queue=none,
         submissions=none,

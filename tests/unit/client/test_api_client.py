@@ -3,6 +3,7 @@
 import json
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -173,3 +174,20 @@ def test_a_download_that_breaks_leaves_no_file(client: ApiClient, script: Script
 def test_nobody_there_is_not_ready() -> None:
     with ApiClient("http://127.0.0.1:1") as nobody:
         assert not nobody.ready()
+
+
+@pytest.mark.parametrize(("key", "sent"), [(" sa_1_secret\n", "Bearer sa_1_secret"), ("", None)])
+def test_the_key_of_the_environment_is_sent_and_follows_no_redirect(
+    script: Script, client: ApiClient, monkeypatch: pytest.MonkeyPatch, key: str, sent: str | None
+) -> None:
+    def elsewhere(handler: BaseHTTPRequestHandler) -> None:
+        handler.send_response(307)
+        handler.send_header("Location", f"{client.url}/elsewhere")
+        handler.send_header("Content-Length", "0")
+        handler.end_headers()
+
+    monkeypatch.setenv("SCENE_ATTACK_KEY", key)
+    script.answers = [elsewhere, says(200, {})]
+    with ApiClient(client.url) as keyed, suppress(ValueError):
+        keyed.job("j")
+    assert [headers.get("Authorization") for _, _, headers in script.seen] == [sent]

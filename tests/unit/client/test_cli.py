@@ -32,6 +32,7 @@ COMMANDS = [
     *(["campaign", *rest] for rest in ([], ["run"], ["submit"], ["list"], ["show"], ["pause"], ["resume"], ["cancel"])),
     *(["campaign", *rest] for rest in (["table"], ["export"])),
     *(["assets", *rest] for rest in ([], ["list"], ["show"], ["add"], ["environments"])),
+    *(["keys", *rest] for rest in ([], ["create"], ["list"], ["revoke"])),
     *(["accuracy", *rest] for rest in ([], ["stability"], ["work-precision"])),
     *(["train", *rest] for rest in ([], ["split"], ["alexnet"], ["resnet34"], ["iep"])),
 ]
@@ -53,7 +54,7 @@ def cli(*arguments: str, stdin: str = "", **environ: str) -> subprocess.Complete
 def test_every_command_has_help_with_an_example(command: list[str]) -> None:
     done = CliRunner().invoke(app, [*command, "--help"])
     assert done.exit_code == 0
-    groups = ([], ["jobs"], ["assets"], ["accuracy"], ["train"], ["campaign"])
+    groups = ([], ["jobs"], ["assets"], ["accuracy"], ["train"], ["campaign"], ["keys"])
     assert ("Example" in done.stdout) == (command not in groups)
 
 

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from api.routes import health
 from client.cli import app
+from services.access.listening import is_loopback
 from services.settings import Settings
 
 ROOT = Path(__file__).parents[3]
@@ -47,6 +48,14 @@ def test_health_checks_ask_what_the_api_answers() -> None:
         (asked,) = re.findall(r"http://[\w.]+:(\d+)(/\w+)", service["healthcheck"]["test"][-1])
         assert asked[1] in paths
         assert asked[0] == "8008"
+
+
+def test_the_api_answers_for_the_names_that_health_checks_use() -> None:
+    environment = {name: value for name, value in OURS["api"]["environment"].items() if name == "SCENE_ATTACK_HOSTS"}
+    known = Settings(hosts=environment.get("SCENE_ATTACK_HOSTS")).own_hosts
+    for service in OURS.values():
+        (host,) = re.findall(r"http://([\w.]+):", service["healthcheck"]["test"][-1])
+        assert host in known or is_loopback(host)
 
 
 def test_every_service_is_watched_and_keeps_its_hands_to_itself() -> None:

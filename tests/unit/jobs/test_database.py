@@ -8,6 +8,7 @@ from alembic.migration import MigrationContext
 from sqlalchemy import Engine, text
 from sqlalchemy.exc import IntegrityError
 
+import services.access.models  # noqa: F401 - a table of the same database
 from services.errors import InvalidRequest
 from services.jobs.database import connect, migrate
 from services.jobs.models import Base

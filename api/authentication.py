@@ -1,0 +1,92 @@
+"""Middleware that finds out who sends a request, and refuses it, before its body is read, if that caller may not.
+
+While there is no key, the programs of this machine are let in and nobody else.
+"""
+
+from typing import Annotated
+
+from fastapi import Depends, Request
+from sqlalchemy.exc import SQLAlchemyError
+from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import Headers
+from starlette.responses import Response
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from api.auth_rules import OPEN, Rule, rule_of
+from api.problems import problem
+from services.access.caller import KEYLESS, Caller
+from services.access.caller import Scope as AccessScope
+from services.access.keys import AccessKeys
+from services.access.listening import is_loopback
+from services.logs import logger
+
+_HOW = {"WWW-Authenticate": "Bearer"}
+log = logger(__name__)
+
+
+class Authentication:
+    """Answers 401 without a valid key, 403 if the key's scopes do not allow the route, else passes the caller on."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI."""
+        if scope["type"] != "http":
+            return await self.app(scope, receive, send)
+        rule = rule_of(scope["method"], scope["path"])
+        caller, refusal = None, None
+        try:
+            caller = await run_in_threadpool(_caller, scope["app"].state.services.keys, scope)
+            refusal = _refusal(rule, caller)
+        except SQLAlchemyError as error:
+            if rule is None or rule.scope is not OPEN:
+                log.warning("keys out of reach", error=str(error))
+                refusal = problem(503, "the database does not answer; try again later", headers={"Retry-After": "5"})
+        if refusal is not None:
+            return await refusal(scope, receive, send)
+        scope.setdefault("state", {})["caller"] = caller
+        return await self.app(scope, receive, send)
+
+
+def _caller(keys: AccessKeys, scope: Scope) -> Caller | None:
+    """Who sends a request; None if it has no valid key and needs one."""
+    word, _, text = Headers(scope=scope).get("authorization", "").partition(" ")
+    key = keys.find(text.strip()) if word.lower() == "bearer" else None
+    if key is not None:
+        return Caller.of(key.owner, key.scopes, key.prefix)
+    here = scope["client"] is not None and is_loopback(scope["client"][0])
+    return KEYLESS if here and not keys.exist() else None
+
+
+def _refusal(rule: Rule | None, caller: Caller | None) -> Response | None:
+    scope = AccessScope.ADMIN if rule is None else rule.scope
+    if scope is OPEN:
+        return None
+    if caller is None:
+        detail = "a key is needed that is known, not revoked and not expired; send it as `Authorization: Bearer KEY`"
+        return problem(401, detail, headers=_HOW)
+    if caller.may(scope):
+        return None
+    if rule is None:
+        return problem(404, "there is nothing here, or not by this method")
+    how = {"WWW-Authenticate": f'Bearer error="insufficient_scope", scope="{scope}"'}
+    return problem(403, f"this needs a key with the scope {scope}", headers=how)
+
+
+def known_caller(request: Request) -> Caller | None:
+    """Who sends a request to an open route; None if nobody knows."""
+    found = request.scope["state"]["caller"]
+    assert found is None or isinstance(found, Caller)
+    return found
+
+
+def caller(request: Request) -> Caller:
+    """Who sends a request to a route that needs a key."""
+    found = known_caller(request)
+    assert found is not None
+    return found
+
+
+CallerDependency = Annotated[Caller, Depends(caller)]
+KnownCaller = Annotated[Caller | None, Depends(known_caller)]

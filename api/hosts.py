@@ -1,0 +1,45 @@
+"""Middleware that answers only for the names by which this service is called.
+
+A web site can give its own name the address of this machine, and a browser then takes the service for a part of that
+site (DNS rebinding). The name in the request's Host header shows it.
+"""
+
+from collections.abc import Collection
+from urllib.parse import urlsplit
+
+from starlette.datastructures import Headers
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from api.problems import problem
+from services.access.listening import is_loopback
+
+
+class KnownHosts:
+    """Answers 400 for a Host that is none, and 421 for one that is neither loopback nor one of `hosts`."""
+
+    def __init__(self, app: ASGIApp, hosts: Collection[str]) -> None:
+        self.app = app
+        self.hosts = frozenset(host.lower() for host in hosts)
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI."""
+        if scope["type"] != "http":
+            return await self.app(scope, receive, send)
+        host = Headers(scope=scope).get("host", "")
+        name = _hostname(host)
+        if host and not name:
+            return await problem(400, f"{host[:100]!r} is no host")(scope, receive, send)
+        if not is_loopback(name) and name not in self.hosts:
+            detail = (
+                f"this service does not answer for host {host[:100]!r}; SCENE_ATTACK_HOSTS lists those it answers for"
+            )
+            return await problem(421, detail)(scope, receive, send)
+        return await self.app(scope, receive, send)
+
+
+def _hostname(host: str) -> str:
+    """The name or address in a Host header, in lower case; "" if it is none."""
+    try:
+        return urlsplit(f"//{host}").hostname or ""
+    except ValueError:
+        return ""

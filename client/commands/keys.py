@@ -1,0 +1,147 @@
+"""The commands `keys`: make, list and revoke the keys of a service, in its database."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from client.commands.options import JsonOption
+
+if TYPE_CHECKING:
+    from services.access.keys import AccessKeys
+    from services.access.models import AccessKey
+
+app = typer.Typer(
+    help="Make, list and revoke the keys of a service. Works on the database that SCENE_ATTACK_DATA or "
+    "SCENE_ATTACK_DATABASE_URL names, also while the service runs.",
+    no_args_is_help=True,
+)
+
+DEFAULT_SCOPES = ("jobs:read", "jobs:write", "assets:write")
+LONGEST = 100
+DAY = 24 * 60 * 60.0
+
+
+@app.command(
+    epilog="Examples: [bold]scene-attack keys create alice[/bold]\n\n"
+    "[bold]scene-attack keys create ci --owner alice --scope jobs:write --scope jobs:read --days 90[/bold]\n\n"
+    "[bold]scene-attack keys create operator --scope admin[/bold]"
+)
+def create(
+    name: Annotated[str, typer.Argument(help="What the key is for, as lists show it.")],
+    scope: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="What the key allows: jobs:read, jobs:write, assets:write or admin, which is everything, for all "
+            "owners. May be repeated; without it the first three."
+        ),
+    ] = None,
+    owner: Annotated[
+        str | None,
+        typer.Option(help="Whose jobs, campaigns and meshes the key makes and sees; without it, NAME is the owner."),
+    ] = None,
+    days: Annotated[float | None, typer.Option(min=0, help="The key expires after this time.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Make a key and print its text, which is not kept: copy it now. Programs send it from SCENE_ATTACK_KEY.
+
+    From the first key on, the service answers nobody without one, on this machine either.
+    """
+    from client.console import err, out, print_json
+    from services.access.caller import Scope
+    from services.errors import InvalidRequest
+
+    known = [one.value for one in Scope]
+    for word in scope or ():
+        if word not in known:
+            raise InvalidRequest("--scope", f"{word!r} is no scope; it is one of {', '.join(known)}")
+    name, owner = _word("NAME", name), _word("--owner", name if owner is None else owner, least=0)
+    with _keys() as keys:
+        scopes = {Scope(word) for word in scope or DEFAULT_SCOPES}
+        key, text = keys.create(name, owner, scopes, None if days is None else days * DAY)
+    if as_json:
+        print_json(_shown(key) | {"key": text})
+        return
+    out().print(text, markup=False, highlight=False, soft_wrap=True)
+    err().print(f"This is the only time that the key {key.prefix} is shown.", markup=False, highlight=False)
+
+
+@app.command("list", epilog="Example: [bold]scene-attack keys list[/bold]")
+def list_keys(as_json: JsonOption = False) -> None:
+    """List all keys, oldest first, also those that are revoked or have expired. No key's text is known."""
+    from client.console import out, print_json, table
+
+    with _keys() as keys:
+        found = [_shown(key) for key in keys.all()]
+    if as_json:
+        print_json(found)
+        return
+    columns = ("prefix", "name", "owner", "scopes", "state", "created", "last used")
+    rows = [
+        [one["prefix"], one["name"], one["owner"], " ".join(one["scopes"]), one["state"]]
+        + [(one[time] or "never")[:16] for time in ("created", "last_used")]
+        for one in found
+    ]
+    out().print(table(columns, rows))
+
+
+@app.command(epilog="Example: [bold]scene-attack keys revoke sa_1f0c9a7b3e[/bold]")
+def revoke(
+    prefix: Annotated[str, typer.Argument(metavar="PREFIX", help="The key's prefix, from `keys list`.")],
+    as_json: JsonOption = False,
+) -> None:
+    """End a key for good. Its next request is refused, and its sessions of the dashboard end."""
+    from client.console import out, print_json
+    from services.errors import InvalidRequest
+
+    with _keys() as keys:
+        key = keys.revoke(prefix)
+    if key is None:
+        raise InvalidRequest("PREFIX", f"there is no key {prefix!r}; `scene-attack keys list` shows all of them")
+    if as_json:
+        print_json(_shown(key))
+    else:
+        out().print(f"{key.prefix}  revoked", markup=False, highlight=False)
+
+
+@contextmanager
+def _keys() -> "Iterator[AccessKeys]":
+    from services.access.keys import AccessKeys
+    from services.jobs.database import connect, migrate
+    from services.settings import settings
+
+    engine = connect(settings())
+    try:
+        migrate(engine, settings())
+        yield AccessKeys(engine)
+    finally:
+        engine.dispose()
+
+
+def _word(field: str, text: str, least: int = 1) -> str:
+    from services.errors import InvalidRequest
+
+    if not least <= len(text) <= LONGEST or not text.isprintable():
+        raise InvalidRequest(field, f"it has {least} to {LONGEST} characters that can be printed")
+    return text
+
+
+def _shown(key: "AccessKey") -> dict[str, Any]:
+    expired = key.expires_at is not None and key.expires_at <= datetime.now(UTC)
+    return {
+        "prefix": key.prefix,
+        "name": key.name,
+        "owner": key.owner,
+        "scopes": key.scopes,
+        "state": "revoked" if key.revoked_at is not None else "expired" if expired else "valid",
+        "created": _time(key.created_at),
+        "last_used": _time(key.last_used_at),
+        "expires": _time(key.expires_at),
+        "revoked": _time(key.revoked_at),
+    }
+
+
+def _time(time: datetime | None) -> str | None:
+    return None if time is None else time.isoformat(timespec="seconds")

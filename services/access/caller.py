@@ -1,0 +1,36 @@
+"""The caller of a request: an owner and what it may do."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Scope(StrEnum):
+    """What a key allows. `admin` allows everything, and to see what every owner has."""
+
+    JOBS_READ = "jobs:read"
+    JOBS_WRITE = "jobs:write"
+    ASSETS_WRITE = "assets:write"
+    ADMIN = "admin"
+
+
+@dataclass(frozen=True)
+class Caller:
+    """Who sends a request: the owner of what it makes, its scopes, and the prefix of its key, "" for no key."""
+
+    owner: str
+    scopes: frozenset[Scope]
+    key: str
+
+    @classmethod
+    def of(cls, owner: str, scopes: Iterable[str], key: str) -> "Caller":
+        """The caller with these scopes; words that are no scope, of another version, allow nothing."""
+        return cls(owner, frozenset(scope for scope in Scope if scope in set(scopes)), key)
+
+    def may(self, scope: Scope) -> bool:
+        """Whether the caller's scopes allow what needs `scope`."""
+        return scope in self.scopes or Scope.ADMIN in self.scopes
+
+
+KEYLESS = Caller("", frozenset(Scope), "")
+"""Any program of this machine while there is no key: it may do everything, and what it makes belongs to ""."""

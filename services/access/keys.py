@@ -1,0 +1,80 @@
+"""The record of keys."""
+
+import secrets
+from collections.abc import Collection
+from datetime import datetime, timedelta
+from hashlib import sha256
+
+from sqlalchemy import select, update
+
+from services.access.caller import Scope
+from services.access.models import AccessKey
+from services.jobs.transactions import Transactions
+
+LONGEST = 100
+"""A text of more characters is no key, and is not looked up."""
+USE_SECONDS = 60.0
+"""Time between two records of a key's use: reading is frequent, and each record is a write."""
+
+
+class AccessKeys(Transactions):
+    """Makes, lists, revokes and finds keys."""
+
+    def create(
+        self, name: str, owner: str, scopes: Collection[Scope], seconds: float | None = None
+    ) -> tuple[AccessKey, str]:
+        """Makes a key, which expires after `seconds` if they are given. Returns it and its text, which is not kept."""
+        prefix = f"sa_{secrets.token_hex(5)}"
+        text = f"{prefix}_{secrets.token_urlsafe(32)}"
+        with self._write() as session:
+            now = self._now(session)
+            key = AccessKey(
+                prefix=prefix,
+                digest=_digest(text),
+                name=name,
+                owner=owner,
+                scopes=sorted(scope.value for scope in scopes),
+                created_at=now,
+                expires_at=None if seconds is None else now + timedelta(seconds=seconds),
+            )
+            session.add(key)
+            return key, text
+
+    def all(self) -> list[AccessKey]:
+        """Every key ever made, oldest first."""
+        with self._read() as session:
+            return list(session.scalars(select(AccessKey).order_by(AccessKey.created_at, AccessKey.prefix)))
+
+    def exist(self) -> bool:
+        """Whether a key was ever made. One that is revoked counts, so that revoking the last one opens nothing."""
+        with self._read() as session:
+            return session.scalar(select(AccessKey.prefix).limit(1)) is not None
+
+    def revoke(self, prefix: str) -> AccessKey | None:
+        """Ends a key for good and returns it, or None if there is none of this prefix. Repeating it changes nothing."""
+        with self._write() as session:
+            key = session.get(AccessKey, prefix)
+            if key is not None and key.revoked_at is None:
+                key.revoked_at = self._now(session)
+            return key
+
+    def find(self, text: str) -> AccessKey | None:
+        """The key with this text, and records its use; None if it is unknown, revoked or expired."""
+        if len(text) > LONGEST:
+            return None
+        with self._read() as session:
+            key = session.scalars(select(AccessKey).where(AccessKey.digest == _digest(text))).one_or_none()
+            now = self._now(session)
+        return None if key is None or not self._is_valid(key, now) else key
+
+    def _is_valid(self, key: AccessKey, now: datetime) -> bool:
+        if key.revoked_at is not None or (key.expires_at is not None and key.expires_at <= now):
+            return False
+        if key.last_used_at is None or now - key.last_used_at > timedelta(seconds=USE_SECONDS):
+            with self._write() as session:
+                session.execute(update(AccessKey).where(AccessKey.prefix == key.prefix).values(last_used_at=now))
+        return True
+
+
+def _digest(text: str) -> str:
+    return sha256(text.encode("utf-8", "replace")).hexdigest()

@@ -1,0 +1,38 @@
+"""Where the service may listen: other machines reach it only once there is a key."""
+
+from ipaddress import ip_address
+
+from services.access.keys import AccessKeys
+from services.errors import InvalidRequest
+from services.jobs.database import connect, migrate
+from services.settings import Settings
+
+
+def check_listening(settings: Settings) -> None:
+    """Raises InvalidRequest("--host") if other machines reach the settings' address and there is no key."""
+    host = settings.host
+    if is_loopback(host):
+        return
+    engine = connect(settings)
+    try:
+        migrate(engine, settings)
+        has_key = AccessKeys(engine).exist()
+    finally:
+        engine.dispose()
+    if not has_key:
+        raise InvalidRequest(
+            "--host",
+            f"at {host or 'every address'} other machines reach the service, and it has no key yet, so anybody could "
+            "use it; make one with `scene-attack keys create NAME --scope admin` (in a container: `docker compose run "
+            "--rm api scene-attack keys create NAME --scope admin`), or listen on 127.0.0.1",
+        )
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a host name or address is this machine's loopback."""
+    if host == "localhost":
+        return True
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return False

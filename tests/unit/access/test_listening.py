@@ -1,0 +1,36 @@
+from pathlib import Path
+
+import pytest
+
+from services.access.caller import Scope
+from services.access.keys import AccessKeys
+from services.access.listening import check_listening, is_loopback
+from services.errors import InvalidRequest
+from services.settings import Settings
+from worker import stack
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::", "", "192.0.2.7", "service.example"])
+def test_a_service_without_a_key_does_not_listen_where_others_reach_it(host: str, tmp_path: Path) -> None:
+    settings = Settings(data=tmp_path, host=host)
+    with pytest.raises(InvalidRequest, match="scene-attack keys create") as refused:
+        check_listening(settings)
+    assert refused.value.field == "--host"
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "127.1.2.3", "::1", "localhost"])
+def test_loopback_needs_no_key(host: str, tmp_path: Path) -> None:
+    check_listening(Settings(data=tmp_path / "none", host=host))
+    assert not (tmp_path / "none").exists()
+    assert is_loopback(host)
+
+
+def test_with_a_key_it_listens_anywhere(keys: AccessKeys, database: Settings) -> None:
+    keys.create("operator", "operator", {Scope.ADMIN})
+    check_listening(database.model_copy(update={"host": "0.0.0.0"}))
+
+
+def test_serve_refuses_before_it_starts_anything(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(InvalidRequest, match="has no key yet"):
+        stack.serve(Settings(data=tmp_path, host="0.0.0.0", port=0))
+    assert "ready" not in capfd.readouterr().out
