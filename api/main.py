@@ -17,10 +17,13 @@ from api.authentication import Authentication
 from api.description import describe
 from api.hosts import KnownHosts
 from api.limits import BodyLimit, NoNul
+from api.metrics import Measured, RequestMetrics, ServiceMetrics
 from api.preflight import Preflight
 from api.problems import Answers, install
+from api.request_id import RequestId
 from api.rerenderer import Rerenderer
 from api.routes import artifacts, assets, campaigns, events, health, jobs, library, rerenderings
+from api.routes import metrics as scraping
 from api.same_site import SameSite
 from api.state import Services
 from api.watcher import Watcher
@@ -34,6 +37,7 @@ from services.jobs.campaign_service import CampaignService
 from services.jobs.campaigns import Campaigns
 from services.jobs.database import connect as connect_database
 from services.jobs.database import migrate
+from services.jobs.figures import Figures
 from services.jobs.queue import Queue
 from services.jobs.queue import connect as connect_redis
 from services.jobs.repository import Repository
@@ -52,6 +56,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
     The app opens the database, Redis and its preflight process when it starts, and closes them when it ends.
     """
     chosen = values or settings()
+    metrics = RequestMetrics()
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
@@ -80,9 +85,12 @@ def create_app(values: Settings | None = None) -> FastAPI:
             max_campaign_jobs=chosen.max_campaign_jobs,
         )
         alive = asyncio.create_task(_show_life())
+        service_metrics = ServiceMetrics(Figures(engine), queue, watcher.streams)
+        metrics.registry.register(service_metrics)
         try:
             yield
         finally:
+            metrics.registry.unregister(service_metrics)
             watcher.close()
             alive.cancel()
             preflight.close()
@@ -96,6 +104,8 @@ def create_app(values: Settings | None = None) -> FastAPI:
         lifespan=lifespan,
         separate_input_output_schemas=False,
         middleware=[
+            Middleware(RequestId),
+            Middleware(Measured, metrics=metrics),
             Middleware(Answers),
             Middleware(KnownHosts, hosts=chosen.own_hosts),
             Middleware(SameSite),
@@ -104,8 +114,9 @@ def create_app(values: Settings | None = None) -> FastAPI:
             Middleware(BodyLimit, uploads={assets.PATH: chosen.max_upload_bytes}),
         ],
     )
-    for part in (jobs, campaigns, events, artifacts, rerenderings, assets, library, health, dashboard):
+    for part in (jobs, campaigns, events, artifacts, rerenderings, assets, library, health, scraping, dashboard):
         app.include_router(part.router)
+    app.state.metrics = metrics
     install(app)
     describe(app)
     return app

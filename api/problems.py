@@ -13,6 +13,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from api.request_id import HEADER
 from api.schemas import BadField
 from api.warm_process import Unavailable
 from services.errors import InvalidRequest, without_folders
@@ -106,10 +107,11 @@ def install(app: FastAPI) -> None:
         return problem(503, str(error), headers=_LATER)
 
     @app.exception_handler(Exception)
-    def _unexpected(_: Request, error: Exception) -> Response:
-        log.error("request failed", exc_info=error)
+    def _unexpected(request: Request, error: Exception) -> Response:
+        log.error("request failed", method=request.method, path=request.url.path, exc_info=error)
         # The server closes the connection after this, so a client must not send its next request on it.
-        return problem(500, "the service made a mistake; its log says which", headers={"Connection": "close"})
+        headers = {"Connection": "close", HEADER: request.scope.get("request_id", "")}
+        return problem(500, "the service made a mistake; its log says which", headers=headers)
 
 
 def _allowed(app: FastAPI, path: str) -> list[str]:

@@ -60,6 +60,10 @@ class Watcher:
         self._followed: dict[str, _Followed] = {}
         self._task: asyncio.Task[None] | None = None
 
+    def streams(self) -> int:
+        """The number of streams that wait now."""
+        return sum(followed.streams for followed in self._followed.values())
+
     def close(self) -> None:
         """Stops reading."""
         if self._task is not None:

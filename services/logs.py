@@ -3,6 +3,7 @@
 import logging
 import sys
 from collections.abc import MutableMapping
+from contextlib import AbstractContextManager
 from typing import Any
 
 import structlog
@@ -15,6 +16,7 @@ def configure(process: str) -> None:
         return {"process": process, **record}
 
     shared: list[Any] = [
+        structlog.contextvars.merge_contextvars,
         name,
         structlog.stdlib.add_log_level,
         structlog.stdlib.add_logger_name,
@@ -48,6 +50,11 @@ def configure(process: str) -> None:
     root.setLevel(logging.INFO)
     for chatty in ("httpx", "alembic", "OpenGL"):
         logging.getLogger(chatty).setLevel(logging.WARNING)
+
+
+def bound(**ids: Any) -> AbstractContextManager[None]:
+    """Every line that is logged inside the context carries these ids, e.g. `with bound(job=id, attempt=2):`."""
+    return structlog.contextvars.bound_contextvars(**ids)
 
 
 def logger(name: str) -> Any:

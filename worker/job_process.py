@@ -20,7 +20,7 @@ from services.jobs.models import Artifact, Job, JobKind
 from services.jobs.repository import Repository
 from services.jobs.warm_up import warm_up
 from services.jobs.working_files import WorkingFiles
-from services.logs import configure, logger
+from services.logs import bound, configure, logger
 from services.pipeline.campaign_expand import View
 from services.pipeline.campaign_views import first_answers
 from services.pipeline.execute import Progress, execute
@@ -105,7 +105,7 @@ class Jobs:
             repository.cancelled(attempt)
         except (Exception, SystemExit) as error:  # an extension's code may end the process it is run in
             failure = classify(error)
-            log.warning("job failed", job=attempt.job_id, kind=failure.kind, exc_info=error)
+            log.warning("job failed", kind=failure.kind, exc_info=error)
             repository.fail(attempt, failure.kind, failure.detail)
         self._working_files.forget(repository, attempt.job_id)
 
@@ -123,7 +123,7 @@ class Jobs:
         except InvalidRequest as error:
             if not unchecked:
                 raise
-            log.info("job rejected", job=attempt.job_id, error=str(error))
+            log.info("job rejected", error=str(error))
             repository.reject(attempt, error)
 
     def _execute(
@@ -193,7 +193,8 @@ def main() -> None:
     jobs = Jobs(values)
     reply(connection, {"ready": os.getpid()})
     for request, _ in inbox:
-        jobs.run(Attempt(request["job"], request["attempt"]))
+        with bound(job=request["job"], attempt=request["attempt"]):
+            jobs.run(Attempt(request["job"], request["attempt"]))
         reply(connection, {"done": request["job"]})
 
 

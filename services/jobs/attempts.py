@@ -10,11 +10,12 @@ from datetime import timedelta
 from enum import Enum
 from typing import Any
 
-from sqlalchemy import or_, select, update
+from sqlalchemy import case, or_, select, update
 from sqlalchemy.orm import Session
 from sqlalchemy.sql.elements import ColumnElement
 
 from services.errors import InvalidRequest, without_folders
+from services.jobs import totals
 from services.jobs.listed import listed
 from services.jobs.models import Artifact, Event, Job, State
 from services.jobs.transactions import Transactions, not_held
@@ -60,6 +61,7 @@ class Attempts(Transactions):
                 phase=None,
                 step=None,
                 steps=None,
+                phase_at=None,
             )
             return None if job is None else Attempt(job.id, job.attempt)
 
@@ -80,28 +82,30 @@ class Attempts(Transactions):
 
     def progress(self, attempt: Attempt, phase: str, step: int, steps: int, rows: Sequence[dict[str, Any]]) -> bool:
         """Records the attempt's progress and the trace rows since its last report. Returns False if fenced off."""
+        values: dict[str, Any] = {"phase": phase, "step": step, "steps": steps, "events": Job.events + 1}
+        if rows:
+            values |= _reached(rows[-1]["step"], rows[-1].get("queries", 0))
         with self._write() as session:
-            changed = (
-                update(Job)
-                .where(*_fence(attempt))
-                .values(phase=phase, step=step, steps=steps, events=Job.events + 1)
-                .returning(Job.events)
-            )
-            number = session.scalar(changed)
-            if number is None:
+            now = self._now(session)
+            before = session.execute(select(Job.phase, Job.phase_at).where(*_fence(attempt))).one_or_none()
+            if before is not None and before.phase != phase:
+                values["phase_at"] = now
+            number = session.scalar(update(Job).where(*_fence(attempt)).values(values).returning(Job.events))
+            if before is None or number is None:
                 return False
+            if before.phase != phase and before.phase_at is not None:
+                totals.count_stage(session, before.phase, (now - before.phase_at).total_seconds())
             data = {"phase": phase, "step": step, "steps": steps, "rows": list(rows)}
-            session.add(
-                Event(job_id=attempt.job_id, number=number, kind="progress", data=data, created_at=self._now(session))
-            )
+            session.add(Event(job_id=attempt.job_id, number=number, kind="progress", data=data, created_at=now))
             return True
 
     def succeed(
         self, attempt: Attempt, result: dict[str, Any], outcome: dict[str, Any], artifacts: Sequence[Artifact]
     ) -> bool:
         """Records the result; the artifacts' bytes must be in the store already. Returns False if fenced off."""
+        reached = _reached(outcome["steps"], outcome["queries"]) if "queries" in outcome else {}
         with self._write() as session:
-            ended = self._end(session, attempt, State.SUCCEEDED, result=result, outcome=outcome)
+            ended = self._end(session, attempt, State.SUCCEEDED, result=result, outcome=outcome, **reached)
             if ended:
                 session.add_all(artifacts)
             return ended
@@ -184,6 +188,12 @@ class Attempts(Transactions):
                 self._move(session, attempt.job_id, State.FAILED, fence, **free, **reason)
                 return
         self._move(session, attempt.job_id, State.QUEUED, fence, **free, sent_at=None)
+
+
+def _reached(step: int, queries: int) -> dict[str, Any]:
+    """The columns of steps and queries that were done; an attempt that repeats some of them changes nothing."""
+    counted = ((Job.steps_done, step), (Job.queries_done, queries))
+    return {column.key: case((column < number, number), else_=column) for column, number in counted}
 
 
 def distance(phase: str | None, step: int | None) -> int:

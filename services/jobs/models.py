@@ -10,6 +10,7 @@ from sqlalchemy import (
     DateTime,
     Dialect,
     Enum,
+    Float,
     ForeignKey,
     Index,
     String,
@@ -159,6 +160,12 @@ class Job(Base):
     phase: Mapped[str | None] = mapped_column(String(32))
     step: Mapped[int | None]
     steps: Mapped[int | None]
+    phase_at: Mapped[datetime | None]
+    """The time at which the attempt entered the phase."""
+    steps_done: Mapped[int] = mapped_column(default=0, server_default="0")
+    """Steps of the attack that any attempt has come to."""
+    queries_done: Mapped[int] = mapped_column(BigInteger, default=0, server_default="0")
+    """Images that the target classified until then."""
     outcome: Mapped[dict[str, Any] | None]
     """The part of the result that lists show (services.pipeline.outcome)."""
     result: Mapped[dict[str, Any] | None] = mapped_column(deferred=True)
@@ -196,6 +203,16 @@ class Artifact(Base):
     sha256: Mapped[str] = mapped_column(String(64))
     media_type: Mapped[str] = mapped_column(String(100))
     size: Mapped[int] = mapped_column(BigInteger)
+
+
+class Total(Base):
+    """A counter of the service (services.jobs.totals)."""
+
+    __tablename__ = "totals"
+
+    name: Mapped[str] = mapped_column(String(32), primary_key=True)
+    label: Mapped[str] = mapped_column(String(100), primary_key=True)
+    value: Mapped[float] = mapped_column(Float(53))
 
 
 class IdempotencyKey(Base):

@@ -10,6 +10,7 @@ from sqlalchemy import Engine, func, or_, select, update
 from sqlalchemy.orm import Session
 from sqlalchemy.sql.elements import ColumnElement
 
+from services.jobs import totals
 from services.jobs.listed import listed
 from services.jobs.models import Campaign, CampaignState, Event, Job, JobKind, State
 from services.pipeline.warning import JobWarning
@@ -48,6 +49,7 @@ class Transactions:
     def _write(self) -> Iterator[Session]:
         with Session(self._writes, expire_on_commit=False) as session, session.begin():
             yield session
+            totals.write(session)
 
     def _add_job(
         self,
@@ -83,6 +85,7 @@ class Transactions:
         session.add(job)
         session.flush()
         session.add(Event(job_id=job.id, number=1, kind="state", data=story(job), created_at=now))
+        totals.count(session, "submitted", kind.value)
         return job
 
     def _move(
@@ -100,6 +103,10 @@ class Transactions:
         job = session.scalars(changed).one_or_none()
         if job is not None:
             session.add(Event(job_id=job_id, number=job.events, kind="state", data=story(job), created_at=now))
+            if to is State.RUNNING and job.queued_at is not None:
+                totals.count_stage(session, "waiting", (now - job.queued_at).total_seconds())
+            if to.terminal:
+                totals.count_end(session, job, None if job.phase_at is None else (now - job.phase_at).total_seconds())
         return job
 
 

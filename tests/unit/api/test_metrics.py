@@ -1,0 +1,70 @@
+"""What Prometheus reads, in its own parser."""
+
+import pytest
+from httpx import Client
+from prometheus_client.parser import text_string_to_metric_families
+from sqlalchemy import create_engine
+
+from api.metrics import ServiceMetrics
+from services.jobs.figures import Figures
+from services.jobs.queue import Queue, connect
+
+
+def samples(client: Client) -> dict[tuple[str, ...], float]:
+    answer = client.get("/metrics")
+    assert answer.status_code == 200
+    assert answer.headers["content-type"].startswith("text/plain; version=")
+    found = {}
+    for family in text_string_to_metric_families(answer.text):
+        for sample in family.samples:
+            found[sample.name, *(value for _, value in sorted(sample.labels.items()))] = sample.value
+    return found
+
+
+def test_requests_are_counted_by_the_template_of_their_route(client: Client, finished: str) -> None:
+    before = samples(client)
+    for _ in range(3):
+        client.get(f"/v1/jobs/{finished}/artifacts")
+    client.get("/v1/jobs/none/artifacts")
+    client.get("/no/such/path")
+    client.request("BREW", "/no/such/path")
+    client.get("/campaigns/none")
+    after = samples(client)
+    counted = {key: value - before.get(key, 0) for key, value in after.items() if key[0].endswith("requests_total")}
+    assert {key[1:]: value for key, value in counted.items() if value} == {
+        ("GET", "/v1/jobs/{job_id}/artifacts", "200"): 3,
+        ("GET", "/v1/jobs/{job_id}/artifacts", "404"): 1,
+        ("GET", "none", "404"): 1,
+        ("other", "none", "404"): 1,
+        ("GET", "/campaigns/{campaign_id}", "404"): 1,
+        ("GET", "/metrics", "200"): 1,
+    }
+    timed = "scene_attack_http_request_seconds_count", "GET", "/v1/jobs/{job_id}/artifacts"
+    assert after[timed] - before.get(timed, 0) == 4
+
+
+@pytest.mark.usefixtures("finished")
+def test_the_service_is_reported_from_the_record(client: Client) -> None:
+    found = samples(client)
+    assert found["scene_attack_jobs", "attack", "succeeded"] >= 1
+    assert found["scene_attack_jobs_ended_total", "attack", "succeeded"] >= 1
+    assert found["scene_attack_queries_total",] >= 4
+    assert found["scene_attack_stage_seconds_count", "waiting"] >= 1
+    assert found["scene_attack_stage_seconds_bucket", "+Inf", "waiting"] >= 1
+    assert found["scene_attack_workers",] == 0
+    assert found["scene_attack_up", "database"] == found["scene_attack_up", "redis"] == 1
+    assert found["process_resident_memory_bytes",] > 0
+
+
+def test_a_new_format_is_given_to_those_who_ask(client: Client) -> None:
+    answer = client.get("/metrics", headers={"Accept": "application/openmetrics-text; version=1.0.0"})
+    assert answer.headers["content-type"].startswith("application/openmetrics-text")
+    assert answer.text.endswith("# EOF\n")
+
+
+def test_metrics_say_what_is_away() -> None:
+    away = ServiceMetrics(
+        Figures(create_engine("sqlite:////no/such/folder/jobs.sqlite")), Queue(connect("redis://127.0.0.1:1")), int
+    )
+    [up] = [metric for metric in away.collect() if metric.name == "scene_attack_up"]
+    assert {sample.labels["part"]: sample.value for sample in up.samples} == {"database": 0, "redis": 0}

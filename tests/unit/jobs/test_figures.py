@@ -1,0 +1,89 @@
+import pytest
+from sqlalchemy import Engine
+
+from services.jobs.figures import Figures
+from services.jobs.models import State
+from services.jobs.repository import Repository
+from tests.unit.jobs.conftest import Clock
+from tests.unit.jobs.records import SPEC, add, start
+
+
+@pytest.fixture
+def figures(engine: Engine, clock: Clock) -> Figures:
+    return Figures(engine, clock)
+
+
+def rows(*queries: int) -> list[dict[str, int]]:
+    return [{"step": step, "queries": n} for step, n in enumerate(queries)]
+
+
+def test_an_empty_record(figures: Figures) -> None:
+    found = figures.read()
+    assert (found.jobs, found.queued, found.oldest_seconds, found.stages) == ({}, 0, 0.0, {})
+
+
+def test_the_queue_and_the_states(repository: Repository, figures: Figures, clock: Clock) -> None:
+    first = add(repository)
+    clock.advance(5)
+    add(repository)
+    clock.advance(2)
+    found = figures.read()
+    assert (found.queued, found.oldest_seconds) == (2, 7.0)
+    start(repository, first)
+    found = figures.read()
+    assert (found.queued, found.oldest_seconds) == (1, 2.0)
+    assert found.jobs == {("attack", "queued"): 1, ("attack", "running"): 1}
+    assert found.totals["submitted"] == {"attack": 2}
+
+
+def test_steps_and_queries_never_fall_and_repeated_ones_count_once(
+    repository: Repository, figures: Figures, engine: Engine
+) -> None:
+    job = add(repository)
+    attempt = start(repository, job)
+    repository.progress(attempt, "attacking", 2, 9, rows(2, 3, 4))
+    assert figures.read().totals["steps"] == {"": 2}
+    repository.lose(attempt, 3)
+    attempt = start(repository, job)
+    repository.progress(attempt, "attacking", 1, 9, rows(2, 3))
+    assert figures.read().totals["queries"] == {"": 4}
+    repository.succeed(attempt, {}, {"steps": 5, "queries": 12}, [])
+    with engine.execution_options(writes=True).begin() as connection:
+        connection.exec_driver_sql("DELETE FROM jobs")
+    found = figures.read()
+    assert found.jobs == {}
+    assert (found.totals["steps"], found.totals["queries"]) == ({"": 5}, {"": 12})
+    assert found.totals["ended"] == {"attack succeeded": 1}
+
+
+def test_failures_by_kind(repository: Repository, figures: Figures) -> None:
+    for kind in ("timeout", "internal", "timeout"):
+        repository.fail(start(repository, add(repository)), kind, "")
+    repository.request_cancel(add(repository).id)
+    totals = figures.read().totals
+    assert totals["failures"] == {"internal": 1, "timeout": 2}
+    assert totals["ended"] == {f"attack {State.CANCELLED.value}": 1, f"attack {State.FAILED.value}": 3}
+
+
+def test_the_time_of_each_stage(repository: Repository, figures: Figures, clock: Clock) -> None:
+    job = add(repository)
+    clock.advance(20)
+    attempt = start(repository, job)
+    for phase, seconds in (("loading", 2.0), ("attacking", 4.0), ("attacking", 5.0), ("analysing", 0.05)):
+        repository.progress(attempt, phase, 0, 9, [])
+        clock.advance(seconds)
+    repository.succeed(attempt, {}, {}, [])
+    stages = figures.read().stages
+    assert {stage: times.seconds for stage, times in stages.items()} == pytest.approx(
+        {"waiting": 20, "loading": 2, "attacking": 9, "analysing": 0.05}
+    )
+    below = dict.fromkeys(("0.1", "0.3", "1.0", "3.0"), 0.0)
+    above = dict.fromkeys(("10.0", "30.0", "100.0", "300.0", "1000.0", "3000.0", "+Inf"), 1.0)
+    assert dict(stages["attacking"].up_to) == below | above
+
+
+def test_nothing_is_counted_of_a_transaction_that_is_undone(repository: Repository, figures: Figures) -> None:
+    add(repository)
+    with pytest.raises(KeyError):
+        repository.create(SPEC, 9, None, lambda _: {}["none"])
+    assert figures.read().totals["submitted"] == {"attack": 1}
