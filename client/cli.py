@@ -11,6 +11,7 @@ from client.commands import (
     assets,
     campaign,
     demo,
+    doctor,
     jobs,
     keys,
     plan,
@@ -63,6 +64,7 @@ app.add_typer(accuracy.app, name="accuracy")
 app.add_typer(train.app, name="train")
 serve.register(app)
 demo.register(app)
+doctor.register(app)
 
 
 def main() -> None:

@@ -1,6 +1,7 @@
 """The command line against the real stack."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -70,3 +71,12 @@ def test_a_mesh_is_added_and_attacked(stack: Stack, tmp_path: Path) -> None:
     refused = cli(stack, "assets", "add", str(tmp_path / "empty.obj"))
     assert refused.returncode == 2
     assert "file" in refused.stderr
+
+
+def test_doctor_tries_drivers_kernels_and_weights(tmp_path: Path) -> None:
+    environ = os.environ | {"SCENE_ATTACK_DATA": str(tmp_path), "PYOPENGL_PLATFORM": "no-platform"}
+    command = [sys.executable, "-m", "client", "doctor", "--json"]
+    done = subprocess.run(command, env=environ, capture_output=True, text=True, check=False)
+    found = {one["subject"]: one["level"] for one in json.loads(done.stdout)}
+    assert (done.returncode, found["OpenGL"]) == (1, "fail")
+    assert found["device"] == found["kernels"] == found["default network"] == found["Redis"] == "ok"

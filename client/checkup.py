@@ -1,0 +1,206 @@
+"""Checks of an installation: what the service needs, whether it is there and works, and what to do where it does not.
+
+What may take a process down with it, drivers and compiled code, is tried in a process of its own.
+"""
+
+import json
+import os
+import shutil
+import stat
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, distribution, version
+from pathlib import Path
+from typing import Any, Literal
+
+from packaging.requirements import Requirement
+from redis.exceptions import RedisError
+from sqlalchemy.exc import SQLAlchemyError
+
+from services.errors import InvalidRequest, JobFailure, without_folders
+from services.settings import Settings
+
+Level = Literal["ok", "warn", "fail"]
+GIGABYTE = 10**9
+LITTLE_SPACE = 5 * GIGABYTE
+NO_SPACE = GIGABYTE // 2
+TRIAL_SECONDS = 180.0
+"""Longest time for the process that tries drivers and compiled code; the kernels may be compiled first."""
+SETUP = "run scripts/setup"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What a check found: `fail` means that the service cannot run, `warn` that it runs with something missing."""
+
+    subject: str
+    level: Level
+    text: str
+    remedy: str = ""
+
+
+def checkup(settings: Settings) -> Iterator[Finding]:
+    """Makes all checks, the quick ones first. None of them changes anything but the kernels, which may be compiled."""
+    checks: list[Callable[[Settings], Iterator[Finding]]] = [
+        packages,
+        folders,
+        database,
+        redis,
+        meshes,
+        additions,
+        trial,
+    ]
+    for check in checks:
+        yield from check(settings)
+
+
+def packages(_: Settings) -> Iterator[Finding]:
+    """Whether the packages are there that the project needs, in versions that it runs with."""
+    try:
+        wanted = [Requirement(text) for text in distribution("scene-attack").requires or []]
+    except PackageNotFoundError:
+        yield Finding("packages", "warn", "scene-attack itself is not installed as a package", SETUP)
+        return
+    bad = []
+    for need in wanted:
+        if need.marker is None or need.marker.evaluate({"extra": ""}):
+            try:
+                found = version(need.name)
+            except PackageNotFoundError:
+                bad.append(f"{need.name} is missing")
+                continue
+            if not need.specifier.contains(found, prereleases=True):
+                bad.append(f"{need.name} is {found}, not {need.specifier}")
+    python = ".".join(map(str, sys.version_info[:3]))
+    if bad:
+        yield Finding("packages", "fail", "; ".join(bad), SETUP)
+    else:
+        yield Finding("packages", "ok", f"Python {python}, scene-attack {version('scene-attack')} and what it needs")
+
+
+def folders(settings: Settings) -> Iterator[Finding]:
+    """Whether the data folder and the cache can be written, their disks have space, and no other user can read data."""
+    yield _folder("data folder", settings.data_dir, "SCENE_ATTACK_DATA", private=True)
+    yield _folder("cache folder", settings.cache_dir, "SCENE_ATTACK_CACHE", private=False)
+
+
+def _folder(subject: str, folder: Path, setting: str, *, private: bool) -> Finding:
+    there = next(one for one in (folder, *folder.parents) if one.exists())
+    space = shutil.disk_usage(there).free
+    free = f"{folder}: {space / GIGABYTE:.1f} GB free"
+    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
+        remedy = f"give it to the user with the number {os.getuid()}, or name another one by {setting}"
+        return Finding(subject, "fail", f"{there} cannot be written", remedy)
+    if space < LITTLE_SPACE:
+        remedy = f"make space, or name another folder by {setting}"
+        return Finding(subject, "fail" if space < NO_SPACE else "warn", free, remedy)
+    if private and there == folder and stat.S_IMODE(there.stat().st_mode) & 0o077:
+        return Finding(subject, "warn", f"{folder}: other users of this machine may read it", f"chmod 700 {folder}")
+    return Finding(subject, "ok", free if there == folder else f"{free}, will be made")
+
+
+def database(settings: Settings) -> Iterator[Finding]:
+    """Whether the database answers, and whether its tables are those of this version."""
+    from services.jobs.database import connect, revisions
+
+    file = settings.data_dir / "jobs.sqlite"
+    if settings.database_url is None and not file.exists():
+        yield Finding("database", "ok", f"SQLite, will be made at {file}")
+        return
+    remedy = "start it, or mend SCENE_ATTACK_DATABASE_URL" if settings.database_url else f"restore {file}, or move it"
+    try:
+        engine = connect(settings)
+        try:
+            found, newest, known = revisions(engine)
+        finally:
+            engine.dispose()
+    except InvalidRequest as error:
+        yield Finding("database", "fail", f"{error.field}: {error.detail}", "mend it")
+    except SQLAlchemyError as error:
+        yield Finding("database", "fail", without_folders(str(error.__cause__ or error)).splitlines()[0], remedy)
+    else:
+        kind = engine.dialect.name
+        if found is None or found == newest:
+            yield Finding("database", "ok", f"{kind}, tables of revision {found or newest}")
+        elif found in known:
+            text = f"{kind}: its tables are of revision {found}, not {newest}"
+            yield Finding("database", "warn", text, "the next start migrates them; make a backup first")
+        else:
+            text = f"{kind}: its tables are of revision {found}, which this version does not know"
+            yield Finding(
+                "database", "fail", text, "install the version of scene-attack that wrote them, or a newer one"
+            )
+
+
+def redis(settings: Settings) -> Iterator[Finding]:
+    """Whether Redis answers, or can be started."""
+    from services.jobs.queue import Queue, connect
+    from worker.redis_server import find_server
+
+    if settings.redis_url is None:
+        try:
+            yield Finding("Redis", "ok", f"embedded, {find_server()}")
+        except JobFailure as error:
+            yield Finding(
+                "Redis", "fail", error.detail, "install redis-server, or name a server by SCENE_ATTACK_REDIS_URL"
+            )
+        return
+    try:
+        client = connect(settings.redis_url)
+        with client:
+            workers = Queue(client).live_workers()
+            found = client.info("server")["redis_version"]
+    except (RedisError, ValueError) as error:
+        yield Finding("Redis", "fail", str(error), "start it, or mend SCENE_ATTACK_REDIS_URL")
+    else:
+        yield Finding("Redis", "ok", f"version {found}; workers alive: {workers}")
+
+
+def meshes(settings: Settings) -> Iterator[Finding]:
+    """Whether the furniture library and the environment maps were fetched."""
+    from services.scenes.library import Library
+
+    library = Library(settings.cache_dir, settings.data_dir)
+    furniture = sum(entry.kind == "furniture" for entry in library.entries())
+    maps = len(library.environments()) - 1  # one is computed
+    level: Level = "ok" if furniture and maps else "warn"
+    text = f"{furniture} models of furniture, {maps} environment maps"
+    yield Finding("meshes", level, text, "" if level == "ok" else f"{SETUP}; until then scenes have primitives only")
+
+
+def additions(_: Settings) -> Iterator[Finding]:
+    """Extensions, and networks of one's own, that were left out."""
+    from services.pipeline.extensions import EXTENSIONS, TARGET_FOLDERS
+
+    for kind, found in (("extension", EXTENSIONS), ("target", TARGET_FOLDERS)):
+        for one in found:
+            if one.error is None:
+                yield Finding(f"{kind} {one.name}", "ok", "loaded")
+            else:
+                yield Finding(
+                    f"{kind} {one.name}", "warn", without_folders(one.error), "mend it, and restart the service"
+                )
+
+
+def trial(settings: Settings) -> Iterator[Finding]:
+    """Tries the device, OpenGL, the kernels and the default network, in another process."""
+    command = [sys.executable, "-m", "client.trial"]
+    environ = os.environ | settings.environ()
+    try:
+        done = subprocess.run(command, env=environ, capture_output=True, text=True, timeout=TRIAL_SECONDS, check=False)
+    except subprocess.TimeoutExpired:
+        text = f"drivers and kernels did not answer within {TRIAL_SECONDS:g} seconds"
+        yield Finding("trial", "fail", text, "try SCENE_ATTACK_GL=osmesa, and SCENE_ATTACK_KERNEL=torch")
+        return
+    for line in done.stdout.splitlines():
+        if line.startswith("{"):
+            said: dict[str, Any] = json.loads(line)
+            yield Finding(**said)
+    if done.returncode:
+        last = (done.stderr.strip().splitlines() or ["it said nothing"])[-1]
+        text = f"the process that tries drivers and kernels ended with status {done.returncode}: {last}"
+        yield Finding(
+            "trial", "fail", without_folders(text), "try SCENE_ATTACK_GL=osmesa, and SCENE_ATTACK_KERNEL=torch"
+        )
