@@ -17,6 +17,7 @@ from api.authentication import Authentication
 from api.description import describe
 from api.hosts import KnownHosts
 from api.limits import BodyLimit, NoNul
+from api.mesh_uploads import MeshUploads
 from api.metrics import Measured, RequestMetrics, ServiceMetrics
 from api.preflight import Preflight
 from api.problems import Answers, install
@@ -70,6 +71,9 @@ def create_app(values: Settings | None = None) -> FastAPI:
         preflight = Preflight(chosen)
         preflight.start()
         rerenderer = Rerenderer(chosen)
+        library = Library(chosen.cache_dir, chosen.data_dir)
+        uploads = MeshUploads(library, chosen)
+        uploads.start()
         watcher = Watcher(repository)
         app.state.services = Services(
             keys=AccessKeys(engine),
@@ -77,8 +81,9 @@ def create_app(values: Settings | None = None) -> FastAPI:
             queue=queue,
             submissions=Submissions(repository, queue, chosen.max_queued),
             store=ArtifactStore(chosen.data_dir / "artifacts"),
-            library=Library(chosen.cache_dir, chosen.data_dir),
+            library=library,
             preflight=preflight,
+            uploads=uploads,
             rerenderer=rerenderer,
             campaigns=CampaignService(Campaigns(engine), queue),
             watcher=watcher,
@@ -94,6 +99,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
             watcher.close()
             alive.cancel()
             preflight.close()
+            uploads.close()
             rerenderer.close()
             redis.close()
             engine.dispose()

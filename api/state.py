@@ -5,6 +5,7 @@ from typing import Annotated
 
 from fastapi import Depends, HTTPException, Request
 
+from api.mesh_uploads import MeshUploads
 from api.preflight import Preflight
 from api.rerenderer import Rerenderer
 from api.watcher import Watcher
@@ -29,6 +30,7 @@ class Services:
     store: ArtifactStore
     library: Library
     preflight: Preflight
+    uploads: MeshUploads
     rerenderer: Rerenderer
     campaigns: CampaignService
     watcher: Watcher

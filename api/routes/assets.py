@@ -4,6 +4,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Depends, File, Form, HTTPException, Request, UploadFile
 
+from api.routes.jobs import client_of
 from api.schemas import AssetList
 from api.state import ServicesDependency
 from services.scenes.library import Entry
@@ -21,11 +22,12 @@ def form_body(request: Request) -> None:
 @router.post("", status_code=201, dependencies=[Depends(form_body)])
 async def upload(
     services: ServicesDependency,
+    request: Request,
     file: Annotated[UploadFile, File(description="the mesh; files that it refers to are not read")],
     kind: Annotated[str, Form(max_length=16, description="obj, ply, stl, glb or off")],
 ) -> Entry:
     """Checks a mesh and stores it under the hash of its bytes. Scenes name it by the `name` in the answer."""
-    return await services.preflight.add_mesh(file.file, kind)
+    return await services.uploads.add(file.file, kind, client_of(request))
 
 
 @router.get("")

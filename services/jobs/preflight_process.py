@@ -1,13 +1,10 @@
-"""The process that checks requests and uploaded meshes before they are accepted. Its network and OpenGL context stay
-loaded, and it parses meshes that are not trusted.
+"""The process that checks requests before they are accepted, and one that re-renders images. Its network and OpenGL
+context stay loaded.
 
 The API starts it with `python -m services.jobs.preflight_process FD`.
 """
 
 import base64
-import resource
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 from services.analysis.images import png
@@ -22,15 +19,12 @@ from services.pipeline.spec import JobSpec
 from services.scenes.library import Library
 from services.settings import settings
 
-MESH_BYTES = 3 * 2**30
-"""Bytes of address space that parsing an uploaded mesh may add."""
-
 log = logger(__name__)
 
 
 def answer(message: dict[str, Any], data: bytes, library: Library) -> dict[str, Any]:
-    """Answers one request: {"check": spec} by {"spec", "warnings"}, and {"mesh": kind}, with the file as `data`, by
-    {"entry"}; {"rerender": {"spec", "fit"}}, with an image file as `data`, by {"rerendering", "png"}.
+    """Answers one request: {"check": spec} by {"spec", "warnings"}, and {"rerender": {"spec", "fit"}}, with an image
+    file as `data`, by {"rerendering", "png"}.
 
     A request with a bad field is answered by {"field", "detail"}, and a check that failed by {"trouble"}.
     """
@@ -39,10 +33,7 @@ def answer(message: dict[str, Any], data: bytes, library: Library) -> dict[str, 
             found = preflight(JobSpec.model_validate(message["check"]), library)
             said = [one.model_dump(mode="json") for one in found.warnings]
             return {"spec": found.spec.model_dump(mode="json"), "warnings": said}
-        if "rerender" in message:
-            return _rerender(message["rerender"], data, library)
-        with _limited(MESH_BYTES):
-            return {"entry": library.add_mesh(data, message["mesh"]).model_dump(mode="json")}
+        return _rerender(message["rerender"], data, library)
     except InvalidRequest as error:
         return {"field": error.field, "detail": error.detail}
     except JobFailure as error:
@@ -51,8 +42,6 @@ def answer(message: dict[str, Any], data: bytes, library: Library) -> dict[str, 
             return _too_large()
         return {"trouble": f"{error.kind}: {error.detail}"}
     except (Exception, SystemExit) as error:  # an extension's code may end the process it is run in
-        if out_of_memory(error) and "mesh" in message:
-            return {"field": "file", "detail": "it needs more memory than reading a mesh may take"}
         if out_of_memory(error) and "check" in message:
             return _too_large()
         if out_of_memory(error):
@@ -75,18 +64,6 @@ def _rerender(request: dict[str, Any], data: bytes, library: Library) -> dict[st
     image = decode_image(data, spec.scene.camera.size)
     record, rendered = rerender_image(image, spec, fit, library, lambda done, of: None)  # noqa: ARG005
     return {"rerendering": record.model_dump(mode="json"), "png": base64.b64encode(png(rendered)).decode()}
-
-
-@contextmanager
-def _limited(extra: int) -> Iterator[None]:
-    _, hard = resource.getrlimit(resource.RLIMIT_AS)
-    with open("/proc/self/statm") as file:
-        used = int(file.read().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (min(used + extra, hard), hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_AS, (hard, hard))
 
 
 def main() -> None:

@@ -1,17 +1,18 @@
 """The re-rendering defence of one image of a known scene."""
 
+import torch
 from torch import Tensor
 
 from services.analysis.attribution import Tick
-from services.analysis.images import pixels
 from services.analysis.records import Rerendering
 from services.analysis.requests import RerenderingRequest
-from services.errors import InvalidRequest, out_of_memory
+from services.errors import InvalidRequest
 from services.pipeline.analyse import fitting_verifier, rerendered
 from services.pipeline.prepare import resolved_scene
 from services.pipeline.questions import asked_questions
 from services.pipeline.spec import JobSpec
-from services.scenes.image_file import FORMATS, open_image
+from services.scenes.image_file import other_size
+from services.scenes.isolated_reading import reader
 from services.scenes.library import Library
 from services.targets import registry
 
@@ -30,23 +31,13 @@ def rerender_image(
 
 
 def decode_image(data: bytes, size: tuple[int, int]) -> Tensor:
-    """Reads a PNG, JPEG or WebP file as uint8 [H, W, 3], whose height and width must be `size`.
+    """Reads a PNG, JPEG or WebP file as uint8 [H, W, 3], whose height and width must be `size`, in another process.
 
     Raises InvalidRequest("image"). The size is checked before the pixels are read.
     """
-    try:
-        with open_image(data) as image:
-            _check_size((image.height, image.width), size)
-            return pixels(image)
-    except InvalidRequest:
-        raise
-    except Exception as error:  # Pillow's parsers raise errors of many kinds for a damaged file
-        if out_of_memory(error):
-            raise
-        raise InvalidRequest("image", f"it is not a {FORMATS} file, or it is damaged") from error
+    return torch.from_numpy(reader().read_image(data, size).copy())
 
 
 def _check_size(found: tuple[int, int], size: tuple[int, int]) -> None:
     if found != tuple(size):
-        camera = f"{size[1]}×{size[0]} (scene.camera.size)"
-        raise InvalidRequest("image", f"it has {found[1]}×{found[0]} pixels; the camera of the scene has {camera}")
+        raise InvalidRequest("image", other_size(found, size))

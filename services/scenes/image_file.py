@@ -9,7 +9,11 @@ import struct
 import warnings
 from io import BytesIO
 
+import numpy as np
 from PIL import Image
+
+from services.errors import InvalidRequest
+from services.scenes.mesh import Bytes
 
 FORMATS = "PNG, JPEG or WebP"
 MAX_PIXELS = 2**26
@@ -37,6 +41,28 @@ def open_image(data: bytes) -> Image.Image:
         raise ValueError(f"it has more than {MAX_PIXELS:,} pixels") from error
     _check_size(image.width, image.height)
     return image
+
+
+def read_image(data: bytes, size: tuple[int, int]) -> Bytes:
+    """Returns an image as uint8 [H, W, 3]. Its height and width must be `size`, which is checked before it is decoded.
+
+    Raises InvalidRequest("image").
+    """
+    try:
+        image = open_image(data)
+        if (image.height, image.width) != tuple(size):
+            raise InvalidRequest("image", other_size((image.height, image.width), size))
+        return np.asarray(image.convert("RGB"), np.uint8)
+    except (InvalidRequest, MemoryError):
+        raise
+    except Exception as error:  # Pillow's parsers raise errors of many kinds for a damaged file
+        raise InvalidRequest("image", f"it is not a {FORMATS} file, or it is damaged") from error
+
+
+def other_size(found: tuple[int, int], size: tuple[int, int]) -> str:
+    """Says that an image has another size, both as height and width, than the camera of its scene."""
+    camera = f"{size[1]}×{size[0]} (scene.camera.size)"
+    return f"it has {found[1]}×{found[0]} pixels; the camera of the scene has {camera}"
 
 
 def _check_size(width: int, height: int) -> None:

@@ -16,6 +16,7 @@ from services.scenes.furniture import load_model
 from services.scenes.mesh import Mesh
 from services.scenes.primitives import PRIMITIVES, primitive
 from services.scenes.uploads import Upload, Uploads
+from services.settings import Settings
 from services.suggestions import did_you_mean
 
 KEPT_MESHES = 32
@@ -113,12 +114,13 @@ class Library:
 
         return [entry for entry in self._all() if matches(entry)]
 
-    def add_mesh(self, data: bytes, kind: str) -> Entry:
+    def add_mesh(self, data: bytes, kind: str, limits: Settings | None = None) -> Entry:
         """Validates an uploaded file (obj, ply, stl, glb or off), stores it by its SHA-256 and returns its entry.
 
-        The same bytes give the same entry. Raises InvalidRequest("file" or "kind", …).
+        The same bytes give the same entry. `limits` are those of this process's settings by default. Raises
+        InvalidRequest("file" or "kind", …), and JobFailure("internal") if the file cannot be read now.
         """
-        return _uploaded(self._uploads.add(data, kind))
+        return _uploaded(self._uploads.add(data, kind, limits))
 
     def environment(self, name: str) -> EnvironmentMap:
         """Returns the environment map of that name. Raises InvalidRequest("environment", …) with close matches."""

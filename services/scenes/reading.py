@@ -55,6 +55,8 @@ def read_mesh(data: bytes, kind: str, max_faces: int) -> tuple[Part, ...]:
                 return read_gltf(data, max_faces)
             text = _utf8(data) if kind in ("obj", "off") else data
             scene = trimesh.load_scene(BytesIO(text), file_type=kind, resolver=_NoFiles(), process=False)
+    except MemoryError:
+        raise
     except ValueError as error:
         raise InvalidRequest("file", f"it is not a readable {kind} mesh: {shortened(error)}") from error
     except Exception as error:  # parsers raise many types of exceptions; in every case the file is invalid

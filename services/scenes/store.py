@@ -31,9 +31,8 @@ def save_parts(path: Path, parts: tuple[Part, ...]) -> None:
         arrays |= {f"{k}.{name}": value for name, value in fields.items()}
         if material is not None:
             arrays |= _material_arrays(f"{k}.metallic_roughness", material)
-    buffer = BytesIO()
-    np.savez(buffer, allow_pickle=False, **arrays)
-    atomic_write.write(path, buffer.getvalue())
+    with atomic_write.replacing(path) as part_path, part_path.open("wb") as file:
+        np.savez(file, allow_pickle=False, **arrays)
 
 
 def load_parts(path: Path) -> tuple[Part, ...] | None:

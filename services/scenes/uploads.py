@@ -1,16 +1,16 @@
 """Stores meshes that users upload: validated once, named by the SHA-256 of their bytes, never by a user's file name."""
 
 import hashlib
-import re
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from services import atomic_write
 from services.errors import InvalidRequest, JobFailure
-from services.scenes.mesh import Mesh, Part
+from services.scenes.isolated_reading import reader
+from services.scenes.mesh import Mesh
 from services.scenes.store import load_parts, mesh_path, save_parts
-from services.settings import settings
+from services.settings import Settings, settings
 
 
 class Upload(BaseModel):
@@ -33,26 +33,26 @@ class Uploads:
         self._directory = directory
         self._processed = processed
 
-    def add(self, data: bytes, kind: str) -> Upload:
+    def add(self, data: bytes, kind: str, limits: Settings | None = None) -> Upload:
         """Validates and stores a file, and returns its metadata; a file that is stored already is not validated again.
 
         Raises InvalidRequest("kind", …) for a kind that is not read, InvalidRequest("file", …) for invalid or too many
         bytes.
         """
-        limit = settings().max_upload_bytes
-        if len(data) > limit:
-            raise InvalidRequest("file", f"it has {len(data):,} bytes; at most {limit:,} are taken")
+        limits = limits or settings()
+        if len(data) > limits.max_upload_bytes:
+            raise InvalidRequest("file", f"it has {len(data):,} bytes; at most {limits.max_upload_bytes:,} are taken")
         sha256 = hashlib.sha256(data).hexdigest()
         known = self.record(sha256)
         if known is not None and known.kind == kind:
             return known
-        parts = _parts(data, kind)
+        parts, notes = reader().read_mesh(data, kind, limits.max_faces)
         record = Upload(
             sha256=sha256,
             kind=kind,
             size=len(data),
             triangles=sum(len(part.faces) for part in parts),
-            notes=_lacking(data, kind),
+            notes=notes,
         )
         save_parts(mesh_path(self._processed, f"{sha256}-{kind}"), parts)
         # The metadata is written last, so that every listed upload is complete.
@@ -83,26 +83,6 @@ class Uploads:
                 raise JobFailure("asset-missing", f"the uploaded mesh {upload.sha256} has gone: {error}") from error
             if hashlib.sha256(data).hexdigest() != upload.sha256:
                 raise JobFailure("asset-missing", f"the uploaded mesh {upload.sha256} has changed on disk")
-            parts = _parts(data, upload.kind)
+            parts, _ = reader().read_mesh(data, upload.kind, settings().max_faces)
             save_parts(kept, parts)
         return Mesh(parts=parts, sha256=upload.sha256, credit=None)
-
-
-def _parts(data: bytes, kind: str) -> tuple[Part, ...]:
-    from services.scenes.reading import read_mesh  # imports trimesh, which a cached mesh does not need
-
-    return read_mesh(data, kind, settings().max_faces)
-
-
-def _lacking(data: bytes, kind: str) -> tuple[str, ...]:
-    """What other files hold that an obj or a ply file names; only the uploaded bytes are read."""
-    names = {"obj": rb"^[ \t]*mtllib[ \t]+([^\r\n]+)", "ply": rb"^comment TextureFile[ \t]+([^\r\n]+)"}.get(kind)
-    if names is None:
-        return ()
-    found = dict.fromkeys(
-        name.strip()[:200].decode("utf-8", "replace") for name in re.findall(names, data, re.MULTILINE)
-    )
-    return tuple(
-        f"Its materials and textures are in {name}, which is not read: it is shown without. A glb holds its own."
-        for name in list(found)[:5]
-    )

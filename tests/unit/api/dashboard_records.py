@@ -199,6 +199,7 @@ def app(repository: Repository, campaigns: CampaignService | None = None) -> Fas
         store=none,
         library=none,
         preflight=none,
+        uploads=none,
         rerenderer=none,
         campaigns=cast(Any, campaigns),
         watcher=none,

@@ -1,0 +1,152 @@
+"""The process in which files that are not trusted are parsed: a server that forks one confined child for each file.
+
+`services.scenes.isolated_reading` starts it with `python -m services.scenes.reading_process FD`, FD being its end of a
+socket. For each file it gets a descriptor over that socket, from which the child reads the request and to which it
+writes the answer: a line of JSON, and bytes after it. The server itself reads no byte of any file. It has imported all
+that a child needs, so that a child begins within milliseconds and needs no file.
+"""
+
+import gc
+import json
+import os
+import selectors
+import signal
+import socket
+import sys
+import time
+import traceback
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+import trimesh
+from PIL import Image
+
+from services.confinement.confine import Limits, address_space, confine, drop_privileges
+from services.errors import InvalidRequest
+from services.scenes.image_file import read_image
+from services.scenes.notes import missing_files
+from services.scenes.part_arrays import pack
+from services.scenes.reading import KINDS, read_mesh
+
+LIMITS = Limits(memory_bytes=3 * 2**30, cpu_seconds=25)
+WALL_SECONDS = 30.0
+"""Longest life of a child, after which the server kills it."""
+
+
+def main() -> None:
+    """Warms up, gives up all rights, says that it is ready, and then serves until its parent ends."""
+    control = socket.socket(fileno=int(sys.argv[1]))
+    _warm_up()
+    base = address_space()
+    missing = drop_privileges() + _trial(base)
+    control.send(json.dumps({"missing": missing}).encode())
+    gc.collect()
+    gc.freeze()  # a collection in a child would copy every page that it looks at
+    serve(control, base)
+
+
+def serve(control: socket.socket, base: int) -> None:
+    """Forks a child for each descriptor that comes, and ends a child that takes too long."""
+    selector = selectors.DefaultSelector()
+    running: dict[int, tuple[int, float]] = {}  # pidfd -> process id, when to end it
+    selector.register(control, selectors.EVENT_READ)
+    while True:
+        wait = min((end - time.monotonic() for _, end in running.values()), default=None)
+        for key, _ in selector.select(wait if wait is None else max(wait, 0.0)):
+            if key.fd in running:
+                os.waitpid(running.pop(key.fd)[0], 0)
+                selector.unregister(key.fd)
+                os.close(key.fd)
+                continue
+            message, descriptors, _, _ = socket.recv_fds(control, 1, 1)
+            if not message:  # the parent has ended, or wants no more
+                for pid, _ in running.values():
+                    os.kill(pid, signal.SIGKILL)
+                return
+            child = _fork(descriptors[0], base)
+            os.close(descriptors[0])
+            handle = os.pidfd_open(child)
+            running[handle] = child, time.monotonic() + WALL_SECONDS
+            selector.register(handle, selectors.EVENT_READ)
+        for pid, end in running.values():
+            if end <= time.monotonic():
+                os.kill(pid, signal.SIGKILL)
+
+
+def _fork(descriptor: int, base: int) -> int:
+    pid = os.fork()
+    if pid:
+        return pid
+    try:
+        os.dup2(descriptor, 3)
+        os.closerange(4, 1024)
+        confine(LIMITS, base)
+        answer(3)
+    except Exception:
+        traceback.print_exc()
+    finally:
+        os._exit(0)
+
+
+def answer(descriptor: int) -> None:
+    """Reads a request to its end and answers it."""
+    pieces = []
+    while piece := os.read(descriptor, 2**20):
+        pieces.append(piece)
+    head, _, data = b"".join(pieces).partition(b"\n")
+    try:
+        said, payload = read(json.loads(head), data)
+    except InvalidRequest as error:
+        said, payload = {"field": error.field, "detail": error.detail}, b""
+    except MemoryError:
+        said, payload = {"field": "file", "detail": "it needs more memory than reading a file may take"}, b""
+    view = memoryview(json.dumps(said).encode() + b"\n" + payload)
+    while view:
+        view = view[os.write(descriptor, view) :]
+
+
+def read(request: dict[str, Any], data: bytes) -> tuple[dict[str, Any], bytes]:
+    """Answers {"mesh": kind, "max_faces": n} by the packed parts, and {"image": [height, width]} by its RGB bytes.
+
+    Raises InvalidRequest.
+    """
+    if "mesh" in request:
+        parts = read_mesh(data, request["mesh"], request["max_faces"])
+        return {}, pack(parts, missing_files(data, request["mesh"]))
+    if "image" in request:
+        height, width = request["image"]
+        return {}, read_image(data, (height, width)).tobytes()
+    raise ValueError(f"there is no request {request}")
+
+
+def _warm_up() -> None:
+    """Reads a file of every kind once: parsers import modules when they are first needed."""
+    box = trimesh.creation.box()
+    for kind in KINDS:
+        data = box.export(file_type=kind)
+        read({"mesh": kind, "max_faces": 12}, data.encode() if isinstance(data, str) else data)
+    for kind in ("PNG", "JPEG", "WEBP"):
+        file = BytesIO()
+        Image.fromarray(np.zeros((2, 2, 3), np.uint8)).save(file, kind)
+        read({"image": (2, 2)}, file.getvalue())
+
+
+def _trial(base: int) -> list[str]:
+    """What a child cannot be refused."""
+    ours, theirs = os.pipe()
+    pid = os.fork()
+    if not pid:
+        try:
+            os.write(theirs, json.dumps(confine(LIMITS, base)).encode())
+        finally:
+            os._exit(0)
+    os.close(theirs)
+    with os.fdopen(ours) as said:
+        missing: list[str] = json.load(said)
+    os.waitpid(pid, 0)
+    return missing
+
+
+if __name__ == "__main__":
+    main()

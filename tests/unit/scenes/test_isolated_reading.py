@@ -1,0 +1,246 @@
+"""Uploads are read in processes of their own: what they answer, how they end, and what the parent believes of them."""
+
+import os
+import socket
+import threading
+
+import numpy as np
+import psutil
+import pytest
+from safetensors.numpy import load, save
+
+from benchmarks.gltf_models import MODELS
+from services.errors import InvalidRequest
+from services.scenes import reading_process
+from services.scenes.isolated_reading import IsolatedReader, reader
+from services.scenes.mesh import Part
+from services.scenes.part_arrays import pack, unpack
+from services.scenes.reading import read_mesh
+from tests.unit.scenes.mesh_files import ASCII_PLY, BOXES, MAX_FACES
+from tests.unit.scenes.test_image_file import POSTSCRIPT, stored
+
+FILES = {kind: (kind, data) for kind, data in BOXES.items()} | {name: ("glb", make()) for name, make in MODELS.items()}
+
+
+def same(one: object, other: object) -> bool:
+    """Whether two objects of data classes, mappings and arrays are equal to the bit."""
+    if isinstance(one, np.ndarray):
+        return isinstance(other, np.ndarray) and one.dtype == other.dtype and np.array_equal(one, other)
+    if isinstance(one, dict):
+        return isinstance(other, dict) and list(one) == list(other) and all(same(one[k], other[k]) for k in one)
+    if hasattr(one, "__dict__"):
+        return type(one) is type(other) and same(vars(one), vars(other))
+    return one == other
+
+
+def own_server() -> psutil.Process:
+    (server,) = [p for p in psutil.Process().children() if "services.scenes.reading_process" in p.cmdline()]
+    return server
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_file_is_read_as_it_is_in_this_process(name):
+    kind, data = FILES[name]
+    parts, _ = reader().read_mesh(data, kind, MAX_FACES)
+    expected = read_mesh(data, kind, MAX_FACES)
+    assert len(parts) == len(expected)
+    assert all(same(one, other) for one, other in zip(parts, expected, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("data", "kind", "field", "word"),
+    [
+        (b"", "obj", "file", "empty"),
+        (BOXES["obj"], "fbx", "kind", "obj, ply, stl, glb, off"),
+        (BOXES["stl"], "glb", "file", "glTF"),
+        (BOXES["glb"][:-9], "glb", "file", "complete"),
+    ],
+)
+def test_a_file_is_refused_as_it_is_in_this_process(data, kind, field, word):
+    with pytest.raises(InvalidRequest, match=word) as error:
+        reader().read_mesh(data, kind, MAX_FACES)
+    assert error.value.field == field
+
+
+def test_an_image_is_read_and_its_size_is_checked():
+    image = reader().read_image(stored("PNG"), (5, 7))
+    assert image.tolist() == np.arange(105).reshape(5, 7, 3).tolist()
+    with pytest.raises(InvalidRequest, match="image: it has 7×5 pixels; the camera of the scene has 5×7"):
+        reader().read_image(stored("PNG"), (7, 5))
+    with pytest.raises(InvalidRequest, match="not a PNG, JPEG or WebP"):
+        reader().read_image(POSTSCRIPT, (8, 8))
+
+
+def test_what_other_files_hold_is_said():
+    ply = ASCII_PLY.replace(b"element vertex", b"comment TextureFile wood.png\nelement vertex", 1)
+    _, (note,) = reader().read_mesh(ply, "ply", MAX_FACES)
+    assert "wood.png" in note
+
+
+def test_no_child_is_left_and_files_are_read_at_the_same_time():
+    threads = [threading.Thread(target=reader().read_mesh, args=(BOXES["obj"], "obj", MAX_FACES)) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    reader().read_mesh(BOXES["obj"], "obj", MAX_FACES)
+    living = [child for child in own_server().children() if child.status() != psutil.STATUS_ZOMBIE]
+    assert living == []
+
+
+def test_a_server_that_was_killed_is_started_again():
+    reader().start()
+    server = own_server()
+    server.kill()
+    server.wait()
+    assert reader().read_mesh(BOXES["stl"], "stl", MAX_FACES)[0]
+
+
+def test_the_server_ends_with_its_reader():
+    mine = IsolatedReader()
+    mine.start()
+    processes = [p for p in psutil.Process().children() if "services.scenes.reading_process" in p.cmdline()]
+    mine.close()
+    assert sum(not p.is_running() for p in processes) == 1
+
+
+def test_a_server_has_no_environment_of_ours_and_no_rights():
+    reader().start()
+    server = own_server()
+    assert set(server.environ()) == {"PYTHONPATH", "PYTHONUTF8", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"}
+    if os.geteuid() == 0:
+        assert 0 not in server.uids() + server.gids()
+    with open(f"/proc/{server.pid}/status") as file:
+        assert "NoNewPrivs:\t1" in file.read()
+
+
+def test_a_file_that_needs_too_much_memory_is_refused(monkeypatch):
+    monkeypatch.setattr(reading_process, "read_mesh", lambda *_: bytearray(2**40))
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        ours.sendall(b'{"mesh": "obj", "max_faces": 1}\nv')
+        ours.shutdown(socket.SHUT_WR)
+        reading_process.answer(theirs.fileno())
+        assert b'"field": "file", "detail": "it needs more memory' in ours.recv(1000)
+
+
+@pytest.mark.parametrize("ends", ["at once", "with an error", "half-way"])
+def test_a_child_that_ends_without_an_answer_is_the_files_fault(monkeypatch, ends):
+    mine, child = IsolatedReader(), {}
+
+    def hand_over(end):
+        copy = end.dup()
+        child["thread"] = threading.Thread(target=die, args=(copy,))
+        child["thread"].start()
+
+    def die(end):
+        if ends == "half-way":
+            end.sendall(b'{"fie')
+        elif ends == "with an error":
+            end.sendall(b"[]\n")
+        end.close()
+
+    monkeypatch.setattr(mine, "_hand_over", hand_over)
+    with pytest.raises(InvalidRequest, match="file: it could not be read within the time and the memory"):
+        mine.read_mesh(bytes(2**20), "obj", MAX_FACES)
+    child["thread"].join()
+
+
+def test_a_child_over_its_time_is_killed(monkeypatch):
+    monkeypatch.setattr(reading_process, "WALL_SECONDS", 0.05)
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    pid = os.fork()
+    if not pid:
+        # A child that waits for its request for ever; the limits of a child would be those of the test.
+        ours.close()
+        monkeypatch.setattr(reading_process, "confine", lambda *_: None)
+        reading_process.serve(theirs, 0)
+        os._exit(0)
+    theirs.close()
+    request, kept = socket.socketpair()
+    kept.settimeout(60)
+    with ours, kept:
+        with request:
+            socket.send_fds(ours, [b"+"], [request.fileno()])
+        assert kept.recv(1) == b"", "the child has ended, and its end of the connection with it"
+    assert os.waitpid(pid, 0)[1] == 0
+
+
+def damaged(change):
+    """A packed mesh after `change` has edited its arrays."""
+    arrays = load(pack(read_mesh(MODELS["two UV sets"](), "glb", MAX_FACES), ()))
+    change(arrays)
+    return save(arrays)
+
+
+def replaced(name, value):
+    return lambda arrays: arrays.update({name: value(arrays[name])})
+
+
+def document(old, new):
+    def change(arrays):
+        text = arrays["document"].tobytes()
+        assert old in text
+        arrays["document"] = np.frombuffer(text.replace(old, new, 1), np.uint8)
+
+    return change
+
+
+LIES = {
+    "not finite": replaced("0.vertices", lambda a: np.where(a == a[0, 0], np.float32(np.nan), a)),
+    "beyond the frame": replaced("0.vertices", lambda a: a * np.float32(2)),
+    "long normals": replaced("0.normals", lambda a: a * np.float32(2)),
+    "another type": replaced("0.vertices", lambda a: a.astype(np.float64)),
+    "another shape": replaced("0.vertices", lambda a: a[:, :2].copy()),
+    "fewer normals": replaced("0.normals", lambda a: a[1:]),
+    "no faces": replaced("0.faces", lambda a: a[:0]),
+    "a vertex that is not there": replaced("0.faces", lambda a: a + np.int32(1)),
+    "a negative vertex": replaced("0.faces", lambda a: a - np.int32(1)),
+    "more vertices than corners": replaced("0.faces", lambda a: a[:1]),
+    "a colour beyond 1": replaced("0.color", lambda a: a * np.float32(3)),
+    "a tangent less": replaced("0.tangents", lambda a: a[1:]),
+    "a texture without colours": replaced("texels.0", lambda a: a[..., :3].copy()),
+    "an array less": lambda arrays: arrays.pop("0.faces"),
+    "no document": lambda arrays: arrays.pop("document"),
+    "metallic beyond 1": document(b'"metallic":', b'"metallic":7e'),
+    "a field more": document(b'"uv":', b'"pickle":1,"uv":'),
+    "another alpha mode": document(b"OPAQUE", b"GLASS"),
+    "a texture that is not there": document(b'"texels":0', b'"texels":99'),
+    "another texture's wrap": document(b"10497", b"10498"),
+}
+
+
+def test_what_is_packed_is_unpacked():
+    parts = read_mesh(MODELS["two UV sets"](), "glb", MAX_FACES)
+    found, notes = unpack(damaged(lambda _: None), MAX_FACES)
+    assert notes == ()
+    assert all(isinstance(one, Part) and same(one, other) for one, other in zip(found, parts, strict=True))
+
+
+@pytest.mark.parametrize("lie", LIES)
+def test_an_answer_that_is_no_mesh_is_not_believed(lie):
+    with pytest.raises(ValueError):  # noqa: PT011 - of many messages
+        unpack(damaged(LIES[lie]), MAX_FACES)
+
+
+def test_an_answer_with_too_many_triangles_is_not_believed():
+    data = pack(read_mesh(BOXES["obj"], "obj", MAX_FACES), ())
+    unpack(data, 12)
+    with pytest.raises(ValueError, match="more than 11 triangles"):
+        unpack(data, 11)
+
+
+@pytest.mark.parametrize("data", [b"", b"\0" * 8, b"\xff" * 100, b"\x80\x04\x95."])
+def test_bytes_that_are_no_arrays_are_not_believed(data):
+    with pytest.raises(ValueError, match="no safetensors file"):
+        unpack(data, MAX_FACES)
+
+
+def test_a_texture_of_several_parts_is_sent_once():
+    (part,) = read_mesh(MODELS["two UV sets"](), "glb", MAX_FACES)
+    one, three = len(pack((part,), ())), len(pack((part,) * 3, ()))
+    texels = sum(texture.texels.nbytes for texture in part.metallic_roughness.maps.values())
+    assert three < 3 * one - texels
+    found, _ = unpack(pack((part,) * 3, ()), MAX_FACES)
+    name = next(iter(part.metallic_roughness.maps))
+    assert found[0].metallic_roughness.maps[name].texels is found[2].metallic_roughness.maps[name].texels
