@@ -10,6 +10,9 @@ from importlib.metadata import version
 
 import uvicorn
 from fastapi import FastAPI
+from sqlalchemy import Engine
+from sqlalchemy.exc import SQLAlchemyError
+from starlette.concurrency import run_in_threadpool
 from starlette.middleware import Middleware
 
 from api import dashboard
@@ -43,10 +46,16 @@ from services.jobs.queue import Queue
 from services.jobs.queue import connect as connect_redis
 from services.jobs.repository import Repository
 from services.jobs.service import Submissions
+from services.jobs.storage import Storage
 from services.logs import configure, logger
 from services.pipeline.extensions import log_extensions
 from services.scenes.library import Library
 from services.settings import Settings, settings
+
+MIGRATION_SECONDS = 10.0
+"""Longest wait for the database at the start, after which requests are answered, if only by 503."""
+RETRY_SECONDS = 1.0
+"""Time between two tries to open a database that is away."""
 
 log = logger(__name__)
 
@@ -64,7 +73,9 @@ def create_app(values: Settings | None = None) -> FastAPI:
         if chosen.redis_url is None:
             raise JobFailure("internal", "the API on its own needs SCENE_ATTACK_REDIS_URL; `serve` brings one")
         engine = connect_database(chosen)
-        migrate(engine, chosen)
+        migration = asyncio.create_task(_migrate(engine, chosen))
+        tasks = [asyncio.create_task(_show_life()), migration]
+        await asyncio.wait([migration], timeout=MIGRATION_SECONDS)
         repository = Repository(engine)
         redis = connect_redis(chosen.redis_url)
         queue = Queue(redis)
@@ -87,17 +98,18 @@ def create_app(values: Settings | None = None) -> FastAPI:
             rerenderer=rerenderer,
             campaigns=CampaignService(Campaigns(engine), queue),
             watcher=watcher,
+            storage=Storage(chosen.data_dir),
             max_campaign_jobs=chosen.max_campaign_jobs,
         )
-        alive = asyncio.create_task(_show_life())
         service_metrics = ServiceMetrics(Figures(engine), queue, watcher.streams)
         metrics.registry.register(service_metrics)
         try:
             yield
         finally:
             metrics.registry.unregister(service_metrics)
+            for task in tasks:
+                task.cancel()
             watcher.close()
-            alive.cancel()
             preflight.close()
             uploads.close()
             rerenderer.close()
@@ -133,6 +145,15 @@ async def _show_life() -> None:
     while True:
         watchdog.alive()
         await asyncio.sleep(watchdog.SIGN_SECONDS)
+
+
+async def _migrate(engine: Engine, values: Settings) -> None:
+    while True:
+        try:
+            return await run_in_threadpool(migrate, engine, values)
+        except (SQLAlchemyError, OSError) as error:
+            log.warning("database not opened yet", error=str(error))
+            await asyncio.sleep(RETRY_SECONDS)
 
 
 def run(listener: socket.socket | None = None) -> int:

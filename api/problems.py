@@ -7,6 +7,8 @@ from typing import Any
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, Field
+from redis.exceptions import RedisError
+from sqlalchemy.exc import SQLAlchemyError
 from starlette.datastructures import MutableHeaders
 from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse, Response
@@ -17,6 +19,7 @@ from api.request_id import HEADER
 from api.schemas import BadField
 from api.warm_process import Unavailable
 from services.errors import InvalidRequest, without_folders
+from services.jobs.outages import outage_of
 from services.jobs.repository import KeyReused, QueueFull
 from services.logs import logger
 from services.pipeline.campaign_spec import named as campaign_fields
@@ -105,6 +108,16 @@ def install(app: FastAPI) -> None:
     @app.exception_handler(Unavailable)
     def _unavailable(_: Request, error: Unavailable) -> Response:
         return problem(503, str(error), headers=_LATER)
+
+    @app.exception_handler(SQLAlchemyError)
+    @app.exception_handler(RedisError)
+    @app.exception_handler(OSError)
+    def _away(request: Request, error: Exception) -> Response:
+        outage = outage_of(error)
+        if outage is None:
+            return _unexpected(request, error)
+        log.warning("request met an outage", resource=outage.resource, error=str(error))
+        return problem(503, f"{outage.detail}; try again later", headers=_LATER)
 
     @app.exception_handler(Exception)
     def _unexpected(request: Request, error: Exception) -> Response:

@@ -201,8 +201,10 @@ class Readiness(BaseModel):
     """Whether the service can take jobs and run them."""
 
     ready: bool
-    database: bool
-    redis: bool
+    database: bool = Field(description="whether the database answers")
+    redis: bool = Field(description="whether Redis answers")
+    storage: bool = Field(description="whether the data directory can be written and has space")
+    worker: bool = Field(description="whether there is a worker")
     workers: int = Field(description="number of workers with a heartbeat in the last 15 seconds")
     extensions: list[ExtensionView] | None = Field(
         description="the extensions that this process loaded or left out; the service can be ready without the latter. "

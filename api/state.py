@@ -16,6 +16,7 @@ from services.jobs.models import Job
 from services.jobs.queue import Queue
 from services.jobs.repository import Repository
 from services.jobs.service import Submissions
+from services.jobs.storage import Storage
 from services.scenes.library import Library
 
 
@@ -34,6 +35,7 @@ class Services:
     rerenderer: Rerenderer
     campaigns: CampaignService
     watcher: Watcher
+    storage: Storage
     max_campaign_jobs: int
 
 

@@ -17,6 +17,7 @@ from services.jobs.attempts import Attempt, Standing
 from services.jobs.child import connect, reply, requests
 from services.jobs.database import connect as connect_database
 from services.jobs.models import Artifact, Job, JobKind
+from services.jobs.outages import outage_of
 from services.jobs.repository import Repository
 from services.jobs.warm_up import warm_up
 from services.jobs.working_files import WorkingFiles
@@ -90,7 +91,7 @@ class Jobs:
         self._working_files = WorkingFiles(settings.data_dir)
 
     def run(self, attempt: Attempt) -> None:
-        """Runs one attempt and records its outcome."""
+        """Runs one attempt and records its outcome. Raises the errors of outages, and nothing is recorded."""
         repository = self._repository
         job = repository.work(attempt.job_id)
         if job is None:
@@ -104,6 +105,8 @@ class Jobs:
         except Cancelled:
             repository.cancelled(attempt)
         except (Exception, SystemExit) as error:  # an extension's code may end the process it is run in
+            if outage_of(error) is not None:
+                raise
             failure = classify(error)
             log.warning("job failed", kind=failure.kind, exc_info=error)
             repository.fail(attempt, failure.kind, failure.detail)
@@ -183,6 +186,19 @@ def classify(error: BaseException) -> JobFailure:
     return JobFailure("internal", summary(error))
 
 
+def answer(jobs: Jobs, attempt: Attempt) -> dict[str, Any]:
+    """Runs an attempt; the answer to the worker has "outage", in words, if it has to be made again."""
+    try:
+        jobs.run(attempt)
+    except Exception as error:
+        found = outage_of(error)
+        if found is None:
+            raise
+        log.warning("attempt ended by an outage", job=attempt.job_id, resource=found.resource, exc_info=error)
+        return {"outage": found.detail}
+    return {"done": attempt.job_id}
+
+
 def main() -> None:
     """Loads network and OpenGL once, reports that it is ready, then runs jobs until its parent ends."""
     configure("job")
@@ -193,9 +209,10 @@ def main() -> None:
     jobs = Jobs(values)
     reply(connection, {"ready": os.getpid()})
     for request, _ in inbox:
-        with bound(job=request["job"], attempt=request["attempt"]):
-            jobs.run(Attempt(request["job"], request["attempt"]))
-        reply(connection, {"done": request["job"]})
+        attempt = Attempt(request["job"], request["attempt"])
+        with bound(job=attempt.job_id, attempt=attempt.number):
+            found = answer(jobs, attempt)
+        reply(connection, found)
 
 
 if __name__ == "__main__":

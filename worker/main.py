@@ -83,10 +83,10 @@ def housekeeping(values: Settings, repository: Repository, feeder: Feeder) -> Ca
     assert values.redis_url is not None
     queue = Queue(connect_redis(values.redis_url))
     working_files = WorkingFiles(values.data_dir)
-    swept = float("-inf")
+    swept, failing = float("-inf"), False
 
     def tick() -> None:
-        nonlocal swept
+        nonlocal swept, failing
         try:
             for job_id in repository.take_back(values.max_attempts):
                 log.warning("job taken back, its lease had lapsed", job=job_id)
@@ -95,8 +95,12 @@ def housekeeping(values: Settings, repository: Repository, feeder: Feeder) -> Ca
                 working_files.sweep(repository)
             feeder.tick()
             reconcile(repository, queue)
-        except (SQLAlchemyError, RedisError) as error:
-            log.warning("housekeeping put off", error=str(error))
+        except (SQLAlchemyError, RedisError, OSError) as error:
+            if not failing:  # once, or an outage would fill the log
+                log.warning("housekeeping put off", error=str(error))
+            failing = True
+        else:
+            failing = False
 
     return tick
 

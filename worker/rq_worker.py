@@ -19,11 +19,8 @@ from services.jobs.database import connect as connect_database
 from services.jobs.repository import Repository
 from services.logs import configure, logger
 from services.settings import settings
-from worker.runner import Runner
+from worker.runner import RETRY_SECONDS, Runner
 from worker.task import bind
-
-AGAIN_SECONDS = 1.0
-"""Time between two tries to reach Redis."""
 
 log = logger(__name__)
 
@@ -80,8 +77,13 @@ class JobWorker(SimpleWorker):  # type: ignore[misc]
             self._message = None
 
     def dequeue_job_and_maintain_ttl(self, timeout: int | None, max_idle_time: int | None = None) -> Any:
-        """Takes a message only when the job process is warm, so that no leased job waits for the process to start."""
+        """Takes a message only when the job process is warm, so that no leased job waits for the process to start, and
+        when the database and the data directory are there.
+        """
         self._runner.ensure_ready()
+        while not self._runner.usable() and not self._runner.stopping:
+            self.heartbeat()
+            time.sleep(RETRY_SECONDS)
         return super().dequeue_job_and_maintain_ttl(timeout, max_idle_time)
 
     def handle_warm_shutdown_request(self) -> None:
@@ -121,7 +123,7 @@ def main() -> None:
             _work(runner, f"{name}-{life}", values.redis_url)
             if runner.stopping:
                 break
-            time.sleep(AGAIN_SECONDS)  # Redis is away; the job process stays warm meanwhile
+            time.sleep(RETRY_SECONDS)  # Redis is away; the job process stays warm meanwhile
     except StopRequested:  # between two lives
         pass
     except ChildDied:

@@ -6,12 +6,13 @@ The worker's process loads neither torch nor OpenGL, so it survives a crash of t
 import time
 from collections.abc import Callable
 
-from sqlalchemy.exc import OperationalError
+from sqlalchemy.exc import OperationalError, SQLAlchemyError
 
 from services.jobs import watchdog
 from services.jobs.attempts import Attempt, Standing
 from services.jobs.child import Child, ChildDied
 from services.jobs.repository import Repository
+from services.jobs.storage import Storage
 from services.logs import logger
 from services.settings import Settings
 
@@ -21,6 +22,8 @@ POLL_SECONDS = 0.1
 """Longest time between two checks whether the worker should stop."""
 STOP_SECONDS = 10.0
 """Time after which a job process is killed if it still runs a job that was cancelled or taken back."""
+RETRY_SECONDS = 1.0
+"""Time between two tries to reach what is away."""
 MAX_JOBS = 200
 """Number of jobs after which a job process is replaced."""
 MAX_GROWTH = 2 * 2**30
@@ -36,6 +39,7 @@ class Runner:
         self._settings = settings
         self._repository = repository
         self._owner = owner
+        self._storage = Storage(settings.data_dir)
         self._child: Child | None = None
         self._jobs = 0
         self._memory = 0
@@ -103,7 +107,7 @@ class Runner:
         started = renewed = time.monotonic()
         stop_requested_at: float | None = None
         child.send({"job": attempt.job_id, "attempt": attempt.number})
-        while child.receive(POLL_SECONDS) is None:
+        while (answer := child.receive(POLL_SECONDS)) is None:
             now = time.monotonic()
             watchdog.alive()
             if self._stopping:
@@ -128,6 +132,33 @@ class Runner:
             beat()
             if self._renew(attempt) is not Standing.GO_ON and stop_requested_at is None:
                 stop_requested_at = now
+
+        if "outage" in answer:
+            self._put_off(attempt, answer["outage"])
+
+    def usable(self) -> bool:
+        """Whether the database answers and the data directory can be written, as every job needs."""
+        try:
+            self._repository.ping()
+        except SQLAlchemyError:
+            return False
+        return self._storage.usable()
+
+    def _put_off(self, attempt: Attempt, outage: str) -> None:
+        """Queues a job again whose attempt was ended by an outage. It counts only if the outage cannot be seen."""
+        unseen = self.usable()
+        while not self._stopping:
+            watchdog.alive()
+            try:
+                if unseen:
+                    self._repository.lose(attempt, self._settings.max_attempts, f"it met an outage ({outage})")
+                else:
+                    self._repository.give_back(attempt)
+            except SQLAlchemyError:
+                time.sleep(RETRY_SECONDS)
+            else:
+                log.warning("job put off", job=attempt.job_id, outage=outage)
+                return
 
     def _renew(self, attempt: Attempt) -> Standing:
         try:

@@ -19,10 +19,15 @@ async def healthz() -> Health:
 
 
 @router.get(
-    "/readyz", responses={503: {"model": Readiness, "description": "the database, Redis or a worker is missing"}}
+    "/readyz",
+    responses={
+        503: {"model": Readiness, "description": "the database, Redis, the data directory or a worker is missing"}
+    },
 )
 def readyz(services: ServicesDependency, response: Response, caller: KnownCaller) -> Readiness:
-    """Answers 200 if database and Redis answer and a worker is alive, otherwise 503, and says which are missing."""
+    """Answers 200 if database and Redis answer, the data directory can be written and a worker is alive, otherwise 503,
+    and says which are missing.
+    """
     database = redis = True
     workers = 0
     try:
@@ -33,10 +38,18 @@ def readyz(services: ServicesDependency, response: Response, caller: KnownCaller
         workers = services.queue.live_workers()
     except RedisError:
         redis = False
-    ready = database and redis and workers > 0
+    storage = services.storage.usable()
+    ready = database and redis and storage and workers > 0
     response.status_code = 200 if ready else 503
     extensions = None if caller is None else [ExtensionView.of(extension) for extension in EXTENSIONS]
     targets = None if caller is None else [TargetFolderView.of(folder) for folder in TARGET_FOLDERS]
     return Readiness(
-        ready=ready, database=database, redis=redis, workers=workers, extensions=extensions, targets=targets
+        ready=ready,
+        database=database,
+        redis=redis,
+        storage=storage,
+        worker=workers > 0,
+        workers=workers,
+        extensions=extensions,
+        targets=targets,
     )

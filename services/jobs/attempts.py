@@ -24,6 +24,7 @@ from services.pipeline.warning import JobWarning
 ACTIVE = (State.RUNNING, State.CANCELLING)
 PHASES = ("loading", "selecting", "attacking", "analysing")
 """The phases of jobs, in their order."""
+DIED = "its process died or hung"
 
 
 @dataclass(frozen=True)
@@ -144,12 +145,12 @@ class Attempts(Transactions):
         with self._write() as session:
             self._return(session, attempt, lost=0, max_attempts=1)
 
-    def lose(self, attempt: Attempt, max_attempts: int) -> None:
-        """Queues the job again after its process died, or fails it after `max_attempts` such deaths in a row that came
-        before the attempt had got further than those before.
+    def lose(self, attempt: Attempt, max_attempts: int, why: str = DIED) -> None:
+        """Queues the job again after its attempt was lost, or fails it after `max_attempts` such losses in a row that
+        came before the attempt had got further than those before. `why` is the part of a sentence that says the reason.
         """
         with self._write() as session:
-            self._return(session, attempt, lost=1, max_attempts=max_attempts)
+            self._return(session, attempt, lost=1, max_attempts=max_attempts, why=why)
 
     def take_back(self, max_attempts: int, owner: str | None = None) -> list[str]:
         """Ends all attempts whose lease has lapsed, or that the dead worker `owner` holds, as `lose` does. Returns the
@@ -166,7 +167,7 @@ class Attempts(Transactions):
                 self._return(session, Attempt(job_id, number), lost=1, max_attempts=max_attempts)
         return [job_id for job_id, _ in found]
 
-    def _return(self, session: Session, attempt: Attempt, *, lost: int, max_attempts: int) -> None:
+    def _return(self, session: Session, attempt: Attempt, *, lost: int, max_attempts: int, why: str = DIED) -> None:
         self._lock(session, attempt.job_id)
         fence = _fence(attempt)[1:]
         free: dict[str, Any] = {"lease_owner": None, "lease_until": None}
@@ -182,7 +183,7 @@ class Attempts(Transactions):
         if lost:
             reason = {
                 "failure_kind": "worker-lost",
-                "failure_detail": f"its process died or hung {max_attempts} times without getting any further",
+                "failure_detail": f"{why}, {max_attempts} times in a row without getting any further",
             }
             if free["lost"] >= max_attempts:
                 self._move(session, attempt.job_id, State.FAILED, fence, **free, **reason)

@@ -36,7 +36,7 @@ class Campaigns(Transactions):
         Raises KeyReused if the key came with another request, and IntegrityError if another process records the same
         key at the same moment.
         """
-        with self._write() as session:
+        with self._write(durable=True) as session:
             if key is not None and (first := _first(session, Key(key, digest))) is not None:
                 return first
             campaign = Campaign(

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from alembic import command
 from alembic.config import Config
@@ -32,7 +33,8 @@ def connect(settings: Settings) -> Engine:
 
     Raises InvalidRequest if the URL is none of SQLite or PostgreSQL, or the driver is not installed.
     """
-    url = settings.database_url or f"sqlite:///{settings.data_dir / 'jobs.sqlite'}"
+    # A file that has gone is not made again: it may come back, and what was written meanwhile would be lost.
+    url = settings.database_url or f"sqlite:///file:{quote(str(_file(settings)))}?mode=rw&uri=true"
     kind = _kind(url)
     options: dict[str, Any] = {}
     if kind == "postgresql":
@@ -50,6 +52,10 @@ def connect(settings: Settings) -> Engine:
     return engine
 
 
+def _file(settings: Settings) -> Path:
+    return settings.data_dir / "jobs.sqlite"
+
+
 def _kind(url: str) -> str:
     try:
         kind = make_url(url).get_backend_name()
@@ -64,13 +70,7 @@ def _kind(url: str) -> str:
 def _tune_sqlite(connection: Any, _record: Any) -> None:
     connection.isolation_level = None  # _begin_sqlite issues BEGIN
     cursor = connection.cursor()
-    # NORMAL never corrupts under WAL; a power cut may undo the last commits, and an undone job runs again.
-    for pragma in (
-        f"busy_timeout={BUSY_MILLISECONDS}",
-        "journal_mode=WAL",
-        "synchronous=NORMAL",
-        "foreign_keys=ON",
-    ):
+    for pragma in (f"busy_timeout={BUSY_MILLISECONDS}", "journal_mode=WAL", "foreign_keys=ON"):
         cursor.execute(f"PRAGMA {pragma}")
     cursor.close()
 
@@ -78,7 +78,12 @@ def _tune_sqlite(connection: Any, _record: Any) -> None:
 def _begin_sqlite(connection: Connection) -> None:
     # A transaction that reads first and writes later fails at once, without waiting, if another one wrote in between.
     # A transaction that will write therefore takes the lock at its start.
-    writes = connection.get_execution_options().get("writes", False)
+    options = connection.get_execution_options()
+    writes = options.get("writes", False)
+    if writes:
+        # NORMAL never corrupts under WAL, but a power cut may undo the last commits. That a job was accepted must last
+        # (FULL); a result that was undone is computed again.
+        connection.exec_driver_sql(f"PRAGMA synchronous={'FULL' if options.get('durable', False) else 'NORMAL'}")
     connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 
 
@@ -120,4 +125,6 @@ def _alone(engine: Engine, settings: Settings) -> Iterator[None]:
     settings.data_dir.mkdir(parents=True, exist_ok=True)
     with (settings.data_dir / "migrate.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
+        if settings.database_url is None:
+            _file(settings).touch()
         yield

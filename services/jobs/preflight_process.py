@@ -11,6 +11,7 @@ from services.analysis.images import png
 from services.analysis.requests import RerenderingRequest
 from services.errors import InvalidRequest, JobFailure, out_of_memory
 from services.jobs.child import connect, reply, requests
+from services.jobs.outages import outage_of
 from services.jobs.warm_up import warm_up
 from services.logs import configure, logger
 from services.pipeline.prepare import preflight
@@ -42,6 +43,10 @@ def answer(message: dict[str, Any], data: bytes, library: Library) -> dict[str, 
             return _too_large()
         return {"trouble": f"{error.kind}: {error.detail}"}
     except (Exception, SystemExit) as error:  # an extension's code may end the process it is run in
+        outage = outage_of(error)
+        if outage is not None:
+            log.warning("request met an outage", resource=outage.resource, error=str(error))
+            return {"trouble": outage.detail}
         if out_of_memory(error) and "check" in message:
             return _too_large()
         if out_of_memory(error):

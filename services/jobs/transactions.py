@@ -22,6 +22,7 @@ class Transactions:
     def __init__(self, engine: Engine, clock: Callable[[], datetime] | None = None) -> None:
         self._reads = engine
         self._writes = engine.execution_options(writes=True)
+        self._lasting = engine.execution_options(writes=True, durable=True)
         self._clock = clock
 
     def _now(self, session: Session) -> datetime:
@@ -46,8 +47,9 @@ class Transactions:
             yield session
 
     @contextmanager
-    def _write(self) -> Iterator[Session]:
-        with Session(self._writes, expire_on_commit=False) as session, session.begin():
+    def _write(self, *, durable: bool = False) -> Iterator[Session]:
+        """A transaction. One that is `durable` is on the disk when it ends, also after a power cut."""
+        with Session(self._lasting if durable else self._writes, expire_on_commit=False) as session, session.begin():
             yield session
             totals.write(session)
 

@@ -25,6 +25,7 @@ class WorkingFiles:
     def attempt_directory(self, attempt: Attempt) -> Iterator[Path]:
         """Creates an empty directory for one attempt, and removes it on leaving."""
         out = self._running / f"{attempt.job_id}-{attempt.number}"
+        shutil.rmtree(out, ignore_errors=True)  # a database that was restored counts attempts again
         out.mkdir(parents=True)
         try:
             yield out

@@ -203,6 +203,7 @@ def app(repository: Repository, campaigns: CampaignService | None = None) -> Fas
         rerenderer=none,
         campaigns=cast(Any, campaigns),
         watcher=none,
+        storage=none,
         max_campaign_jobs=0,
     )
     return made

@@ -14,6 +14,8 @@ def test_without_a_worker_the_service_is_not_ready(client: Client) -> None:
         "ready": False,
         "database": True,
         "redis": True,
+        "storage": True,
+        "worker": False,
         "workers": 0,
         "extensions": [],
         "targets": [],

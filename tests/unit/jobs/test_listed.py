@@ -49,6 +49,7 @@ def test_lists_read_neither_request_nor_result(repository: Repository) -> None:
 
 def test_the_migration_fills_the_columns_of_jobs_that_are_there(tmp_path: Path) -> None:
     settings = Settings(data=tmp_path)
+    (tmp_path / "jobs.sqlite").touch()
     engine = connect(settings)
     before(engine, "0004")
     with engine.begin() as connection:

@@ -1,0 +1,69 @@
+"""What is away for a while costs no job: requests are refused by name, and jobs go on when it is back."""
+
+import os
+import sqlite3
+import subprocess
+from collections.abc import Iterator
+
+import pytest
+
+from tests.integration.conftest import Stack, serving, until
+from tests.integration.specs import QUICK, long
+from tests.integration.test_jobs import perturbation
+from tests.integration.test_recovery import STEPS, checkpoint
+from tests.unit.jobs.test_outages import fill
+
+pytestmark = [pytest.mark.integration, pytest.mark.skipif(os.geteuid() != 0, reason="only root can mount a disk")]
+
+
+@pytest.fixture(scope="module")
+def on_small_disk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stack]:
+    """A stack whose data directory is a disk of 60 MB."""
+    folder = tmp_path_factory.mktemp("outages") / "data"
+    folder.mkdir()
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=60m", "tmpfs", str(folder)], check=True)
+    try:
+        with serving(folder) as stack:
+            yield stack
+    finally:
+        subprocess.run(["umount", "--lazy", str(folder)], check=True)
+
+
+def refused(stack: Stack, resource: str) -> str | None:
+    """What a refused submission says, once the service knows of the outage; None until then."""
+    answer = stack.client.post("/v1/jobs", json=QUICK)
+    ready = stack.client.get("/readyz").json()
+    if answer.status_code != 503 or ready[resource]:
+        return None
+    assert answer.headers["Retry-After"] == "5"
+    assert not ready["ready"]
+    return str(answer.json()["detail"])
+
+
+def test_a_full_disk_costs_no_job(on_small_disk: Stack, stack: Stack) -> None:
+    wanted = perturbation(stack, stack.submit(long(STEPS)))
+    job_id = on_small_disk.submit(long(STEPS))
+    checkpoint(on_small_disk, job_id)
+    file = fill(on_small_disk.data)
+    assert "the disk of the data directory is full" in until(lambda: refused(on_small_disk, "storage"), "a refusal")
+    until(lambda: "attempt ended by an outage" in on_small_disk.log.read_text(), "the job meets the full disk")
+    file.unlink()
+    assert on_small_disk.ended(job_id)["state"] == "succeeded"
+    assert perturbation(on_small_disk, job_id) == wanted
+    assert not list(on_small_disk.data.rglob("*.part"))
+
+
+def test_a_database_that_is_away_costs_no_job(on_small_disk: Stack) -> None:
+    data = on_small_disk.data
+    before = on_small_disk.log.read_text().count("attempt ended by an outage")
+    job_id = on_small_disk.submit(long(STEPS))
+    checkpoint(on_small_disk, job_id)
+    with sqlite3.connect(data / "jobs.sqlite", timeout=60) as other:
+        other.execute("BEGIN IMMEDIATE")
+        answer = on_small_disk.client.post("/v1/jobs", json=QUICK)
+        assert (answer.status_code, answer.headers["Retry-After"]) == (503, "5")
+        assert "database" in answer.json()["detail"]
+        until(lambda: on_small_disk.log.read_text().count("attempt ended by an outage") > before, "it meets the lock")
+        other.rollback()
+    assert on_small_disk.ended(job_id)["state"] == "succeeded"
+    other.close()

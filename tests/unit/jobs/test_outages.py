@@ -1,0 +1,149 @@
+"""Outages are made for real: a full disk, a directory that cannot be written, a locked database."""
+
+import os
+import sqlite3
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import torch
+from redis import Redis
+from safetensors.torch import save_file
+from sqlalchemy.exc import SQLAlchemyError
+
+from services import atomic_write
+from services.jobs import database
+from services.jobs.database import connect, migrate
+from services.jobs.outages import Outage, outage_of
+from services.jobs.repository import Repository
+from services.jobs.storage import Storage
+from services.settings import Settings
+from tests.unit.jobs.records import add
+
+FULL = Outage("storage", "the disk of the data directory is full")
+AWAY = Outage("database", "the database does not answer")
+SIZE = 20 * 2**20
+
+
+def mount(*arguments: str) -> None:
+    subprocess.run(["mount", *arguments], check=True)
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of 20 MB."""
+    if os.geteuid() != 0:
+        pytest.skip("only root can mount a disk")
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mount("-t", "tmpfs", "-o", f"size={SIZE}", "tmpfs", str(folder))
+    yield folder
+    subprocess.run(["umount", "--lazy", str(folder)], check=True)
+
+
+def fill(folder: Path) -> Path:
+    """Writes a file until the disk is full."""
+    file = folder / "fills-the-disk"
+    with file.open("wb", buffering=0) as out:
+        try:
+            while out.write(bytes(2**16)):
+                pass
+        except OSError:
+            pass
+    return file
+
+
+def add_many(repository: Repository) -> None:
+    for _ in range(1000):
+        add(repository)
+
+
+def test_a_full_disk_is_named_and_leaves_nothing_half_written(disk: Path) -> None:
+    storage = Storage(disk)
+    assert storage.usable()
+    atomic_write.write(disk / "file", b"old")
+    fill(disk)
+    writers: list[Callable[[Path], None]] = [
+        lambda path: path.write_bytes(bytes(2**20)),
+        lambda path: save_file({"x": torch.zeros(2**18)}, path),
+    ]
+    for write in writers:
+        with (
+            pytest.raises(Exception, match=r"No space|os error 28") as caught,
+            atomic_write.replacing(disk / "file") as part,
+        ):
+            write(part)
+        assert outage_of(caught.value) == FULL
+    assert (disk / "file").read_bytes() == b"old"
+    assert sorted(path.name for path in disk.iterdir()) == ["file", "fills-the-disk"]
+    assert not Storage(disk).usable()
+
+
+def test_a_job_is_not_recorded_on_a_full_disk_and_is_afterwards(disk: Path) -> None:
+    settings = Settings(data=disk)
+    engine = connect(settings)
+    migrate(engine, settings)
+    repository = Repository(engine)
+    kept = add(repository)
+    file = fill(disk)
+    with pytest.raises(SQLAlchemyError) as caught:
+        add_many(repository)  # what the database has allocated is used up first
+    assert outage_of(caught.value) == FULL
+    assert repository.get(kept.id) is not None
+    file.unlink()
+    add(repository)
+    engine.dispose()
+
+
+def test_a_read_only_disk_is_named(disk: Path) -> None:
+    settings = Settings(data=disk)
+    engine = connect(settings)
+    migrate(engine, settings)
+    engine.dispose()
+    mount("-o", "remount,ro", str(disk))
+    with pytest.raises(OSError, match="Read-only") as caught:
+        atomic_write.write(disk / "file", b"new")
+    assert outage_of(caught.value) == Outage("storage", "the data directory is read-only")
+    with pytest.raises(SQLAlchemyError) as failed:
+        add(Repository(engine))
+    assert outage_of(failed.value) == AWAY  # it cannot open its log
+    assert not Storage(disk).usable()
+    engine.dispose()
+
+
+def test_a_locked_database_and_one_that_has_gone_do_not_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(database, "BUSY_MILLISECONDS", 10)
+    settings = Settings(data=tmp_path)
+    engine = connect(settings)
+    migrate(engine, settings)
+    repository = Repository(engine)
+    other = sqlite3.connect(tmp_path / "jobs.sqlite")
+    other.execute("BEGIN IMMEDIATE")
+    with pytest.raises(SQLAlchemyError) as locked:
+        add(repository)
+    assert outage_of(locked.value) == AWAY
+    other.rollback()
+    other.close()
+    engine.dispose()
+    for path in tmp_path.glob("jobs.sqlite*"):
+        path.rename(tmp_path / f"away-{path.name}")
+    with pytest.raises(SQLAlchemyError) as gone:
+        repository.ping()
+    assert outage_of(gone.value) == AWAY
+    assert not (tmp_path / "jobs.sqlite").exists()  # an empty one in its place would hide that it has gone
+    for path in tmp_path.glob("away-*"):
+        path.rename(tmp_path / path.name.removeprefix("away-"))
+    repository.ping()
+    engine.dispose()
+
+
+def test_redis_is_named_and_faults_are_no_outages(tmp_path: Path) -> None:
+    with pytest.raises(Exception, match="connecting") as caught, Redis.from_url(f"unix://{tmp_path}/none") as client:
+        client.ping()
+    assert outage_of(caught.value) == Outage("redis", "Redis does not answer")
+    for error in (ValueError("x"), FileNotFoundError(2, "gone"), MemoryError(), None):
+        assert outage_of(error) is None
+    wrapped = RuntimeError("an extension wraps it")
+    wrapped.__cause__ = OSError(28, "No space left on device")
+    assert outage_of(wrapped) == FULL
