@@ -31,6 +31,7 @@ from api.routes import metrics as scraping
 from api.same_site import SameSite
 from api.state import Services
 from api.watcher import Watcher
+from services.access.assets import OwnedAssets
 from services.access.keys import AccessKeys
 from services.access.listening import check_listening
 from services.device import check_device
@@ -88,6 +89,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
         watcher = Watcher(repository)
         app.state.services = Services(
             keys=AccessKeys(engine),
+            assets=OwnedAssets(engine),
             repository=repository,
             queue=queue,
             submissions=Submissions(repository, queue, chosen.max_queued),

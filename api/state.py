@@ -1,14 +1,19 @@
 """The objects that the routes use, of which each app has its own, and dependencies that provide them."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated
 
 from fastapi import Depends, HTTPException, Request
 
+from api.authentication import CallerDependency
 from api.mesh_uploads import MeshUploads
 from api.preflight import Preflight
 from api.rerenderer import Rerenderer
 from api.watcher import Watcher
+from services.access.assets import OwnedAssets
+from services.access.caller import Caller
 from services.access.keys import AccessKeys
 from services.jobs.artifacts import ArtifactStore
 from services.jobs.campaign_service import CampaignService
@@ -25,6 +30,7 @@ class Services:
     """The keys, the record of jobs and campaigns, the queue, the files, and what checks, re-renders and watches."""
 
     keys: AccessKeys
+    assets: OwnedAssets
     repository: Repository
     queue: Queue
     submissions: Submissions
@@ -49,15 +55,20 @@ def services(request: Request) -> Services:
 ServicesDependency = Annotated[Services, Depends(services)]
 
 
-def known_job(job_id: str, services: ServicesDependency) -> Job:
-    """The job with the id in the path, without request and result. Answers 404 if there is none."""
-    job = services.repository.line(job_id)
+def known_job(job_id: str, services: ServicesDependency, caller: CallerDependency) -> Job:
+    """The job with the id in the path, without request and result. Answers 404 if there is none for the caller."""
+    job = caller.visible(services.repository.line(job_id))
     if job is None:
         raise no_such("job")
     return job
 
 
 KnownJob = Annotated[Job, Depends(known_job)]
+
+
+def check_meshes_of(services: Services, caller: Caller) -> Callable[[str], None]:
+    """The function that raises InvalidRequest("mesh") for the name of a mesh that there is not for the caller."""
+    return partial(services.library.check_mesh, may_use=services.assets.visible(caller))
 
 
 def no_such(what: str) -> HTTPException:

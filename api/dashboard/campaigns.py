@@ -6,10 +6,12 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Response
 from fastapi.responses import RedirectResponse
 
+from api.authentication import CallerDependency
 from api.dashboard.charts import Chart, chart
 from api.dashboard.pages import HEADERS, html, missing
 from api.schemas import cursor_after, read_cursor
 from api.state import Services, ServicesDependency
+from services.access.caller import Caller
 from services.analysis.campaign_table import Cell, Corners, Table
 from services.errors import InvalidRequest
 from services.jobs.campaign_service import Counts
@@ -42,60 +44,65 @@ class Page:
 @router.get("/campaigns")
 def campaigns(
     services: ServicesDependency,
+    caller: CallerDependency,
     state: CampaignState | None = None,
     cursor: Annotated[str | None, Query(max_length=200)] = None,
 ) -> Response:
     """The list of campaigns, newest first."""
-    return _list("campaigns.html", services, state, cursor)
+    return _list("campaigns.html", services, caller, state, cursor)
 
 
 @router.get("/parts/campaigns")
 def campaigns_part(
     services: ServicesDependency,
+    caller: CallerDependency,
     state: CampaignState | None = None,
     cursor: Annotated[str | None, Query(max_length=200)] = None,
 ) -> Response:
     """The part of the list that the script reloads."""
-    return _list("_campaigns.html", services, state, cursor)
+    return _list("_campaigns.html", services, caller, state, cursor)
 
 
 @router.get("/campaigns/{campaign_id}")
-def campaign(campaign_id: str, services: ServicesDependency) -> Response:
+def campaign(campaign_id: str, services: ServicesDependency, caller: CallerDependency) -> Response:
     """The page of one campaign."""
-    return _campaign("campaign.html", campaign_id, services)
+    return _campaign("campaign.html", campaign_id, services, caller)
 
 
 @router.get("/parts/campaigns/{campaign_id}")
-def campaign_part(campaign_id: str, services: ServicesDependency) -> Response:
+def campaign_part(campaign_id: str, services: ServicesDependency, caller: CallerDependency) -> Response:
     """The part of a campaign's page that the script reloads."""
-    return _campaign("_campaign.html", campaign_id, services)
+    return _campaign("_campaign.html", campaign_id, services, caller)
 
 
 @router.post("/campaigns/{campaign_id}/{move}")
-def move(campaign_id: str, move: str, services: ServicesDependency) -> Response:
+def move(campaign_id: str, move: str, services: ServicesDependency, caller: CallerDependency) -> Response:
     """Pauses, resumes or cancels a campaign, as the buttons on its page ask, and redirects to the page."""
     record = services.campaigns.record
     moves = {"pause": record.pause, "resume": record.resume, "cancel": record.cancel}
-    if move not in moves or moves[move](campaign_id) is None:
+    if move not in moves or caller.visible(record.get(campaign_id)) is None:
         return missing()
+    moves[move](campaign_id)
     return RedirectResponse(f"/campaigns/{campaign_id}", 303, HEADERS)
 
 
-def _list(template: str, services: Services, state: CampaignState | None, cursor: str | None) -> Response:
+def _list(
+    template: str, services: Services, caller: Caller, state: CampaignState | None, cursor: str | None
+) -> Response:
     try:
         before = None if cursor is None else read_cursor(cursor)
     except InvalidRequest:
         before = None
     record = services.campaigns.record
-    found = record.page(state, PAGE + 1, before)
+    found = record.page(state, PAGE + 1, before, owner=caller.only)
     older = cursor_after(found[PAGE - 1]) if len(found) > PAGE else None
     progress = record.progress([one.id for one in found])
     lines = [(one, progress[one.id]) for one in found[:PAGE]]
     return html(template, lines=lines, state=state, cursor=cursor, older=older)
 
 
-def _campaign(template: str, campaign_id: str, services: Services) -> Response:
-    found = services.campaigns.record.get(campaign_id, whole=True)
+def _campaign(template: str, campaign_id: str, services: Services, caller: Caller) -> Response:
+    found = caller.visible(services.campaigns.record.get(campaign_id, whole=True))
     if found is None:
         return missing()
     result = services.campaigns.result(found, curves=False)

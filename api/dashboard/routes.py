@@ -6,10 +6,12 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import RedirectResponse
 
+from api.authentication import CallerDependency
 from api.dashboard import views
 from api.dashboard.pages import HEADERS, STATIC, VERSION, html, missing
 from api.schemas import cursor_after, read_cursor
 from api.state import Services, ServicesDependency
+from services.access.caller import Caller
 from services.errors import InvalidRequest
 from services.jobs.models import Event, State
 
@@ -24,40 +26,43 @@ router = APIRouter(include_in_schema=False)
 @router.get("/")
 def jobs(
     services: ServicesDependency,
+    caller: CallerDependency,
     state: State | None = None,
     cursor: Annotated[str | None, Query(max_length=200)] = None,
 ) -> Response:
     """The list of jobs, newest first."""
-    return _list("jobs.html", services, state, cursor)
+    return _list("jobs.html", services, caller, state, cursor)
 
 
 @router.get("/parts/jobs")
 def jobs_part(
     services: ServicesDependency,
+    caller: CallerDependency,
     state: State | None = None,
     cursor: Annotated[str | None, Query(max_length=200)] = None,
 ) -> Response:
     """The part of the list that the script reloads."""
-    return _list("_jobs.html", services, state, cursor)
+    return _list("_jobs.html", services, caller, state, cursor)
 
 
 @router.get("/jobs/{job_id}")
-def job(job_id: str, services: ServicesDependency) -> Response:
+def job(job_id: str, services: ServicesDependency, caller: CallerDependency) -> Response:
     """The page of one job."""
-    return _job("job.html", job_id, services)
+    return _job("job.html", job_id, services, caller)
 
 
 @router.get("/parts/jobs/{job_id}")
-def job_part(job_id: str, services: ServicesDependency) -> Response:
+def job_part(job_id: str, services: ServicesDependency, caller: CallerDependency) -> Response:
     """The part of a job's page that the script reloads."""
-    return _job("_job.html", job_id, services)
+    return _job("_job.html", job_id, services, caller)
 
 
 @router.post("/jobs/{job_id}/cancel")
-def cancel(job_id: str, services: ServicesDependency) -> Response:
+def cancel(job_id: str, services: ServicesDependency, caller: CallerDependency) -> Response:
     """Cancels a job, as the button on its page asks, and redirects to the page."""
-    if services.repository.request_cancel(job_id) is None:
+    if caller.visible(services.repository.line(job_id)) is None:
         return missing()
+    services.repository.request_cancel(job_id)
     return RedirectResponse(f"/jobs/{job_id}", 303, HEADERS)
 
 
@@ -71,19 +76,19 @@ def static(name: str, request: Request) -> Response:
     return Response(data, headers=HEADERS | {"Cache-Control": kept}, media_type=_KINDS[name.rpartition(".")[2]])
 
 
-def _list(template: str, services: Services, state: State | None, cursor: str | None) -> Response:
+def _list(template: str, services: Services, caller: Caller, state: State | None, cursor: str | None) -> Response:
     try:
         before = None if cursor is None else read_cursor(cursor)
     except InvalidRequest:
         before = None
-    found = services.repository.page(state, PAGE + 1, before)
+    found = services.repository.page(state, PAGE + 1, before, owner=caller.only)
     older = cursor_after(found[PAGE - 1]) if len(found) > PAGE else None
     lines = [views.line(one) for one in found[:PAGE]]
     return html(template, lines=lines, state=state, cursor=cursor, older=older)
 
 
-def _job(template: str, job_id: str, services: Services) -> Response:
-    found = services.repository.get(job_id, with_result=True)
+def _job(template: str, job_id: str, services: Services, caller: Caller) -> Response:
+    found = caller.visible(services.repository.get(job_id, with_result=True))
     if found is None:
         return missing()
     events = [] if found.result else _all_events(services, job_id)

@@ -3,7 +3,9 @@
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, File, Form, HTTPException, Request, UploadFile
+from starlette.concurrency import run_in_threadpool
 
+from api.authentication import CallerDependency
 from api.routes.jobs import client_of
 from api.schemas import AssetList
 from api.state import ServicesDependency
@@ -22,15 +24,19 @@ def form_body(request: Request) -> None:
 @router.post("", status_code=201, dependencies=[Depends(form_body)])
 async def upload(
     services: ServicesDependency,
+    caller: CallerDependency,
     request: Request,
     file: Annotated[UploadFile, File(description="the mesh; files that it refers to are not read")],
     kind: Annotated[str, Form(max_length=16, description="obj, ply, stl, glb or off")],
 ) -> Entry:
     """Checks a mesh and stores it under the hash of its bytes. Scenes name it by the `name` in the answer."""
-    return await services.uploads.add(file.file, kind, client_of(request))
+    entry = await services.uploads.add(file.file, kind, client_of(request, caller))
+    await run_in_threadpool(services.assets.add, caller.owner, entry.name, file.size or 0)
+    return entry
 
 
 @router.get("")
-def listing(services: ServicesDependency) -> AssetList:
+def listing(services: ServicesDependency, caller: CallerDependency) -> AssetList:
     """Lists the uploaded meshes."""
-    return AssetList(items=services.library.entries(category="upload"))
+    is_visible = services.assets.visible(caller)
+    return AssetList(items=[entry for entry in services.library.entries(category="upload") if is_visible(entry.name)])

@@ -5,6 +5,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Header, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
+from api.authentication import CallerDependency
 from api.bodies import body_of
 from api.campaign_schemas import (
     CampaignJobPage,
@@ -17,7 +18,8 @@ from api.campaign_schemas import (
 from api.routes.connection import while_connected
 from api.routes.jobs import client_of, json_body
 from api.schemas import cursor_after, read_cursor
-from api.state import Services, ServicesDependency, no_such
+from api.state import Services, ServicesDependency, check_meshes_of, no_such
+from services.access.caller import Caller
 from services.analysis.campaign_text import to_csv, to_latex
 from services.errors import InvalidRequest
 from services.jobs.campaign_service import request_digest
@@ -30,9 +32,9 @@ from services.pipeline.campaign_spec import CampaignSpec
 router = APIRouter(prefix="/v1/campaigns", tags=["campaigns"])
 
 
-def whole_campaign(campaign_id: str, services: ServicesDependency) -> Campaign:
-    """The campaign with the id in the path, with its request and views. Answers 404 if there is none."""
-    campaign = services.campaigns.record.get(campaign_id, whole=True)
+def whole_campaign(campaign_id: str, services: ServicesDependency, caller: CallerDependency) -> Campaign:
+    """The campaign with the id in the path, with its request and views. Answers 404 if there is none for the caller."""
+    campaign = caller.visible(services.campaigns.record.get(campaign_id, whole=True))
     if campaign is None:
         raise no_such("campaign")
     return campaign
@@ -45,6 +47,7 @@ WholeCampaign = Annotated[Campaign, Depends(whole_campaign)]
 async def submit(
     spec: Annotated[CampaignSpec, Depends(body_of(CampaignSpec))],
     services: ServicesDependency,
+    caller: CallerDependency,
     request: Request,
     idempotency_key: Annotated[
         str | None,
@@ -59,20 +62,20 @@ async def submit(
     """
     key = None
     if idempotency_key is not None:
-        key = Key(idempotency_key, await run_in_threadpool(request_digest, spec))
+        key = Key(idempotency_key, await run_in_threadpool(request_digest, spec), caller.owner)
     campaign = None if key is None else await run_in_threadpool(services.campaigns.record.of_key, key)
     if campaign is None:
-        await while_connected(request, _check(spec, services, client_of(request)))
-        campaign = await run_in_threadpool(services.campaigns.submit, spec, idempotency_key)
+        await while_connected(request, _check(spec, services, caller, client_of(request, caller)))
+        campaign = await run_in_threadpool(services.campaigns.submit, spec, idempotency_key, caller.owner)
     # The answer to a long list of jobs is large, so it is written in a thread too.
     answer = await run_in_threadpool(lambda: CampaignView.accepted(campaign, spec).model_dump_json())
     headers = {"Location": f"/v1/campaigns/{campaign.id}"}
     return Response(answer, 202, headers, "application/json")
 
 
-async def _check(spec: CampaignSpec, services: Services, client: str) -> None:
+async def _check(spec: CampaignSpec, services: Services, caller: Caller, client: str) -> None:
     check_size(spec, services.max_campaign_jobs)
-    await run_in_threadpool(check_meshes, spec, services.library.check_mesh)
+    await run_in_threadpool(lambda: check_meshes(spec, check_meshes_of(services, caller)))
     for job, places in await run_in_threadpool(lambda: list(samples(spec))):
         try:
             await services.preflight.check(job, client)
@@ -83,13 +86,14 @@ async def _check(spec: CampaignSpec, services: Services, client: str) -> None:
 @router.get("")
 def page(
     services: ServicesDependency,
+    caller: CallerDependency,
     state: CampaignState | None = None,
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
     cursor: Annotated[str | None, Query(max_length=200, description="`next` of the page before")] = None,
 ) -> CampaignPage:
     """Lists campaigns, newest first."""
     record = services.campaigns.record
-    found = record.page(state, limit + 1, None if cursor is None else read_cursor(cursor))
+    found = record.page(state, limit + 1, None if cursor is None else read_cursor(cursor), caller.only)
     progress = record.progress([campaign.id for campaign in found])
     return CampaignPage(
         items=[CampaignSummary.of(campaign, progress[campaign.id]) for campaign in found[:limit]],
@@ -110,14 +114,14 @@ def pause(campaign: WholeCampaign, services: ServicesDependency) -> CampaignView
     A campaign that is paused or has ended stays as it is.
     """
     services.campaigns.record.pause(campaign.id)
-    return _view(whole_campaign(campaign.id, services), services)
+    return _view(_again(campaign, services), services)
 
 
 @router.post("/{campaign_id}/resume", status_code=202)
 def resume(campaign: WholeCampaign, services: ServicesDependency) -> CampaignView:
     """Lets a paused campaign go on. A campaign that is not paused stays as it is."""
     services.campaigns.record.resume(campaign.id)
-    return _view(whole_campaign(campaign.id, services), services)
+    return _view(_again(campaign, services), services)
 
 
 @router.post("/{campaign_id}/cancel", status_code=202)
@@ -127,7 +131,7 @@ def cancel(campaign: WholeCampaign, services: ServicesDependency) -> CampaignVie
     A campaign that has ended stays as it is.
     """
     services.campaigns.record.cancel(campaign.id)
-    return _view(whole_campaign(campaign.id, services), services)
+    return _view(_again(campaign, services), services)
 
 
 @router.get("/{campaign_id}/views")
@@ -165,6 +169,13 @@ def table_csv(campaign: WholeCampaign, services: ServicesDependency) -> Response
 def table_tex(campaign: WholeCampaign, services: ServicesDependency) -> Response:
     """Returns the table as LaTeX, in the paper's layout, for the package booktabs."""
     return Response(to_latex(services.campaigns.result(campaign, curves=False).table), media_type="text/x-tex")
+
+
+def _again(campaign: Campaign, services: Services) -> Campaign:
+    found = services.campaigns.record.get(campaign.id, whole=True)
+    if found is None:
+        raise no_such("campaign")
+    return found
 
 
 def _view(campaign: Campaign, services: Services) -> CampaignView:

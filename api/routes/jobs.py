@@ -7,10 +7,12 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Header, HTTPException, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
+from api.authentication import CallerDependency
 from api.bodies import body_of
 from api.routes.connection import while_connected
 from api.schemas import JobPage, JobSummary, JobView, cursor_after, read_cursor
-from api.state import KnownJob, ServicesDependency, no_such
+from api.state import KnownJob, ServicesDependency, check_meshes_of, no_such
+from services.access.caller import Caller
 from services.jobs.models import Job, State
 from services.jobs.repository import Key
 from services.pipeline.names_known import check_names
@@ -35,15 +37,16 @@ def wait_preferred(prefer: Annotated[str | None, Header()] = None) -> float | No
     return None if found is None else min(float(found[1]), LONGEST_WAIT)
 
 
-def client_of(request: Request) -> str:
-    """The client of a request: those who share an address share its turns."""
-    return "" if request.client is None else request.client.host
+def client_of(request: Request, caller: Caller) -> str:
+    """Whose turn a request takes: that of its owner, or of its address if nobody has a key."""
+    return f"owner {caller.owner}" if caller.key else "" if request.client is None else request.client.host
 
 
 @router.post("", status_code=202, response_model=JobView, dependencies=[Depends(json_body)])
 async def submit(
     spec: Annotated[JobSpec, Depends(body_of(JobSpec))],
     services: ServicesDependency,
+    caller: CallerDependency,
     request: Request,
     response: Response,
     wait: Annotated[float | None, Depends(wait_preferred)],
@@ -62,13 +65,13 @@ async def submit(
     says why a job that runs may show less than it seems to: the network is wrong before the attack, nobody knows the
     truth, or the network is unsure.
     """
-    key = None if idempotency_key is None else Key(idempotency_key, digest(spec))
+    key = None if idempotency_key is None else Key(idempotency_key, digest(spec), caller.owner)
     body = None if key is None else await run_in_threadpool(services.repository.first_answer, key)
     if body is None:
-        await run_in_threadpool(check_names, spec, services.library)
-        found = await while_connected(request, services.preflight.check(spec, client_of(request)))
+        await run_in_threadpool(lambda: check_names(spec, check_meshes_of(services, caller)))
+        found = await while_connected(request, services.preflight.check(spec, client_of(request, caller)))
         spec, warnings = (spec, ()) if found is None else (found.spec, found.warnings)
-        submit_now = partial(services.submissions.submit, checked=found is not None)
+        submit_now = partial(services.submissions.submit, checked=found is not None, owner=caller.owner)
         body = await run_in_threadpool(submit_now, spec, key, _answer, warnings)
     response.headers["Location"] = f"/v1/jobs/{body['id']}"
     if wait is not None:
@@ -89,6 +92,7 @@ def _answer(job: Job) -> dict[str, Any]:
 @router.get("", response_model=JobPage)
 def page(
     services: ServicesDependency,
+    caller: CallerDependency,
     state: State | None = None,
     campaign: Annotated[str | None, Query(max_length=32, description="id of the campaign that queued the jobs")] = None,
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
@@ -96,16 +100,16 @@ def page(
 ) -> Response:
     """Lists jobs, newest first."""
     before = None if cursor is None else read_cursor(cursor)
-    jobs = services.repository.page(state, limit + 1, before, campaign)
+    jobs = services.repository.page(state, limit + 1, before, campaign, caller.only)
     more = cursor_after(jobs[limit - 1]) if len(jobs) > limit else None
     found = JobPage(items=[JobSummary.of(job) for job in jobs[:limit]], next=more)
     return Response(found.model_dump_json(), media_type="application/json")  # the framework would validate it again
 
 
 @router.get("/{job_id}")
-def get(job_id: str, services: ServicesDependency) -> JobView:
+def get(job_id: str, services: ServicesDependency, caller: CallerDependency) -> JobView:
     """Returns one job, with its result once it succeeded."""
-    job = services.repository.get(job_id, with_result=True)
+    job = caller.visible(services.repository.get(job_id, with_result=True))
     if job is None:
         raise no_such("job")
     return JobView.of(job, with_result=True)

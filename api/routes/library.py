@@ -5,6 +5,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 from pydantic import BaseModel
 
+from api.authentication import CallerDependency
 from api.schemas import SceneLibrary
 from api.state import ServicesDependency
 from services.targets.info import TargetInfo, available
@@ -23,13 +24,16 @@ class TargetList(BaseModel):
 @router.get("/scenes")
 def scenes(
     services: ServicesDependency,
+    caller: CallerDependency,
     category: Filter = None,
     creator: Filter = None,
     licence: Filter = None,
     search: Filter = None,
 ) -> SceneLibrary:
     """Lists the meshes that match all given filters, the environment maps, and their credits."""
-    meshes = services.library.entries(category=category, creator=creator, licence=licence, search=search)
+    is_visible = services.assets.visible(caller)
+    found = services.library.entries(category=category, creator=creator, licence=licence, search=search)
+    meshes = [entry for entry in found if entry.kind != "upload" or is_visible(entry.name)]
     environments = services.library.environments()
     credits_ = {entry.credit for entry in [*meshes, *environments] if entry.credit is not None}
     return SceneLibrary(meshes=meshes, environments=environments, credits=sorted(credits_))

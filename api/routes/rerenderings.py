@@ -7,13 +7,16 @@ from fastapi import APIRouter, Depends
 from pydantic import BaseModel, Field, model_validator
 from starlette.concurrency import run_in_threadpool
 
+from api.authentication import CallerDependency
 from api.bodies import body_of
 from api.rerenderer import decoded
 from api.routes.jobs import json_body
-from api.state import Services, ServicesDependency, no_such
+from api.state import Services, ServicesDependency, check_meshes_of, no_such
+from services.access.caller import Caller
 from services.analysis.records import Rerendering
 from services.analysis.requests import RerenderingRequest
 from services.errors import InvalidRequest
+from services.pipeline.names_known import check_names
 from services.pipeline.spec import JobSpec, TargetChoice
 from services.scenes.description import Model, Scene
 
@@ -52,21 +55,23 @@ class RerenderingView(BaseModel):
 
 @router.post("", dependencies=[Depends(json_body)])
 async def rerender(
-    body: Annotated[RerenderingBody, Depends(body_of(RerenderingBody))], services: ServicesDependency
+    body: Annotated[RerenderingBody, Depends(body_of(RerenderingBody))],
+    services: ServicesDependency,
+    caller: CallerDependency,
 ) -> RerenderingView:
     """Fits the scene's normals, illumination and material to an image, and classifies the fitted scene's rendering.
 
     The answer comes when the fit has ended: one image at a time, for at most five minutes.
     """
-    image, spec = await run_in_threadpool(_read, body, services)
+    image, spec = await run_in_threadpool(_read, body, services, caller)
     return RerenderingView.model_validate(await services.rerenderer.rerender(image, spec, body.fit))
 
 
-def _read(body: RerenderingBody, services: Services) -> tuple[bytes, JobSpec]:
+def _read(body: RerenderingBody, services: Services, caller: Caller) -> tuple[bytes, JobSpec]:
     """The image's bytes, and a spec with the scene and the target."""
     given: dict[str, object] = {}
     if body.image.job is not None:
-        job = services.repository.get(body.image.job)
+        job = caller.visible(services.repository.get(body.image.job))
         artifact = None if job is None else services.repository.artifact(job.id, body.image.artifact)
         if job is None or artifact is None:
             raise InvalidRequest("image.job", "there is no such job, or it has no file of this name")
@@ -86,4 +91,7 @@ def _read(body: RerenderingBody, services: Services) -> tuple[bytes, JobSpec]:
         given["target"] = body.target.model_dump(mode="json")
     if "scene" not in given:
         raise InvalidRequest("scene", "an image that is no file of a job needs its scene")
-    return image, JobSpec.model_validate(given)
+    spec = JobSpec.model_validate(given)
+    if body.scene is not None:
+        check_names(spec, check_meshes_of(services, caller))
+    return image, spec

@@ -3,6 +3,11 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import TypeVar
+
+from services.jobs.models import Campaign, Job
+
+Owned = TypeVar("Owned", Job, Campaign)
 
 
 class Scope(StrEnum):
@@ -30,6 +35,15 @@ class Caller:
     def may(self, scope: Scope) -> bool:
         """Whether the caller's scopes allow what needs `scope`."""
         return scope in self.scopes or Scope.ADMIN in self.scopes
+
+    @property
+    def only(self) -> str | None:
+        """The owner whose jobs, campaigns and uploads the caller sees; None sees those of all."""
+        return None if self.may(Scope.ADMIN) else self.owner
+
+    def visible(self, found: Owned | None) -> Owned | None:
+        """`found` if the caller sees its owner's, else None: what others have does not exist for the caller."""
+        return found if found is not None and self.only in (None, found.owner) else None
 
 
 KEYLESS = Caller("", frozenset(Scope), "")

@@ -1,9 +1,9 @@
-"""The table of keys."""
+"""The tables of keys and of who uploaded what."""
 
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import String
+from sqlalchemy import BigInteger, String
 from sqlalchemy.orm import Mapped, mapped_column
 
 from services.jobs.models import Base
@@ -26,3 +26,16 @@ class AccessKey(Base):
     """The time of a use, to the minute."""
     revoked_at: Mapped[datetime | None]
     expires_at: Mapped[datetime | None]
+
+
+class OwnedAsset(Base):
+    """An upload of an owner. The same file of two owners has two rows."""
+
+    __tablename__ = "owned_assets"
+
+    owner: Mapped[str] = mapped_column(String(100), primary_key=True)
+    name: Mapped[str] = mapped_column(String(100), primary_key=True)
+    """The name by which scenes call the mesh."""
+    size: Mapped[int] = mapped_column(BigInteger)
+    """Bytes of the file."""
+    created_at: Mapped[datetime]

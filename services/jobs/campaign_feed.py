@@ -98,7 +98,8 @@ class Feeder(Transactions):
         if not chunk:
             return False
         asked = [{"number": view.number, "probe": view.probe.model_dump(mode="json")} for view in chunk]
-        self._add_job(session, {"views": asked}, kind=JobKind.SELECTION, campaign_id=campaign_id)
+        owner = _owner(session, campaign_id)
+        self._add_job(session, {"views": asked}, kind=JobKind.SELECTION, campaign_id=campaign_id, owner=owner)
         return begun + CHUNK < len(found)
 
     def _expand(self, campaign_id: str) -> None:
@@ -166,11 +167,15 @@ class Feeder(Transactions):
             .options(undefer(CampaignJob.spec))
         )
         planned = session.scalars(query).all()
+        owner = _owner(session, campaign_id)
         for one in planned:
-            earlier = _earlier(session, one) if campaign.reuse else None
+            earlier = _earlier(session, one, owner) if campaign.reuse else None
             if earlier is None:
                 seed = int(one.spec["seed"])
-                one.job_id = self._add_job(session, one.spec, seed=seed, digest=one.digest, campaign_id=campaign_id).id
+                job = self._add_job(
+                    session, one.spec, seed=seed, digest=one.digest, campaign_id=campaign_id, owner=owner
+                )
+                one.job_id = job.id
                 return True
             one.job_id, one.reused = earlier, True
         return False
@@ -229,11 +234,18 @@ def _answers(asked: Sequence[Job]) -> dict[int, FirstAnswer]:
     return found
 
 
-def _earlier(session: Session, planned: CampaignJob) -> str | None:
-    """The id of an earlier job with the same request, assets, weights, backend and versions that ran to its end."""
+def _owner(session: Session, campaign_id: str) -> str:
+    return session.scalars(select(Campaign.owner).where(Campaign.id == campaign_id)).one()
+
+
+def _earlier(session: Session, planned: CampaignJob, owner: str) -> str | None:
+    """The id of the owner's earlier job with the same request, assets, weights, backend and versions that ran to its
+    end.
+    """
+    ended = (Job.kind == JobKind.ATTACK, Job.state == State.SUCCEEDED)
     query = (
         select(Job)
-        .where(Job.digest == planned.digest, Job.kind == JobKind.ATTACK, Job.state == State.SUCCEEDED)
+        .where(Job.digest == planned.digest, Job.owner == owner, *ended)
         .order_by(Job.created_at)
         .options(undefer(Job.result))
     )

@@ -36,16 +36,16 @@ class CampaignService:
     record: Campaigns
     queue: Queue
 
-    def submit(self, spec: CampaignSpec, key: str | None) -> Campaign:
+    def submit(self, spec: CampaignSpec, key: str | None, owner: str = "") -> Campaign:
         """Records a checked campaign; the supervisor queues its jobs. Returns it, or the first one of the key.
 
         Raises KeyReused if the key came with another request.
         """
         count = len(views(spec))
         try:
-            return self.record.create(spec, count, request_digest(spec), key)
+            return self.record.create(spec, count, request_digest(spec), key, owner)
         except IntegrityError:  # another process recorded the same key at the same moment
-            return self.record.create(spec, count, request_digest(spec), key)
+            return self.record.create(spec, count, request_digest(spec), key, owner)
 
     def counts(self, campaign_id: str) -> Counts:
         """The results so far, and the time left with as many workers as there are now."""

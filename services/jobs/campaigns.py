@@ -30,14 +30,15 @@ class Progress:
 class Campaigns(Transactions):
     """The record of campaigns, as clients see and change it."""
 
-    def create(self, spec: CampaignSpec, view_count: int, digest: str, key: str | None) -> Campaign:
+    def create(self, spec: CampaignSpec, view_count: int, digest: str, key: str | None, owner: str = "") -> Campaign:
         """Records a new campaign and returns it, or the first one of the key if it was used before.
 
         Raises KeyReused if the key came with another request, and IntegrityError if another process records the same
         key at the same moment.
         """
         with self._write(durable=True) as session:
-            if key is not None and (first := _first(session, Key(key, digest))) is not None:
+            given = None if key is None else Key(key, digest, owner)
+            if given is not None and (first := _first(session, given)) is not None:
                 return first
             campaign = Campaign(
                 id=uuid4().hex,
@@ -46,7 +47,8 @@ class Campaigns(Transactions):
                 spec=spec.model_dump(mode="json"),
                 created_at=self._now(session),
                 view_count=view_count,
-                key=key,
+                key=None if given is None else given.stored,
+                owner=owner,
                 request_digest=digest,
             )
             session.add(campaign)
@@ -63,11 +65,17 @@ class Campaigns(Transactions):
         with self._read() as session:
             return session.get(Campaign, campaign_id, options=options)
 
-    def page(self, state: CampaignState | None, limit: int, before: tuple[datetime, str] | None) -> list[Campaign]:
-        """At most `limit` campaigns, newest first, older than `before`, a campaign's (created_at, id)."""
+    def page(
+        self, state: CampaignState | None, limit: int, before: tuple[datetime, str] | None, owner: str | None = None
+    ) -> list[Campaign]:
+        """At most `limit` campaigns, newest first, older than `before`, a campaign's (created_at, id). If given, only
+        those in `state`, and only those of an owner.
+        """
         query = select(Campaign).order_by(Campaign.created_at.desc(), Campaign.id.desc()).limit(limit)
         if state is not None:
             query = query.where(Campaign.state == state)
+        if owner is not None:
+            query = query.where(Campaign.owner == owner)
         if before is not None:
             query = query.where(tuple_(Campaign.created_at, Campaign.id) < place(before))
         with self._read() as session:
@@ -181,7 +189,7 @@ class Campaigns(Transactions):
 
 
 def _first(session: Session, key: Key) -> Campaign | None:
-    first = session.scalars(select(Campaign).where(Campaign.key == key.value)).one_or_none()
+    first = session.scalars(select(Campaign).where(Campaign.key == key.stored)).one_or_none()
     if first is not None and first.request_digest != key.digest:
         raise KeyReused
     return first

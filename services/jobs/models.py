@@ -108,6 +108,7 @@ class Job(Base):
         Index("jobs_by_state", "state", "created_at", "id"),
         Index("jobs_by_turn", "state", "campaign_id", "kind"),
         Index("jobs_by_age", "created_at", "id"),
+        Index("jobs_by_owner", "owner", "created_at", "id"),
         Index("jobs_by_digest", "digest"),
         Index("jobs_by_campaign", "campaign_id", "created_at", "id"),
     )
@@ -122,6 +123,8 @@ class Job(Base):
     """Digest of the spec (services.pipeline.campaign_case), by which a campaign finds earlier results."""
     campaign_id: Mapped[str | None] = mapped_column(String(32))
     """The campaign that queued the job."""
+    owner: Mapped[str] = mapped_column(String(100), default="", server_default="")
+    """Who sent the job or its campaign: the owner of the key, "" for a service without keys."""
 
     # What lists show of `spec` (services.jobs.listed); None for jobs that no list shows.
     name: Mapped[str | None] = mapped_column(String(300))
@@ -216,7 +219,10 @@ class Total(Base):
 
 
 class IdempotencyKey(Base):
-    """A client's key for one submission, with the digest of the request and the first answer to it."""
+    """A client's key for one submission, with the digest of the request and the first answer to it.
+
+    `key` is that of the owner "", or SHA-256 of an owner and its key (`services.jobs.repository.Key.stored`).
+    """
 
     __tablename__ = "idempotency_keys"
 
@@ -231,10 +237,14 @@ class Campaign(Base):
     """Many attacks that belong together (services.pipeline.campaign_spec)."""
 
     __tablename__ = "campaigns"
-    __table_args__ = (Index("campaigns_by_age", "created_at", "id"),)
+    __table_args__ = (
+        Index("campaigns_by_age", "created_at", "id"),
+        Index("campaigns_by_owner", "owner", "created_at", "id"),
+    )
 
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
     name: Mapped[str] = mapped_column(String(100))
+    owner: Mapped[str] = mapped_column(String(100), default="", server_default="")
     state: Mapped[CampaignState]
     spec: Mapped[dict[str, Any]] = mapped_column(deferred=True)
     created_at: Mapped[datetime]
@@ -248,7 +258,7 @@ class Campaign(Base):
     views: Mapped[list[dict[str, Any]] | None] = mapped_column(deferred=True)
     """Every view, with the first answer and why it is not attacked (services.pipeline.campaign_select.ChosenView)."""
     key: Mapped[str | None] = mapped_column(String(255), unique=True)
-    """The client's idempotency key."""
+    """The client's idempotency key, as `IdempotencyKey.key`."""
     request_digest: Mapped[str] = mapped_column(String(64))
 
 

@@ -6,6 +6,7 @@ Every change of a job is one transaction together with its event; a result and i
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from hashlib import sha256
 from typing import Any
 
 from sqlalchemy import Select, func, literal, select, text, tuple_, update
@@ -29,10 +30,16 @@ class KeyReused(Exception):
 
 @dataclass(frozen=True)
 class Key:
-    """A client's idempotency key and the digest of the request that it came with."""
+    """A client's idempotency key, the digest of the request that it came with, and the client's owner."""
 
     value: str
     digest: str
+    owner: str = ""
+
+    @property
+    def stored(self) -> str:
+        """What the record has of it, at most 255 characters: each owner has keys of its own."""
+        return sha256(f"{self.owner}\n{self.value}".encode()).hexdigest() if self.owner else self.value
 
 
 @dataclass(frozen=True)
@@ -78,6 +85,7 @@ class Repository(Attempts):
         warnings: Sequence[JobWarning] = (),
         *,
         checked: bool = True,
+        owner: str = "",
     ) -> tuple[Job | None, dict[str, Any]]:
         """Records a new queued job. Returns it and `answer(job)`, or None and the key's first answer if it was used.
 
@@ -96,10 +104,11 @@ class Repository(Attempts):
                 digest=digest(spec),
                 warnings=warnings,
                 checked=checked,
+                owner=owner,
             )
             said = answer(job)
             if key is not None:
-                values = {"key": key.value, "digest": key.digest, "answer": said, "created_at": job.created_at}
+                values = {"key": key.stored, "digest": key.digest, "answer": said, "created_at": job.created_at}
                 session.add(IdempotencyKey(job_id=job.id, **values))
             return job, said
 
@@ -126,15 +135,22 @@ class Repository(Attempts):
             return session.get(Job, job_id)
 
     def page(
-        self, state: State | None, limit: int, before: tuple[datetime, str] | None, campaign: str | None = None
+        self,
+        state: State | None,
+        limit: int,
+        before: tuple[datetime, str] | None,
+        campaign: str | None = None,
+        owner: str | None = None,
     ) -> list[Job]:
         """At most `limit` attacks without their requests and results, newest first, older than `before`, a job's
-        (created_at, id). If given, only those in `state`, and only those that a campaign queued.
+        (created_at, id). If given, only those in `state`, those that a campaign queued, and those of an owner.
         """
         query = select(Job).where(Job.kind == JobKind.ATTACK).options(*_AS_LISTED)
         query = query.order_by(Job.created_at.desc(), Job.id.desc()).limit(limit)
         if campaign is not None:
             query = query.where(Job.campaign_id == campaign)
+        if owner is not None:
+            query = query.where(Job.owner == owner)
         if state is not None:
             query = query.where(Job.state == state)
         if before is not None:
@@ -223,7 +239,7 @@ def _events(job_id: str, after: int, limit: int) -> Select[Event]:
 
 
 def _first_answer(session: Session, key: Key) -> dict[str, Any] | None:
-    first = session.get(IdempotencyKey, key.value)
+    first = session.get(IdempotencyKey, key.stored)
     if first is None:
         return None
     if first.digest != key.digest:

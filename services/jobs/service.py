@@ -34,6 +34,7 @@ class Submissions:
         warnings: Sequence[JobWarning] = (),
         *,
         checked: bool = True,
+        owner: str = "",
     ) -> dict[str, Any]:
         """Records the job, then sends its id. Returns `answer(job)`, or the first answer if the key was used before.
 
@@ -41,7 +42,8 @@ class Submissions:
 
         Raises QueueFull, and KeyReused if the key came with another request.
         """
-        create = partial(self.repository.create, spec, self.max_queued, key, answer, warnings, checked=checked)
+        given = (spec, self.max_queued, key, answer, warnings)
+        create = partial(self.repository.create, *given, checked=checked, owner=owner)
         try:
             job, said = create()
         except IntegrityError:  # another process recorded the same key at the same moment

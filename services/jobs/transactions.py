@@ -64,6 +64,7 @@ class Transactions:
         campaign_id: str | None = None,
         warnings: Sequence[JobWarning] = (),
         checked: bool = True,
+        owner: str = "",
     ) -> Job:
         """Records a new queued job and its first event."""
         now = self._now(session)
@@ -80,6 +81,7 @@ class Transactions:
             attempt=0,
             lost=0,
             checked=checked,
+            owner=owner,
             warnings=[one.model_dump(mode="json") for one in warnings],
             events=1,
             **(listed(spec) if kind is JobKind.ATTACK else {}),

@@ -3,7 +3,7 @@
 import re
 import threading
 from collections import OrderedDict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Literal
 
@@ -79,10 +79,15 @@ class Library:
                 self._meshes.popitem(last=False)
         return mesh
 
-    def check_mesh(self, name: str) -> None:
-        """Raises InvalidRequest("mesh", …) as `mesh` does for an unknown name, without reading a known one's file."""
+    def check_mesh(self, name: str, may_use: Callable[[str], bool] = lambda _: True) -> None:
+        """Raises InvalidRequest("mesh", …) as `mesh` does for an unknown name, without reading a known one's file.
+
+        An upload for whose name `may_use` is false is unknown, too.
+        """
         kind, _, rest = name.partition("/")
         upload = re.fullmatch(r"sha256:([0-9a-f]{64})", name)
+        if upload is not None and not may_use(name):
+            raise self._unknown_mesh(name)
         known = (kind == "furniture" and rest in self._catalogue()) or (
             upload is not None and self._uploads.record(upload[1]) is not None
         )
@@ -159,9 +164,14 @@ class Library:
         models = self._catalogue()
         if kind == "furniture" and rest in models:
             return load_model(models[rest], self._furniture, self._processed)
-        if kind == "furniture" and not models:
-            raise InvalidRequest("mesh", f"there is no furniture in {self._furniture}; {SETUP}")
-        raise InvalidRequest("mesh", _unknown_mesh(name, [entry.name for entry in self._all()]))
+        raise self._unknown_mesh(name)
+
+    def _unknown_mesh(self, name: str) -> InvalidRequest:
+        """The error for a name that is none. It suggests no upload, which may be somebody else's."""
+        if name.startswith("furniture/") and not self._catalogue():
+            return InvalidRequest("mesh", f"there is no furniture in {self._furniture}; {SETUP}")
+        known = [entry.name for entry in self._all() if entry.kind != "upload"]
+        return InvalidRequest("mesh", _unknown_mesh(name, known))
 
     def _catalogue(self) -> dict[str, Model]:
         with self._lock:

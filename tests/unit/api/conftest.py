@@ -16,6 +16,7 @@ from services.jobs.models import Artifact
 from services.pipeline.outcome import Outcome
 from services.pipeline.spec import parse
 from services.settings import Settings
+from tests.unit.api.guarded import Guarded, guarding
 
 SPHERE: dict[str, Any] = {
     "scene": {"camera": {"size": [32, 32]}, "objects": [{"mesh": "primitive/sphere"}]},
@@ -73,6 +74,14 @@ def client(app: FastAPI) -> Iterator[httpx.Client]:
     """A client of the app, over HTTP. The app has no key, so it needs none."""
     with serving(app) as client:
         yield client
+
+
+@pytest.fixture(scope="session")
+def guarded(redis_url: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Guarded]:
+    """A service that has keys, with a record of its own."""
+    app = create_app(Settings(data=tmp_path_factory.mktemp("data"), redis_url=redis_url, hosts="service.example"))
+    with serving(app) as client, guarding(app, client) as guarded:
+        yield guarded
 
 
 @pytest.fixture

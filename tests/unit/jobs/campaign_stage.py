@@ -40,8 +40,8 @@ class Stage:
         self.campaigns = Campaigns(engine)
         self.feeder = Feeder(engine, QUEUED)
 
-    def begin(self, campaign: CampaignSpec) -> str:
-        return self.campaigns.create(campaign, len(views(campaign)), request_digest(campaign), None).id
+    def begin(self, campaign: CampaignSpec, owner: str = "") -> str:
+        return self.campaigns.create(campaign, len(views(campaign)), request_digest(campaign), None, owner).id
 
     def state(self, campaign_id: str) -> CampaignState:
         return self.campaign(campaign_id).state

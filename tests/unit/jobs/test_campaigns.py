@@ -163,6 +163,18 @@ def test_an_earlier_result_of_the_same_request_is_taken(stage: Stage) -> None:
     assert len(stage.repository.page(None, 1000, None)) == count + 4
 
 
+def test_another_owners_result_is_not_taken(stage: Stage) -> None:
+    stage.finish(stage.begin(spec(2), "alice"))
+    count = len(stage.repository.page(None, 1000, None, owner="bob"))
+    for owner, reused in (("bob", False), ("", False), ("alice", True)):
+        again = stage.begin(spec(2), owner)
+        stage.finish(again)
+        assert [case.reused for case in stage.campaigns.cases(again)[1]] == [reused] * 2
+    assert (
+        len(stage.repository.page(None, 1000, None, owner="bob")) == count + 2
+    )  # jobs belong to whom the campaign does
+
+
 @pytest.mark.parametrize("part", ["weights_sha256", "backend", "scene_sha256", "versions"])
 def test_a_result_of_other_weights_or_backend_is_not_taken(
     stage: Stage, part: str, monkeypatch: pytest.MonkeyPatch
@@ -193,6 +205,8 @@ def test_a_key_belongs_to_one_request(stage: Stage) -> None:
     with pytest.raises(KeyReused):
         create(spec(2), "k")
     assert create(spec(1), None) != first
+    bobs = [stage.campaigns.create(spec(n), 1, request_digest(spec(n)), "k", "bob").id for n in (2, 2)]
+    assert bobs[0] == bobs[1] != first
 
 
 def test_a_campaign_that_is_no_request_any_more_fails_by_name(stage: Stage, engine: Engine) -> None:

@@ -7,7 +7,7 @@ from sqlalchemy.exc import StatementError
 
 from services.errors import InvalidRequest
 from services.jobs.attempts import Attempt, Standing
-from services.jobs.models import State
+from services.jobs.models import Job, State
 from services.jobs.queue import Queue, connect
 from services.jobs.repository import Key, KeyReused, QueueFull, Repository
 from services.jobs.service import Submissions
@@ -229,6 +229,18 @@ def test_pages_are_newest_first_and_by_state(repository: Repository, clock: Cloc
     start(repository, jobs[1])
     assert [job.id for job in repository.page(None, 9, None)] == [job.id for job in reversed(jobs)]
     assert [job.id for job in repository.page(State.RUNNING, 9, None)] == [jobs[1].id]
+
+
+def test_pages_and_keys_are_those_of_an_owner(repository: Repository) -> None:
+    def create(owner: str, digest: str) -> tuple[Job | None, dict[str, str]]:
+        return repository.create(SPEC, 9, Key("k", digest[:64], owner), lambda job: {"id": job.id}, owner=owner)
+
+    made = {owner: create(owner, f"of {owner}")[1]["id"] for owner in ("", "alice", "bob", "x" * 100)}
+    assert len(set(made.values())) == 4
+    for owner, job_id in made.items():
+        assert create(owner, f"of {owner}") == (None, {"id": job_id})
+        assert [job.id for job in repository.page(None, 9, None, owner=owner)] == [job_id]
+    assert len(repository.page(None, 9, None)) == 4
 
 
 def test_a_key_makes_one_job_however_often_it_comes(repository: Repository, tmp_path: Path) -> None:

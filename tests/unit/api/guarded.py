@@ -1,0 +1,83 @@
+"""A service that has keys, and the callers that ask it."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import httpx
+from fastapi import FastAPI
+
+from api.auth_rules import RULES
+from api.state import Services
+from services.access.caller import Scope
+from services.jobs.models import CampaignState, State
+from services.pipeline.campaign_spec import parse as parse_campaign
+from services.pipeline.spec import parse
+
+SPHERE = {"camera": {"size": [32, 32]}, "objects": [{"mesh": "primitive/sphere"}]}
+ATTACK = {"renderer": "pyrender", "steps": 1, "queries": 20}
+CAMPAIGN = {"grids": [{"scenes": [SPHERE], "attacks": [{"name": "a", "attack": ATTACK}]}]}
+CLOSED = {route: scope for route, scope in RULES.items() if scope is not None}
+"""The routes that need a key, and their scopes."""
+OWNED = [route for route in CLOSED if "{job_id}" in route or "{campaign_id}" in route]
+"""The routes to what one owner has."""
+
+
+@dataclass(frozen=True)
+class Guarded:
+    """A service that has keys: a client without one, the headers of each kind of caller, and what alice has."""
+
+    services: Services
+    client: httpx.Client
+    headers: dict[str, dict[str, str]]
+    job: str
+    campaign: str
+
+    def ask(self, route: str, caller: str, *, exists: bool = True) -> httpx.Response:
+        """The answer to a request for a route ("GET /v1/jobs/{job_id}"), of what alice has or of nothing."""
+        method, path = route.split(" ")
+        names = {"job_id": self.job, "campaign_id": self.campaign} if exists else {"job_id": "x", "campaign_id": "x"}
+        filled = path.format(name="original.png", move="pause", **names)
+        return self.client.request(method, filled, headers=self.headers[caller])
+
+    def untouched(self) -> bool:
+        """Whether alice's job and campaign are as they were."""
+        job = self.services.repository.line(self.job)
+        campaign = self.services.campaigns.record.get(self.campaign)
+        assert job is not None
+        assert campaign is not None
+        return (job.state, campaign.state) == (State.QUEUED, CampaignState.SELECTING)
+
+
+@contextmanager
+def guarding(app: FastAPI, client: httpx.Client) -> Iterator[Guarded]:
+    """Makes keys for an app that is served, and a job and a campaign of alice's, which nobody may touch."""
+    services = app.state.services
+    assert isinstance(services, Services)
+    job, _ = services.repository.create(
+        parse({"scene": SPHERE, "attack": ATTACK}), 9, None, lambda _: {}, owner="alice"
+    )
+    assert job is not None
+    headers = {"none": {}, "unknown": bearer("sa_0123456789_" + "x" * 43)}
+    for name, owner, scopes, seconds in [
+        ("admin", "root", {Scope.ADMIN}, None),
+        ("alice", "alice", set(Scope) - {Scope.ADMIN}, None),
+        ("bob", "bob", set(Scope) - {Scope.ADMIN}, None),
+        ("revoked", "alice", {Scope.ADMIN}, None),
+        ("expired", "alice", {Scope.ADMIN}, 0.0),
+        *((f"only {scope}", "alice", {scope}, None) for scope in Scope),
+        *((f"not {scope}", "alice", set(Scope) - {scope, Scope.ADMIN}, None) for scope in Scope),
+    ]:
+        key, text = services.keys.create(name, owner, scopes, seconds)
+        headers[name] = bearer(text)
+        if name == "revoked":
+            services.keys.revoke(key.prefix)
+    headers["not a bearer"] = {"authorization": headers["admin"]["authorization"].replace("Bearer", "Basic")}
+    campaign = services.campaigns.submit(parse_campaign(CAMPAIGN), None, "alice")
+    guarded = Guarded(services, client, headers, job.id, campaign.id)
+    yield guarded
+    assert guarded.untouched()
+
+
+def bearer(text: str) -> dict[str, str]:
+    return {"authorization": f"Bearer {text}"}
