@@ -3,7 +3,7 @@
 from typing import Any
 
 from services.jobs.attempts import Attempt
-from services.jobs.models import Artifact, Job
+from services.jobs.models import Artifact, Job, State
 from services.jobs.repository import Repository
 from services.pipeline.spec import JobSpec, parse
 
@@ -34,3 +34,9 @@ def row(repository: Repository, job: Job) -> dict[str, Any]:
     values = {column.name: getattr(found, column.name) for column in Job.__table__.columns}
     events = [(event.number, event.kind, event.data) for event in repository.events(job.id, 0)]
     return values | {"events": events, "artifacts": [a.name for a in repository.artifacts(job.id)]}
+
+
+def state(repository: Repository, job_id: str) -> State:
+    job = repository.get(job_id)
+    assert job is not None
+    return job.state

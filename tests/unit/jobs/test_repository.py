@@ -5,21 +5,13 @@ from pathlib import Path
 import pytest
 from sqlalchemy.exc import StatementError
 
-from services.errors import InvalidRequest
 from services.jobs.attempts import Attempt, Standing
 from services.jobs.models import Job, State
 from services.jobs.queue import Queue, connect
 from services.jobs.repository import Key, KeyReused, QueueFull, Repository
 from services.jobs.service import Submissions
-from services.pipeline.warning import JobWarning
 from tests.unit.jobs.conftest import Clock
-from tests.unit.jobs.records import OUTCOME, SPEC, add, artifact, row, start
-
-
-def state(repository: Repository, job_id: str) -> State:
-    job = repository.get(job_id)
-    assert job is not None
-    return job.state
+from tests.unit.jobs.records import OUTCOME, SPEC, add, artifact, row, start, state
 
 
 def test_a_new_job_is_queued_with_its_whole_spec(repository: Repository, clock: Clock) -> None:
@@ -264,41 +256,3 @@ def test_a_full_queue_takes_no_more(repository: Repository) -> None:
     start(repository, started)
     repository.create(SPEC, 2, None, lambda _: {})
     assert len(repository.page(None, 9, None)) == 3
-
-
-def test_a_job_accepted_before_its_check_is_settled_by_its_worker(repository: Repository) -> None:
-    job = add(repository, checked=False)
-    before = repository.get(job.id)
-    assert before is not None
-    assert not before.checked
-    attempt = start(repository, job)
-    warning = JobWarning(code="low-confidence", field="scene", text="it is unsure")
-    filled = SPEC.model_dump(mode="json") | {"goal": {"leave": "balloon"}, "target": {"name": "filled in"}}
-    repository.checked(attempt, filled, "ab" * 32, [warning])
-    found = row(repository, job)
-    assert (found["checked"], found["digest"], found["spec"]["goal"]) == (True, "ab" * 32, {"leave": "balloon"})
-    assert (found["target"], found["name"]) == ("filled in", "sphere")
-    assert found["warnings"] == [warning.model_dump(mode="json")]
-    assert found["state"] is State.RUNNING
-
-
-def test_a_rejected_job_has_ended_and_says_which_fields_are_bad(repository: Repository) -> None:
-    job = add(repository, checked=False)
-    attempt = start(repository, job)
-    assert repository.reject(attempt, InvalidRequest("goal.leave", "there is no such label"))
-    found = row(repository, job)
-    errors = [{"field": "goal.leave", "detail": "there is no such label"}]
-    assert (found["state"], found["errors"], found["lease_owner"]) == (State.REJECTED, errors, None)
-    assert found["events"][-1][2] == {"state": "rejected", "attempt": 1, "errors": errors}
-    assert State.REJECTED.terminal
-    assert repository.lease(job.id, "w", 20) is None
-
-
-def test_an_attempt_that_was_taken_back_settles_and_rejects_nothing(repository: Repository) -> None:
-    job = add(repository, checked=False)
-    late = start(repository, job)
-    repository.give_back(late)
-    before = row(repository, job)
-    repository.checked(late, SPEC.model_dump(mode="json"), "ab" * 32, [])
-    assert not repository.reject(late, InvalidRequest("goal", "it is bad"))
-    assert row(repository, job) == before
