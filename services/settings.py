@@ -20,7 +20,9 @@ class Settings(BaseSettings):
         None,
         description="SQLAlchemy URL, of PostgreSQL for several machines; default: SQLite (WAL) in the data directory",
     )
-    redis_url: str | None = Field(None, description="redis:// URL; default: an embedded Redis on loopback")
+    redis_url: str | None = Field(
+        None, description="redis:// URL, or rediss:// for TLS, with its password; default: an embedded Redis"
+    )
     host: str = Field("127.0.0.1", description="address the API listens on")
     port: int = Field(8008, ge=0, le=65535, description="port the API listens on; 0 picks a free one")
     hosts: str | None = Field(

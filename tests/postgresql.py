@@ -76,7 +76,7 @@ def running() -> Iterator[Postgresql]:
         made = [_program("initdb"), "--pgdata", str(directory / "data"), "--username=scene_attack", "--encoding=UTF8"]
         made += ["--auth=scram-sha-256", f"--pwfile={directory / 'password'}", "--locale=C.UTF-8", "--no-sync"]
         assert _start(made, who).wait(PATIENCE) == 0, "PostgreSQL could not be set up"
-        port = _free_port()
+        port = free_port()
         options = {
             "listen_addresses": "127.0.0.1",
             "port": port,
@@ -141,6 +141,6 @@ def _program(name: str) -> str:
     return found
 
 
-def _free_port() -> int:
+def free_port() -> int:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         return int(taken.getsockname()[1])

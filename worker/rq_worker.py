@@ -12,6 +12,8 @@ from redis.exceptions import RedisError
 from rq import SimpleWorker
 from rq.exceptions import StopRequested
 from rq.job import Job as Message
+from rq.utils import now
+from rq.worker_registration import clean_worker_registry
 
 from services.jobs import queue, watchdog
 from services.jobs.child import ChildDied
@@ -20,13 +22,14 @@ from services.jobs.repository import Repository
 from services.logs import configure, logger
 from services.settings import settings
 from worker.runner import RETRY_SECONDS, Runner
-from worker.task import bind
 
 log = logger(__name__)
 
 
 class JobWorker(SimpleWorker):  # type: ignore[misc]
-    """RQ's in-process worker, with heartbeats during jobs and a quick stop; it refuses messages of other functions."""
+    """RQ's worker, with heartbeats during jobs and a quick stop. It calls the runner, and nothing that a message names:
+    neither its function nor its callbacks, and it neither retries it nor sends webhooks.
+    """
 
     max_connection_wait_time = 2.0
     log_job_description = False
@@ -35,46 +38,44 @@ class JobWorker(SimpleWorker):  # type: ignore[misc]
         # RQ listens for worker_ttl - 15 seconds at a time and sends a heartbeat in between.
         super().__init__([queue.NAME], worker_ttl=15 + queue.HEARTBEAT_SECONDS, serializer="json", **options)
         self._runner = runner
-        self._message: Message | None = None
+        self._messages = queue.Queue(self.connection)
         self._beaten = 0.0
-
-    def run(self, job_id: str) -> None:
-        """Runs a job, and sends heartbeats to Redis meanwhile."""
-        self._runner.run(job_id, self._beat)
 
     def heartbeat(self, timeout: int | None = None, pipeline: Any = None) -> None:
         """Sends RQ's heartbeat, and records that this worker is alive."""
         watchdog.alive()
         super().heartbeat(timeout, pipeline)
-        queue.Queue(self.connection).alive(self.name)
+        self._messages.alive(self.name)
 
     def register_death(self) -> None:
         """Records that this worker has ended."""
         watchdog.alive()
         super().register_death()
-        queue.Queue(self.connection).gone(self.name)
+        self._messages.gone(self.name)
 
     def _beat(self) -> None:
-        now = time.monotonic()
-        if self._message is None or now - self._beaten < queue.HEARTBEAT_SECONDS:
+        if time.monotonic() - self._beaten < queue.HEARTBEAT_SECONDS:
             return
-        self._beaten = now
+        self._beaten = time.monotonic()
         try:
-            self.maintain_heartbeats(self._message)
+            self.heartbeat()
         except RedisError as error:
             log.warning("Redis is out of reach, the job goes on", error=str(error))
 
-    def execute_job(self, job: Message, queue_: Any) -> None:
-        """Runs the job of a message that names `worker.task.run_job`; deletes a message that names another function."""
-        if job.func_name != queue.TASK:
-            log.error("message refused", function=job.func_name)
-            job.delete()
+    def execute_job(self, job: Message, queue_: Any) -> None:  # noqa: ARG002 - RQ's signature
+        """Runs the job whose id is in a message. A message that names anything else is refused."""
+        self._messages.forget(job.id)  # what becomes of its job is in the record
+        job_id = queue.job_id_of(job)
+        if job_id is None:
+            log.error("message refused: it is none of the service's", message=repr(job.id[:100]))
             return
-        self._message = job
-        try:
-            super().execute_job(job, queue_)
-        finally:
-            self._message = None
+        self._runner.run(job_id, self._beat)
+
+    def run_maintenance_tasks(self) -> None:
+        """Forgets workers that have died. RQ would also fail the messages they left, and call their callbacks."""
+        for one in self.queues:
+            clean_worker_registry(one)
+        self.last_cleaned_at = now()
 
     def dequeue_job_and_maintain_ttl(self, timeout: int | None, max_idle_time: int | None = None) -> Any:
         """Takes a message only when the job process is warm, so that no leased job waits for the process to start, and
@@ -103,9 +104,7 @@ def _work(runner: Runner, name: str, redis_url: str) -> None:
     """
     watchdog.alive()
     try:
-        worker = JobWorker(runner, name=name, connection=queue.connect(redis_url))
-        bind(worker.run)
-        worker.work(logging_level="WARNING")
+        JobWorker(runner, name=name, connection=queue.connect(redis_url)).work(logging_level="WARNING")
     except RedisError as error:
         log.warning("Redis is out of reach", error=str(error))
 

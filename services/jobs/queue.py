@@ -1,28 +1,51 @@
-"""The queue: RQ on Redis carries job ids to workers. If Redis loses them, they are sent again from the record."""
+"""The queue: RQ on Redis carries job ids to workers. If Redis loses them, they are sent again from the record.
 
+RQ is transport and no more: no function that a message names is imported or called. Whoever can write to Redis can
+start a job that is queued, at most. Whether the job may run, and what it is, a worker reads from the record.
+"""
+
+import re
 from contextlib import suppress
 from dataclasses import dataclass
 
 import rq
 from redis import Redis
-from rq.exceptions import DuplicateJobError, NoSuchJobError
+from rq.exceptions import DeserializationError, DuplicateJobError
 from rq.job import Job as Message
 
 from services.jobs.repository import Repository, Waiting
 
 NAME = "scene-attack"
-TASK = "worker.task.run_job"
-"""The only function that a message may name."""
+TASK = "run_job"
+"""What a message asks for. No function has this name."""
 HEARTBEAT_SECONDS = 5
 """Longest time between two heartbeats of a worker."""
+ANSWER_SECONDS = 3
+"""Time after which Redis is taken to be away."""
 _SIGN = f"{NAME}:worker:"
+_ID = re.compile(r"[0-9a-f]{32}")
 SETTLE_SECONDS = 5.0
 """Age below which a missing message is not sent again: a worker may have taken it and not leased its job yet."""
 
 
 def connect(url: str) -> Redis:
-    """Returns a Redis client that gives up after 3 seconds without an answer."""
-    return Redis.from_url(url, socket_timeout=3, socket_connect_timeout=3)
+    """Returns a Redis client that gives up after 3 seconds without an answer.
+
+    The URL begins with redis:, rediss: (TLS) or unix:, and may have a user and a password. Over TLS the server's
+    certificate must be one that this machine trusts, or one of the file `?ssl_ca_certs=`.
+    """
+    return Redis.from_url(url, socket_timeout=ANSWER_SECONDS, socket_connect_timeout=ANSWER_SECONDS)
+
+
+def job_id_of(message: Message) -> str | None:
+    """The id of the job that a message is about; None if `Queue.send` did not make it."""
+    try:
+        asked, arguments, named = message.func_name, message.args, message.kwargs
+    except (DeserializationError, TypeError, ValueError):
+        return None
+    if asked != TASK or named or len(arguments) != 1 or not isinstance(arguments[0], str):
+        return None
+    return arguments[0] if _ID.fullmatch(arguments[0]) else None
 
 
 @dataclass(frozen=True)
@@ -44,7 +67,6 @@ class Queue:
                 unique=True,
                 timeout=-1,  # limits are the worker's own
                 result_ttl=0,
-                failure_ttl=60,
                 description=job_id,
             )
 
@@ -52,10 +74,10 @@ class Queue:
         """Ids of the messages on the queue. Raises RedisError."""
         return set(self._queue().get_job_ids())
 
-    def forget(self, job_id: str, attempt: int) -> None:
-        """Deletes the data of a message that is not on the queue any more. Raises RedisError."""
-        with suppress(NoSuchJobError):
-            Message.fetch(_message_id(job_id, attempt), connection=self.redis, serializer="json").delete()
+    def forget(self, message_id: str) -> None:
+        """Deletes what is left of a message that is not on the queue any more. Raises RedisError."""
+        self.redis.delete(Message.key_for(message_id))
+        self._queue().intermediate_queue.remove(message_id)
 
     def alive(self, worker: str) -> None:
         """Records that a worker is alive. RQ does not restore its own register if Redis loses it. Raises RedisError."""
@@ -84,7 +106,7 @@ def reconcile(repository: Repository, queue: Queue) -> int:
         if _message_id(job.job_id, job.attempt) in waiting or _settling(job):
             continue
         if job.sent_ago is not None:
-            queue.forget(job.job_id, job.attempt)
+            queue.forget(_message_id(job.job_id, job.attempt))
         queue.send(job.job_id, job.attempt)
         repository.sent(job.job_id, job.attempt)
         sent += 1

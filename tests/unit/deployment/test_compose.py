@@ -66,6 +66,17 @@ def test_every_service_is_watched_and_keeps_its_hands_to_itself() -> None:
     assert all(port.startswith("127.0.0.1:") for port in COMPOSE["services"]["api"]["ports"])
 
 
+def test_redis_asks_for_a_password_that_no_command_line_shows() -> None:
+    redis = COMPOSE["services"]["redis"]
+    assert redis["environment"]["REDISCLI_AUTH"].startswith("${REDIS_PASSWORD:?")
+    assert "requirepass" in redis["command"][-1]
+    assert "REDIS_PASSWORD" not in str(redis["command"])
+    for service in OURS.values():
+        assert re.match(
+            r"redis://:\$\{REDIS_PASSWORD:\?[^}]*\}@redis:", service["environment"]["SCENE_ATTACK_REDIS_URL"]
+        )
+
+
 def test_volumes_are_declared_and_are_where_the_image_keeps_things() -> None:
     kept = dict(volume.split(":") for volume in OURS["worker"]["volumes"])
     assert set(kept) == set(COMPOSE["volumes"])

@@ -37,7 +37,7 @@ def test_a_message_is_a_name_and_an_id_in_json(queue: Queue) -> None:
     assert (message.func_name, message.args, message.kwargs) == (TASK, ["abc"], {})
     data = queue.redis.hget(message.key, "data")
     assert isinstance(data, bytes)
-    assert json.loads(zlib.decompress(data)) == ["worker.task.run_job", None, ["abc"], {}]
+    assert json.loads(zlib.decompress(data)) == ["run_job", None, ["abc"], {}]
 
 
 def test_a_job_is_sent_once_however_often_it_is_tried(repository: Repository, queue: Queue) -> None:

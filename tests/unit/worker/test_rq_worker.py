@@ -1,0 +1,138 @@
+"""The worker's messages, taken from a real Redis, with a runner that only notes what it was asked to run."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import rq
+from redis import Redis
+from rq import Callback, Retry
+
+from services.jobs.queue import NAME, TASK, Queue, connect
+from services.settings import Settings
+from worker.rq_worker import JobWorker
+from worker.runner import Runner
+
+ID = "0123456789abcdef" * 2
+
+
+class Noting(Runner):
+    """Notes the ids."""
+
+    def __init__(self) -> None:
+        super().__init__(Settings(), None, "w")  # type: ignore[arg-type]
+        self.seen: list[str] = []
+
+    def ensure_ready(self) -> None:
+        pass
+
+    def usable(self) -> bool:
+        return True
+
+    def run(self, job_id: str, beat: Callable[[], None]) -> None:
+        beat()
+        self.seen.append(job_id)
+
+
+@pytest.fixture
+def redis(redis_url: str) -> Iterator[Redis]:
+    with connect(redis_url) as client:
+        client.flushall()
+        yield client
+
+
+@pytest.fixture
+def runner() -> Noting:
+    return Noting()
+
+
+@pytest.fixture
+def worker(redis: Redis, runner: Noting) -> JobWorker:
+    return JobWorker(runner, name="w", connection=redis)
+
+
+def work(worker: JobWorker) -> None:
+    """Takes one message off the queue."""
+    worker.execute_job(*worker.dequeue_job_and_maintain_ttl(1))
+
+
+def test_a_message_runs_its_job_and_leaves_nothing_in_redis(redis: Redis, worker: JobWorker, runner: Noting) -> None:
+    queue = Queue(redis)
+    queue.send(ID, 0)
+    work(worker)
+    assert runner.seen == [ID]
+    assert queue.live_workers() == 1
+    assert list(redis.scan_iter("rq:job:*")) == list(redis.scan_iter("rq:queue:*")) == []
+    queue.send(ID, 0)  # the same message may come again
+    work(worker)
+    assert runner.seen == [ID, ID]
+
+
+@pytest.mark.parametrize(
+    ("function", "arguments", "named"),
+    [
+        ("os.mkdir", ["FOLDER"], {}),
+        (TASK, [ID, ID], {}),
+        (TASK, [], {"job_id": ID}),
+        (TASK, ["../../etc/passwd"], {}),
+        (TASK, [ID + "0"], {}),
+        (TASK, [7], {}),
+    ],
+)
+def test_a_planted_message_runs_nothing(
+    redis: Redis,
+    worker: JobWorker,
+    runner: Noting,
+    tmp_path: Path,
+    function: str,
+    arguments: list[Any],
+    named: dict[str, Any],
+) -> None:
+    folder = tmp_path / "made"
+    said = [str(folder) if argument == "FOLDER" else argument for argument in arguments]
+    rq.Queue(NAME, connection=redis, serializer="json").enqueue_call(function, args=said, kwargs=named)
+    work(worker)
+    assert runner.seen == []
+    assert not folder.exists()
+    assert list(redis.scan_iter("rq:job:*")) == []
+
+
+def test_callbacks_retries_and_dependents_of_a_message_are_not_run(
+    redis: Redis, worker: JobWorker, runner: Noting
+) -> None:
+    planted = Callback("tests.unit.worker.test_rq_worker.explode")
+    queue = rq.Queue(NAME, connection=redis, serializer="json")
+    first = queue.enqueue_call(
+        TASK, args=[ID], retry=Retry(3), on_success=planted, on_failure=planted, on_stopped=planted
+    )
+    queue.enqueue_call("os.getpid", depends_on=first)
+    work(worker)
+    assert runner.seen == [ID]
+    worker.run_maintenance_tasks()
+    assert Queue(redis).waiting() == set()
+
+
+def test_maintenance_leaves_a_planted_message_alone(
+    redis: Redis, worker: JobWorker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """RQ's own maintenance would import and call the failure callback of a message that seems to run for too long."""
+    ran: list[object] = []
+    monkeypatch.setitem(globals(), "explode", lambda *said: ran.append(said))
+    queue = rq.Queue(NAME, connection=redis, serializer="json")
+    message = queue.enqueue_call(TASK, args=[ID], on_failure=Callback("tests.unit.worker.test_rq_worker.explode"))
+    redis.zadd(queue.started_job_registry.key, {f"{message.id}:run": 1})
+    worker.run_maintenance_tasks()
+    assert ran == []
+
+
+def explode(*_: object) -> None:
+    raise AssertionError("a callback was called")
+
+
+def test_dead_workers_are_forgotten(redis: Redis, worker: JobWorker) -> None:
+    worker.register_birth()
+    redis.sadd("rq:workers", "rq:worker:dead")
+    redis.sadd(f"rq:workers:{NAME}", "rq:worker:dead")
+    worker.run_maintenance_tasks()
+    assert redis.smembers("rq:workers") == redis.smembers(f"rq:workers:{NAME}") == {b"rq:worker:w"}
