@@ -1,0 +1,48 @@
+from collections import Counter
+from datetime import UTC, datetime
+from typing import Any
+
+from benchmarks.chaos.client import without_times
+from benchmarks.chaos.faults import PROCESSES, Fault, plan
+from benchmarks.chaos.recovery import Gap, gaps, recovery
+from services.jobs.models import Event
+
+
+def event(at: float, kind: str, **data: Any) -> Event:
+    return Event(job_id="j", number=0, kind=kind, data=data, created_at=datetime.fromtimestamp(at, UTC))
+
+
+def test_a_plan_hits_everything_and_depends_on_its_seed_alone() -> None:
+    found = plan(12, 6, seed=3)
+    assert Counter(kind for kind, _ in found) == {"kill": 12, "stop": 6}
+    assert {target for kind, target in found if kind == "stop"} == set(PROCESSES)
+    assert found == plan(12, 6, seed=3)
+    assert found != plan(12, 6, seed=4)
+
+
+def test_a_gap_lasts_from_the_last_step_of_an_attempt_to_the_first_of_the_next() -> None:
+    events = [
+        event(0, "state", state="queued"),
+        event(1, "state", state="running"),
+        event(2, "progress", phase="loading"),
+        event(3, "progress", phase="attacking"),
+        event(4, "progress", phase="attacking"),
+        event(9, "state", state="queued"),
+        event(10, "state", state="running"),
+        event(11, "progress", phase="loading"),
+        event(12, "progress", phase="attacking"),
+        event(13, "progress", phase="analysing"),
+    ]
+    assert gaps(events) == [Gap(4, 12)]
+    assert gaps(events[:5]) == []
+
+
+def test_recovery_is_counted_from_the_fault_and_only_where_it_was_the_only_one() -> None:
+    alone, twice = Gap(4, 12), Gap(20, 50)
+    faults = [Fault("kill", "worker", 5.0), Fault("kill", "worker", 21.0), Fault("stop", "worker", 30.0)]
+    assert recovery([alone, twice], faults) == {"kill worker": {"gaps": 1, "median s": 7.0, "longest s": 7.0}}
+
+
+def test_records_are_compared_without_their_seconds() -> None:
+    record = {"steps": 3, "seconds": 1.5, "trace": [{"step": 0, "seconds": 0.1}]}
+    assert without_times(record) == {"steps": 3, "trace": [{"step": 0}]}
