@@ -29,7 +29,7 @@ async def upload(
     file: Annotated[UploadFile, File(description="the mesh; files that it refers to are not read")],
     kind: Annotated[str, Form(max_length=16, description="obj, ply, stl, glb or off")],
 ) -> Entry:
-    """Checks a mesh and stores it under the hash of its bytes. Scenes name it by the `name` in the answer."""
+    """Checks a mesh and stores it under a hash of its bytes and kind. Scenes name it by the `name` in the answer."""
     entry = await services.uploads.add(file.file, kind, client_of(request, caller))
     await run_in_threadpool(services.assets.add, caller.owner, entry.name, file.size or 0)
     return entry

@@ -1,4 +1,8 @@
-"""Stores meshes that users upload: validated once, named by the SHA-256 of their bytes, never by a user's file name."""
+"""Stores meshes that users upload: parsed once, and named by a hash, never by a user's file name.
+
+The hash covers the bytes, the kind they were read as and the version of the parser, so that a name means one mesh for
+ever. What was parsed is kept with the bytes: a later parser reads only what is uploaded later.
+"""
 
 import hashlib
 from pathlib import Path
@@ -8,26 +12,46 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from services import atomic_write
 from services.errors import InvalidRequest, JobFailure
 from services.scenes.isolated_reading import reader
-from services.scenes.mesh import Mesh
+from services.scenes.mesh import Mesh, Part
 from services.scenes.store import load_parts, mesh_path, save_parts
 from services.settings import Settings, settings
 
+PARSER = 1
+"""Version of what reads uploads. Increase it with any change to the mesh that some file gives."""
+
 
 class Upload(BaseModel):
-    """Metadata of an uploaded mesh, stored beside it as JSON. `size` is in bytes."""
+    """Metadata of an uploaded mesh, stored beside it as JSON. `size` is in bytes.
+
+    sha256: the name, see `name_of`. Uploads of scene-attack 0.1 have no parser and no mesh_sha256; their name is the
+    SHA-256 of the bytes alone. mesh_sha256: the SHA-256 of the parsed mesh's file.
+    """
 
     model_config = ConfigDict(frozen=True)
 
     sha256: str
     kind: str
+    parser: int | None = None
+    mesh_sha256: str | None = None
     size: int
     triangles: int
     notes: tuple[str, ...] = ()
     """What the file refers to and the mesh therefore lacks, in sentences."""
 
 
+def name_of(data: bytes, kind: str) -> str:
+    """Returns the name, 64 hexadecimal digits, of a file that is read as `kind`."""
+    digest = hashlib.sha256(f"{kind} {PARSER}\n".encode())
+    digest.update(data)
+    return digest.hexdigest()
+
+
 class Uploads:
-    """The uploaded meshes under one directory: `<sha256>` with the bytes and `<sha256>.json` with an `Upload`."""
+    """The uploaded meshes under one directory.
+
+    `<sha256>` has the bytes, `<sha256>.npz` the parsed mesh, `<sha256>.json` an `Upload`. `processed` is a cache of the
+    parsed meshes, which may be deleted at any time.
+    """
 
     def __init__(self, directory: Path, processed: Path) -> None:
         self._directory = directory
@@ -42,21 +66,26 @@ class Uploads:
         limits = limits or settings()
         if len(data) > limits.max_upload_bytes:
             raise InvalidRequest("file", f"it has {len(data):,} bytes; at most {limits.max_upload_bytes:,} are taken")
-        sha256 = hashlib.sha256(data).hexdigest()
+        sha256 = name_of(data, kind)
         known = self.record(sha256)
-        if known is not None and known.kind == kind:
+        if known is not None:
             return known
         parts, notes = reader().read_mesh(data, kind, limits.max_faces)
+        kept = self._kept(sha256)
+        save_parts(kept, parts)
+        mesh = kept.read_bytes()
         record = Upload(
             sha256=sha256,
             kind=kind,
+            parser=PARSER,
+            mesh_sha256=hashlib.sha256(mesh).hexdigest(),
             size=len(data),
             triangles=sum(len(part.faces) for part in parts),
             notes=notes,
         )
-        save_parts(mesh_path(self._processed, f"{sha256}-{kind}"), parts)
         # The metadata is written last, so that every listed upload is complete.
         atomic_write.write(self._directory / sha256, data)
+        atomic_write.write(self._directory / f"{sha256}.npz", mesh)
         atomic_write.write(self._directory / f"{sha256}.json", record.model_dump_json().encode())
         return record
 
@@ -73,16 +102,36 @@ class Uploads:
         return [record for record in map(self.record, names) if record is not None]
 
     def load(self, upload: Upload) -> Mesh:
-        """Returns the mesh of an upload. Raises JobFailure("asset-missing") if its bytes are missing or changed."""
-        kept = mesh_path(self._processed, f"{upload.sha256}-{upload.kind}")
+        """Returns the mesh of an upload. Raises JobFailure("asset-missing") if its files are missing or changed."""
+        kept = self._kept(upload.sha256)
         parts = load_parts(kept)
         if parts is None:
-            try:
-                data = (self._directory / upload.sha256).read_bytes()
-            except OSError as error:
-                raise JobFailure("asset-missing", f"the uploaded mesh {upload.sha256} has gone: {error}") from error
-            if hashlib.sha256(data).hexdigest() != upload.sha256:
-                raise JobFailure("asset-missing", f"the uploaded mesh {upload.sha256} has changed on disk")
-            parts, _ = reader().read_mesh(data, upload.kind, settings().max_faces)
-            save_parts(kept, parts)
+            if upload.mesh_sha256 is None:
+                save_parts(kept, self._parsed_again(upload))
+            else:
+                atomic_write.write(kept, self._read(f"{upload.sha256}.npz", upload.mesh_sha256, upload))
+            parts = load_parts(kept)
+        if parts is None:
+            raise JobFailure("asset-missing", f"the parsed mesh of the upload {upload.sha256} cannot be read any more")
         return Mesh(parts=parts, sha256=upload.sha256, credit=None)
+
+    def _parsed_again(self, upload: Upload) -> tuple[Part, ...]:
+        """Parses an upload whose mesh was not kept, which scene-attack 0.1 read as PARSER 1 does."""
+        if PARSER != 1:
+            raise JobFailure(
+                "asset-missing", f"the upload {upload.sha256} is of scene-attack 0.1; upload its file again"
+            )
+        data = self._read(upload.sha256, upload.sha256, upload)
+        return reader().read_mesh(data, upload.kind, settings().max_faces)[0]
+
+    def _read(self, name: str, sha256: str, upload: Upload) -> bytes:
+        try:
+            data = (self._directory / name).read_bytes()
+        except OSError as error:
+            raise JobFailure("asset-missing", f"the uploaded mesh {upload.sha256} has gone: {error}") from error
+        if hashlib.sha256(data).hexdigest() != sha256:
+            raise JobFailure("asset-missing", f"the uploaded mesh {upload.sha256} has changed on disk")
+        return data
+
+    def _kept(self, sha256: str) -> Path:
+        return mesh_path(self._processed, sha256)

@@ -25,6 +25,7 @@ from services.rendering.kernels import compiled
 from services.scenes.library import Library
 from services.scenes.resolve import canonical_json, resolve
 from services.settings import settings
+from tests.unit.scenes.old_uploads import add_as_before
 
 PINNED = Path(__file__).with_name("unchanged_scenes.json")
 SMALL = {"size": (48, 64), "distance": 2.4}
@@ -57,9 +58,8 @@ RENDERERS = ("pyrender", "torch")
 
 
 def library(directory: Path) -> Library:
-    found = Library(settings().cache_dir, directory)
-    found.add_mesh(MODELS["two materials"](), "glb")
-    return found
+    add_as_before(directory / "assets", MODELS["two materials"](), "glb")
+    return Library(settings().cache_dir, directory)
 
 
 def described(name: str, assets: Library) -> dict[str, str]:

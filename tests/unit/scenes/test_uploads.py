@@ -1,5 +1,6 @@
 """Uploaded meshes in the library: limits from the settings, storage by content hash, and lost files."""
 
+import hashlib
 import json
 
 import numpy as np
@@ -9,7 +10,8 @@ from services.errors import InvalidRequest, JobFailure
 from services.scenes import uploads
 from services.scenes.library import Library
 from services.settings import Settings
-from tests.unit.scenes.mesh_files import ASCII_PLY, BOXES
+from tests.unit.scenes.mesh_files import ASCII_PLY, ASCII_STL, BOXES
+from tests.unit.scenes.old_uploads import add_as_before
 
 
 def test_the_limits_of_uploads_are_those_of_the_settings(tmp_path, monkeypatch):
@@ -23,22 +25,70 @@ def test_the_limits_of_uploads_are_those_of_the_settings(tmp_path, monkeypatch):
     assert not (tmp_path / "data" / "assets").exists(), "nothing is kept of what was refused"
 
 
-def test_an_upload_is_stored_once_under_its_content_hash(tmp_path):
+def test_an_upload_is_stored_once_under_the_hash_of_kind_parser_and_bytes(tmp_path):
     library = Library(tmp_path / "cache", tmp_path / "data")
     first, second = library.add_mesh(BOXES["stl"], "stl"), library.add_mesh(BOXES["stl"], "stl")
     assert first == second
     assets = tmp_path / "data" / "assets"
-    digest = first.name.removeprefix("sha256:")
-    assert sorted(path.name for path in assets.iterdir()) == [digest, f"{digest}.json"]
+    digest = hashlib.sha256(b"stl 1\n" + BOXES["stl"]).hexdigest()
+    assert first.name == f"sha256:{digest}"
+    assert sorted(path.name for path in assets.iterdir()) == [digest, f"{digest}.json", f"{digest}.npz"]
     assert (assets / digest).read_bytes() == BOXES["stl"]
     assert json.loads((assets / f"{digest}.json").read_bytes()) == {
         "sha256": digest,
         "kind": "stl",
+        "parser": 1,
+        "mesh_sha256": hashlib.sha256((assets / f"{digest}.npz").read_bytes()).hexdigest(),
         "size": len(BOXES["stl"]),
         "triangles": 12,
         "notes": [],
     }
     assert library.mesh(first.name).sha256 == digest
+
+
+def test_the_same_bytes_as_two_kinds_are_two_meshes(tmp_path):
+    """Each format passes over the lines of the other."""
+    data = b"solid v\nv 0 0 0\nv 9 0 0\nv 0 1 0\nf 1 2 3\n" + ASCII_STL.partition(b"\n")[2]
+    library = Library(tmp_path / "cache", tmp_path / "data")
+    first = library.add_mesh(data, "obj")
+    triangles = library.mesh(first.name).triangles
+    second = library.add_mesh(data, "stl")
+    assert first.name != second.name
+    assert (triangles, library.mesh(second.name).triangles) == (1, 12)
+    again = Library(tmp_path / "cache", tmp_path / "data")
+    assert (again.mesh(first.name).triangles, again.mesh(second.name).triangles) == (1, 12)
+    assert again.mesh(first.name).sha256 != again.mesh(second.name).sha256, "which scenes' fingerprints are made of"
+
+
+def test_a_later_parser_makes_other_names_and_leaves_the_meshes_of_old_ones(tmp_path, monkeypatch):
+    library = Library(tmp_path / "cache", tmp_path / "data")
+    first = library.add_mesh(BOXES["obj"], "obj")
+    monkeypatch.setattr(uploads, "PARSER", 2)
+    for path in (tmp_path / "cache" / "meshes").glob("*.npz"):
+        path.unlink()
+    monkeypatch.setattr(uploads, "reader", lambda: pytest.fail("it was parsed again"))
+    later = Library(tmp_path / "cache", tmp_path / "data")
+    assert later.mesh(first.name).triangles == 12
+    monkeypatch.undo()
+    monkeypatch.setattr(uploads, "PARSER", 2)
+    second = later.add_mesh(BOXES["obj"], "obj")
+    assert second.name != first.name
+    assert {entry.name for entry in later.entries(category="upload")} == {first.name, second.name}
+
+
+def test_the_names_of_old_uploads_go_on_meaning_their_meshes(tmp_path, monkeypatch):
+    name = add_as_before(tmp_path / "data" / "assets", BOXES["obj"], "obj")
+    library = Library(tmp_path / "cache", tmp_path / "data")
+    new = library.add_mesh(BOXES["obj"], "obj")
+    assert new.name != name
+    assert [entry.name for entry in library.entries(category="upload")] == sorted([name, new.name])
+    assert library.mesh(name).sha256 == name.removeprefix("sha256:")
+    assert np.array_equal(library.mesh(name).parts[0].vertices, library.mesh(new.name).parts[0].vertices)
+    monkeypatch.setattr(uploads, "PARSER", 2)
+    for path in (tmp_path / "cache" / "meshes").glob("*.npz"):
+        path.unlink()
+    with pytest.raises(JobFailure, match=r"asset-missing.*upload its file again"):
+        Library(tmp_path / "cache", tmp_path / "data").mesh(name)
 
 
 @pytest.mark.parametrize(
@@ -77,11 +127,13 @@ def test_a_deleted_processed_mesh_is_made_again(tmp_path):
 
 
 @pytest.mark.parametrize("damage", ["gone", "changed"])
-def test_an_upload_that_was_lost_is_a_missing_asset(tmp_path, damage):
-    entry = Library(tmp_path / "cache", tmp_path / "data").add_mesh(BOXES["ply"], "ply")
-    for path in (tmp_path / "cache" / "meshes").glob("*.npz"):
+@pytest.mark.parametrize("old", [False, True])
+def test_an_upload_that_was_lost_is_a_missing_asset(tmp_path, damage, old):
+    library, assets = Library(tmp_path / "cache", tmp_path / "data"), tmp_path / "data" / "assets"
+    name = add_as_before(assets, BOXES["ply"], "ply") if old else library.add_mesh(BOXES["ply"], "ply").name
+    for path in (tmp_path / "cache").glob("meshes/*.npz"):
         path.unlink()
-    file = tmp_path / "data" / "assets" / entry.name.removeprefix("sha256:")
+    file = assets / f"{name.removeprefix('sha256:')}{'' if old else '.npz'}"
     file.unlink() if damage == "gone" else file.write_bytes(BOXES["obj"])
     with pytest.raises(JobFailure, match=f"asset-missing.*{damage}"):
-        Library(tmp_path / "cache", tmp_path / "data").mesh(entry.name)
+        library.mesh(name)
