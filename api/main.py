@@ -83,7 +83,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
         preflight = Preflight(chosen)
         preflight.start()
         rerenderer = Rerenderer(chosen)
-        library = Library(chosen.cache_dir, chosen.data_dir)
+        library = Library(chosen.cache_dir, chosen.files)
         uploads = MeshUploads(library, chosen)
         uploads.start()
         watcher = Watcher(repository)
@@ -93,7 +93,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
             repository=repository,
             queue=queue,
             submissions=Submissions(repository, queue, chosen.max_queued),
-            store=ArtifactStore(chosen.data_dir / "artifacts"),
+            store=ArtifactStore(chosen.files),
             library=library,
             preflight=preflight,
             uploads=uploads,

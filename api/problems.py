@@ -19,6 +19,7 @@ from api.request_id import HEADER
 from api.schemas import BadField
 from api.warm_process import Unavailable
 from services.errors import InvalidRequest, without_folders
+from services.jobs.artifacts import Damaged
 from services.jobs.outages import outage_of
 from services.jobs.repository import KeyReused, QueueFull
 from services.logs import logger
@@ -118,6 +119,11 @@ def install(app: FastAPI) -> None:
             return _unexpected(request, error)
         log.warning("request met an outage", resource=outage.resource, error=str(error))
         return problem(503, f"{outage.detail}; try again later", headers=_LATER)
+
+    @app.exception_handler(Damaged)
+    def _damaged(_: Request, error: Damaged) -> Response:
+        log.error("artifact damaged", error=str(error))
+        return problem(500, str(error))
 
     @app.exception_handler(Exception)
     def _unexpected(request: Request, error: Exception) -> Response:

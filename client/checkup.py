@@ -162,7 +162,7 @@ def meshes(settings: Settings) -> Iterator[Finding]:
     """Whether the furniture library and the environment maps were fetched."""
     from services.scenes.library import Library
 
-    library = Library(settings.cache_dir, settings.data_dir)
+    library = Library(settings.cache_dir, settings.files)
     furniture = sum(entry.kind == "furniture" for entry in library.entries())
     maps = len(library.environments()) - 1  # one is computed
     level: Level = "ok" if furniture and maps else "warn"

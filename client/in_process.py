@@ -64,6 +64,6 @@ def attack(
         target = network
     request = {"scene": scene, "goal": goal or {}, "attack": attack or {}, "seed": seed, "target": {"name": name}}
     spec = parse({key: dict(value) if isinstance(value, Mapping) else value for key, value in request.items()})
-    library = Library(settings().cache_dir, settings().data_dir)
+    library = Library(settings().cache_dir, settings().files)
     with registered(describe(name, target), target), TemporaryDirectory() as folder:
         return execute(spec, Path(folder) if out is None else out, library, progress=progress)

@@ -20,6 +20,9 @@ class Settings(BaseSettings):
         None,
         description="SQLAlchemy URL, of PostgreSQL for several machines; default: SQLite (WAL) in the data directory",
     )
+    artifact_url: str | None = Field(
+        None, description="URL of a store for artifacts and uploads, s3://bucket/folder; default: the data directory"
+    )
     redis_url: str | None = Field(
         None, description="redis:// URL, or rediss:// for TLS, with its password; default: an embedded Redis"
     )
@@ -107,6 +110,11 @@ class Settings(BaseSettings):
     def data_dir(self) -> Path:
         """The data directory, absolute."""
         return self.data.expanduser().resolve()
+
+    @property
+    def files(self) -> Path | str:
+        """Where artifacts and uploads are: the URL of a store, or the data directory."""
+        return self.artifact_url or self.data_dir
 
     @property
     def extension_paths(self) -> list[Path]:

@@ -1,3 +1,4 @@
+import secrets
 import subprocess
 import time
 from collections.abc import Iterator
@@ -6,7 +7,7 @@ import pytest
 from redis import Redis
 from redis.exceptions import RedisError
 
-from tests import postgresql
+from tests import object_store, postgresql
 from tests.postgresql import Postgresql
 from worker.redis_server import EmbeddedRedis
 
@@ -43,6 +44,22 @@ def postgresql_url(postgresql_server: Postgresql, postgresql_database: str) -> s
     """The URL of a PostgreSQL database with the tables and no rows."""
     postgresql_server.empty(postgresql_database)
     return postgresql_server.url(postgresql_database)
+
+
+@pytest.fixture(scope="session")
+def s3_server() -> Iterator[str]:
+    """A stand-in for S3, for this process and those that it starts; the URL of a bucket."""
+    with object_store.running() as url, pytest.MonkeyPatch.context() as patch:
+        for name, value in object_store.environ(url).items():
+            patch.setenv(name, value)
+        object_store.create_bucket(url)
+        yield f"s3://{object_store.BUCKET}"
+
+
+@pytest.fixture
+def s3_url(s3_server: str) -> str:
+    """The URL of an empty folder of the stand-in for S3."""
+    return f"{s3_server}/{secrets.token_hex(4)}"
 
 
 def _answers(client: Redis) -> bool:

@@ -86,8 +86,8 @@ class Jobs:
 
     def __init__(self, settings: Settings) -> None:
         self._repository = Repository(connect_database(settings))
-        self._store = ArtifactStore(settings.data_dir / "artifacts")
-        self._library = Library(settings.cache_dir, settings.data_dir)
+        self._store = ArtifactStore(settings.files)
+        self._library = Library(settings.cache_dir, settings.files)
         self._working_files = WorkingFiles(settings.data_dir)
 
     def run(self, attempt: Attempt) -> None:

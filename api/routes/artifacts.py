@@ -1,10 +1,13 @@
 """Routes for the files of a finished job."""
 
 import re
+from collections.abc import Mapping
+from io import BufferedIOBase
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Header, HTTPException, Response
 from fastapi.responses import FileResponse
+from starlette.types import Receive, Scope, Send
 
 from api.schemas import ArtifactList, ArtifactView
 from api.state import KnownJob, ServicesDependency, no_such
@@ -16,6 +19,19 @@ _ANSWERS: dict[int | str, dict[str, Any]] = {
     206: {"description": "the requested range"},
     304: {"description": "the client has the file already"},
 }
+
+
+class VerifiedFile(FileResponse):
+    """An open file, sent as a whole or in ranges, and closed afterwards. It need not have a name."""
+
+    def __init__(self, file: BufferedIOBase, media_type: str, headers: Mapping[str, str]) -> None:
+        super().__init__(f"/proc/self/fd/{file.fileno()}", media_type=media_type, headers=headers)
+        self._file = file
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI."""
+        with self._file:
+            await super().__call__(scope, receive, send)
 
 
 @router.get("/{job_id}/artifacts")
@@ -44,10 +60,11 @@ def download(
     }
     if if_none_match is not None and _matches(if_none_match, artifact.sha256):
         return Response(status_code=304, headers=headers)
-    path = services.store.path(artifact.sha256)
-    if not path.exists():
-        raise HTTPException(410, "its bytes are gone from the data directory")
-    return FileResponse(path, media_type=artifact.media_type, headers=headers)
+    try:
+        file = services.store.open(artifact.sha256)
+    except FileNotFoundError as error:
+        raise HTTPException(410, "its bytes are gone from the artifact store") from error
+    return VerifiedFile(file, artifact.media_type, headers)
 
 
 def _matches(if_none_match: str, sha256: str) -> bool:

@@ -75,10 +75,11 @@ def _read(body: RerenderingBody, services: Services, caller: Caller) -> tuple[by
         artifact = None if job is None else services.repository.artifact(job.id, body.image.artifact)
         if job is None or artifact is None:
             raise InvalidRequest("image.job", "there is no such job, or it has no file of this name")
-        path = services.store.path(artifact.sha256)
-        if not path.exists():
-            raise no_such("file of the job any more")
-        image = path.read_bytes()
+        try:
+            with services.store.open(artifact.sha256) as file:
+                image = file.read()
+        except FileNotFoundError as error:
+            raise no_such("file of the job any more") from error
         given = {"scene": job.spec["scene"], "target": job.spec["target"]}
     else:
         try:

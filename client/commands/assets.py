@@ -106,4 +106,4 @@ def _library() -> "Library":
     from services.scenes.library import Library
     from services.settings import settings
 
-    return Library(settings().cache_dir, settings().data_dir)
+    return Library(settings().cache_dir, settings().files)

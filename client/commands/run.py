@@ -143,7 +143,7 @@ def library() -> "Library":
     from services.settings import settings
 
     torch.set_num_threads(settings().threads)
-    return Library(settings().cache_dir, settings().data_dir)
+    return Library(settings().cache_dir, settings().files)
 
 
 def _execute(spec: "JobSpec", out: Path, line: "JobLine") -> "Result":

@@ -1,10 +1,11 @@
-"""The artifact store: files of results, each named by the hash of its bytes."""
+"""The artifact store: files of results, each named by the hash of its bytes and verified by it on reading."""
 
 import hashlib
 from dataclasses import dataclass
+from io import BufferedIOBase
 from pathlib import Path
 
-from services import atomic_write
+from services.blobs import blobs
 
 MEDIA_TYPES = {".json": "application/json", ".png": "image/png"}
 """Media types by file name ending. All other files, safetensors too, are application/octet-stream."""
@@ -18,24 +19,44 @@ class Stored:
     size: int
 
 
-class ArtifactStore:
-    """Files under `root/aa/<sha256>`, never changed once written. Equal bytes are stored once."""
+class Damaged(Exception):
+    """The bytes of an artifact are not those that were stored."""
 
-    def __init__(self, root: Path) -> None:
-        self._root = root
+
+class ArtifactStore:
+    """Files `artifacts/aa/<sha256>` in a folder or an object store, never changed once written. Equal bytes are stored
+    once.
+    """
+
+    def __init__(self, place: Path | str) -> None:
+        self._files = blobs(place, "artifacts")
 
     def put(self, source: Path) -> Stored:
-        """Copies a file into the store. Its bytes are on the disk when this returns, so a row may then name them."""
+        """Copies a file into the store. Its bytes are safe when this returns, so a row may then name them."""
         data = source.read_bytes()
         stored = Stored(hashlib.sha256(data).hexdigest(), len(data))
-        goal = self.path(stored.sha256)
-        if not goal.exists():
-            atomic_write.write(goal, data)
+        if not self._files.exists(_name(stored.sha256)):
+            self._files.write(_name(stored.sha256), data)
         return stored
 
-    def path(self, sha256: str) -> Path:
-        """The path of the file with this hash, whether or not it exists."""
-        return self._root / sha256[:2] / sha256
+    def open(self, sha256: str) -> BufferedIOBase:
+        """Opens the file with this hash, at its beginning, after all its bytes were compared with the hash.
+
+        Raises FileNotFoundError if it is gone, Damaged if it is another file by now.
+        """
+        file = self._files.open(_name(sha256))
+        try:
+            if hashlib.file_digest(file, "sha256").hexdigest() != sha256:
+                raise Damaged(f"the bytes of artifact {sha256} are not those that were stored")
+            file.seek(0)
+        except BaseException:
+            file.close()
+            raise
+        return file
+
+
+def _name(sha256: str) -> str:
+    return f"{sha256[:2]}/{sha256}"
 
 
 def media_type(name: str) -> str:

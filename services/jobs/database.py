@@ -45,8 +45,8 @@ def connect(settings: Settings) -> Engine:
     except ModuleNotFoundError as error:
         detail = f"{error.name} is not installed; PostgreSQL needs the extra: pip install 'scene-attack[postgresql]'"
         raise InvalidRequest("SCENE_ATTACK_DATABASE_URL", detail) from error
+    settings.data_dir.mkdir(parents=True, exist_ok=True)  # also beside PostgreSQL: the files of running jobs are there
     if kind == "sqlite":
-        settings.data_dir.mkdir(parents=True, exist_ok=True)
         event.listen(engine, "connect", _tune_sqlite)
         event.listen(engine, "begin", _begin_sqlite)
     return engine

@@ -18,6 +18,7 @@ _STORAGE = {
     errno.EIO: "the disk of the data directory has errors",
     errno.ESTALE: "the data directory is out of reach",
     errno.ENOTCONN: "the data directory is out of reach",
+    errno.EREMOTEIO: "the artifact store does not answer",
 }
 _IN_DATABASE = {
     "disk is full": errno.ENOSPC,

@@ -78,7 +78,7 @@ def main() -> None:
     connection = connect()
     inbox = requests(connection)
     warm_up(values)
-    library = Library(values.cache_dir, values.data_dir)
+    library = Library(values.cache_dir, values.files)
     reply(connection, {"ready": True})
     for message, data in inbox:
         reply(connection, answer(message, data, library))

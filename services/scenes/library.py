@@ -9,6 +9,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from services.blobs import blobs
 from services.errors import InvalidRequest
 from services.scenes.catalogue import Model, read_catalogue
 from services.scenes.environment import EnvironmentMap, read_exr, uniform
@@ -42,25 +43,26 @@ class Entry(BaseModel):
 
 
 class Library:
-    """The assets of an installation: cache_dir holds the files that scripts/setup fetched, data_dir those of users.
+    """The assets of an installation: cache_dir holds the files that scripts/setup fetched, `files` (`settings.files`)
+    those of users.
 
-    Safe to share between threads. Two Libraries on the same directories see the same assets, so that another process
-    is given the directories alone.
+    Safe to share between threads. Two Libraries on the same places see the same assets, so that another process is
+    given the places alone.
     """
 
-    def __init__(self, cache_dir: Path, data_dir: Path) -> None:
-        self._directories = cache_dir, data_dir
+    def __init__(self, cache_dir: Path, files: Path | str) -> None:
+        self._places = cache_dir, files
         self._furniture = cache_dir / "furniture"
         self._environments = cache_dir / "environments"
         self._processed = cache_dir / "meshes"
-        self._uploads = Uploads(data_dir / "assets", self._processed)
+        self._uploads = Uploads(blobs(files, "assets"), self._processed)
         self._lock = threading.RLock()
         self._models: dict[str, Model] | None = None
         self._meshes: OrderedDict[str, Mesh] = OrderedDict()
         self._maps: dict[str, EnvironmentMap] = {}
 
-    def __reduce__(self) -> tuple[type["Library"], tuple[Path, Path]]:
-        return type(self), self._directories
+    def __reduce__(self) -> tuple[type["Library"], tuple[Path, Path | str]]:
+        return type(self), self._places
 
     def mesh(self, name: str) -> Mesh:
         """Returns the mesh of that name: `furniture/<slug>`, `primitive/<name>` or `sha256:<hex>` of an upload.

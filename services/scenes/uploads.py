@@ -10,6 +10,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from services import atomic_write
+from services.blobs import Blobs
 from services.errors import InvalidRequest, JobFailure
 from services.scenes.isolated_reading import reader
 from services.scenes.mesh import Mesh, Part
@@ -47,14 +48,14 @@ def name_of(data: bytes, kind: str) -> str:
 
 
 class Uploads:
-    """The uploaded meshes under one directory.
+    """The uploaded meshes in one place.
 
     `<sha256>` has the bytes, `<sha256>.npz` the parsed mesh, `<sha256>.json` an `Upload`. `processed` is a cache of the
     parsed meshes, which may be deleted at any time.
     """
 
-    def __init__(self, directory: Path, processed: Path) -> None:
-        self._directory = directory
+    def __init__(self, files: Blobs, processed: Path) -> None:
+        self._files = files
         self._processed = processed
 
     def add(self, data: bytes, kind: str, limits: Settings | None = None) -> Upload:
@@ -84,21 +85,22 @@ class Uploads:
             notes=notes,
         )
         # The metadata is written last, so that every listed upload is complete.
-        atomic_write.write(self._directory / sha256, data)
-        atomic_write.write(self._directory / f"{sha256}.npz", mesh)
-        atomic_write.write(self._directory / f"{sha256}.json", record.model_dump_json().encode())
+        self._files.write(sha256, data)
+        self._files.write(f"{sha256}.npz", mesh)
+        self._files.write(f"{sha256}.json", record.model_dump_json().encode())
         return record
 
     def record(self, sha256: str) -> Upload | None:
         """Returns the metadata of the upload with this digest (64 hexadecimal digits); None if there is none."""
         try:
-            return Upload.model_validate_json((self._directory / f"{sha256}.json").read_bytes())
-        except (OSError, ValidationError):
+            with self._files.open(f"{sha256}.json") as file:
+                return Upload.model_validate_json(file.read())
+        except (FileNotFoundError, ValidationError):
             return None
 
     def all(self) -> list[Upload]:
         """Returns the metadata of all uploads, ordered by digest."""
-        names = sorted(path.stem for path in self._directory.glob("*.json") if not path.name.startswith("."))
+        names = [name.removesuffix(".json") for name in self._files.names() if name.endswith(".json")]
         return [record for record in map(self.record, names) if record is not None]
 
     def load(self, upload: Upload) -> Mesh:
@@ -126,11 +128,12 @@ class Uploads:
 
     def _read(self, name: str, sha256: str, upload: Upload) -> bytes:
         try:
-            data = (self._directory / name).read_bytes()
-        except OSError as error:
+            with self._files.open(name) as file:
+                data = file.read()
+        except FileNotFoundError as error:
             raise JobFailure("asset-missing", f"the uploaded mesh {upload.sha256} has gone: {error}") from error
         if hashlib.sha256(data).hexdigest() != sha256:
-            raise JobFailure("asset-missing", f"the uploaded mesh {upload.sha256} has changed on disk")
+            raise JobFailure("asset-missing", f"the uploaded mesh {upload.sha256} has changed where it is kept")
         return data
 
     def _kept(self, sha256: str) -> Path:

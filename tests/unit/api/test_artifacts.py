@@ -1,7 +1,10 @@
 import hashlib
+from pathlib import Path
 
 import pytest
 from httpx import Client
+
+from api.state import Services
 
 BYTES = b"0123456789"
 ETAG = f'"{hashlib.sha256(BYTES).hexdigest()}"'
@@ -62,6 +65,23 @@ def test_a_part_beyond_the_end_is_a_problem(client: Client, finished: str) -> No
     assert answer.headers["content-type"] == "application/problem+json"
     assert answer.headers["content-range"] == "bytes */10"
     assert answer.json()["status"] == 416
+
+
+def test_other_bytes_than_were_stored_are_never_sent(client: Client, services: Services, finished: str) -> None:
+    (artifact,) = services.repository.artifacts(finished)
+    path = client.get(f"/v1/jobs/{finished}/artifacts/original.png").url.path
+    with services.store.open(artifact.sha256) as file:
+        stored = Path(str(file.name))
+    stored.write_bytes(b"0123456780")
+    try:
+        for headers in ({}, {"Range": "bytes=0-3"}):
+            answer = client.get(path, headers=headers)
+            assert answer.status_code == 500
+            assert "not those that were stored" in answer.json()["detail"]
+        stored.unlink()
+        assert client.get(path).status_code == 410
+    finally:
+        stored.write_bytes(BYTES)
 
 
 @pytest.mark.parametrize("name", ["none.png", "..%2F..%2Fjobs.sqlite", "original.png%00"])

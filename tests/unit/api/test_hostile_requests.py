@@ -163,7 +163,7 @@ def test_no_place_on_the_server_is_told(
     def gone(_: ArtifactStore, sha256: str) -> None:
         raise InvalidRequest("image.job", f"[Errno 2] No such file: '{tmp_path}/artifacts/{sha256[:2]}'; see /v1/jobs")
 
-    monkeypatch.setattr(ArtifactStore, "path", gone)
+    monkeypatch.setattr(ArtifactStore, "open", gone)
     job = _finished(services)
     answer = client.get(f"/v1/jobs/{job}/artifacts/original.png")
     assert answer.status_code == 422

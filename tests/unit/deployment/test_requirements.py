@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[3]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 EXTRAS = PROJECT["optional-dependencies"]
 DIRECT = {
-    "requirements.txt": PROJECT["dependencies"] + EXTRAS["onnx"] + EXTRAS["postgresql"],
+    "requirements.txt": PROJECT["dependencies"] + EXTRAS["onnx"] + EXTRAS["postgresql"] + EXTRAS["s3"],
     "requirements-dev.txt": EXTRAS["dev"],
 }
 

@@ -126,6 +126,13 @@ def test_a_deleted_processed_mesh_is_made_again(tmp_path):
     assert np.array_equal(before.parts[0].vertices, after.parts[0].vertices)
 
 
+def test_another_machine_has_the_same_uploads(tmp_path, s3_url):
+    entry = Library(tmp_path / "one", s3_url).add_mesh(BOXES["ply"], "ply")
+    here, there = Library(tmp_path / "one", s3_url), Library(tmp_path / "other", s3_url)
+    assert there.entries(category="upload") == [entry]
+    assert np.array_equal(here.mesh(entry.name).parts[0].vertices, there.mesh(entry.name).parts[0].vertices)
+
+
 @pytest.mark.parametrize("damage", ["gone", "changed"])
 @pytest.mark.parametrize("old", [False, True])
 def test_an_upload_that_was_lost_is_a_missing_asset(tmp_path, damage, old):

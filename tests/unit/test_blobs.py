@@ -1,0 +1,63 @@
+"""Files by name, in a folder and in an object store alike."""
+
+import errno
+from pathlib import Path
+
+import pytest
+
+from services.blobs import Blobs, blobs
+from services.errors import InvalidRequest
+
+
+@pytest.fixture(params=["folder", "file URL", "S3"])
+def place(request: pytest.FixtureRequest, tmp_path: Path) -> Path | str:
+    if request.param == "folder":
+        return tmp_path
+    return f"file://{tmp_path}" if request.param == "file URL" else str(request.getfixturevalue("s3_url"))
+
+
+@pytest.fixture
+def files(place: Path | str) -> Blobs:
+    return blobs(place, "part")
+
+
+def test_what_is_written_is_read_also_elsewhere(files: Blobs, place: Path | str) -> None:
+    assert files.names() == []
+    assert not files.exists("ab/c")
+    files.write("ab/c", b"bytes")
+    files.write("d", b"")
+    other = blobs(place, "part")
+    assert other.exists("ab/c")
+    assert other.names() == ["ab/c", "d"]
+    with other.open("ab/c") as file:
+        assert file.read() == b"bytes"
+        file.seek(2)
+        assert file.read() == b"tes"
+    assert blobs(place, "other").names() == []
+
+
+def test_a_file_that_is_not_there_is_not_found(files: Blobs) -> None:
+    with pytest.raises(FileNotFoundError):
+        files.open("none")
+
+
+def test_another_listing_sees_what_was_written_since(files: Blobs, place: Path | str) -> None:
+    other = blobs(place, "part")
+    assert other.names() == []
+    files.write("a", b"")
+    assert other.names() == ["a"]
+
+
+@pytest.mark.usefixtures("s3_server")
+def test_a_store_that_takes_nothing_is_an_error_of_input_and_output() -> None:
+    missing = blobs("s3://no-such-bucket/folder", "part")
+    with pytest.raises(OSError, match="does not answer") as error:
+        missing.write("a", b"")
+    assert error.value.errno == errno.EREMOTEIO
+
+
+@pytest.mark.parametrize("url", ["bucket/folder", "file://relative", "nosuch://a/b"])
+def test_a_url_of_no_store_is_bad_input(url: str) -> None:
+    with pytest.raises(InvalidRequest, match="s3") as error:
+        blobs(url, "part")
+    assert error.value.field == "SCENE_ATTACK_ARTIFACT_URL"
