@@ -19,10 +19,10 @@ def suggested(data: dict[str, Any], field: str, suggestion: Callable[[Group], fl
     Data that is invalid is returned as it is; the field's own validation refuses it.
     """
     renderer = RENDERERS.get(str(data.get("renderer")))
-    given = data.get(field) or {}
-    if renderer is None or not isinstance(given, dict):
+    given, attacked = data.get(field) or {}, data.get("groups")
+    if renderer is None or not isinstance(given, dict) or not isinstance(attacked, list | tuple):
         return data
-    values = {group.name: suggestion(group) for group in renderer.groups if group.name in data["groups"]}
+    values = {group.name: suggestion(group) for group in renderer.groups if group.name in attacked}
     return data | {field: {group: value for group, value in values.items() if value is not None} | given}
 
 

@@ -32,6 +32,8 @@ def filled(text: str, item: str) -> str:
 
 BODIES = {
     "groups": ("/v1/jobs", '{"attack": {"renderer": "pyrender", "groups": [{}]}}', 422),
+    "a number of groups": ("/v1/jobs", '{"attack": {"renderer": "torch", "groups": 5}}', 422),
+    "a number of groups of a campaign": ("/v1/campaigns", '{"grids": [{"attacks": [{"attack": {"groups": 5}}]}]}', 422),
     "renderer": ("/v1/jobs", '{"attack": {"renderer": {}, "method": []}}', 422),
     "bad points": ("/v1/jobs", filled('{"scene": {"lights": {"points": […]}}}', '{"a":1}'), 422),
     "bad points in words": ("/v1/jobs", filled('{"scene": {"lights": {"points": […]}}}', '"x"'), 422),
