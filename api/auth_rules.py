@@ -44,8 +44,6 @@ RULES: dict[str, Scope | None] = {
     # Its description
     "GET /openapi.json": _READ,
     "GET /docs": _READ,
-    "GET /docs/oauth2-redirect": _READ,
-    "GET /redoc": _READ,
     # The dashboard
     "GET /": _READ,
     "GET /parts/jobs": _READ,

@@ -17,6 +17,7 @@ from starlette.middleware import Middleware
 
 from api import dashboard
 from api.authentication import Authentication
+from api.conditional import Compression, Conditional
 from api.description import describe
 from api.hosts import KnownHosts
 from api.limits import BodyLimit, NoNul
@@ -29,6 +30,7 @@ from api.rerenderer import Rerenderer
 from api.routes import artifacts, assets, campaigns, events, health, jobs, library, rerenderings
 from api.routes import metrics as scraping
 from api.same_site import SameSite
+from api.slow_clients import BodyPace, HeadLimit
 from api.state import Services
 from api.watcher import Watcher
 from services.access.assets import OwnedAssets
@@ -123,10 +125,15 @@ def create_app(values: Settings | None = None) -> FastAPI:
         version=version("scene-attack"),
         lifespan=lifespan,
         separate_input_output_schemas=False,
+        docs_url=None,  # api.dashboard.reference is the page
+        redoc_url=None,
         middleware=[
             Middleware(RequestId),
             Middleware(Measured, metrics=metrics),
+            Middleware(Compression),
+            Middleware(Conditional),
             Middleware(Answers),
+            Middleware(BodyPace),
             Middleware(KnownHosts, hosts=chosen.own_hosts),
             Middleware(SameSite),
             Middleware(Authentication),
@@ -180,6 +187,7 @@ def run(listener: socket.socket | None = None) -> int:
         log_config=None,
         access_log=False,
         server_header=False,
+        http=HeadLimit,
         timeout_graceful_shutdown=2,  # event streams of running jobs would not end
     )
     uvicorn.Server(config).run(sockets=[listener])

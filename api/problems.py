@@ -149,7 +149,7 @@ _LATER = {"Retry-After": "5"}
 class Answers:
     """Turns the plain-text errors of the framework's parts, e.g. for ranges, into problem documents.
 
-    It also adds the header that forbids browsers to guess media types to every response.
+    It also adds headers to every response by which browsers guess no media type, and load nothing for what is no page.
     """
 
     def __init__(self, app: ASGIApp) -> None:
@@ -169,7 +169,9 @@ class Answers:
                 return
             if start is None:
                 if message["type"] == "http.response.start":
-                    MutableHeaders(raw=message["headers"])["x-content-type-options"] = "nosniff"
+                    headers = MutableHeaders(raw=message["headers"])
+                    headers["x-content-type-options"] = "nosniff"
+                    headers.setdefault("content-security-policy", "default-src 'none'; frame-ancestors 'none'")
                 await send(message)
                 return
             text += message.get("body", b"")

@@ -2,10 +2,11 @@
 
 from fastapi import APIRouter
 
-from api.dashboard import campaigns, routes
+from api.dashboard import campaigns, reference, routes
 
 __all__ = ["router"]
 
 router = APIRouter()
 router.include_router(routes.router)
 router.include_router(campaigns.router)
+router.include_router(reference.router)

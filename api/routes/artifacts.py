@@ -1,6 +1,5 @@
 """Routes for the files of a finished job."""
 
-import re
 from collections.abc import Mapping
 from io import BufferedIOBase
 from typing import Annotated, Any
@@ -9,6 +8,7 @@ from fastapi import APIRouter, Header, HTTPException, Response
 from fastapi.responses import FileResponse
 from starlette.types import Receive, Scope, Send
 
+from api.conditional import matches
 from api.schemas import ArtifactList, ArtifactView
 from api.state import KnownJob, ServicesDependency, no_such
 
@@ -58,14 +58,10 @@ def download(
         # A browser must not run a file as a page of this site.
         "Content-Security-Policy": "default-src 'none'; sandbox",
     }
-    if if_none_match is not None and _matches(if_none_match, artifact.sha256):
+    if if_none_match is not None and matches(if_none_match, headers["ETag"]):
         return Response(status_code=304, headers=headers)
     try:
         file = services.store.open(artifact.sha256)
     except FileNotFoundError as error:
         raise HTTPException(410, "its bytes are gone from the artifact store") from error
     return VerifiedFile(file, artifact.media_type, headers)
-
-
-def _matches(if_none_match: str, sha256: str) -> bool:
-    return if_none_match.strip() == "*" or sha256 in re.findall(r'"([^"]*)"', if_none_match)

@@ -1,0 +1,86 @@
+"""Requests that come slowly, to a server with short limits."""
+
+import json
+import socket
+import threading
+from collections.abc import Iterator
+
+import pytest
+import uvicorn
+from starlette.types import Receive, Scope, Send
+
+from api.slow_clients import BODY_PACE, BodyPace, HeadLimit
+
+LIMIT = 0.2
+
+
+class QuickHead(HeadLimit):
+    head_seconds = LIMIT
+
+
+async def length(_: Scope, receive: Receive, send: Send) -> None:
+    """Answers with the length of the body."""
+    total, more = 0, True
+    while more:
+        message = await receive()
+        total, more = total + len(message["body"]), message["more_body"]
+    body = json.dumps(total).encode()
+    await send({"type": "http.response.start", "status": 200, "headers": [(b"content-length", b"%d" % len(body))]})
+    await send({"type": "http.response.body", "body": body})
+
+
+@pytest.fixture(scope="module")
+def port() -> Iterator[int]:
+    listener = socket.create_server(("127.0.0.1", 0))
+    app = BodyPace(length, seconds=LIMIT)
+    server = uvicorn.Server(uvicorn.Config(app, http=QuickHead, lifespan="off", log_config=None, timeout_keep_alive=60))
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
+    thread.start()
+    yield listener.getsockname()[1]
+    server.should_exit = True
+    thread.join()
+    listener.close()
+
+
+@pytest.fixture
+def connection(port: int) -> Iterator[socket.socket]:
+    with socket.create_connection(("127.0.0.1", port), timeout=30) as made:
+        yield made
+
+
+def answer(connection: socket.socket) -> bytes:
+    """All that comes until the server closes the connection."""
+    said = b""
+    while part := connection.recv(65536):
+        said += part
+    return said
+
+
+@pytest.mark.parametrize("head", [b"", b"GET", b"GET / HTTP/1.1\r\nHost: localhost\r\nA: b"])
+def test_a_head_that_does_not_end_is_given_up(connection: socket.socket, head: bytes) -> None:
+    connection.sendall(head)
+    assert answer(connection).startswith(b"HTTP/1.1 408 ")
+
+
+def test_a_second_request_that_does_not_end_is_given_up(connection: socket.socket) -> None:
+    connection.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n")
+    assert connection.recv(65536).startswith(b"HTTP/1.1 200 ")
+    connection.sendall(b"GET / HT")
+    assert answer(connection).startswith(b"HTTP/1.1 408 ")
+
+
+def test_a_body_that_does_not_come_is_given_up(connection: socket.socket) -> None:
+    connection.sendall(b"POST / HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100\r\n\r\nabc")
+    said = answer(connection)
+    assert said.startswith(b"HTTP/1.1 408 ")
+    assert b"the body came too slowly" in said
+
+
+def test_a_large_body_has_the_time_that_it_takes(connection: socket.socket) -> None:
+    size = 8 * BODY_PACE
+    connection.sendall(b"POST / HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Length: %d\r\n\r\n" % size)
+    stop = threading.Event()
+    for _ in range(8):
+        connection.sendall(b"x" * BODY_PACE)
+        stop.wait(LIMIT / 2)
+    assert answer(connection).endswith(b"\r\n\r\n%d" % size)
