@@ -1,0 +1,312 @@
+"""Files that are damaged, that lie about themselves, or that would take long, much memory or a program to read."""
+
+import base64
+import gzip
+import io
+import random
+import struct
+import zipfile
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from services.scenes.reading import KINDS
+from tests.unit.scenes.mesh_files import (
+    ASCII_PLY,
+    ASCII_STL,
+    BOXES,
+    PLY_HEADER,
+    RIGHT_TRIANGLE,
+    edited_glb,
+    glb,
+    triangle,
+)
+from tests.unit.scenes.test_gltf import damaged_png, one, texture_of
+from tests.unit.scenes.test_image_file import POSTSCRIPT, png_of_size, stored, vp8x
+
+Case = tuple[str, bytes, str | None]
+"""A kind, a file, and the field that is refused; None for an odd file that is a mesh."""
+MILLION = 10**6
+NOISE = random.Random(14).randbytes(5_000)
+CORNERS = b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"
+
+
+def archive() -> bytes:
+    """100 MB of zeros as a zip file of 0.1 MB."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as file:
+        file.writestr("mesh.obj", bytes(100 * MILLION))
+    return buffer.getvalue()
+
+
+OTHERS: dict[str, Callable[[], bytes]] = {
+    "nothing": lambda: b"",
+    "blanks": lambda: b" \r\n\t" * 1_000,
+    "one byte": lambda: b"\x00",
+    "zeros": lambda: bytes(MILLION),
+    "ones": lambda: b"\xff" * MILLION,
+    "noise": lambda: NOISE,
+    "an image": lambda: stored("PNG"),
+    "PostScript": lambda: POSTSCRIPT,
+    "a zip bomb": archive,
+    "a gzip bomb": lambda: gzip.compress(bytes(100 * MILLION)),
+    "a pickle": lambda: b"cos\nsystem\n(S'touch /tmp/hostile-upload'\ntR.",
+    "a program": lambda: b"\x7fELF\x02\x01\x01" + bytes(200),
+    "a script": lambda: b"#!/bin/sh\ntouch /tmp/hostile-upload\n",
+    "a web page": lambda: b"<!doctype html><script>alert(1)</script>",
+    "entities": lambda: b'<!DOCTYPE a [<!ENTITY b "bb"><!ENTITY c "&b;&b;">]><a>&c;</a>',
+    "nested JSON": lambda: b"[" * MILLION,
+    "UTF-16": lambda: "v 0 0 0\nf 1 1 1\n".encode("utf-16"),
+}
+"""Files that are of no kind."""
+
+
+def header_of_glb(length: int, chunk: int, kind: int = 0x4E4F534A) -> bytes:
+    return b"glTF" + struct.pack("<IIII", 2, length, chunk, kind)
+
+
+def text_glb(text: bytes) -> bytes:
+    text += b" " * (-len(text) % 4)
+    return header_of_glb(20 + len(text), len(text)) + text
+
+
+def changed(**values: Any) -> bytes:
+    return edited_glb(lambda tree: tree.update(values))
+
+
+def primitive(**values: Any) -> bytes:
+    return edited_glb(lambda tree: tree["meshes"][0]["primitives"][0].update(values))
+
+
+def accessor(**values: Any) -> bytes:
+    return edited_glb(lambda tree: [one.update(values) for one in tree["accessors"]])
+
+
+def view(**values: Any) -> bytes:
+    return edited_glb(lambda tree: [one.update(values) for one in tree["bufferViews"]])
+
+
+def textured(data: bytes) -> bytes:
+    return one({}, texture_of(data), TEXCOORD_0=[[0, 0]] * 3).glb()
+
+
+def texture_at(address: str) -> bytes:
+    writer = one({}, texture_of(b""), TEXCOORD_0=[[0, 0]] * 3)
+    writer.tree["images"][0] = {"uri": address}
+    return writer.glb()
+
+
+def doubling(tree: dict[str, Any]) -> None:
+    tree.update(
+        nodes=[{"children": [k + 1, k + 1]} for k in range(40)] + [{"mesh": 0}], scenes=[{"nodes": [0]}], scene=0
+    )
+
+
+def chain(tree: dict[str, Any]) -> None:
+    """9,999 nodes, each of which doubles the size of the next."""
+    nodes = [{"children": [k + 1], "scale": [2, 2, 2]} for k in range(9_999)]
+    tree.update(nodes=[*nodes, {"mesh": 0}], scenes=[{"nodes": [0]}], scene=0)
+
+
+GLB: dict[str, Callable[[], bytes]] = {
+    "cyclic nodes": lambda: changed(nodes=[{"children": [1]}, {"children": [0], "mesh": 0}], scenes=[{"nodes": [0]}]),
+    "a node that is its own child": lambda: changed(nodes=[{"children": [0], "mesh": 0}], scenes=[{"nodes": [0]}]),
+    "nodes that multiply": lambda: edited_glb(doubling),
+    "a chain of scales": lambda: edited_glb(chain),
+    "a million nodes": lambda: changed(nodes=[{}] * MILLION),
+    "a child that is not there": lambda: changed(nodes=[{"children": [10**9], "mesh": 0}]),
+    "a child that is no number": lambda: changed(nodes=[{"children": ["x"], "mesh": 0}]),
+    "a mesh that is not there": lambda: changed(nodes=[{"mesh": 10**9}]),
+    "a negative mesh": lambda: changed(nodes=[{"mesh": -1}]),
+    "a matrix of NaN": lambda: changed(nodes=[{"mesh": 0, "matrix": [float("nan")] * 16}]),
+    "a matrix of 15": lambda: changed(nodes=[{"mesh": 0, "matrix": [1] * 15}]),
+    "a matrix of zeros": lambda: changed(nodes=[{"mesh": 0, "matrix": [0] * 16}]),
+    "a rotation of zero": lambda: changed(nodes=[{"mesh": 0, "rotation": [0, 0, 0, 0]}]),
+    "a scale of infinity": lambda: changed(nodes=[{"mesh": 0, "scale": [float("inf")] * 3}]),
+    "a million accessors": lambda: changed(accessors=[{}] * MILLION),
+    "a million materials": lambda: changed(materials=[{}] * MILLION),
+    "a million images": lambda: changed(images=[{}] * MILLION),
+    "a million textures": lambda: changed(textures=[{}] * MILLION),
+    "a million extensions": lambda: changed(extensionsRequired=["x" * 5] * MILLION),
+    "meshes that are no list": lambda: changed(meshes={}),
+    "meshes that are strings": lambda: changed(meshes=["mesh"]),
+    "a scene that is not there": lambda: changed(scene=99),
+    "no scenes, no nodes": lambda: changed(scenes=[], nodes=[]),
+    "100,000 primitives": lambda: edited_glb(
+        lambda tree: tree["meshes"][0].update(primitives=[{"attributes": {"POSITION": 0}}] * 100_000)
+    ),
+    "accessors of 10⁹": lambda: accessor(count=10**9),
+    "accessors of 2⁶⁴": lambda: accessor(count=2**64),
+    "accessors of -1": lambda: accessor(count=-1),
+    "accessors of 1.5": lambda: accessor(count=1.5),
+    "accessors of text": lambda: accessor(count="many"),
+    "an unknown component": lambda: accessor(componentType=1),
+    "an unknown type": lambda: accessor(type="MAT9"),
+    "accessors beyond their view": lambda: accessor(byteOffset=10**9),
+    "accessors before their view": lambda: accessor(byteOffset=-8),
+    "sparse accessors": lambda: accessor(sparse={"count": 10**9}),
+    "accessors without data": lambda: edited_glb(lambda tree: [one.pop("bufferView") for one in tree["accessors"]]),
+    "views beyond their buffer": lambda: view(byteOffset=10**9),
+    "views of 10⁹": lambda: view(byteLength=10**9),
+    "views of -1": lambda: view(byteLength=-1),
+    "views of another buffer": lambda: view(buffer=5),
+    "a stride of 0": lambda: view(byteStride=0),
+    "a stride of 10⁹": lambda: view(byteStride=10**9),
+    "a buffer of 10⁹": lambda: changed(buffers=[{"byteLength": 10**9}]),
+    "a buffer of a file": lambda: changed(buffers=[{"byteLength": 36, "uri": "/etc/passwd"}]),
+    "a buffer of an address": lambda: changed(buffers=[{"byteLength": 36, "uri": "http://127.0.0.1:9/a"}]),
+    "a buffer that is not base64": lambda: changed(buffers=[{"byteLength": 36, "uri": "data:;base64,???"}]),
+    "indices that are positions": lambda: primitive(indices=1),
+    "indices that are not there": lambda: primitive(indices=10**9),
+    "positions that are indices": lambda: primitive(attributes={"POSITION": 0}),
+    "no positions": lambda: primitive(attributes={}),
+    "attributes that are a list": lambda: primitive(attributes=[]),
+    "a mode of 99": lambda: primitive(mode=99),
+    "points": lambda: primitive(mode=0),
+    "a material that is not there": lambda: primitive(material=10**9),
+    "a texture of PostScript": lambda: textured(POSTSCRIPT),
+    "a texture of noise": lambda: textured(NOISE),
+    "a texture without bytes": lambda: textured(b""),
+    "a damaged texture": lambda: textured(damaged_png()),
+    "a texture of 2⁶² pixels": lambda: textured(png_of_size(2**31 - 1, 2**31 - 1)),
+    "a WebP texture of 2⁴⁸ pixels": lambda: textured(vp8x(2**24, 2**24)),
+    "a texture that is a BMP": lambda: textured(stored("BMP")),
+    "a texture that is a TIFF": lambda: textured(stored("TIFF")),
+    "a texture that is a GIF": lambda: textured(stored("GIF")),
+    "a texture of a file": lambda: texture_at("file:///etc/passwd"),
+    "a texture of an address": lambda: texture_at("http://127.0.0.1:9/a.png"),
+    "JSON of lists": lambda: text_glb(b"[" * MILLION),
+    "JSON of objects": lambda: text_glb(b'{"a":' * MILLION),
+    "JSON of a number of a million digits": lambda: text_glb(b"9" * MILLION),
+    "JSON of text": lambda: text_glb(b'"text"'),
+    "JSON of null": lambda: text_glb(b"null"),
+    "JSON that is no UTF-8": lambda: text_glb(b'{"a": "\xff\xfe"}'),
+    "JSON cut off": lambda: text_glb(b'{"asset": {"version":'),
+    "a chunk of 4 GB": lambda: header_of_glb(20, 2**32 - 1),
+    "a length of 4 GB": lambda: header_of_glb(2**32 - 1, 0),
+    "glTF 1": lambda: BOXES["glb"][:4] + struct.pack("<I", 1) + BOXES["glb"][8:],
+    "no JSON": lambda: header_of_glb(20, 0, 0x004E4942),
+    "an empty tree": lambda: glb({}),
+}
+
+
+def ply(vertices: object, faces: object, body: bytes = b"0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n", form: str = "ascii") -> bytes:
+    return PLY_HEADER.format(format=form, vertices=vertices, faces=faces, count="uchar").encode() + body
+
+
+def off(text: str) -> bytes:
+    return f"OFF\n{text}\n".encode()
+
+
+TEXTS: dict[str, tuple[str, Callable[[], bytes]]] = {
+    "8 MB of blank lines": ("obj", lambda: b"\n" * (8 * MILLION) + b"v"),
+    "8 MB of lines of blanks": ("obj", lambda: b" \t\n" * (8 * MILLION // 3) + b"v"),
+    "8 MB of lines that end in v": ("obj", lambda: b"\n v" * (8 * MILLION // 3)),
+    "400,000 materials": ("obj", lambda: CORNERS + b"".join(b"usemtl %d\nf 1 2 3\n" % k for k in range(200_000))),
+    "two million faces": ("obj", lambda: CORNERS + b"f 1 2 3\n" * (2 * MILLION)),
+    "a face of a million corners": ("obj", lambda: CORNERS + b"f" + b" 1 2 3" * MILLION),
+    "four million vertices": ("obj", lambda: b"v 0 0 0\n" * (4 * MILLION) + b"f 1 2 3\n"),
+    "four million empty faces": ("obj", lambda: CORNERS + b"f\n" * (4 * MILLION)),
+    "a number of a million digits": ("obj", lambda: b"v " + b"9" * MILLION + b" 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"),
+    "an index beyond 64 bits": ("obj", lambda: CORNERS + b"f 1 2 99999999999999999999999\n"),
+    "an index of a million digits": ("obj", lambda: CORNERS + b"f 1 2 " + b"9" * MILLION + b"\n"),
+    "an index of zero": ("obj", lambda: CORNERS + b"f 0 1 2\n"),
+    "a negative index": ("obj", lambda: CORNERS + b"f -9 -8 -7\n"),
+    "an index beyond the vertices": ("obj", lambda: CORNERS + b"f 1 2 4\n"),
+    "faces of words": ("obj", lambda: CORNERS + b"f one two three\n"),
+    "vertices of words": ("obj", lambda: b"v a b c\n" * 3 + b"f 1 2 3\n"),
+    "NUL in text": ("obj", lambda: CORNERS + b"\0f 1 2 3\n"),
+    "10¹² vertices": ("ply", lambda: ply(10**12, 1)),
+    "10¹² faces": ("ply", lambda: ply(3, 10**12)),
+    "-1 vertices": ("ply", lambda: ply(-1, 1)),
+    "vertices in words": ("ply", lambda: ply("many", 1)),
+    "vertices of a million digits": ("ply", lambda: ply("9" * 4_000, 1)),
+    "an index of a ply beyond its vertices": ("ply", lambda: ply(3, 1, b"0 0 0\n1 0 0\n0 1 0\n3 0 1 99\n")),
+    "a header of 1 MB": ("ply", lambda: b"ply\nformat ascii 1.0\n" + b"comment x\n" * 100_000 + b"end_header\n"),
+    "10,000 properties": (
+        "ply",
+        lambda: b"ply\nformat ascii 1.0\nelement vertex 3\n" + b"property float x\n" * 10_000 + b"end_header\n0 0 0\n",
+    ),
+    "an element twice": ("ply", lambda: ply(3, 1).replace(b"element face", b"element vertex 9\nelement face")),
+    "an unknown type of a ply": ("ply", lambda: ply(3, 1).replace(b"float x", b"object x")),
+    "4 MB of blank lines after a ply": ("ply", lambda: ply(3, 1) + b"\n" * (4 * MILLION)),
+    "binary ply cut off": ("ply", lambda: ply(3, 1, b"\0" * 20, "binary_little_endian")),
+    "an unknown format of ply": ("ply", lambda: ply(3, 1, form="ternary")),
+    "a billion triangles": ("stl", lambda: bytes(80) + struct.pack("<I", 10**9) + bytes(50)),
+    "-1 triangles": ("stl", lambda: bytes(80) + struct.pack("<i", -1) + bytes(50)),
+    "no triangles": ("stl", lambda: bytes(84)),
+    "20,000 solids": ("stl", lambda: ASCII_STL[:300].replace(b"solid", b"solid x") + b"solid a\nendsolid a\n" * 20_000),
+    "a solid without an end": ("stl", lambda: ASCII_STL.replace(b"endsolid", b"")),
+    "a vertex of two numbers": ("stl", lambda: b"solid\nvertex 0 0\nvertex 1 0 0\nvertex 0 1 0\nendsolid\n"),
+    "a million times vertex": ("stl", lambda: b"solid\n" + b"vertex " * MILLION + b"\nendsolid\n"),
+    "triangles of NaN": ("stl", lambda: bytes(80) + struct.pack("<I", 9) + b"\xff" * 450),
+    "OFF of 10¹² vertices": ("off", lambda: off(f"{10**12} 1 0\n0 0 0")),
+    "OFF of 10¹² faces": ("off", lambda: off(f"3 {10**12} 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2")),
+    "OFF of -3 vertices": ("off", lambda: off("-3 1 0\n0 0 0")),
+    "OFF of words": ("off", lambda: off("three one zero")),
+    "OFF of a vertex that is not there": ("off", lambda: off("3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 99")),
+    "OFF without numbers": ("off", lambda: b"OFF\n"),
+    "OFF of 8 MB of comments": ("off", lambda: b"OFF\n" + b"#\n" * (4 * MILLION)),
+}
+
+KIND_NAMES = ("", "OBJ", "fbx", "gltf", "../obj", "obj\0", "zip", "stl_ascii", "x" * 100, "ply\r\nx: y", "dae", "пли")
+
+ODD: dict[str, tuple[str, bytes]] = {
+    "an OBJ that names files": ("obj", b"mtllib /etc/passwd\nusemtl a\n" + BOXES["obj"]),
+    "an OBJ in Latin-1": ("obj", "o Büro\n".encode("latin-1") + BOXES["obj"]),
+    "an OBJ with a backslash": ("obj", CORNERS + b"f 1 2 3 \\\n\n"),
+    "a PLY that names a texture": (
+        "ply",
+        ASCII_PLY.replace(b"element vertex", b"comment TextureFile http://127.0.0.1:9/\nelement vertex", 1),
+    ),
+    "a PLY with a list longer than its line": ("ply", ply(3, 1, b"0 0 0\n1 0 0\n0 1 0\n255 0 1 2\n")),
+    "an OFF with a face longer than its line": ("off", off(f"3 1 0\n0 0 0\n1 0 0\n0 1 0\n{10**9} 0 1 2")),
+    "an STL whose header is a program": ("stl", b"\x7fELF" + BOXES["stl"][4:]),
+    "a glb with a script as its name": ("glb", edited_glb(lambda tree: tree["meshes"][0].update(name="<script>"))),
+}
+
+
+def hostile() -> Iterator[tuple[str, Case]]:
+    """Yields each file with a name."""
+    for kind in KINDS:
+        for name, make in OTHERS.items():
+            yield f"{name} as {kind}", (kind, make(), "file")
+        for other in KINDS:
+            if other != kind:
+                yield f"{other} as {kind}", (kind, BOXES[other], "file")
+        for value in ("nan", "inf", "-inf"):
+            data = triangle(kind, [*RIGHT_TRIANGLE[:4], value, *RIGHT_TRIANGLE[5:]])
+            yield f"{value} in {kind}", (kind, data, "file")
+        yield f"{kind} without area", (kind, triangle(kind, ["1"] * 9), "file")
+        if kind != "obj":  # the start of an OBJ is one, too
+            for share in (0.1, 0.5, 0.9):
+                yield f"{share:.0%} of {kind}", (kind, BOXES[kind][: int(len(BOXES[kind]) * share)], "file")
+    for name, make in GLB.items():
+        yield name, ("glb", make(), "file")
+    for name, (kind, make) in TEXTS.items():
+        yield name, (kind, make(), "file")
+    for kind in KIND_NAMES:
+        yield f"the kind {kind!r}", (kind, BOXES["obj"], "kind")
+    for name, (kind, data) in ODD.items():
+        yield name, (kind, data, None)
+
+
+IMAGES: dict[str, bytes] = {
+    "nothing": b"",
+    "noise": NOISE,
+    "PostScript": POSTSCRIPT,
+    "a BMP": stored("BMP"),
+    "a TIFF": stored("TIFF"),
+    "a GIF": stored("GIF"),
+    "a PNG of another size": stored("PNG"),
+    "a PNG of 2⁶² pixels": png_of_size(2**31 - 1, 2**31 - 1),
+    "a PNG without pixels": png_of_size(32, 32),
+    "a WebP of 2⁴⁸ pixels": vp8x(2**24, 2**24),
+    "half a JPEG": stored("JPEG")[:200],
+    "a zip bomb": archive(),
+}
+"""Images to re-render of a scene of 32×32 pixels. None is one."""
+
+
+def in_base64(data: bytes) -> str:
+    """Bytes as the API takes an image."""
+    return base64.b64encode(data).decode()

@@ -1,0 +1,102 @@
+"""Hostile uploads to the running service: each gets its answer, and the service is afterwards what it was before."""
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+import psutil
+import pytest
+
+from tests.integration.conftest import Stack, until
+from tests.integration.hostile_files import IMAGES, hostile, in_base64
+from tests.unit.scenes.mesh_files import BOXES
+
+GROWTH = 200 * 2**20
+"""Largest growth of the resident memory of all the service's processes, bytes."""
+PRIVATE = (os.getcwd(), sys.prefix, "/tmp", "/root", "/home", "/usr", "site-packages", "Traceback", ".py")
+"""What no answer may hold."""
+SMALL = {"objects": [{"mesh": "primitive/sphere"}], "camera": {"size": [32, 32]}}
+READER = "services.scenes.reading_process"
+
+
+def memory(stack: Stack) -> int:
+    """Resident memory of the service, bytes; what processes share is counted for each."""
+    total = 0
+    for process in [psutil.Process(stack.process.pid), *psutil.Process(stack.process.pid).children(recursive=True)]:
+        try:
+            total += process.memory_info().rss
+        except psutil.NoSuchProcess:
+            continue
+    return total
+
+
+def upload(stack: Stack, data: bytes, kind: str) -> httpx.Response:
+    return stack.client.post("/v1/assets", files={"file": ("mesh", data)}, data={"kind": kind})
+
+
+def is_traced(process: psutil.Process) -> bool:
+    return "TracerPid:\t0\n" not in Path(f"/proc/{process.pid}/status").read_text()
+
+
+@contextmanager
+def programs_started(processes: list[psutil.Process], log: Path) -> Iterator[list[str]]:
+    """Fills a list with the system calls by which the processes and their children start programs meanwhile."""
+    pids = [word for process in processes for word in ("-p", str(process.pid))]
+    with subprocess.Popen(["strace", "-f", "-qq", "-e", "trace=execve,execveat", "-o", str(log), *pids]) as strace:
+        until(lambda: all(map(is_traced, processes)), "strace traces the service")
+        started: list[str] = []
+        try:
+            yield started
+        finally:
+            strace.terminate()
+    started += [line for line in log.read_text().splitlines() if "exec" in line]
+
+
+def refusal(answer: httpx.Response) -> Any:
+    """The fields that an answer refuses, or else its status; what is private in it, if anything is."""
+    found = [word for word in PRIVATE if word in answer.text]
+    if found:
+        return f"it holds {found}: {answer.text[:500]}"
+    if answer.status_code == 422:
+        assert answer.headers["content-type"] == "application/problem+json"
+        return sorted({error["field"] for error in answer.json()["errors"]})
+    return answer.status_code
+
+
+@pytest.mark.skipif(shutil.which("strace") is None, reason="no strace; scripts/setup --test installs it")
+def test_hostile_meshes_are_refused_and_leave_the_service_as_it_was(stack: Stack, tmp_path: Path) -> None:
+    assert upload(stack, BOXES["stl"], "stl").status_code == 201
+    before, processes = memory(stack), [stack.one("api.main"), stack.one(READER)]
+    wrong: dict[str, Any] = {}
+    with programs_started(processes, tmp_path / "strace.log") as started:
+        count = 0
+        for name, (kind, data, field) in hostile():
+            count += 1
+            said = refusal(upload(stack, data, kind))
+            if said != (201 if field is None else [field]):
+                wrong[name] = said
+    assert wrong == {}
+    assert count >= 250
+    assert started == []
+    assert all(process.is_running() for process in processes)
+    assert upload(stack, BOXES["off"], "off").status_code == 201
+    assert stack.client.get("/readyz").status_code == 200
+    assert memory(stack) < before + GROWTH
+
+
+def test_hostile_images_are_refused_and_leave_the_service_as_it_was(stack: Stack) -> None:
+    def said(data: bytes) -> Any:
+        body = {"image": {"data": in_base64(data)}, "scene": SMALL, "fit": {"steps": 1}}
+        return refusal(stack.client.post("/v1/rerenderings", json=body))
+
+    said(b"starts the process")
+    before = memory(stack)
+    assert {name: said(data) for name, data in IMAGES.items()} == {name: ["image"] for name in IMAGES}
+    assert stack.client.get("/readyz").status_code == 200
+    assert memory(stack) < before + GROWTH
