@@ -11,30 +11,18 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from redis import Redis, exceptions
+from redis import exceptions
 
 from services.jobs.queue import Queue, connect
-from tests.postgresql import free_port
-from worker.redis_server import find_server
-
-PASSWORD = "p@ss/word"
-QUOTED = "p%40ss%2Fword"
+from tests import redis_over_tcp
+from tests.redis_over_tcp import QUOTED
 
 
 @pytest.fixture(scope="module")
 def port() -> Iterator[int]:
     """The port of a Redis that asks for a password."""
-    port = free_port()
-    command = [find_server(), "--bind", "127.0.0.1", "--port", str(port), "--save", "", "--requirepass", PASSWORD]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
-        answers = threading.Event()
-        while not answers.is_set():
-            assert process.poll() is None
-            with suppress(exceptions.ConnectionError), Redis(port=port, password=PASSWORD) as client:
-                client.ping()
-                answers.set()
+    with redis_over_tcp.running() as port:
         yield port
-        process.terminate()
 
 
 @pytest.fixture(scope="module")
