@@ -3,6 +3,7 @@
 While there is no key, the programs of this machine are let in and nobody else.
 """
 
+from math import ceil
 from typing import Annotated
 
 from fastapi import Depends, Request
@@ -14,6 +15,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from api.auth_rules import OPEN, Rule, rule_of
 from api.problems import problem
+from api.request_rate import RequestRate
 from services.access.caller import KEYLESS, Caller
 from services.access.caller import Scope as AccessScope
 from services.access.keys import AccessKeys
@@ -25,28 +27,40 @@ log = logger(__name__)
 
 
 class Authentication:
-    """Answers 401 without a valid key, 403 if the key's scopes do not allow the route, else passes the caller on."""
+    """Answers 401 without a valid key, 403 if its scopes do not allow the route, 429 if its owner has sent too much.
 
-    def __init__(self, app: ASGIApp) -> None:
+    Otherwise it passes the caller on.
+    """
+
+    def __init__(self, app: ASGIApp, rate: RequestRate) -> None:
         self.app = app
+        self.rate = rate
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """ASGI."""
         if scope["type"] != "http":
             return await self.app(scope, receive, send)
         rule = rule_of(scope["method"], scope["path"])
+        is_open = rule is not None and rule.scope is OPEN
         caller, refusal = None, None
         try:
             caller = await run_in_threadpool(_caller, scope["app"].state.services.keys, scope)
-            refusal = _refusal(rule, caller)
+            refusal = None if is_open else _refusal(rule, caller) or self._too_many(caller)
         except SQLAlchemyError as error:
-            if rule is None or rule.scope is not OPEN:
+            if not is_open:
                 log.warning("keys out of reach", error=str(error))
                 refusal = problem(503, "the database does not answer; try again later", headers={"Retry-After": "5"})
         if refusal is not None:
             return await refusal(scope, receive, send)
         scope.setdefault("state", {})["caller"] = caller
         return await self.app(scope, receive, send)
+
+    def _too_many(self, caller: Caller | None) -> Response | None:
+        seconds = 0.0 if caller is None else self.rate.wait(caller.owner)
+        if not seconds:
+            return None
+        detail = "this owner has sent as many requests as it may in a minute"
+        return problem(429, detail, headers={"Retry-After": str(ceil(seconds))})
 
 
 def _caller(keys: AccessKeys, scope: Scope) -> Caller | None:
@@ -60,12 +74,10 @@ def _caller(keys: AccessKeys, scope: Scope) -> Caller | None:
 
 
 def _refusal(rule: Rule | None, caller: Caller | None) -> Response | None:
-    scope = AccessScope.ADMIN if rule is None else rule.scope
-    if scope is OPEN:
-        return None
     if caller is None:
         detail = "a key is needed that is known, not revoked and not expired; send it as `Authorization: Bearer KEY`"
         return problem(401, detail, headers=_HOW)
+    scope = AccessScope.ADMIN if rule is None or rule.scope is None else rule.scope
     if caller.may(scope):
         return None
     if rule is None:

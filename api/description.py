@@ -23,6 +23,7 @@ ERRORS = {
     "415": "The body has the wrong media type.",
     "416": "The file has no such range.",
     "422": "A field is wrong; `errors` names it.",
+    "429": "The owner of the key has as much as it may, or sends too much; `Retry-After` says when to try again.",
     "503": "The service cannot take the request now; `Retry-After` says when to try again.",
 }
 
@@ -69,7 +70,7 @@ def _errors(schema: dict[str, Any]) -> None:
 
 
 def _possible(path: str, operation: dict[str, Any]) -> list[str]:
-    found = ["401", "403"] if operation["security"] else []
+    found = ["401", "403", "429"] if operation["security"] else []
     if "{" in path:
         found.append("404")
     if "requestBody" in operation:

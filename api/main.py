@@ -26,6 +26,7 @@ from api.metrics import Measured, RequestMetrics, ServiceMetrics
 from api.preflight import Preflight
 from api.problems import Answers, install
 from api.request_id import RequestId
+from api.request_rate import RequestRate
 from api.rerenderer import Rerenderer
 from api.routes import artifacts, assets, campaigns, events, health, jobs, library, rerenderings
 from api.routes import metrics as scraping
@@ -36,6 +37,7 @@ from api.watcher import Watcher
 from services.access.assets import OwnedAssets
 from services.access.keys import AccessKeys
 from services.access.listening import check_listening
+from services.access.quotas import Quotas
 from services.device import check_device
 from services.errors import JobFailure
 from services.jobs import watchdog
@@ -79,7 +81,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
         migration = asyncio.create_task(_migrate(engine, chosen))
         tasks = [asyncio.create_task(_show_life()), migration]
         await asyncio.wait([migration], timeout=MIGRATION_SECONDS)
-        repository = Repository(engine)
+        repository, owned = Repository(engine), OwnedAssets(engine)
         redis = connect_redis(chosen.redis_url)
         queue = Queue(redis)
         preflight = Preflight(chosen)
@@ -91,7 +93,8 @@ def create_app(values: Settings | None = None) -> FastAPI:
         watcher = Watcher(repository)
         app.state.services = Services(
             keys=AccessKeys(engine),
-            assets=OwnedAssets(engine),
+            assets=owned,
+            quotas=Quotas(owned, chosen.owner_queued, chosen.owner_upload_bytes),
             repository=repository,
             queue=queue,
             submissions=Submissions(repository, queue, chosen.max_queued),
@@ -136,7 +139,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
             Middleware(BodyPace),
             Middleware(KnownHosts, hosts=chosen.own_hosts),
             Middleware(SameSite),
-            Middleware(Authentication),
+            Middleware(Authentication, rate=RequestRate(chosen.owner_requests)),
             Middleware(NoNul),
             Middleware(BodyLimit, uploads={assets.PATH: chosen.max_upload_bytes}),
         ],

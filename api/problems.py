@@ -18,7 +18,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from api.request_id import HEADER
 from api.schemas import BadField
 from api.warm_process import Unavailable
-from services.errors import InvalidRequest, without_folders
+from services.errors import InvalidRequest, QuotaExceeded, without_folders
 from services.jobs.artifacts import Damaged
 from services.jobs.outages import outage_of
 from services.jobs.repository import KeyReused, QueueFull
@@ -100,6 +100,10 @@ def install(app: FastAPI) -> None:
     @app.exception_handler(QueueFull)
     def _full(_: Request, _error: QueueFull) -> Response:
         return problem(503, "as many jobs are queued as this service takes; try again later", headers=_LATER)
+
+    @app.exception_handler(QuotaExceeded)
+    def _over_quota(_: Request, error: QuotaExceeded) -> Response:
+        return problem(429, str(error), headers={"Retry-After": f"{error.seconds:.0f}"})
 
     @app.exception_handler(KeyReused)
     def _reused(_: Request, _error: KeyReused) -> Response:

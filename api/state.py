@@ -15,6 +15,7 @@ from api.watcher import Watcher
 from services.access.assets import OwnedAssets
 from services.access.caller import Caller
 from services.access.keys import AccessKeys
+from services.access.quotas import Quotas
 from services.jobs.artifacts import ArtifactStore
 from services.jobs.campaign_service import CampaignService
 from services.jobs.models import Job
@@ -27,10 +28,13 @@ from services.scenes.library import Library
 
 @dataclass(frozen=True)
 class Services:
-    """The keys, the record of jobs and campaigns, the queue, the files, and what checks, re-renders and watches."""
+    """Keys, uploads and quotas, the record of jobs and campaigns, the queue, the files, and what checks, re-renders and
+    watches.
+    """
 
     keys: AccessKeys
     assets: OwnedAssets
+    quotas: Quotas
     repository: Repository
     queue: Queue
     submissions: Submissions

@@ -42,6 +42,14 @@ class JobFailure(RuntimeError):
         return type(self), (self.kind, self.detail)
 
 
+class QuotaExceeded(Exception):
+    """An owner has as much as it may have. `seconds` says when to try again; the API answers 429 with it."""
+
+    def __init__(self, detail: str, seconds: float) -> None:
+        super().__init__(detail)
+        self.seconds = seconds
+
+
 class Cancelled(Exception):
     """The job was asked to stop."""
 

@@ -77,6 +77,13 @@ class Settings(BaseSettings):
     )
     check_seconds: float = Field(5.0, gt=0, description="longest check before acceptance; after it likewise")
     max_queued: int = Field(1000, ge=1, description="queued jobs beyond which new ones get 503")
+    owner_queued: int = Field(
+        500, ge=1, description="queued jobs of one owner of keys beyond which its new ones get 429; so below likewise"
+    )
+    owner_upload_bytes: int = Field(10 * 2**30, ge=0, description="bytes of all uploads of one owner")
+    owner_requests: int = Field(
+        6000, ge=1, description="requests of one owner in a minute, counted by each process of the API"
+    )
     max_campaign_jobs: int = Field(10_000, ge=1, description="largest campaign, in jobs and in views")
     max_campaign_queued: int = Field(
         8, ge=1, le=1000, description="queued jobs of all campaigns; more workers than that need more"

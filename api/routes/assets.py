@@ -30,6 +30,7 @@ async def upload(
     kind: Annotated[str, Form(max_length=16, description="obj, ply, stl, glb or off")],
 ) -> Entry:
     """Checks a mesh and stores it under a hash of its bytes and kind. Scenes name it by the `name` in the answer."""
+    await run_in_threadpool(services.quotas.check_upload, caller.owner, file.size or 0)
     entry = await services.uploads.add(file.file, kind, client_of(request, caller))
     await run_in_threadpool(services.assets.add, caller.owner, entry.name, file.size or 0)
     return entry

@@ -71,7 +71,8 @@ async def submit(
         await run_in_threadpool(lambda: check_names(spec, check_meshes_of(services, caller)))
         found = await while_connected(request, services.preflight.check(spec, client_of(request, caller)))
         spec, warnings = (spec, ()) if found is None else (found.spec, found.warnings)
-        submit_now = partial(services.submissions.submit, checked=found is not None, owner=caller.owner)
+        whose, most = caller.owner, services.quotas.queued_of(caller.owner)
+        submit_now = partial(services.submissions.submit, checked=found is not None, owner=whose, owner_queued=most)
         body = await run_in_threadpool(submit_now, spec, key, _answer, warnings)
     response.headers["Location"] = f"/v1/jobs/{body['id']}"
     if wait is not None:

@@ -2,10 +2,12 @@
 
 import secrets
 from collections.abc import Collection
+from contextlib import suppress
 from datetime import datetime, timedelta
 from hashlib import sha256
 
 from sqlalchemy import select, update
+from sqlalchemy.exc import SQLAlchemyError
 
 from services.access.caller import Scope
 from services.access.models import AccessKey
@@ -71,7 +73,7 @@ class AccessKeys(Transactions):
         if key.revoked_at is not None or (key.expires_at is not None and key.expires_at <= now):
             return False
         if key.last_used_at is None or now - key.last_used_at > timedelta(seconds=USE_SECONDS):
-            with self._write() as session:
+            with suppress(SQLAlchemyError), self._write() as session:  # a disk that is full refuses no reader
                 session.execute(update(AccessKey).where(AccessKey.prefix == key.prefix).values(last_used_at=now))
         return True
 

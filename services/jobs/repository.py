@@ -13,11 +13,15 @@ from sqlalchemy import Select, func, literal, select, text, tuple_, update
 from sqlalchemy.orm import Session, defer, undefer
 from sqlalchemy.sql.elements import ColumnElement
 
+from services.errors import QuotaExceeded
 from services.jobs.attempts import Attempts
 from services.jobs.models import Artifact, Event, IdempotencyKey, Job, JobKind, State, UtcTime
 from services.jobs.transactions import not_held
 from services.pipeline.spec import JobSpec, digest
 from services.pipeline.warning import JobWarning
+
+QUEUED_SECONDS = 30.0
+"""Time after which an owner with too many queued jobs may try again."""
 
 
 class QueueFull(Exception):
@@ -86,10 +90,12 @@ class Repository(Attempts):
         *,
         checked: bool = True,
         owner: str = "",
+        owner_queued: int | None = None,
     ) -> tuple[Job | None, dict[str, Any]]:
         """Records a new queued job. Returns it and `answer(job)`, or None and the key's first answer if it was used.
 
-        Raises QueueFull if `max_queued` jobs are queued, and KeyReused if the key came with another request.
+        Raises QueueFull if `max_queued` jobs are queued, QuotaExceeded if the owner has `owner_queued` of them, and
+        KeyReused if the key came with another request.
         """
         with self._write(durable=True) as session:
             if key is not None and (first := _first_answer(session, key)) is not None:
@@ -97,6 +103,10 @@ class Repository(Attempts):
             single = (Job.state == State.QUEUED, Job.campaign_id.is_(None))  # campaigns have a limit of their own
             if (session.scalar(select(func.count()).select_from(Job).where(*single)) or 0) >= max_queued:
                 raise QueueFull
+            if owner_queued is not None:
+                own = select(func.count()).select_from(Job).where(*single, Job.owner == owner)
+                if (session.scalar(own) or 0) >= owner_queued:
+                    raise QuotaExceeded(f"an owner may have {owner_queued:,} jobs queued", QUEUED_SECONDS)
             job = self._add_job(
                 session,
                 spec.model_dump(mode="json"),

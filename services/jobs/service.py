@@ -35,15 +35,17 @@ class Submissions:
         *,
         checked: bool = True,
         owner: str = "",
+        owner_queued: int | None = None,
     ) -> dict[str, Any]:
         """Records the job, then sends its id. Returns `answer(job)`, or the first answer if the key was used before.
 
         A worker checks first whether a spec that was not `checked` can run.
 
-        Raises QueueFull, and KeyReused if the key came with another request.
+        Raises QueueFull, QuotaExceeded if the owner has `owner_queued` jobs queued, and KeyReused if the key came with
+        another request.
         """
         given = (spec, self.max_queued, key, answer, warnings)
-        create = partial(self.repository.create, *given, checked=checked, owner=owner)
+        create = partial(self.repository.create, *given, checked=checked, owner=owner, owner_queued=owner_queued)
         try:
             job, said = create()
         except IntegrityError:  # another process recorded the same key at the same moment

@@ -1,12 +1,18 @@
 import pytest
 from sqlalchemy import Engine
 
+from services.access.assets import OwnedAssets
 from services.access.keys import AccessKeys
 from tests.unit.jobs.conftest import Clock, clock, database, engine
 
-__all__ = ["clock", "database", "engine", "keys"]
+__all__ = ["assets", "clock", "database", "engine", "keys"]
 
 
 @pytest.fixture
 def keys(engine: Engine, clock: Clock) -> AccessKeys:
     return AccessKeys(engine, clock)
+
+
+@pytest.fixture
+def assets(engine: Engine, clock: Clock) -> OwnedAssets:
+    return OwnedAssets(engine, clock)

@@ -1,6 +1,7 @@
 from hashlib import sha256
 
-from sqlalchemy import Engine, select
+from sqlalchemy import Engine, event, select
+from sqlalchemy.exc import OperationalError
 
 from services.access.caller import Caller, Scope
 from services.access.keys import USE_SECONDS, AccessKeys
@@ -64,6 +65,17 @@ def test_a_use_is_recorded_to_the_minute(keys: AccessKeys, clock: Clock) -> None
         clock.advance(seconds)
         keys.find(text)
         assert keys.all()[0].last_used_at == (first if seconds != 1 else clock.now)
+
+
+def test_a_use_that_cannot_be_recorded_is_allowed(keys: AccessKeys, engine: Engine) -> None:
+    _, text = keys.create("ci", "alice", READ)
+
+    def refuse(*_: object) -> None:
+        raise OperationalError("UPDATE", {}, Exception("the disk is full"))
+
+    event.listen(engine, "before_cursor_execute", lambda *given: refuse() if given[2].startswith("UPDATE") else None)
+    assert keys.find(text) is not None
+    assert keys.all()[0].last_used_at is None
 
 
 def test_keys_exist_also_when_all_are_revoked(keys: AccessKeys) -> None:

@@ -197,6 +197,7 @@ def app(repository: Repository, campaigns: CampaignService | None = None) -> Fas
     made.state.services = Services(
         keys=none,
         assets=none,
+        quotas=none,
         repository=repository,
         queue=none,
         submissions=none,

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy.exc import StatementError
 
+from services.errors import QuotaExceeded
 from services.jobs.attempts import Attempt, Standing
 from services.jobs.models import Job, State
 from services.jobs.queue import Queue, connect
@@ -208,6 +209,24 @@ def test_pages_and_keys_are_those_of_an_owner(repository: Repository) -> None:
         assert create(owner, f"of {owner}") == (None, {"id": job_id})
         assert [job.id for job in repository.page(None, 9, None, owner=owner)] == [job_id]
     assert len(repository.page(None, 9, None)) == 4
+
+
+def test_an_owner_has_no_more_queued_jobs_than_it_may(repository: Repository) -> None:
+    def create(owner: str, most: int | None = 2) -> Job:
+        job, _ = repository.create(SPEC, 100, None, lambda _: {}, owner=owner, owner_queued=most)
+        assert job is not None
+        return job
+
+    first, _ = [create("alice") for _ in range(2)]
+    with pytest.raises(QuotaExceeded, match="2 jobs queued"):
+        create("alice")
+    create("bob")
+    create("alice", None)
+    start(repository, first)
+    with pytest.raises(QuotaExceeded):
+        create("alice")
+    repository.request_cancel(repository.page(State.QUEUED, 1, None, owner="alice")[0].id)
+    create("alice")
 
 
 def test_a_key_makes_one_job_however_often_it_comes(repository: Repository, tmp_path: Path) -> None:

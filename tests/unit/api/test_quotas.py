@@ -1,0 +1,51 @@
+"""An owner that has, or sends, too much is told when to try again; others are not held up."""
+
+import pytest
+
+from api.main import create_app
+from services.access.caller import Scope
+from services.access.quotas import Quotas
+from services.settings import Settings
+from tests.unit.api.conftest import serving
+from tests.unit.api.guarded import ATTACK, SPHERE, Guarded, bearer
+from tests.unit.api.test_owners import upload
+
+JOB = {"scene": SPHERE, "attack": ATTACK}
+
+
+@pytest.fixture
+def nothing_more(guarded: Guarded, monkeypatch: pytest.MonkeyPatch) -> Guarded:
+    """The service with quotas that are used up by one job and no upload."""
+    quotas = Quotas(guarded.services.assets, queued=1, upload_bytes=0)
+    for name in ("queued", "upload_bytes"):
+        monkeypatch.setitem(vars(guarded.services.quotas), name, vars(quotas)[name])
+    return guarded
+
+
+def test_too_many_queued_jobs(nothing_more: Guarded) -> None:
+    answer = nothing_more.client.post("/v1/jobs", json=JOB, headers=nothing_more.headers["alice"])
+    assert answer.status_code == 429, answer.text
+    assert int(answer.headers["retry-after"]) > 0
+    assert "1 jobs queued" in answer.json()["detail"]
+    mine = nothing_more.client.post("/v1/jobs", json=JOB, headers=nothing_more.headers["bob"])
+    assert mine.status_code == 202
+    nothing_more.client.post(f"{mine.headers['location']}/cancel", headers=nothing_more.headers["bob"])
+
+
+def test_too_many_uploaded_bytes(nothing_more: Guarded) -> None:
+    answer = upload(nothing_more, "alice")
+    assert answer.status_code == 429, answer.text
+    assert int(answer.headers["retry-after"]) > 0
+
+
+def test_too_many_requests(redis_url: str, tmp_path_factory: pytest.TempPathFactory) -> None:
+    app = create_app(Settings(data=tmp_path_factory.mktemp("rate"), redis_url=redis_url, owner_requests=3))
+    with serving(app) as client:
+        assert [client.get("/v1/targets").status_code for _ in range(5)] == [200] * 5  # no key, no limit
+        texts = {owner: app.state.services.keys.create(owner, owner, {Scope.JOBS_READ})[1] for owner in ("a", "b")}
+        answers = [client.get("/v1/targets", headers=bearer(texts["a"])) for _ in range(4)]
+        assert [answer.status_code for answer in answers] == [200, 200, 200, 429]
+        assert 1 <= int(answers[3].headers["retry-after"]) <= 20
+        assert answers[3].headers["content-type"] == "application/problem+json"
+        assert client.get("/v1/targets", headers=bearer(texts["b"])).status_code == 200
+        assert client.get("/healthz", headers=bearer(texts["a"])).status_code == 200
