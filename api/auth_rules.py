@@ -22,6 +22,7 @@ RULES: dict[str, Scope | None] = {
     "GET /v1/jobs": _READ,
     "GET /v1/jobs/{job_id}": _READ,
     "POST /v1/jobs/{job_id}/cancel": _WRITE,
+    "DELETE /v1/jobs/{job_id}": _WRITE,
     "GET /v1/jobs/{job_id}/events": _READ,
     "GET /v1/jobs/{job_id}/artifacts": _READ,
     "GET /v1/jobs/{job_id}/artifacts/{name}": _READ,

@@ -19,6 +19,7 @@ ERRORS = {
     "401": "A key is needed, and none was sent that is known, not revoked and not expired.",
     "403": "The key's scopes do not allow this, or another web site made a browser send it.",
     "404": "The path names nothing that exists.",
+    "409": "It is in use.",
     "413": "The body is too large.",
     "415": "The body has the wrong media type.",
     "416": "The file has no such range.",
@@ -77,6 +78,8 @@ def _possible(path: str, operation: dict[str, Any]) -> list[str]:
         found += ["400", "413", "415", "422", "503"]
     elif "422" in operation["responses"]:
         found.append("422")
+    if "204" in operation["responses"]:
+        found.append("409")
     if "206" in operation["responses"]:
         found.append("416")
     return found

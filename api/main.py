@@ -47,6 +47,7 @@ from services.jobs.campaigns import Campaigns
 from services.jobs.database import connect as connect_database
 from services.jobs.database import migrate
 from services.jobs.figures import Figures
+from services.jobs.housekeeping import Housekeeping
 from services.jobs.queue import Queue
 from services.jobs.queue import connect as connect_redis
 from services.jobs.repository import Repository
@@ -91,6 +92,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
         uploads = MeshUploads(library, chosen)
         uploads.start()
         watcher = Watcher(repository)
+        store = ArtifactStore(chosen.files)
         app.state.services = Services(
             keys=AccessKeys(engine),
             assets=owned,
@@ -98,7 +100,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
             repository=repository,
             queue=queue,
             submissions=Submissions(repository, queue, chosen.max_queued),
-            store=ArtifactStore(chosen.files),
+            store=store,
             library=library,
             preflight=preflight,
             uploads=uploads,
@@ -106,6 +108,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
             campaigns=CampaignService(Campaigns(engine), queue),
             watcher=watcher,
             storage=Storage(chosen.data_dir),
+            housekeeping=Housekeeping(engine, store, chosen.data_dir),
             max_campaign_jobs=chosen.max_campaign_jobs,
         )
         service_metrics = ServiceMetrics(Figures(engine), queue, watcher.streams)

@@ -20,6 +20,7 @@ from api.schemas import BadField
 from api.warm_process import Unavailable
 from services.errors import InvalidRequest, QuotaExceeded, without_folders
 from services.jobs.artifacts import Damaged
+from services.jobs.deletion import InUse
 from services.jobs.outages import outage_of
 from services.jobs.repository import KeyReused, QueueFull
 from services.logs import logger
@@ -104,6 +105,10 @@ def install(app: FastAPI) -> None:
     @app.exception_handler(QuotaExceeded)
     def _over_quota(_: Request, error: QuotaExceeded) -> Response:
         return problem(429, str(error), headers={"Retry-After": f"{error.seconds:.0f}"})
+
+    @app.exception_handler(InUse)
+    def _in_use(_: Request, error: InUse) -> Response:
+        return problem(409, str(error))
 
     @app.exception_handler(KeyReused)
     def _reused(_: Request, _error: KeyReused) -> Response:

@@ -18,6 +18,7 @@ from services.access.keys import AccessKeys
 from services.access.quotas import Quotas
 from services.jobs.artifacts import ArtifactStore
 from services.jobs.campaign_service import CampaignService
+from services.jobs.housekeeping import Housekeeping
 from services.jobs.models import Job
 from services.jobs.queue import Queue
 from services.jobs.repository import Repository
@@ -46,6 +47,7 @@ class Services:
     campaigns: CampaignService
     watcher: Watcher
     storage: Storage
+    housekeeping: Housekeeping
     max_campaign_jobs: int
 
 

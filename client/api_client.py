@@ -82,6 +82,12 @@ class ApiClient:
         """Asks a job to stop and returns it; has no effect on a job that has ended."""
         return self._json(self._http.post(f"/v1/jobs/{job_id}/cancel"))
 
+    def delete(self, job_id: str) -> None:
+        """Deletes a job that has ended."""
+        response = self._http.delete(f"/v1/jobs/{job_id}")
+        if response.is_error:
+            raise _refusal(response)
+
     def events(self, job_id: str, after: str | None = None) -> Iterator[Event]:
         """The job's events, each once and in order, until it has ended; a dropped connection is taken up again."""
         failures = 0

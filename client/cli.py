@@ -9,6 +9,7 @@ from client.commands import (
     accuracy,
     analyse,
     assets,
+    backup,
     campaign,
     demo,
     doctor,
@@ -65,6 +66,7 @@ app.add_typer(train.app, name="train")
 serve.register(app)
 demo.register(app)
 doctor.register(app)
+backup.register(app)
 
 
 def main() -> None:

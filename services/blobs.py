@@ -5,9 +5,13 @@ environment variables (S3: `AWS_ENDPOINT_URL`, `AWS_ACCESS_KEY_ID`, `AWS_SECRET_
 """
 
 import errno
+import math
+import os
+import secrets
 import tempfile
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from io import BufferedIOBase
 from pathlib import Path
 from typing import Any, Protocol, cast
@@ -18,6 +22,8 @@ from services.errors import InvalidRequest
 CONNECT_SECONDS = 5
 READ_SECONDS = 20
 """How long to wait for an object store; it is asked five times."""
+YOUNG_SECONDS = 1800.0
+"""Age below which an object is not removed. Objects have the time of their writing only."""
 SETTING = "SCENE_ATTACK_ARTIFACT_URL"
 
 
@@ -35,6 +41,12 @@ class Blobs(Protocol):
 
     def names(self) -> list[str]:
         """The names of all files, sorted."""
+
+    def keep(self, name: str) -> bool:
+        """Says that a file is wanted. Returns False if it has to be written, as there is none or it is about to go."""
+
+    def remove(self, name: str, unwanted_seconds: float) -> None:
+        """Removes a file if it was neither written nor wanted within the last `unwanted_seconds`, if there is one."""
 
 
 class Folder:
@@ -59,6 +71,31 @@ class Folder:
         """The names of all files; those that a killed process left half-written are none."""
         files = (path for path in self._folder.rglob("*") if path.is_file() and path.suffix != ".part")
         return sorted(str(path.relative_to(self._folder)) for path in files)
+
+    def keep(self, name: str) -> bool:
+        """Says that a file is wanted."""
+        try:
+            os.utime(self._folder / name)
+        except FileNotFoundError:
+            return False
+        return True
+
+    def remove(self, name: str, unwanted_seconds: float) -> None:
+        """Removes a file that is unwanted."""
+        path = self._folder / name
+        aside = path.with_name(f"{path.name}.{secrets.token_hex(8)}.part")
+        with suppress(FileNotFoundError):
+            if _age(path) < unwanted_seconds:
+                return
+            path.rename(aside)  # whoever wants it from now on writes it anew
+            if _age(aside) < unwanted_seconds:  # it was wanted just before
+                aside.rename(path)
+            else:
+                aside.unlink()
+
+
+def _age(path: Path) -> float:
+    return time.time() - path.stat().st_mtime
 
 
 class Objects:
@@ -97,6 +134,25 @@ class Objects:
         with _errors():
             found = self._files.find(self._prefix)
         return sorted(path.removeprefix(f"{self._prefix}/") for path in found)
+
+    def keep(self, name: str) -> bool:
+        """Says that an object is wanted: one that is no longer young is written again, which makes it young."""
+        return self._age(name) < YOUNG_SECONDS
+
+    def remove(self, name: str, unwanted_seconds: float) -> None:
+        """Removes an object that is unwanted."""
+        age = self._age(name)
+        if max(unwanted_seconds, YOUNG_SECONDS) <= age < math.inf:
+            with _errors():
+                self._files.rm_file(f"{self._prefix}/{name}")
+
+    def _age(self, name: str) -> float:
+        """The time in seconds since an object was written, infinite if there is none."""
+        try:
+            with _errors():
+                return time.time() - float(self._files.modified(f"{self._prefix}/{name}").timestamp())
+        except FileNotFoundError:
+            return math.inf
 
 
 def blobs(place: Path | str, part: str) -> Blobs:

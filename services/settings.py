@@ -98,6 +98,9 @@ class Settings(BaseSettings):
     max_attempts: int = Field(
         5, ge=1, description="attempts in a row whose process died before it got further, until a job fails"
     )
+    retention_days: float | None = Field(
+        None, gt=0, description="jobs and campaigns are deleted so long after their end; default: never"
+    )
     job_seconds: float = Field(3600.0, gt=0, description="longest run of one job before it fails as timeout")
     job_memory_bytes: int = Field(
         16 * 2**30, ge=2**30, description="address space of a job process; beyond it the job fails as out-of-memory"

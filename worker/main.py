@@ -3,26 +3,25 @@
 import secrets
 import socket
 import sys
-import time
 from collections.abc import Callable
 
 from redis.exceptions import RedisError
+from sqlalchemy import Engine
 from sqlalchemy.exc import SQLAlchemyError
 
 from services.device import check_device
 from services.errors import JobFailure
+from services.jobs.artifacts import ArtifactStore
 from services.jobs.campaign_feed import Feeder
 from services.jobs.database import connect as connect_database
 from services.jobs.database import migrate
+from services.jobs.housekeeping import Housekeeping
 from services.jobs.queue import Queue, reconcile
 from services.jobs.queue import connect as connect_redis
 from services.jobs.repository import Repository
-from services.jobs.working_files import WorkingFiles
 from services.logs import configure, logger
 from services.settings import Settings, settings
 from worker.supervisor import Program, Supervisor
-
-SWEEP_SECONDS = 60.0
 
 log = logger(__name__)
 
@@ -42,8 +41,7 @@ def run() -> int:
     engine = connect_database(values)
     migrate(engine, values)
     repository = Repository(engine)
-    feeder = Feeder(engine, values.max_campaign_queued)
-    Supervisor(workers(values, repository), housekeeping(values, repository, feeder)).run()
+    Supervisor(workers(values, repository), housekeeping(values, engine)).run()
     return 0
 
 
@@ -74,27 +72,28 @@ def _worker(index: int, values: Settings, repository: Repository) -> Program:
     return Program(f"worker-{index}", command, values.environ(), ended=ended, silent_seconds=silent)
 
 
-def housekeeping(values: Settings, repository: Repository, feeder: Feeder) -> Callable[[], None]:
-    """Returns the function that a supervisor calls once a second. It takes lapsed leases back, moves campaigns on, and
-    sends queued jobs that are not on the queue.
+def housekeeping(values: Settings, engine: Engine) -> Callable[[], None]:
+    """Returns the function that a supervisor calls once a second. It takes lapsed leases back, moves campaigns on,
+    sends queued jobs that are not on the queue, and removes what nothing needs any more.
 
     Several supervisors may do so at once; each step is a transaction that changes a job at most once.
     """
     assert values.redis_url is not None
     queue = Queue(connect_redis(values.redis_url))
-    working_files = WorkingFiles(values.data_dir)
-    swept, failing = float("-inf"), False
+    repository = Repository(engine)
+    feeder = Feeder(engine, values.max_campaign_queued)
+    store = ArtifactStore(values.files)
+    house = Housekeeping(engine, store, values.data_dir, values.retention_days)
+    failing = False
 
     def tick() -> None:
-        nonlocal swept, failing
+        nonlocal failing
         try:
             for job_id in repository.take_back(values.max_attempts):
                 log.warning("job taken back, its lease had lapsed", job=job_id)
-            if time.monotonic() - swept > SWEEP_SECONDS:
-                swept = time.monotonic()
-                working_files.sweep(repository)
             feeder.tick()
             reconcile(repository, queue)
+            house.tidy()
         except (SQLAlchemyError, RedisError, OSError) as error:
             if not failing:  # once, or an outage would fill the log
                 log.warning("housekeeping put off", error=str(error))

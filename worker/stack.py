@@ -7,14 +7,13 @@ import httpx
 
 from services.access.listening import check_listening
 from services.device import check_device
-from services.jobs.campaign_feed import Feeder
 from services.jobs.database import connect as connect_database
 from services.jobs.database import migrate
 from services.jobs.repository import Repository
 from services.logs import configure, logger
 from services.settings import Settings, settings
 from worker.main import housekeeping, workers
-from worker.redis_server import EmbeddedRedis
+from worker.redis_server import EmbeddedRedis, remove_abandoned
 from worker.supervisor import Program, Supervisor
 
 log = logger(__name__)
@@ -32,6 +31,7 @@ def serve(values: Settings) -> int:
     engine = connect_database(values)
     migrate(engine, values)
     repository = Repository(engine)
+    remove_abandoned()
     redis = EmbeddedRedis() if values.redis_url is None else None
     try:
         with listen(values.host, values.port) as listener:
@@ -40,7 +40,7 @@ def serve(values: Settings) -> int:
             values = values.model_copy(update={"port": port, "redis_url": url})
             programs = [] if redis is None else [redis.program()]
             programs += [_api(values, listener), *workers(values, repository)]
-            tidy = housekeeping(values, repository, Feeder(engine, values.max_campaign_queued))
+            tidy = housekeeping(values, engine)
             announce = _Announcement(f"http://{_reachable(values.host)}:{port}")
 
             def duty() -> None:

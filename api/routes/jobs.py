@@ -116,6 +116,12 @@ def get(job_id: str, services: ServicesDependency, caller: CallerDependency) -> 
     return JobView.of(job, with_result=True)
 
 
+@router.delete("/{job_id}", status_code=204)
+def delete(job: KnownJob, services: ServicesDependency) -> None:
+    """Deletes a job that has ended, with its files. Answers 409 while it has not, or if a campaign refers to it."""
+    services.housekeeping.delete(job.id)
+
+
 @router.post("/{job_id}/cancel", status_code=202)
 def cancel(job: KnownJob, services: ServicesDependency) -> JobView:
     """Asks a job to stop: a queued job is cancelled at once, and a running job stops within a step.

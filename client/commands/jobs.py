@@ -100,6 +100,15 @@ def cancel(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = Fa
         out().print(f"{job['id']}  {job['state']}", markup=False, highlight=False)
 
 
+@app.command(epilog="Example: [bold]scene-attack jobs delete 0f3c…[/bold]")
+def delete(job_id: JobId, url: UrlOption = DEFAULT_URL) -> None:
+    """Delete a job that has ended, with its files."""
+    from client.api_client import ApiClient
+
+    with ApiClient(url) as client:
+        client.delete(job_id)
+
+
 @app.command(epilog="Example: [bold]scene-attack jobs download 0f3c… --out out/piano[/bold]")
 def download(
     job_id: JobId,

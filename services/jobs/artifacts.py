@@ -35,9 +35,17 @@ class ArtifactStore:
         """Copies a file into the store. Its bytes are safe when this returns, so a row may then name them."""
         data = source.read_bytes()
         stored = Stored(hashlib.sha256(data).hexdigest(), len(data))
-        if not self._files.exists(_name(stored.sha256)):
+        if not self._files.keep(_name(stored.sha256)):
             self._files.write(_name(stored.sha256), data)
         return stored
+
+    def names(self) -> list[str]:
+        """The hashes of all files."""
+        return [name.rpartition("/")[2] for name in self._files.names()]
+
+    def remove(self, sha256: str, unwanted_seconds: float) -> None:
+        """Removes a file, unless it was put within the last `unwanted_seconds`: a row may be about to name it."""
+        self._files.remove(_name(sha256), unwanted_seconds)
 
     def open(self, sha256: str) -> BufferedIOBase:
         """Opens the file with this hash, at its beginning, after all its bytes were compared with the hash.

@@ -200,6 +200,7 @@ class Artifact(Base):
     """A named file of a finished job, whose bytes are in the artifact store under their hash."""
 
     __tablename__ = "artifacts"
+    __table_args__ = (Index("artifacts_by_hash", "sha256"),)
 
     job_id: Mapped[str] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True)
     name: Mapped[str] = mapped_column(String(100), primary_key=True)

@@ -46,5 +46,5 @@ class WorkingFiles:
             job = repository.get(job_id)
             if job is None or job.state.terminal or job.attempt != int(number):
                 shutil.rmtree(out, ignore_errors=True)
-        for file in self._checkpoints.glob("*"):
+        for file in list(self._checkpoints.glob("*")):
             self.forget(repository, file.name.partition(".")[0])

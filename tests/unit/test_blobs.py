@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from services import blobs as module
 from services.blobs import Blobs, blobs
 from services.errors import InvalidRequest
 
@@ -61,3 +62,26 @@ def test_a_url_of_no_store_is_bad_input(url: str) -> None:
     with pytest.raises(InvalidRequest, match="s3") as error:
         blobs(url, "part")
     assert error.value.field == "SCENE_ATTACK_ARTIFACT_URL"
+
+
+def test_a_file_is_removed_unless_it_is_wanted(files: Blobs, place: Path | str) -> None:
+    assert not files.keep("a/b")
+    files.remove("a/b", 0.0)  # there is none
+    files.write("a/b", b"1")
+    assert files.keep("a/b")
+    files.remove("a/b", 3600.0)
+    assert files.names() == ["a/b"]
+    files.remove("a/b", 0.0)
+    in_a_folder = isinstance(place, Path) or place.startswith("file:")
+    assert files.names() == ([] if in_a_folder else ["a/b"])  # an object is kept while it is young
+
+
+def test_an_old_object_is_removed_and_written_again_if_it_is_wanted(
+    s3_url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "YOUNG_SECONDS", 0.0)
+    files = blobs(s3_url, "part")
+    files.write("a/b", b"1")
+    assert not files.keep("a/b")
+    files.remove("a/b", 0.0)
+    assert files.names() == []

@@ -209,6 +209,7 @@ def app(repository: Repository, campaigns: CampaignService | None = None) -> Fas
         campaigns=cast(Any, campaigns),
         watcher=none,
         storage=none,
+        housekeeping=none,
         max_campaign_jobs=0,
     )
     return made

@@ -186,3 +186,14 @@ def test_a_job_whose_check_takes_too_long_is_accepted_unchecked(client: Client, 
     assert answer.json()["spec"]["goal"]["reach"] == "no such thing"
     assert named.status_code == 422  # names need no process
     assert named.json()["errors"][0]["field"] == "scene.objects.0.mesh"
+
+
+def test_a_job_is_deleted_once_it_has_ended(client: Client, finished: str) -> None:
+    assert client.delete(f"/v1/jobs/{finished}").status_code == 204
+    for answer in (client.get(f"/v1/jobs/{finished}"), client.delete(f"/v1/jobs/{finished}")):
+        assert answer.status_code == 404
+    waiting = submit(client)["id"]
+    refused = client.delete(f"/v1/jobs/{waiting}")
+    assert refused.status_code == 409
+    assert "queued" in refused.json()["detail"]
+    assert client.get(f"/v1/jobs/{waiting}").status_code == 200

@@ -5,7 +5,7 @@ import pytest
 
 from services.errors import JobFailure
 from worker import redis_server
-from worker.redis_server import EmbeddedRedis, find_server
+from worker.redis_server import EmbeddedRedis, find_server, remove_abandoned
 
 
 def test_only_this_user_can_reach_it(redis_url: str) -> None:
@@ -31,3 +31,12 @@ def test_the_systems_server_comes_first(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(redis_server.importlib.util, "find_spec", lambda _: None)
     with pytest.raises(JobFailure, match="SCENE_ATTACK_REDIS_URL"):
         find_server()
+
+
+def test_what_a_killed_service_left_behind_is_removed() -> None:
+    running, killed = EmbeddedRedis(), EmbeddedRedis()
+    killed._lock.close()  # noqa: SLF001 - as the kernel does when a process ends
+    remove_abandoned()
+    assert Path(running.url.removeprefix("unix://")).parent.exists()
+    assert not Path(killed.url.removeprefix("unix://")).parent.exists()
+    running.remove()

@@ -1,0 +1,62 @@
+"""Removes what nothing needs any more: files of jobs that were deleted, and files that killed processes left behind."""
+
+import time
+from collections.abc import Iterable
+from pathlib import Path
+
+from sqlalchemy import Engine
+
+from services.jobs.artifacts import ArtifactStore
+from services.jobs.deletion import Deletions
+from services.jobs.repository import Repository
+from services.jobs.working_files import WorkingFiles
+
+GRACE_SECONDS = 3600.0
+"""Age below which a file that nothing names is kept: a job may be about to name it."""
+SWEEP_SECONDS = 60.0
+"""Time between two looks at the files of running jobs."""
+SEARCH_SECONDS = 3600.0
+"""Time between two searches for files that nothing names."""
+
+
+class Housekeeping:
+    """Keeps the data directory tidy. Jobs are deleted `retention_days` after their end; None keeps them for ever."""
+
+    def __init__(
+        self, engine: Engine, store: ArtifactStore, data_dir: Path, retention_days: float | None = None
+    ) -> None:
+        self._repository = Repository(engine)
+        self._deletions = Deletions(engine)
+        self._store = store
+        self._working_files = WorkingFiles(data_dir)
+        self._data_dir = data_dir
+        self._retention_days = retention_days
+        self._swept = self._searched = float("-inf")
+
+    def delete(self, job_id: str) -> None:
+        """Deletes a job, and the files that only it has named for an hour; younger ones go later. Raises InUse."""
+        self._remove(self._deletions.delete(job_id))
+
+    def tidy(self) -> None:
+        """Does what is due. Raises SQLAlchemyError and OSError; what is left is done the next time."""
+        now = time.monotonic()
+        if now - self._swept >= SWEEP_SECONDS:
+            self._swept = now
+            self._working_files.sweep(self._repository)
+            if self._retention_days is not None:
+                self._remove(self._deletions.expire(self._retention_days))
+        if now - self._searched >= SEARCH_SECONDS:
+            self._searched = now
+            self._remove(self._store.names())
+            remove_unfinished(self._data_dir)
+
+    def _remove(self, hashes: Iterable[str]) -> None:
+        for sha256 in self._deletions.unnamed(set(hashes)):
+            self._store.remove(sha256, GRACE_SECONDS)
+
+
+def remove_unfinished(folder: Path) -> None:
+    """Removes files that killed processes left half-written (services.atomic_write), unless they may be in progress."""
+    for part in folder.rglob("*.part"):
+        if time.time() - part.stat().st_mtime > GRACE_SECONDS:
+            part.unlink(missing_ok=True)
