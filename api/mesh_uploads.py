@@ -9,12 +9,9 @@ from api.fair_queue import FairQueue
 from api.warm_process import Unavailable
 from services.errors import JobFailure
 from services.logs import logger
-from services.scenes.isolated_reading import reader
+from services.scenes.isolated_reading import AT_ONCE, reader
 from services.scenes.library import Entry, Library
 from services.settings import Settings
-
-AT_ONCE = 2
-"""Files that are read at the same time."""
 
 log = logger(__name__)
 

@@ -102,8 +102,11 @@ class Settings(BaseSettings):
         None, gt=0, description="jobs and campaigns are deleted so long after their end; default: never"
     )
     job_seconds: float = Field(3600.0, gt=0, description="longest run of one job before it fails as timeout")
-    job_memory_bytes: int = Field(
-        16 * 2**30, ge=2**30, description="address space of a job process; beyond it the job fails as out-of-memory"
+    job_memory_bytes: int | None = Field(
+        None,
+        ge=2**30,
+        description="address space of a job process and of one that checks requests; beyond it the job fails as "
+        "out-of-memory; default: an equal share of the machine's memory, of 4 to 16 GiB",
     )
 
     @property

@@ -11,6 +11,7 @@ from services.analysis.images import png
 from services.analysis.requests import RerenderingRequest
 from services.errors import InvalidRequest, JobFailure, out_of_memory
 from services.jobs.child import connect, reply, requests
+from services.jobs.memory_limit import memory_limit
 from services.jobs.outages import outage_of
 from services.jobs.warm_up import warm_up
 from services.logs import configure, logger
@@ -56,11 +57,9 @@ def answer(message: dict[str, Any], data: bytes, library: Library) -> dict[str, 
 
 
 def _too_large() -> dict[str, Any]:
-    allowed = settings().job_memory_bytes / 2**30
-    detail = (
-        f"rendering it once takes more memory than a job may have, {allowed:g} GiB; ask for a smaller image, a smaller"
-    )
-    return {"field": "scene", "detail": f"{detail} environment map or fewer objects"}
+    allowed = memory_limit(settings()) / 2**30
+    detail = f"rendering it once takes more memory than a job may have, {allowed:.3g} GiB; ask for a smaller image, a"
+    return {"field": "scene", "detail": f"{detail} smaller environment map or fewer objects"}
 
 
 def _rerender(request: dict[str, Any], data: bytes, library: Library) -> dict[str, Any]:

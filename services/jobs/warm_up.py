@@ -4,6 +4,8 @@ import resource
 
 import torch
 
+from services.confinement.system_calls import forbid_new_privileges
+from services.jobs.memory_limit import memory_limit
 from services.pipeline.extensions import log_extensions
 from services.pipeline.spec import DEFAULT_TARGET
 from services.rendering.opengl.context import gl_backend
@@ -12,11 +14,15 @@ from services.targets import registry
 
 
 def warm_up(values: Settings) -> str:
-    """Limits the memory, sets torch's threads, loads the default network and opens the OpenGL context.
+    """Limits the memory, forbids new privileges and core files, sets torch's threads, loads the default network and
+    opens the OpenGL context.
 
     Returns the name of the OpenGL backend.
     """
-    resource.setrlimit(resource.RLIMIT_AS, (values.job_memory_bytes, values.job_memory_bytes))
+    limit = memory_limit(values)
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    forbid_new_privileges()
     torch.set_num_threads(values.threads)
     log_extensions()
     registry.load(DEFAULT_TARGET)

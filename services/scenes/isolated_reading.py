@@ -22,6 +22,12 @@ from services.scenes.part_arrays import unpack
 START_SECONDS = 120.0
 ANSWER_SECONDS = 40.0
 """Longest wait for a child, which is killed before that."""
+AT_ONCE = 2
+"""Files that the API has read at the same time."""
+FILE_BYTES = 3 * 2**30
+"""Address space of a child beyond what its server has. A grey texture of 16 bits and 2²⁶ pixels takes 2 GB."""
+READING_BYTES = AT_ONCE * FILE_BYTES
+"""Largest sum of the children's memory."""
 MAX_ANSWER = 2**30
 """Largest answer, bytes."""
 _GONE = "it could not be read within the time and the memory that reading a file may take"

@@ -25,11 +25,12 @@ from PIL import Image
 from services.confinement.confine import Limits, address_space, confine, drop_privileges
 from services.errors import InvalidRequest
 from services.scenes.image_file import read_image
+from services.scenes.isolated_reading import FILE_BYTES
 from services.scenes.notes import missing_files
 from services.scenes.part_arrays import pack
 from services.scenes.reading import KINDS, read_mesh
 
-LIMITS = Limits(memory_bytes=3 * 2**30, cpu_seconds=25)
+LIMITS = Limits(memory_bytes=FILE_BYTES, cpu_seconds=25)
 WALL_SECONDS = 30.0
 """Longest life of a child, after which the server kills it."""
 

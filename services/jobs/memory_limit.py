@@ -1,0 +1,34 @@
+"""The memory that a process which renders may have, so that all processes together fit the machine."""
+
+import os
+import resource
+from pathlib import Path
+
+from services.scenes.isolated_reading import READING_BYTES
+from services.settings import Settings
+
+REST_BYTES = 2 * 2**30
+"""What the API, the workers, the supervisor, Redis and the system take."""
+LEAST, MOST = 4 * 2**30, 16 * 2**30
+"""Bounds of the default. A warm process has 1.8 GB of address space, and 2.8 GB with an image of 1024×1024 pixels."""
+
+
+def memory_limit(values: Settings) -> int:
+    """Bytes of address space of a job process, of one that checks requests and of the one that re-renders images.
+
+    The default is an equal share of the machine's memory, after READING_BYTES and REST_BYTES.
+    """
+    if values.job_memory_bytes is not None:
+        return values.job_memory_bytes
+    processes = values.workers + values.check_processes + 1
+    share = (machine_memory() - READING_BYTES - REST_BYTES) // processes
+    return min(max(share, LEAST), MOST)
+
+
+def machine_memory(limit: Path = Path("/sys/fs/cgroup/memory.max")) -> int:
+    """Bytes of the machine's memory, or of the container's `limit` if that is less."""
+    physical = os.sysconf("SC_PHYS_PAGES") * resource.getpagesize()
+    try:
+        return min(physical, int(limit.read_text()))
+    except (OSError, ValueError):  # there is no control group, or it has no limit ("max")
+        return physical
