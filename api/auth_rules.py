@@ -57,8 +57,25 @@ RULES: dict[str, Scope | None] = {
     "GET /parts/campaigns/{campaign_id}": _READ,
     "POST /campaigns/{campaign_id}/{move}": _WRITE,
     "GET /static/{name}": OPEN,
+    "GET /sign-in": OPEN,
+    "POST /sign-in": OPEN,
+    "POST /sign-out": OPEN,
 }
 """The method and path of each route, and its scope. A rule of GET is also that of HEAD."""
+
+
+PAGES = frozenset(
+    {
+        "GET /",
+        "GET /jobs/{job_id}",
+        "POST /jobs/{job_id}/cancel",
+        "GET /campaigns",
+        "GET /campaigns/{campaign_id}",
+        "GET /docs",
+        "POST /campaigns/{campaign_id}/{move}",
+    }
+)
+"""The routes that send a browser without a session to sign in. The parts of pages answer 401 to the script instead."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +84,11 @@ class Rule:
 
     route: str
     scope: Scope | None
+
+    @property
+    def is_page(self) -> bool:
+        """Whether a person sees the answer in a browser."""
+        return self.route in PAGES
 
 
 _COMPILED: list[tuple[str, Pattern[str], Rule]] = [

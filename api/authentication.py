@@ -4,13 +4,15 @@ While there is no key, the programs of this machine are let in and nobody else.
 """
 
 from math import ceil
-from typing import Annotated
+from typing import Annotated, Protocol
+from urllib.parse import urlencode
 
 from fastapi import Depends, Request
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers
-from starlette.responses import Response
+from starlette.requests import cookie_parser
+from starlette.responses import RedirectResponse, Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from api.auth_rules import OPEN, Rule, rule_of
@@ -20,10 +22,21 @@ from services.access.caller import KEYLESS, Caller
 from services.access.caller import Scope as AccessScope
 from services.access.keys import AccessKeys
 from services.access.listening import is_loopback
+from services.access.sessions import Sessions
 from services.logs import logger
 
+SIGN_IN = "/sign-in"
+COOKIE = "scene-attack-session"
+"""Name of the cookie with the text of a session of the dashboard."""
 _HOW = {"WWW-Authenticate": "Bearer"}
 log = logger(__name__)
+
+
+class Doors(Protocol):
+    """What this needs of the app's services."""
+
+    keys: AccessKeys
+    sessions: Sessions
 
 
 class Authentication:
@@ -44,8 +57,8 @@ class Authentication:
         is_open = rule is not None and rule.scope is OPEN
         caller, refusal = None, None
         try:
-            caller = await run_in_threadpool(_caller, scope["app"].state.services.keys, scope)
-            refusal = None if is_open else _refusal(rule, caller) or self._too_many(caller)
+            caller = await run_in_threadpool(_caller, scope["app"].state.services, scope)
+            refusal = None if is_open else _refusal(rule, caller, scope) or self._too_many(caller)
         except SQLAlchemyError as error:
             if not is_open:
                 log.warning("keys out of reach", error=str(error))
@@ -63,17 +76,25 @@ class Authentication:
         return problem(429, detail, headers={"Retry-After": str(ceil(seconds))})
 
 
-def _caller(keys: AccessKeys, scope: Scope) -> Caller | None:
-    """Who sends a request; None if it has no valid key and needs one."""
-    word, _, text = Headers(scope=scope).get("authorization", "").partition(" ")
-    key = keys.find(text.strip()) if word.lower() == "bearer" else None
+def _caller(services: Doors, scope: Scope) -> Caller | None:
+    """Who sends a request, by its key or else by its session; None if it has neither and needs one."""
+    key, headers = None, Headers(scope=scope)
+    word, _, text = headers.get("authorization", "").partition(" ")
+    if word.lower() == "bearer":
+        key = services.keys.find(text.strip())
+    elif not word:
+        prefix = services.sessions.key_of(cookie_parser(headers.get("cookie", "")).get(COOKIE, ""))
+        key = None if prefix is None else services.keys.of_prefix(prefix)
     if key is not None:
         return Caller.of(key.owner, key.scopes, key.prefix)
     here = scope["client"] is not None and is_loopback(scope["client"][0])
-    return KEYLESS if here and not keys.exist() else None
+    return KEYLESS if here and not services.keys.exist() else None
 
 
-def _refusal(rule: Rule | None, caller: Caller | None) -> Response | None:
+def _refusal(rule: Rule | None, caller: Caller | None, asked: Scope) -> Response | None:
+    if caller is None and rule is not None and rule.is_page:
+        back = asked["path"] if asked["method"] in ("GET", "HEAD") else asked["path"].rpartition("/")[0]
+        return RedirectResponse(f"{SIGN_IN}?{urlencode({'next': back})}", 303, {"Cache-Control": "no-store"})
     if caller is None:
         detail = "a key is needed that is known, not revoked and not expired; send it as `Authorization: Bearer KEY`"
         return problem(401, detail, headers=_HOW)

@@ -38,6 +38,7 @@ from services.access.assets import OwnedAssets
 from services.access.keys import AccessKeys
 from services.access.listening import check_listening
 from services.access.quotas import Quotas
+from services.access.sessions import Sessions
 from services.device import check_device
 from services.errors import JobFailure
 from services.jobs import watchdog
@@ -95,6 +96,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
         store = ArtifactStore(chosen.files)
         app.state.services = Services(
             keys=AccessKeys(engine),
+            sessions=Sessions(engine),
             assets=owned,
             quotas=Quotas(owned, chosen.owner_queued, chosen.owner_upload_bytes),
             repository=repository,

@@ -16,6 +16,7 @@ from services.access.assets import OwnedAssets
 from services.access.caller import Caller
 from services.access.keys import AccessKeys
 from services.access.quotas import Quotas
+from services.access.sessions import Sessions
 from services.jobs.artifacts import ArtifactStore
 from services.jobs.campaign_service import CampaignService
 from services.jobs.housekeeping import Housekeeping
@@ -29,11 +30,12 @@ from services.scenes.library import Library
 
 @dataclass(frozen=True)
 class Services:
-    """Keys, uploads and quotas, the record of jobs and campaigns, the queue, the files, and what checks, re-renders and
-    watches.
+    """Keys, sessions, uploads and quotas, the record of jobs and campaigns, the queue, the files, and what checks,
+    re-renders and watches.
     """
 
     keys: AccessKeys
+    sessions: Sessions
     assets: OwnedAssets
     quotas: Quotas
     repository: Repository

@@ -2,7 +2,7 @@
 
 from fastapi import APIRouter
 
-from api.dashboard import campaigns, reference, routes
+from api.dashboard import campaigns, reference, routes, sign_in
 
 __all__ = ["router"]
 
@@ -10,3 +10,4 @@ router = APIRouter()
 router.include_router(routes.router)
 router.include_router(campaigns.router)
 router.include_router(reference.router)
+router.include_router(sign_in.router)

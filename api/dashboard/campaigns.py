@@ -98,7 +98,7 @@ def _list(
     older = cursor_after(found[PAGE - 1]) if len(found) > PAGE else None
     progress = record.progress([one.id for one in found])
     lines = [(one, progress[one.id]) for one in found[:PAGE]]
-    return html(template, lines=lines, state=state, cursor=cursor, older=older)
+    return html(template, caller=caller, lines=lines, state=state, cursor=cursor, older=older)
 
 
 def _campaign(template: str, campaign_id: str, services: Services, caller: Caller) -> Response:
@@ -117,7 +117,7 @@ def _campaign(template: str, campaign_id: str, services: Services, caller: Calle
         views=attacked[:SHOWN],
         chosen=sum(view.chosen for view in result.views),
     )
-    return html(template, page=page)
+    return html(template, caller=caller, page=page)
 
 
 def _charts(table: Table, along: str) -> list[Chart]:

@@ -10,6 +10,7 @@ from fastapi.responses import HTMLResponse
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from api.dashboard import words
+from services.access.caller import Caller
 from services.jobs.models import CampaignState, State
 from services.pipeline.names import group_words
 from services.pipeline.question_record import CHANGED
@@ -34,9 +35,9 @@ _templates.globals |= {"version": VERSION, "words": words, "group_words": group_
 _templates.globals |= {"campaign_states": list(CampaignState), "changed": CHANGED}
 
 
-def html(template: str, status: int = 200, **values: Any) -> Response:
-    """A page made of a template and values."""
-    text = _templates.get_template(template).render(now=datetime.now(UTC), **values)
+def html(template: str, status: int = 200, caller: Caller | None = None, **values: Any) -> Response:
+    """A page made of a template and values, for a caller who can sign out if it has a key."""
+    text = _templates.get_template(template).render(now=datetime.now(UTC), caller=caller, **values)
     return HTMLResponse(text, status, HEADERS)
 
 

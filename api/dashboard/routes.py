@@ -84,7 +84,7 @@ def _list(template: str, services: Services, caller: Caller, state: State | None
     found = services.repository.page(state, PAGE + 1, before, owner=caller.only)
     older = cursor_after(found[PAGE - 1]) if len(found) > PAGE else None
     lines = [views.line(one) for one in found[:PAGE]]
-    return html(template, lines=lines, state=state, cursor=cursor, older=older)
+    return html(template, caller=caller, lines=lines, state=state, cursor=cursor, older=older)
 
 
 def _job(template: str, job_id: str, services: Services, caller: Caller) -> Response:
@@ -92,7 +92,7 @@ def _job(template: str, job_id: str, services: Services, caller: Caller) -> Resp
     if found is None:
         return missing()
     events = [] if found.result else _all_events(services, job_id)
-    return html(template, page=views.page(found, events, services.repository.artifacts(job_id)))
+    return html(template, caller=caller, page=views.page(found, events, services.repository.artifacts(job_id)))
 
 
 def _all_events(services: Services, job_id: str) -> Iterator[Event]:

@@ -69,6 +69,12 @@ class AccessKeys(Transactions):
             now = self._now(session)
         return None if key is None or not self._is_valid(key, now) else key
 
+    def of_prefix(self, prefix: str) -> AccessKey | None:
+        """The key of a session, by its prefix, and records its use; None if it is revoked or expired."""
+        with self._read() as session:
+            key, now = session.get(AccessKey, prefix), self._now(session)
+        return None if key is None or not self._is_valid(key, now) else key
+
     def _is_valid(self, key: AccessKey, now: datetime) -> bool:
         if key.revoked_at is not None or (key.expires_at is not None and key.expires_at <= now):
             return False

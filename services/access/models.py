@@ -1,9 +1,9 @@
-"""The tables of keys and of who uploaded what."""
+"""The tables of keys, of the sessions that they began, and of who uploaded what."""
 
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import BigInteger, String
+from sqlalchemy import BigInteger, ForeignKey, String
 from sqlalchemy.orm import Mapped, mapped_column
 
 from services.jobs.models import Base
@@ -26,6 +26,17 @@ class AccessKey(Base):
     """The time of a use, to the minute."""
     revoked_at: Mapped[datetime | None]
     expires_at: Mapped[datetime | None]
+
+
+class DashboardSession(Base):
+    """A browser that was given a key. Only the hash of its cookie's text is kept."""
+
+    __tablename__ = "dashboard_sessions"
+
+    digest: Mapped[str] = mapped_column(String(64), primary_key=True)
+    key: Mapped[str] = mapped_column(String(16), ForeignKey("access_keys.prefix", ondelete="CASCADE"))
+    created_at: Mapped[datetime]
+    expires_at: Mapped[datetime]
 
 
 class OwnedAsset(Base):

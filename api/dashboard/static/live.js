@@ -22,6 +22,7 @@ let last = "";
 async function refresh() {
   try {
     const response = await fetch(live.dataset.part, { headers: { Accept: "text/html" } });
+    if (response.status === 401) return location.reload(); // the session has ended: the page asks to sign in
     if (!response.ok) throw new Error(String(response.status));
     const html = await response.text();
     if (html !== last) replace(html);
@@ -62,6 +63,7 @@ if (live?.dataset.events) {
   });
   source.addEventListener("error", () => {
     connection.hidden = false;
+    update();
   });
   source.addEventListener("open", () => {
     connection.hidden = true;

@@ -196,6 +196,7 @@ def app(repository: Repository, campaigns: CampaignService | None = None) -> Fas
     none = cast(Any, None)
     made.state.services = Services(
         keys=none,
+        sessions=none,
         assets=none,
         quotas=none,
         repository=repository,

@@ -4,7 +4,7 @@ import pytest
 from fastapi import FastAPI
 from fastapi.routing import iter_route_contexts
 
-from api.auth_rules import RULES, rule_of
+from api.auth_rules import PAGES, RULES, rule_of
 from api.main import create_app
 from services.access.caller import Scope
 from services.settings import Settings
@@ -29,7 +29,14 @@ def test_what_needs_no_key_is_listed_here() -> None:
         "GET /healthz",
         "GET /readyz",
         "GET /static/{name}",
+        "GET /sign-in",
+        "POST /sign-in",
+        "POST /sign-out",
     }
+
+
+def test_pages_are_routes_that_need_a_key() -> None:
+    assert {route for route, scope in RULES.items() if scope is not None} > PAGES
 
 
 def test_what_changes_something_needs_a_scope_for_it() -> None:
