@@ -19,7 +19,7 @@ EVERY = 2.0
 """Seconds between checkpoints."""
 COUNTS = 5
 """Counts that a checkpoint keeps."""
-_WORDS = "step restart began settings below_noise seconds stopped fooled verified stored_step"
+_WORDS = "step restart began settings below_noise seconds stopped fooled verified stored_step sampled_error"
 _PLAIN = tuple(_WORDS.split())
 
 

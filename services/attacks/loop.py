@@ -21,6 +21,7 @@ from services.attacks.state import AttackState
 from services.attacks.trace import TraceRow
 from services.attacks.verifier import Verifier
 from services.errors import named
+from services.rendering.image_error import ImageError
 from services.rendering.protocol import Parameters
 from services.targets.scores import probability
 
@@ -199,9 +200,21 @@ class _Running:
 
     def save(self) -> None:
         attack, self.run.seconds = self.attack, self.seconds
+        sampled = sampled_error(self.run, attack.problem)
+        self.run.sampled_error = None if sampled is None else (sampled.mean, sampled.share)
         if attack.checkpoint_path is not None and monotonic() - self.last_saved > checkpoint.EVERY:
             checkpoint.save(attack.checkpoint_path, self.run, attack.problem, attack.method, attack.verifier)
             self.last_saved = monotonic()
+
+
+def sampled_error(state: AttackState, problem: AttackProblem) -> ImageError | None:
+    """The largest error of the images that were rendered exactly too, in this and earlier processes; None if none was.
+
+    Whether an image is rendered twice depends on its parameters alone, so an attack that was resumed has the same.
+    """
+    earlier = None if state.sampled_error is None else ImageError(*state.sampled_error)
+    own = problem.renderer.sampled_error
+    return earlier if own is None else own.or_worse(earlier)
 
 
 def _step(active: list[_Running]) -> None:

@@ -29,6 +29,8 @@ class AttackState:
     fooled: bool = False
     verified: bool = False
     stored_step: int = 0
+    sampled_error: tuple[float, float] | None = None
+    """The renderer's `sampled_error` until the last checkpoint, mean and share."""
     stored: Parameters = field(default_factory=dict)
     """The perturbation to store: the verified one, else the last that met the goal inside the loop, else the one
     with the smallest advantage."""

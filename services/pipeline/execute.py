@@ -16,7 +16,7 @@ from services.analysis.attribution import of_subsets
 from services.analysis.expectation import held_over
 from services.analysis.perceptibility import beyond, of_float_images, of_groups, of_images
 from services.analysis.subsets import ScoredImage, subsets
-from services.attacks.loop import Budget, run
+from services.attacks.loop import Budget, run, sampled_error
 from services.attacks.masking import check_masking
 from services.attacks.method import Method
 from services.attacks.problem import AttackProblem
@@ -193,7 +193,7 @@ def _write(
         expectation=held,
         plan=_plan(prepared, left_out),
         image_error=_image_error(problem, found, exact),
-        sampled_error=prepared.renderer.sampled_error,
+        sampled_error=sampled_error(found, problem),
         environment_map_error=prepared.renderer.plan.environment_map_error,
         subsets=rows,
         attribution=of_subsets(rows),

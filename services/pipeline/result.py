@@ -87,8 +87,8 @@ class Result(_Record):
     )
     sampled_error: ImageError | None = Field(
         None,
-        description="largest error seen on those images inside the attack that were rendered exactly too, of all since "
-        "the job was last resumed: `mean`, the mean absolute error of the displayed values of covered pixels, and "
+        description="largest error seen on those images inside the attack that were rendered exactly too: "
+        "`mean`, the mean absolute error of the displayed values of covered pixels, and "
         "`share`, the share of these pixels that are off by more than 1/255; null where no image was rendered twice",
     )
     environment_map_error: float | None = Field(

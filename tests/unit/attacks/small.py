@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -9,6 +10,7 @@ from torch import Tensor
 from services.attacks.goal import ResolvedGoal
 from services.attacks.problem import AttackProblem, Evaluation, ask, gradients
 from services.attacks.quantize import quantize
+from services.rendering.image_error import ImageError
 from services.rendering.plan import Plan
 from services.rendering.protocol import Parameters
 
@@ -27,6 +29,7 @@ class LinearRenderer:
     backend = "linear"
     size = (4, 5)
     plan = Plan.of("torch", groups, size, "exact", [])
+    sampled_error: ClassVar[ImageError | None] = None
 
     def __post_init__(self) -> None:
         random = torch.Generator().manual_seed(self.seed)

@@ -1,4 +1,5 @@
 import math
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -7,7 +8,7 @@ import torch
 
 from services.attacks.fgsm import Fgsm, FgsmMethod
 from services.attacks.goal import ResolvedGoal
-from services.attacks.loop import AttackRun, Budget, run, run_together
+from services.attacks.loop import AttackRun, Budget, run, run_together, sampled_error
 from services.attacks.problem import AttackProblem, Evaluation
 from services.attacks.quantize import quantize
 from services.attacks.state import AttackState
@@ -16,6 +17,7 @@ from services.attacks.zoo import Zoo, ZooMethod
 from services.errors import Cancelled, JobFailure
 from services.finite import finite
 from services.rendering.color import as_saved
+from services.rendering.image_error import ImageError
 from tests.unit.attacks.small import Ahead, LinearRenderer, LinearTarget, problem
 
 FGSM = Fgsm.model_construct(learning_rate={"a": 0.01, "b": 0.01}, momentum=0.9, weight_decay=1e-4)
@@ -177,6 +179,40 @@ def test_a_resumed_attack_ends_in_the_same_result(zoo: bool, tmp_path: Path, mon
     ]
     assert torch.equal(whole.ever, resumed.ever)
     assert whole.settings == resumed.settings
+
+
+class Measured(LinearRenderer):
+    """Has an error for each of its images, which depends on nothing else."""
+
+    sampled_error = None  # type: ignore[assignment]
+
+    def render(self, parameters: Mapping[str, torch.Tensor]) -> torch.Tensor:
+        images = super().render(parameters)
+        for image in images.detach():
+            error = zlib.crc32(image.numpy().tobytes(), 2) / 2**32
+            self.sampled_error = ImageError(error, error).or_worse(self.sampled_error)  # type: ignore[misc]
+        return images
+
+
+def test_a_resumed_attack_knows_the_errors_of_images_rendered_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("services.attacks.checkpoint.EVERY", -1.0)  # after every step
+    path, seen = tmp_path / "checkpoint", 0
+
+    def die() -> None:
+        nonlocal seen
+        seen += 1
+        if seen > 9:
+            raise Cancelled
+
+    whole, cut, resumed = (problem(Measured(), truncation=0.002, interrupt=call) for call in (int, die, int))
+    wanted = sampled_error(attack(whole, Budget(12)), whole)
+    with pytest.raises(Cancelled):
+        attack(cut, Budget(12), path=path)
+    found = attack(resumed, Budget(12), path=path)
+    assert resumed.renderer.sampled_error != wanted  # the worst image was rendered before
+    assert sampled_error(found, resumed) == wanted
 
 
 def test_a_damaged_checkpoint_is_as_good_as_none(tmp_path: Path) -> None:
