@@ -34,16 +34,17 @@ class Client:
         found: dict[str, Any] = self._ask("GET", f"/v1/jobs/{job_id}").json()
         return found
 
-    def fingerprint(self, job_id: str) -> str:
-        """SHA-256 over a job's files, without the times in them."""
-        digest = hashlib.sha256()
-        listed = self._ask("GET", f"/v1/jobs/{job_id}/artifacts").json()["items"]
-        for name in sorted(item["name"] for item in listed):
+    def files(self, job_id: str) -> dict[str, str]:
+        """The contents of a job's files by name: records as JSON without the times in them, others as their SHA-256."""
+        found = {}
+        for item in self._ask("GET", f"/v1/jobs/{job_id}/artifacts").json()["items"]:
+            name = item["name"]
             data = self._ask("GET", f"/v1/jobs/{job_id}/artifacts/{name}").content
             if name.endswith(".json"):
-                data = json.dumps(without_times(json.loads(data)), sort_keys=True).encode()
-            digest.update(f"{name} {hashlib.sha256(data).hexdigest()}\n".encode())
-        return digest.hexdigest()
+                found[name] = json.dumps(without_times(json.loads(data)), sort_keys=True)
+            else:
+                found[name] = hashlib.sha256(data).hexdigest()
+        return found
 
     def _ask(self, method: str, path: str, **request: Any) -> httpx.Response:
         deadline = time.monotonic() + self._patience
@@ -62,6 +63,17 @@ class Client:
             if time.monotonic() > deadline:
                 raise TimeoutError(f"{method} {path}: {said}")
             time.sleep(PAUSE)
+
+
+def differences(one: Any, other: Any, where: str = "") -> list[str]:
+    """The places where two records differ, each with both values."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        names = sorted(one.keys() | other.keys())
+        return [said for name in names for said in differences(one.get(name), other.get(name), f"{where}.{name}")]
+    if isinstance(one, list) and isinstance(other, list) and len(one) == len(other):
+        pairs = enumerate(zip(one, other, strict=True))
+        return [said for n, (a, b) in pairs for said in differences(a, b, f"{where}.{n}")]
+    return [] if one == other else [f"{where}: {str(one)[:80]} not {str(other)[:80]}"]
 
 
 def without_times(found: Any) -> Any:

@@ -1,5 +1,6 @@
 """One run: jobs are submitted while their service is hit, and every one is compared with an undisturbed one."""
 
+import json
 import random
 import tempfile
 import threading
@@ -15,7 +16,7 @@ from sqlalchemy import Engine, func, select
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.sql.elements import ColumnElement
 
-from benchmarks.chaos.client import Client
+from benchmarks.chaos.client import Client, differences
 from benchmarks.chaos.faults import PATIENCE, RUNNING, Fault, hit, keep_away, plan
 from benchmarks.chaos.jobs import mixed, requests
 from benchmarks.chaos.recovery import gaps, recovery
@@ -111,8 +112,8 @@ def _served(load: Load, folder: Path) -> Iterator[Service]:
         service.end()
 
 
-def _reference(load: Load, client: Client) -> tuple[list[str], float]:
-    """The fingerprint of each kind of job, undisturbed, and the seconds that the longest took to run."""
+def _reference(load: Load, client: Client) -> tuple[list[dict[str, str]], float]:
+    """The files of each kind of job, undisturbed, and the seconds that the longest took to run."""
     ids = [client.submit(request, f"undisturbed-{n}") for n, request in enumerate(mixed(load.steps))]
     longest = 0.0
     for job_id in ids:
@@ -121,7 +122,7 @@ def _reference(load: Load, client: Client) -> tuple[list[str], float]:
         if job["state"] != "succeeded":
             raise RuntimeError(f"an undisturbed job {job['state']}: {job['failure']}")
         longest = max(longest, float(job["result"]["seconds"]))
-    return [client.fingerprint(job_id) for job_id in ids], longest
+    return [client.files(job_id) for job_id in ids], longest
 
 
 def _hit_all(load: Load, service: Service, engine: Engine, known: int, longest: float) -> tuple[list[Fault], int]:
@@ -180,11 +181,12 @@ def _count(engine: Engine, *where: ColumnElement[bool]) -> int:
 
 
 def _counts(
-    load: Load, client: Client, repository: Repository, ids: list[str], undisturbed: list[str]
+    load: Load, client: Client, repository: Repository, ids: list[str], undisturbed: list[dict[str, str]]
 ) -> dict[str, Any]:
     states: Counter[str] = Counter()
     failures: Counter[str] = Counter()
     attempts: Counter[str] = Counter()
+    different: list[dict[str, Any]] = []
     identical = results = 0
     for number, job_id in enumerate(ids):
         job = client.job(job_id)
@@ -195,7 +197,10 @@ def _counts(
         ends = [event for event in repository.events(job_id, 0, limit=10**6) if event.data.get("state") == "succeeded"]
         results += len(ends)
         if job["state"] == "succeeded":
-            identical += client.fingerprint(job_id) == undisturbed[number % len(undisturbed)]
+            said = _differences(client.files(job_id), undisturbed[number % len(undisturbed)])
+            identical += not said
+            if said:
+                different.append({"kind": number % len(undisturbed), "attempts": job["attempt"], "differences": said})
     recorded = _recorded(repository)
     wanted = load.jobs + len(undisturbed)
     return {
@@ -204,10 +209,22 @@ def _counts(
         "states": dict(states),
         "failures": dict(failures),
         "identical to an undisturbed run": identical,
+        "different": different,
         "results": results,
         "jobs that nobody submitted": recorded - wanted,
         "attempts": dict(sorted(attempts.items())),
     }
+
+
+def _differences(found: dict[str, str], wanted: dict[str, str]) -> list[str]:
+    """Where a job's files differ from those of an undisturbed one, at most ten places of each file."""
+    said = []
+    for name in sorted(found.keys() | wanted.keys()):
+        if name.endswith(".json") and name in found and name in wanted:
+            said += differences(json.loads(found[name]), json.loads(wanted[name]), name)[:10]
+        elif found.get(name) != wanted.get(name):
+            said.append(name)
+    return said
 
 
 def _recorded(repository: Repository) -> int:

@@ -7,6 +7,8 @@ from statistics import median
 from benchmarks.chaos.faults import Fault
 from services.jobs.models import Event
 
+HOLDING = ("worker.job_process", "worker.rq_worker", "supervisor")
+"""What a running job stands still without."""
 NEAR = 1.0
 """Seconds by which the last report before a fault may lie after it: reports are written a moment later."""
 
@@ -38,11 +40,11 @@ def gaps(events: Iterable[Event]) -> list[Gap]:
 def recovery(found: Sequence[Gap], faults: Sequence[Fault]) -> dict[str, dict[str, float]]:
     """For each kind of fault and target, the number of gaps that began with one, and their median and longest seconds.
 
-    A gap with further faults in it is left out, since it says how long several of them took.
+    A gap with further such faults in it is left out, since it says how long several of them took.
     """
     seconds: dict[str, list[float]] = {}
     for gap in found:
-        within = [fault for fault in faults if gap.began - NEAR <= fault.at <= gap.ended]
+        within = [one for one in faults if one.target in HOLDING and gap.began - NEAR <= one.at <= gap.ended]
         if len(within) == 1:
             [fault] = within
             seconds.setdefault(f"{fault.kind} {fault.target}", []).append(gap.ended - max(gap.began, fault.at))

@@ -2,7 +2,7 @@ from collections import Counter
 from datetime import UTC, datetime
 from typing import Any
 
-from benchmarks.chaos.client import without_times
+from benchmarks.chaos.client import differences, without_times
 from benchmarks.chaos.faults import PROCESSES, Fault, plan
 from benchmarks.chaos.recovery import Gap, gaps, recovery
 from services.jobs.models import Event
@@ -39,8 +39,15 @@ def test_a_gap_lasts_from_the_last_step_of_an_attempt_to_the_first_of_the_next()
 
 def test_recovery_is_counted_from_the_fault_and_only_where_it_was_the_only_one() -> None:
     alone, twice = Gap(4, 12), Gap(20, 50)
-    faults = [Fault("kill", "worker", 5.0), Fault("kill", "worker", 21.0), Fault("stop", "worker", 30.0)]
-    assert recovery([alone, twice], faults) == {"kill worker": {"gaps": 1, "median s": 7.0, "longest s": 7.0}}
+    job, worker = "worker.job_process", "worker.rq_worker"
+    faults = [Fault("kill", job, 5.0), Fault("stop", "api.main", 6.0), Fault("kill", job, 21.0)]
+    faults.append(Fault("stop", worker, 30.0))
+    assert recovery([alone, twice], faults) == {f"kill {job}": {"gaps": 1, "median s": 7.0, "longest s": 7.0}}
+
+
+def test_differences_are_named() -> None:
+    assert differences({"a": [1, {"b": 2}]}, {"a": [1, {"b": 2}]}) == []
+    assert differences({"a": [1, {"b": 2}]}, {"a": [1, {"b": 3}], "c": 4}) == [".a.1.b: 2 not 3", ".c: None not 4"]
 
 
 def test_records_are_compared_without_their_seconds() -> None:
