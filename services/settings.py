@@ -98,6 +98,9 @@ class Settings(BaseSettings):
     max_attempts: int = Field(
         5, ge=1, description="attempts in a row whose process died before it got further, until a job fails"
     )
+    cache_bytes: int = Field(
+        10 * 2**30, ge=0, description="processed meshes in the cache; beyond it those that were not used for longest go"
+    )
     retention_days: float | None = Field(
         None, gt=0, description="jobs and campaigns are deleted so long after their end; default: never"
     )

@@ -83,7 +83,8 @@ def housekeeping(values: Settings, engine: Engine) -> Callable[[], None]:
     repository = Repository(engine)
     feeder = Feeder(engine, values.max_campaign_queued)
     store = ArtifactStore(values.files)
-    house = Housekeeping(engine, store, values.data_dir, values.retention_days)
+    meshes = values.cache_dir / "meshes", values.cache_bytes
+    house = Housekeeping(engine, store, values.data_dir, values.retention_days, meshes)
     failing = False
 
     def tick() -> None:

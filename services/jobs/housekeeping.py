@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 
 from sqlalchemy import Engine
@@ -10,6 +11,7 @@ from services.jobs.artifacts import ArtifactStore
 from services.jobs.deletion import Deletions
 from services.jobs.repository import Repository
 from services.jobs.working_files import WorkingFiles
+from services.scenes.store import limit
 
 GRACE_SECONDS = 3600.0
 """Age below which a file that nothing names is kept: a job may be about to name it."""
@@ -20,10 +22,17 @@ SEARCH_SECONDS = 3600.0
 
 
 class Housekeeping:
-    """Keeps the data directory tidy. Jobs are deleted `retention_days` after their end; None keeps them for ever."""
+    """Keeps data directory and cache tidy. Jobs are deleted `retention_days` after their end; None keeps them for ever.
+    `meshes` is the folder of processed meshes and the bytes that they may take; None leaves them alone.
+    """
 
     def __init__(
-        self, engine: Engine, store: ArtifactStore, data_dir: Path, retention_days: float | None = None
+        self,
+        engine: Engine,
+        store: ArtifactStore,
+        data_dir: Path,
+        retention_days: float | None = None,
+        meshes: tuple[Path, int] | None = None,
     ) -> None:
         self._repository = Repository(engine)
         self._deletions = Deletions(engine)
@@ -31,6 +40,7 @@ class Housekeeping:
         self._working_files = WorkingFiles(data_dir)
         self._data_dir = data_dir
         self._retention_days = retention_days
+        self._meshes = meshes
         self._swept = self._searched = float("-inf")
 
     def delete(self, job_id: str) -> None:
@@ -43,6 +53,8 @@ class Housekeeping:
         if now - self._swept >= SWEEP_SECONDS:
             self._swept = now
             self._working_files.sweep(self._repository)
+            if self._meshes is not None:
+                limit(*self._meshes)
             if self._retention_days is not None:
                 self._remove(self._deletions.expire(self._retention_days))
         if now - self._searched >= SEARCH_SECONDS:
@@ -58,5 +70,6 @@ class Housekeeping:
 def remove_unfinished(folder: Path) -> None:
     """Removes files that killed processes left half-written (services.atomic_write), unless they may be in progress."""
     for part in folder.rglob("*.part"):
-        if time.time() - part.stat().st_mtime > GRACE_SECONDS:
-            part.unlink(missing_ok=True)
+        with suppress(FileNotFoundError):  # its writer has finished meanwhile
+            if time.time() - part.stat().st_mtime > GRACE_SECONDS:
+                part.unlink()

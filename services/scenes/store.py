@@ -1,7 +1,9 @@
 """Caches processed meshes on disk. The files may be deleted at any time."""
 
 import json
+import os
 import zipfile
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -35,10 +37,28 @@ def save_parts(path: Path, parts: tuple[Part, ...]) -> None:
         np.savez(file, allow_pickle=False, **arrays)
 
 
+def limit(directory: Path, most: int) -> None:
+    """Removes the meshes that were not used for longest, until the others take at most `most` bytes."""
+    found = []
+    for path in directory.glob("*.npz"):
+        with suppress(FileNotFoundError):  # removed meanwhile
+            status = path.stat()
+            found.append((status.st_mtime, status.st_size, path))
+    total = sum(size for _, size, _ in found)
+    for _, size, path in sorted(found):
+        if total <= most:
+            return
+        path.unlink(missing_ok=True)
+        total -= size
+
+
 def load_parts(path: Path) -> tuple[Part, ...] | None:
     """Reads the parts written by `save_parts`; returns None if the file is missing or damaged."""
     try:
-        with np.load(BytesIO(path.read_bytes()), allow_pickle=False) as arrays:
+        data = path.read_bytes()
+        with suppress(OSError):  # of a cache that is read-only
+            os.utime(path)  # `limit` keeps what was used last
+        with np.load(BytesIO(data), allow_pickle=False) as arrays:
             names = set(arrays.files)
             count = len({name.partition(".")[0] for name in names})
             return (
