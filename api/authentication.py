@@ -55,9 +55,11 @@ class Authentication:
             return await self.app(scope, receive, send)
         rule = rule_of(scope["method"], scope["path"])
         is_open = rule is not None and rule.scope is OPEN
-        caller, refusal = None, None
+        refusal = None
+        scope.setdefault("state", {})["caller"] = None
         try:
             caller = await run_in_threadpool(_caller, scope["app"].state.services, scope)
+            scope["state"]["caller"] = caller
             refusal = None if is_open else _refusal(rule, caller, scope) or self._too_many(caller)
         except SQLAlchemyError as error:
             if not is_open:
@@ -65,7 +67,6 @@ class Authentication:
                 refusal = problem(503, "the database does not answer; try again later", headers={"Retry-After": "5"})
         if refusal is not None:
             return await refusal(scope, receive, send)
-        scope.setdefault("state", {})["caller"] = caller
         return await self.app(scope, receive, send)
 
     def _too_many(self, caller: Caller | None) -> Response | None:

@@ -16,6 +16,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.middleware import Middleware
 
 from api import dashboard
+from api.audit import Audit
 from api.authentication import Authentication
 from api.conditional import Compression, Conditional
 from api.description import describe
@@ -141,6 +142,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
             Middleware(Compression),
             Middleware(Conditional),
             Middleware(Answers),
+            Middleware(Audit),
             Middleware(BodyPace),
             Middleware(KnownHosts, hosts=chosen.own_hosts),
             Middleware(SameSite),

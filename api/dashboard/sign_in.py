@@ -37,7 +37,9 @@ def sign_in(
     found = services.keys.find(key.strip())
     if found is None:
         return html("sign_in.html", 401, next=_own(next), wrong="No such key, or it is revoked or has expired.")
-    if not Caller.of(found.owner, found.scopes, found.prefix).may(Scope.JOBS_READ):
+    caller = Caller.of(found.owner, found.scopes, found.prefix)
+    request.state.caller = caller  # for the audit log
+    if not caller.may(Scope.JOBS_READ):
         wrong = f"This key has not the scope {Scope.JOBS_READ}, which the dashboard needs."
         return html("sign_in.html", 403, next=_own(next), wrong=wrong)
     answer = RedirectResponse(_own(next), 303, HEADERS)

@@ -17,6 +17,7 @@ from sqlalchemy import Connection, Engine, create_engine, event, make_url, text
 from sqlalchemy.exc import ArgumentError, NoSuchModuleError
 
 from services.errors import InvalidRequest
+from services.private_folder import make_private
 from services.settings import Settings
 
 MIGRATIONS = Path(__file__).parent / "migrations"
@@ -45,7 +46,7 @@ def connect(settings: Settings) -> Engine:
     except ModuleNotFoundError as error:
         detail = f"{error.name} is not installed; PostgreSQL needs the extra: pip install 'scene-attack[postgresql]'"
         raise InvalidRequest("SCENE_ATTACK_DATABASE_URL", detail) from error
-    settings.data_dir.mkdir(parents=True, exist_ok=True)  # also beside PostgreSQL: the files of running jobs are there
+    make_private(settings.data_dir)  # also beside PostgreSQL: the files of running jobs are there
     if kind == "sqlite":
         event.listen(engine, "connect", _tune_sqlite)
         event.listen(engine, "begin", _begin_sqlite)
@@ -122,7 +123,7 @@ def _alone(engine: Engine, settings: Settings) -> Iterator[None]:
     if engine.dialect.name != "sqlite":
         yield
         return
-    settings.data_dir.mkdir(parents=True, exist_ok=True)
+    make_private(settings.data_dir)
     with (settings.data_dir / "migrate.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if settings.database_url is None:

@@ -1,0 +1,22 @@
+"""Makes a folder that no other user of the machine can look into."""
+
+import os
+import stat
+from contextlib import suppress
+from pathlib import Path
+
+OTHERS = stat.S_IRWXG | stat.S_IRWXO
+
+
+def make_private(folder: Path) -> None:
+    """Makes a folder with mode 0700. Of one that is there and ours it takes the rights of group and others away.
+
+    A folder that every user shares (it has the sticky bit, as /tmp has) stays as it is, and so does one that belongs to
+    somebody else or cannot be changed. What lies in a private folder is private whatever its own mode.
+    """
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    folder.mkdir(mode=0o700, exist_ok=True)
+    found = folder.stat()
+    if found.st_uid == os.geteuid() and found.st_mode & OTHERS and not found.st_mode & stat.S_ISVTX:
+        with suppress(OSError):  # a file system that is read-only, or knows no modes
+            folder.chmod(stat.S_IMODE(found.st_mode) & ~OTHERS)
