@@ -20,7 +20,7 @@ from services.scenes.mesh import Bytes, Part
 from services.scenes.part_arrays import unpack
 
 START_SECONDS = 120.0
-ANSWER_SECONDS = 40.0
+ANSWER_SECONDS = 100.0
 """Longest wait for a child, which is killed before that."""
 AT_ONCE = 2
 """Files that the API has read at the same time."""
