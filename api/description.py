@@ -19,6 +19,7 @@ ERRORS = {
     "401": "A key is needed, and none was sent that is known, not revoked and not expired.",
     "403": "The key's scopes do not allow this, or another web site made a browser send it.",
     "404": "The path names nothing that exists.",
+    "408": "The body came too slowly.",
     "409": "It is in use.",
     "413": "The body is too large.",
     "415": "The body has the wrong media type.",
@@ -63,22 +64,24 @@ def _errors(schema: dict[str, Any]) -> None:
             scope = RULES[f"{'GET' if method == 'head' else method.upper()} {path}"]
             operation["security"] = [] if scope is OPEN else [{"key": [scope.value]}]
             answers = operation["responses"]
-            for status in _possible(path, operation):
+            if method == "get" and "application/json" in answers.get("200", {}).get("content", {}):
+                answers.setdefault("304", {"description": "The client has this answer, by its `If-None-Match`."})
+            for status in _possible(method, path, operation):
                 answers[status] = {
                     "description": ERRORS[status],
                     "content": {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/ProblemDetails"}}},
                 }
 
 
-def _possible(path: str, operation: dict[str, Any]) -> list[str]:
+def _possible(method: str, path: str, operation: dict[str, Any]) -> list[str]:
     found = ["401", "403", "429"] if operation["security"] else []
     if "{" in path:
         found.append("404")
     if "requestBody" in operation:
-        found += ["400", "413", "415", "422", "503"]
+        found += ["400", "408", "413", "415", "422", "503"]
     elif "422" in operation["responses"]:
         found.append("422")
-    if "204" in operation["responses"]:
+    if method == "delete" and "webhooks" not in operation["tags"]:
         found.append("409")
     if "206" in operation["responses"]:
         found.append("416")

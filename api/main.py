@@ -29,7 +29,7 @@ from api.problems import Answers, install
 from api.request_id import RequestId
 from api.request_rate import RequestRate
 from api.rerenderer import Rerenderer
-from api.routes import artifacts, assets, campaigns, events, health, jobs, library, rerenderings
+from api.routes import artifacts, assets, campaigns, events, health, jobs, library, rerenderings, webhooks
 from api.routes import metrics as scraping
 from api.same_site import SameSite
 from api.slow_clients import BodyPace, HeadLimit
@@ -55,6 +55,7 @@ from services.jobs.queue import connect as connect_redis
 from services.jobs.repository import Repository
 from services.jobs.service import Submissions
 from services.jobs.storage import Storage
+from services.jobs.webhooks import Webhooks
 from services.logs import configure, logger
 from services.pipeline.extensions import log_extensions
 from services.scenes.library import Library
@@ -110,6 +111,8 @@ def create_app(values: Settings | None = None) -> FastAPI:
             rerenderer=rerenderer,
             campaigns=CampaignService(Campaigns(engine), queue),
             watcher=watcher,
+            webhooks=Webhooks(engine),
+            webhook_hosts=chosen.allowed_webhook_hosts,
             storage=Storage(chosen.data_dir),
             housekeeping=Housekeeping(engine, store, chosen.data_dir),
             max_campaign_jobs=chosen.max_campaign_jobs,
@@ -151,7 +154,19 @@ def create_app(values: Settings | None = None) -> FastAPI:
             Middleware(BodyLimit, uploads={assets.PATH: chosen.max_upload_bytes}),
         ],
     )
-    for part in (jobs, campaigns, events, artifacts, rerenderings, assets, library, health, scraping, dashboard):
+    for part in (
+        jobs,
+        campaigns,
+        events,
+        artifacts,
+        rerenderings,
+        assets,
+        library,
+        health,
+        webhooks,
+        scraping,
+        dashboard,
+    ):
         app.include_router(part.router)
     app.state.metrics = metrics
     install(app)

@@ -25,6 +25,7 @@ from services.jobs.queue import Queue
 from services.jobs.repository import Repository
 from services.jobs.service import Submissions
 from services.jobs.storage import Storage
+from services.jobs.webhooks import Webhooks
 from services.scenes.library import Library
 
 
@@ -48,6 +49,8 @@ class Services:
     rerenderer: Rerenderer
     campaigns: CampaignService
     watcher: Watcher
+    webhooks: Webhooks
+    webhook_hosts: frozenset[str]
     storage: Storage
     housekeeping: Housekeeping
     max_campaign_jobs: int

@@ -98,7 +98,8 @@ def fuzz(server: Server, examples: int, seed: int) -> subprocess.CompletedProces
         *("--request-timeout", "60", "--suppress-health-check", "all", "--warnings", "off"),
         *("--generation-database", "none"),
     ]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+    # It keeps files where it runs.
+    return subprocess.run(command, capture_output=True, text=True, check=False, cwd=server.log.parent)
 
 
 def main() -> int:

@@ -76,6 +76,11 @@ class Settings(BaseSettings):
         0.5, ge=0, description="longest wait for such a process; after it a job is accepted, and checked by its worker"
     )
     check_seconds: float = Field(5.0, gt=0, description="longest check before acceptance; after it likewise")
+    webhook_hosts: str | None = Field(
+        None,
+        description="hosts and IP addresses, separated by commas, that webhooks may tell by http and though they are "
+        "not public",
+    )
     max_queued: int = Field(1000, ge=1, description="queued jobs beyond which new ones get 503")
     owner_queued: int = Field(
         500, ge=1, description="queued jobs of one owner of keys beyond which its new ones get 429; so below likewise"
@@ -156,6 +161,11 @@ class Settings(BaseSettings):
     def own_hosts(self) -> frozenset[str]:
         """The names by which clients may call the service, besides loopback's: those listed, and its own address."""
         return (_listed(self.hosts) | {self.host}) - {"", "0.0.0.0", "::"}
+
+    @property
+    def allowed_webhook_hosts(self) -> frozenset[str]:
+        """The hosts and addresses that webhooks may have though they are not public."""
+        return _listed(self.webhook_hosts)
 
     def environ(self) -> dict[str, str]:
         """Returns the environment variables that give a child process these settings."""

@@ -46,8 +46,9 @@ def run() -> int:
 
 
 def workers(values: Settings, repository: Repository) -> list[Program]:
-    """The worker programs, as many as the settings say."""
-    return [_worker(index, values, repository) for index in range(values.workers)]
+    """The worker programs, as many as the settings say, and the one that sends messages to webhooks."""
+    deliveries = Program("deliveries", lambda: [sys.executable, "-m", "worker.deliveries"], values.environ())
+    return [*(_worker(index, values, repository) for index in range(values.workers)), deliveries]
 
 
 def _worker(index: int, values: Settings, repository: Repository) -> Program:

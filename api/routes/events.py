@@ -28,7 +28,11 @@ def resume_after(
     return after
 
 
-@router.get("/{job_id}/events", response_class=EventSourceResponse)
+@router.get(
+    "/{job_id}/events",
+    response_class=EventSourceResponse,
+    responses={204: {"description": "no event will follow the last one seen; do not come back"}},
+)
 async def stream(
     job: KnownJob, services: ServicesDependency, after: Annotated[int, Depends(resume_after)]
 ) -> AsyncIterator[ServerSentEvent]:

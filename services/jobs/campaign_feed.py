@@ -12,6 +12,7 @@ from sqlalchemy import Engine, func, select, update
 from sqlalchemy.orm import Session, undefer
 
 from services.analysis.campaign_table import Case
+from services.jobs import outbox
 from services.jobs.models import Campaign, CampaignJob, CampaignState, Job, JobKind, State
 from services.jobs.transactions import Transactions, not_held
 from services.logs import logger
@@ -114,6 +115,7 @@ class Feeder(Transactions):
         with self._write() as session:
             values = {"state": CampaignState.FAILED, "ended_at": self._now(session), "failure": why}
             session.execute(update(Campaign).where(Campaign.id == campaign_id).values(values))
+            outbox.tell_of_campaign(session, campaign_id, self._now(session))
 
     def _plan(self, campaign_id: str) -> None:
         """Chooses the views and plans the jobs, once all selection jobs have ended."""
@@ -218,6 +220,7 @@ class Feeder(Transactions):
             done = (Campaign.id == campaign_id, Campaign.state == CampaignState.RUNNING, ~left)
             values = {"state": CampaignState.FINISHED, "ended_at": self._now(session)}
             if session.scalar(update(Campaign).where(*done).values(values).returning(Campaign.id)) is not None:
+                outbox.tell_of_campaign(session, campaign_id, self._now(session))
                 log.info("campaign finished", campaign=campaign_id)
 
 

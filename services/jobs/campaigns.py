@@ -11,6 +11,7 @@ from sqlalchemy.orm import Session, defer, undefer
 
 from services.analysis.campaign_curves import Curves
 from services.analysis.campaign_table import Case
+from services.jobs import outbox
 from services.jobs.models import Campaign, CampaignJob, CampaignState, Job, JobKind, State
 from services.jobs.repository import Key, KeyReused, place
 from services.jobs.transactions import Transactions
@@ -116,6 +117,7 @@ class Campaigns(Transactions):
                 for job_id in session.scalars(select(Job.id).where(*own).order_by(Job.id).with_for_update()).all():
                     if self._move(session, job_id, State.CANCELLED, [Job.state == State.QUEUED]) is None:
                         self._move(session, job_id, State.CANCELLING, [Job.state == State.RUNNING])
+                outbox.tell_of_campaign(session, campaign_id, self._now(session))
             return session.get(Campaign, campaign_id)
 
     def _set(self, session: Session, campaign_id: str, states: Sequence[CampaignState], **values: Any) -> bool:

@@ -10,7 +10,7 @@ from sqlalchemy import Engine, func, or_, select, update
 from sqlalchemy.orm import Session
 from sqlalchemy.sql.elements import ColumnElement
 
-from services.jobs import totals
+from services.jobs import outbox, totals
 from services.jobs.listed import listed
 from services.jobs.models import Campaign, CampaignState, Event, Job, JobKind, State
 from services.pipeline.warning import JobWarning
@@ -111,6 +111,8 @@ class Transactions:
                 totals.count_stage(session, "waiting", (now - job.queued_at).total_seconds())
             if to.terminal:
                 totals.count_end(session, job, None if job.phase_at is None else (now - job.phase_at).total_seconds())
+                if job.kind is JobKind.ATTACK:
+                    outbox.tell_of_job(session, job, story(job), now)
         return job
 
 

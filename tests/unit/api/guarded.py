@@ -19,7 +19,7 @@ ATTACK = {"renderer": "pyrender", "steps": 1, "queries": 20}
 CAMPAIGN = {"grids": [{"scenes": [SPHERE], "attacks": [{"name": "a", "attack": ATTACK}]}]}
 CLOSED = {route: scope for route, scope in RULES.items() if scope is not None}
 """The routes that need a key, and their scopes."""
-OWNED = [route for route in CLOSED if "{job_id}" in route or "{campaign_id}" in route]
+OWNED = [route for route in CLOSED if any(part in route for part in ("{job_id}", "{campaign_id}", "{webhook_id}"))]
 """The routes to what one owner has."""
 
 
@@ -32,26 +32,29 @@ class Guarded:
     headers: dict[str, dict[str, str]]
     job: str
     campaign: str
+    webhook: str
 
     def ask(self, route: str, caller: str, *, exists: bool = True) -> httpx.Response:
         """The answer to a request for a route ("GET /v1/jobs/{job_id}"), of what alice has or of nothing."""
         method, path = route.split(" ")
-        names = {"job_id": self.job, "campaign_id": self.campaign} if exists else {"job_id": "x", "campaign_id": "x"}
+        names = {"job_id": self.job, "campaign_id": self.campaign, "webhook_id": self.webhook}
+        names = names if exists else dict.fromkeys(names, "x")
         filled = path.format(name="original.png", move="pause", **names)
         return self.client.request(method, filled, headers=self.headers[caller])
 
     def untouched(self) -> bool:
-        """Whether alice's job and campaign are as they were."""
+        """Whether alice's job, campaign and webhook are as they were."""
         job = self.services.repository.line(self.job)
         campaign = self.services.campaigns.record.get(self.campaign)
         assert job is not None
         assert campaign is not None
+        assert self.webhook in {one.id for one in self.services.webhooks.all("alice")}
         return (job.state, campaign.state) == (State.QUEUED, CampaignState.SELECTING)
 
 
 @contextmanager
 def guarding(app: FastAPI, client: httpx.Client) -> Iterator[Guarded]:
-    """Makes keys for an app that is served, and a job and a campaign of alice's, which nobody may touch."""
+    """Makes keys for an app that is served, and a job, a campaign and a webhook of alice's, which nobody may touch."""
     services = app.state.services
     assert isinstance(services, Services)
     job, _ = services.repository.create(
@@ -74,7 +77,8 @@ def guarding(app: FastAPI, client: httpx.Client) -> Iterator[Guarded]:
             services.keys.revoke(key.prefix)
     headers["not a bearer"] = {"authorization": headers["admin"]["authorization"].replace("Bearer", "Basic")}
     campaign = services.campaigns.submit(parse_campaign(CAMPAIGN), None, "alice")
-    guarded = Guarded(services, client, headers, job.id, campaign.id)
+    webhook = services.webhooks.create("alice", "https://receiver.example/")
+    guarded = Guarded(services, client, headers, job.id, campaign.id, webhook.id)
     yield guarded
     assert guarded.untouched()
 
