@@ -10,6 +10,7 @@ from pydantic import BaseModel, Field
 from services.errors import InvalidRequest, without_folders
 from services.extensions import Extension
 from services.jobs.models import Artifact, Campaign, Job, State
+from services.jobs.placement import Priority
 from services.pipeline.outcome import Outcome
 from services.pipeline.result import Result
 from services.pipeline.spec import JobSpec
@@ -51,6 +52,10 @@ class JobSummary(BaseModel):
     created: datetime
     times: dict[str, datetime] = Field(description="for each state, the last time at which the job entered it")
     attempt: int = Field(description="number of attempts that were started")
+    priority: Priority = Field(Priority.NORMAL, description="jobs of a higher priority are taken first")
+    waiting: str | None = Field(
+        None, description="why no live worker takes the queued job, if none of them has what it needs; else null"
+    )
     seed: int
     progress: ProgressView | None
     name: str = Field(description="the question, or the meshes of a job without one; of several questions their number")
@@ -105,6 +110,8 @@ def _fields(job: Job) -> dict:  # type: ignore[type-arg]
         "created": job.created_at,
         "times": job.times,
         "attempt": job.attempt,
+        "priority": job.priority,
+        "waiting": job.waiting if job.state is State.QUEUED else None,
         "seed": job.seed,
         "progress": progress,
         "name": job.name,

@@ -11,13 +11,16 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from services.device import device
 from services.errors import Cancelled, InvalidRequest, JobFailure, out_of_memory, summary
 from services.jobs.artifacts import ArtifactStore, media_type
 from services.jobs.attempts import Attempt, Standing
 from services.jobs.child import connect, reply, requests
 from services.jobs.database import connect as connect_database
+from services.jobs.memory_limit import memory_limit
 from services.jobs.models import Artifact, Job, JobKind
 from services.jobs.outages import outage_of
+from services.jobs.placement import Abilities
 from services.jobs.repository import Repository
 from services.jobs.warm_up import warm_up
 from services.jobs.working_files import WorkingFiles
@@ -25,6 +28,7 @@ from services.logs import bound, configure, logger
 from services.pipeline.campaign_expand import View
 from services.pipeline.campaign_views import first_answers
 from services.pipeline.execute import Progress, execute
+from services.pipeline.extensions import TARGETS
 from services.pipeline.outcome import outcome
 from services.pipeline.result import Result
 from services.pipeline.spec import JobSpec, digest, parse
@@ -199,6 +203,11 @@ def answer(jobs: Jobs, attempt: Attempt) -> dict[str, Any]:
     return {"done": attempt.job_id}
 
 
+def abilities(values: Settings) -> Abilities:
+    """What this process has for jobs."""
+    return Abilities(device().type, frozenset(TARGETS), memory_limit(values))
+
+
 def main() -> None:
     """Loads network and OpenGL once, reports that it is ready, then runs jobs until its parent ends."""
     configure("job")
@@ -207,7 +216,7 @@ def main() -> None:
     inbox = requests(connection)
     log.info("warm", gl=warm_up(values))
     jobs = Jobs(values)
-    reply(connection, {"ready": os.getpid()})
+    reply(connection, {"ready": os.getpid(), "abilities": abilities(values).record()})
     for request, _ in inbox:
         attempt = Attempt(request["job"], request["attempt"])
         with bound(job=attempt.job_id, attempt=attempt.number):

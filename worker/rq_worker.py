@@ -8,6 +8,8 @@ import time
 from itertools import count
 from typing import Any
 
+import rq
+from redis import Redis
 from redis.exceptions import RedisError
 from rq import SimpleWorker
 from rq.exceptions import StopRequested
@@ -18,6 +20,7 @@ from rq.worker_registration import clean_worker_registry
 from services.jobs import queue, watchdog
 from services.jobs.child import ChildDied
 from services.jobs.database import connect as connect_database
+from services.jobs.placement import Priority
 from services.jobs.repository import Repository
 from services.logs import configure, logger
 from services.settings import settings
@@ -34,18 +37,37 @@ class JobWorker(SimpleWorker):  # type: ignore[misc]
     max_connection_wait_time = 2.0
     log_job_description = False
 
-    def __init__(self, runner: Runner, **options: Any) -> None:
+    def __init__(self, runner: Runner, connection: Redis, **options: Any) -> None:
+        self._messages = queue.Queue(connection)
+        mine = self._messages.for_worker(runner.abilities)
         # RQ listens for worker_ttl - 15 seconds at a time and sends a heartbeat in between.
-        super().__init__([queue.NAME], worker_ttl=15 + queue.HEARTBEAT_SECONDS, serializer="json", **options)
+        ttl = 15 + queue.HEARTBEAT_SECONDS
+        super().__init__(mine, connection=connection, worker_ttl=ttl, serializer="json", **options)
         self._runner = runner
-        self._messages = queue.Queue(self.connection)
         self._beaten = 0.0
 
     def heartbeat(self, timeout: int | None = None, pipeline: Any = None) -> None:
         """Sends RQ's heartbeat, and records that this worker is alive."""
         watchdog.alive()
         super().heartbeat(timeout, pipeline)
-        self._messages.alive(self.name)
+        self._messages.alive(self.name, self._runner.abilities)
+        self._listen()
+
+    def _listen(self) -> None:
+        """Listens to all queues whose jobs this worker can run. There may be new ones since the last wait."""
+        known = set(self.queue_names())
+        mine = self._messages.for_worker(self._runner.abilities)
+        if known != set(mine):
+            self.queues = [rq.Queue(name, connection=self.connection, serializer="json") for name in mine]
+            self._ordered_queues = list(self.queues)
+
+    def reorder_queues(self, reference_queue: rq.Queue) -> None:
+        """Puts the queue of the last message behind the others of its priority, so that they take turns."""
+
+        def place(one: rq.Queue) -> tuple[int, bool]:
+            return list(Priority).index(queue.priority_of(one.name)), one == reference_queue
+
+        self._ordered_queues.sort(key=place)
 
     def register_death(self) -> None:
         """Records that this worker has ended."""

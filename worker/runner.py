@@ -11,6 +11,7 @@ from sqlalchemy.exc import OperationalError, SQLAlchemyError
 from services.jobs import watchdog
 from services.jobs.attempts import Attempt, Standing
 from services.jobs.child import Child, ChildDied
+from services.jobs.placement import NOTHING, Abilities
 from services.jobs.repository import Repository
 from services.jobs.storage import Storage
 from services.logs import logger
@@ -24,6 +25,8 @@ STOP_SECONDS = 10.0
 """Time after which a job process is killed if it still runs a job that was cancelled or taken back."""
 RETRY_SECONDS = 1.0
 """Time between two tries to reach what is away."""
+TURNS = 3
+"""Tries to lease the job whose turn it is: another worker may be quicker."""
 MAX_JOBS = 200
 """Number of jobs after which a job process is replaced."""
 MAX_GROWTH = 2 * 2**30
@@ -44,6 +47,7 @@ class Runner:
         self._jobs = 0
         self._memory = 0
         self._stopping = False
+        self._abilities = NOTHING
 
     @property
     def stopping(self) -> bool:
@@ -60,6 +64,11 @@ class Runner:
             self._child.kill()
             self._child = None
 
+    @property
+    def abilities(self) -> Abilities:
+        """What the job process has, once it has been ready."""
+        return self._abilities
+
     def ensure_ready(self) -> None:
         """Starts the job process, or replaces it, if needed, and waits until it is warm. Raises ChildDied."""
         if self._child is not None and (not self._child.alive() or self._needs_replacement()):
@@ -68,13 +77,14 @@ class Runner:
             return
         started = time.monotonic()
         child = self._child = Child("worker.job_process", self._settings)
-        while child.receive(POLL_SECONDS) is None:
+        while (ready := child.receive(POLL_SECONDS)) is None:
             watchdog.alive()
             hangs = child.still_seconds() > self._settings.stall_seconds
             if self._stopping or hangs or time.monotonic() - started > START_SECONDS:
                 self.close()
                 raise ChildDied
         self._jobs, self._memory = 0, child.memory()
+        self._abilities = Abilities.of(ready["abilities"])
         log.info("job process ready", pid=child.pid, seconds=round(time.monotonic() - started, 2))
 
     def _needs_replacement(self) -> bool:
@@ -84,11 +94,16 @@ class Runner:
     def run(self, job_id: str, beat: Callable[[], None]) -> None:
         """Leases and runs a job until it ends, fails, is cancelled, or is queued again because the worker stops.
 
-        Does nothing if the job is not queued any more. Calls `beat` about once a second. Raises ChildDied if no job
-        process can be started.
+        The job is the one whose turn it is, of those like `job_id`. Does nothing if none of them is queued any more.
+        Calls `beat` about once a second. Raises ChildDied if no job process can be started.
         """
         self.ensure_ready()
-        attempt = self._repository.lease(job_id, self._owner, self._settings.lease_seconds)
+        attempt = None
+        for _ in range(TURNS):
+            job_id = self._repository.turn(job_id)
+            attempt = self._repository.lease(job_id, self._owner, self._settings.lease_seconds)
+            if attempt is not None:
+                break
         if attempt is None:
             log.info("job is not queued, message dropped", job=job_id)
             return

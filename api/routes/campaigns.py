@@ -15,6 +15,7 @@ from api.campaign_schemas import (
     CampaignView,
     ViewList,
 )
+from api.demands import demand
 from api.routes.connection import while_connected
 from api.routes.jobs import client_of, json_body
 from api.schemas import cursor_after, read_cursor
@@ -24,6 +25,7 @@ from services.analysis.campaign_text import to_csv, to_latex
 from services.errors import InvalidRequest
 from services.jobs.campaign_service import request_digest
 from services.jobs.models import Campaign, CampaignState
+from services.jobs.placement import Demand, Priority
 from services.jobs.repository import Key
 from services.pipeline.campaign_check import check_meshes, check_size, placed, samples
 from services.pipeline.campaign_result import CampaignResult
@@ -49,6 +51,7 @@ async def submit(
     services: ServicesDependency,
     caller: CallerDependency,
     request: Request,
+    asked: Annotated[Demand, Depends(demand(Priority.LOW))],
     idempotency_key: Annotated[
         str | None,
         Header(min_length=1, max_length=255, description="a repeated key gets the first answer again, and no new job"),
@@ -66,7 +69,7 @@ async def submit(
     campaign = None if key is None else await run_in_threadpool(services.campaigns.record.of_key, key)
     if campaign is None:
         await while_connected(request, _check(spec, services, caller, client_of(request, caller)))
-        campaign = await run_in_threadpool(services.campaigns.submit, spec, idempotency_key, caller.owner)
+        campaign = await run_in_threadpool(services.campaigns.submit, spec, idempotency_key, caller.owner, asked)
     # The answer to a long list of jobs is large, so it is written in a thread too.
     answer = await run_in_threadpool(lambda: CampaignView.accepted(campaign, spec).model_dump_json())
     headers = {"Location": f"/v1/campaigns/{campaign.id}"}

@@ -9,11 +9,13 @@ from starlette.concurrency import run_in_threadpool
 
 from api.authentication import CallerDependency
 from api.bodies import body_of
+from api.demands import demand
 from api.routes.connection import while_connected
 from api.schemas import JobPage, JobSummary, JobView, cursor_after, read_cursor
 from api.state import KnownJob, ServicesDependency, check_meshes_of, no_such
 from services.access.caller import Caller
 from services.jobs.models import Job, State
+from services.jobs.placement import Demand, Priority
 from services.jobs.repository import Key
 from services.pipeline.names_known import check_names
 from services.pipeline.spec import JobSpec, digest
@@ -50,6 +52,7 @@ async def submit(
     request: Request,
     response: Response,
     wait: Annotated[float | None, Depends(wait_preferred)],
+    asked: Annotated[Demand, Depends(demand(Priority.NORMAL))],
     idempotency_key: Annotated[
         str | None,
         Header(min_length=1, max_length=255, description="a repeated key gets the first answer again, and no new job"),
@@ -72,7 +75,8 @@ async def submit(
         found = await while_connected(request, services.preflight.check(spec, client_of(request, caller)))
         spec, warnings = (spec, ()) if found is None else (found.spec, found.warnings)
         whose, most = caller.owner, services.quotas.queued_of(caller.owner)
-        submit_now = partial(services.submissions.submit, checked=found is not None, owner=whose, owner_queued=most)
+        about: dict[str, Any] = {"checked": found is not None, "owner": whose, "owner_queued": most, "demand": asked}
+        submit_now = partial(services.submissions.submit, **about)
         body = await run_in_threadpool(submit_now, spec, key, _answer, warnings)
     response.headers["Location"] = f"/v1/jobs/{body['id']}"
     if wait is not None:

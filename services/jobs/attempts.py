@@ -62,6 +62,7 @@ class Attempts(Transactions):
                 phase=None,
                 step=None,
                 steps=None,
+                waiting=None,
                 phase_at=None,
             )
             return None if job is None else Attempt(job.id, job.attempt)

@@ -14,6 +14,7 @@ from sqlalchemy.orm import Session, undefer
 from services.analysis.campaign_table import Case
 from services.jobs import outbox
 from services.jobs.models import Campaign, CampaignJob, CampaignState, Job, JobKind, State
+from services.jobs.placement import CAMPAIGNS, Demand
 from services.jobs.transactions import Transactions, not_held
 from services.logs import logger
 from services.pipeline.campaign_case import case_of, curves_of, curves_record, reusable, unfinished
@@ -99,8 +100,10 @@ class Feeder(Transactions):
         if not chunk:
             return False
         asked = [{"number": view.number, "probe": view.probe.model_dump(mode="json")} for view in chunk]
-        owner = _owner(session, campaign_id)
-        self._add_job(session, {"views": asked}, kind=JobKind.SELECTION, campaign_id=campaign_id, owner=owner)
+        owner, demand = _sender(session, campaign_id)
+        self._add_job(
+            session, {"views": asked}, kind=JobKind.SELECTION, campaign_id=campaign_id, owner=owner, demand=demand
+        )
         return begun + CHUNK < len(found)
 
     def _expand(self, campaign_id: str) -> None:
@@ -169,13 +172,19 @@ class Feeder(Transactions):
             .options(undefer(CampaignJob.spec))
         )
         planned = session.scalars(query).all()
-        owner = _owner(session, campaign_id)
+        owner, demand = _sender(session, campaign_id)
         for one in planned:
             earlier = _earlier(session, one, owner) if campaign.reuse else None
             if earlier is None:
                 seed = int(one.spec["seed"])
                 job = self._add_job(
-                    session, one.spec, seed=seed, digest=one.digest, campaign_id=campaign_id, owner=owner
+                    session,
+                    one.spec,
+                    seed=seed,
+                    digest=one.digest,
+                    campaign_id=campaign_id,
+                    owner=owner,
+                    demand=demand,
                 )
                 one.job_id = job.id
                 return True
@@ -237,8 +246,10 @@ def _answers(asked: Sequence[Job]) -> dict[int, FirstAnswer]:
     return found
 
 
-def _owner(session: Session, campaign_id: str) -> str:
-    return session.scalars(select(Campaign.owner).where(Campaign.id == campaign_id)).one()
+def _sender(session: Session, campaign_id: str) -> tuple[str, Demand]:
+    """The owner of a campaign, and what its jobs ask of the queue."""
+    found = session.execute(select(Campaign.owner, Campaign.demand).where(Campaign.id == campaign_id)).one()
+    return found.owner, CAMPAIGNS if found.demand is None else Demand.of(found.demand)
 
 
 def _earlier(session: Session, planned: CampaignJob, owner: str) -> str | None:

@@ -12,6 +12,7 @@ from services.analysis.campaign_table import table
 from services.analysis.time_left import time_left
 from services.jobs.campaigns import Campaigns, Progress
 from services.jobs.models import Campaign
+from services.jobs.placement import CAMPAIGNS, Demand
 from services.jobs.queue import Queue
 from services.pipeline.campaign_expand import views
 from services.pipeline.campaign_result import CampaignResult
@@ -36,16 +37,16 @@ class CampaignService:
     record: Campaigns
     queue: Queue
 
-    def submit(self, spec: CampaignSpec, key: str | None, owner: str = "") -> Campaign:
+    def submit(self, spec: CampaignSpec, key: str | None, owner: str = "", demand: Demand = CAMPAIGNS) -> Campaign:
         """Records a checked campaign; the supervisor queues its jobs. Returns it, or the first one of the key.
 
         Raises KeyReused if the key came with another request.
         """
         count = len(views(spec))
         try:
-            return self.record.create(spec, count, request_digest(spec), key, owner)
+            return self.record.create(spec, count, request_digest(spec), key, owner, demand)
         except IntegrityError:  # another process recorded the same key at the same moment
-            return self.record.create(spec, count, request_digest(spec), key, owner)
+            return self.record.create(spec, count, request_digest(spec), key, owner, demand)
 
     def counts(self, campaign_id: str) -> Counts:
         """The results so far, and the time left with as many workers as there are now."""

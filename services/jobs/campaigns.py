@@ -13,6 +13,7 @@ from services.analysis.campaign_curves import Curves
 from services.analysis.campaign_table import Case
 from services.jobs import outbox
 from services.jobs.models import Campaign, CampaignJob, CampaignState, Job, JobKind, State
+from services.jobs.placement import CAMPAIGNS, Demand
 from services.jobs.repository import Key, KeyReused, place
 from services.jobs.transactions import Transactions
 from services.pipeline.campaign_spec import CampaignSpec
@@ -31,7 +32,15 @@ class Progress:
 class Campaigns(Transactions):
     """The record of campaigns, as clients see and change it."""
 
-    def create(self, spec: CampaignSpec, view_count: int, digest: str, key: str | None, owner: str = "") -> Campaign:
+    def create(
+        self,
+        spec: CampaignSpec,
+        view_count: int,
+        digest: str,
+        key: str | None,
+        owner: str = "",
+        demand: Demand = CAMPAIGNS,
+    ) -> Campaign:
         """Records a new campaign and returns it, or the first one of the key if it was used before.
 
         Raises KeyReused if the key came with another request, and IntegrityError if another process records the same
@@ -50,6 +59,7 @@ class Campaigns(Transactions):
                 view_count=view_count,
                 key=None if given is None else given.stored,
                 owner=owner,
+                demand=demand.record(),
                 request_digest=digest,
             )
             session.add(campaign)

@@ -1,25 +1,25 @@
 """The tables of the record. The database holds the state of every job; Redis carries their ids only."""
 
-from datetime import UTC, datetime
+from datetime import datetime
 from enum import StrEnum
 from typing import Any
 
 from sqlalchemy import (
     JSON,
     BigInteger,
-    DateTime,
-    Dialect,
     Enum,
     Float,
     ForeignKey,
     Index,
     String,
     Text,
-    TypeDecorator,
     text,
     true,
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+
+from services.jobs.placement import Priority
+from services.jobs.utc_time import UtcTime
 
 
 class State(StrEnum):
@@ -67,21 +67,6 @@ class JobKind(StrEnum):
     SELECTION = "selection"
 
 
-class UtcTime(TypeDecorator[datetime]):
-    """A column of aware UTC datetimes. SQLite stores no time zone, so it is removed on writing and added on reading."""
-
-    impl = DateTime
-    cache_ok = True
-
-    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> datetime | None:  # noqa: ARG002
-        """Converts an aware datetime to the naive UTC time that the database stores."""
-        return None if value is None else value.astimezone(UTC).replace(tzinfo=None)
-
-    def process_result_value(self, value: datetime | None, dialect: Dialect) -> datetime | None:  # noqa: ARG002
-        """Converts the naive UTC time of the database to an aware datetime."""
-        return None if value is None else value.replace(tzinfo=UTC)
-
-
 def _words(kind: type[StrEnum]) -> Enum:
     return Enum(kind, native_enum=False, length=16, values_callable=lambda members: [one.value for one in members])
 
@@ -97,6 +82,7 @@ class Base(DeclarativeBase):
         State: _words(State),
         CampaignState: _words(CampaignState),
         JobKind: _words(JobKind),
+        Priority: _words(Priority),
     }
 
 
@@ -109,6 +95,7 @@ class Job(Base):
         Index("jobs_by_turn", "state", "campaign_id", "kind"),
         Index("jobs_by_age", "created_at", "id"),
         Index("jobs_by_owner", "owner", "created_at", "id"),
+        Index("jobs_by_start", "owner", "priority", "running_at"),
         Index("jobs_by_digest", "digest"),
         Index("jobs_by_campaign", "campaign_id", "created_at", "id"),
     )
@@ -125,6 +112,12 @@ class Job(Base):
     """The campaign that queued the job."""
     owner: Mapped[str] = mapped_column(String(100), default="", server_default="")
     """Who sent the job or its campaign: the owner of the key, "" for a service without keys."""
+
+    priority: Mapped[Priority] = mapped_column(default=Priority.NORMAL, server_default="normal")
+    needs: Mapped[str | None] = mapped_column(Text)
+    """What a worker must have to run it (services.jobs.placement.Needs.text); None in records of version 0.1."""
+    waiting: Mapped[str | None] = mapped_column(Text)
+    """Why none of the live workers takes the queued job; None if one of them can."""
 
     # What lists show of `spec` (services.jobs.listed); None for jobs that no list shows.
     name: Mapped[str | None] = mapped_column(String(300))
@@ -255,6 +248,8 @@ class Campaign(Base):
     ended_at: Mapped[datetime | None]
     failure: Mapped[str | None] = mapped_column(Text)
     """Why the campaign cannot go on."""
+    demand: Mapped[dict[str, Any] | None]
+    """What its jobs ask of the queue (services.jobs.placement.Demand)."""
     view_count: Mapped[int]
     views: Mapped[list[dict[str, Any]] | None] = mapped_column(deferred=True)
     """Every view, with the first answer and why it is not attacked (services.pipeline.campaign_select.ChosenView)."""

@@ -1,19 +1,26 @@
-"""The queue: RQ on Redis carries job ids to workers. If Redis loses them, they are sent again from the record.
+"""The queues: RQ on Redis carries job ids to workers. If Redis loses them, they are sent again from the record.
+
+There is a queue for each priority and each set of needs; a worker listens to those whose needs it meets.
 
 RQ is transport and no more: no function that a message names is imported or called. Whoever can write to Redis can
 start a job that is queued, at most. Whether the job may run, and what it is, a worker reads from the record.
 """
 
+import json
 import re
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import cast
 
 import rq
 from redis import Redis
 from rq.exceptions import DeserializationError, DuplicateJobError
 from rq.job import Job as Message
 
-from services.jobs.repository import Repository, Waiting
+from services.jobs.placement import ANY_WORKER, NOTHING, Abilities, Needs, Priority, why_waiting
+from services.jobs.repository import Repository
+from services.jobs.turns import Waiting
 
 NAME = "scene-attack"
 TASK = "run_job"
@@ -24,6 +31,7 @@ ANSWER_SECONDS = 3
 """Time after which Redis is taken to be away."""
 _SIGN = f"{NAME}:worker:"
 _ID = re.compile(r"[0-9a-f]{32}")
+_NAME = re.compile(f"{NAME}:(?:{'|'.join(Priority)}):(.+)")
 SETTLE_SECONDS = 5.0
 """Age below which a missing message is not sent again: a worker may have taken it and not leased its job yet."""
 
@@ -35,6 +43,16 @@ def connect(url: str) -> Redis:
     certificate must be one that this machine trusts, or one of the file `?ssl_ca_certs=`.
     """
     return Redis.from_url(url, socket_timeout=ANSWER_SECONDS, socket_connect_timeout=ANSWER_SECONDS)
+
+
+def queue_name(priority: Priority, needs: Needs) -> str:
+    """The name of the queue of jobs with this priority and these needs."""
+    return f"{NAME}:{priority}:{needs.text}"
+
+
+def priority_of(name: str) -> Priority:
+    """The priority of the jobs of a queue."""
+    return Priority(name.split(":")[1])
 
 
 def job_id_of(message: Message) -> str | None:
@@ -54,13 +72,13 @@ class Queue:
 
     redis: Redis
 
-    def _queue(self) -> rq.Queue:
-        return rq.Queue(NAME, connection=self.redis, serializer="json")
+    def _queue(self, name: str) -> rq.Queue:
+        return rq.Queue(name, connection=self.redis, serializer="json")
 
-    def send(self, job_id: str, attempt: int) -> None:
-        """Puts a job's id on the queue, once. `attempt` is the number of attempts it has had. Raises RedisError."""
+    def send(self, job_id: str, attempt: int, priority: Priority = Priority.NORMAL, needs: Needs = ANY_WORKER) -> None:
+        """Puts a job's id on its queue, once. `attempt` is the number of attempts it has had. Raises RedisError."""
         with suppress(DuplicateJobError):
-            self._queue().enqueue_call(
+            self._queue(queue_name(priority, needs)).enqueue_call(
                 TASK,
                 args=(job_id,),
                 job_id=_message_id(job_id, attempt),
@@ -71,17 +89,36 @@ class Queue:
             )
 
     def waiting(self) -> set[str]:
-        """Ids of the messages on the queue. Raises RedisError."""
-        return set(self._queue().get_job_ids())
+        """Ids of the messages on all queues. Raises RedisError."""
+        names = [one for one in self._names() if one.startswith(f"{NAME}:")]
+        return {message for name in names for message in self._queue(name).get_job_ids()}
+
+    def for_worker(self, abilities: Abilities) -> list[str]:
+        """The names of the queues that a worker listens to, in the order of their priorities. Raises RedisError."""
+        needs = {ANY_WORKER, *(Needs((target,)) for target in abilities.targets)}
+        for name in self._names():
+            found = _NAME.fullmatch(name)
+            if found is not None:
+                with suppress(ValueError):  # what somebody planted
+                    needs.add(Needs.read(found[1]))
+        mine = sorted((one for one in needs if abilities.lacks(one) is None), key=lambda one: one.text)
+        return [queue_name(priority, one) for priority in Priority for one in mine]
+
+    def _names(self) -> list[str]:
+        prefix = rq.Queue.redis_queue_namespace_prefix
+        found = cast(set[bytes], self.redis.smembers(rq.Queue.redis_queues_keys))
+        return sorted(key.decode(errors="replace").removeprefix(prefix) for key in found)
 
     def forget(self, message_id: str) -> None:
-        """Deletes what is left of a message that is not on the queue any more. Raises RedisError."""
+        """Deletes what is left of a message that is on no queue any more. Raises RedisError."""
         self.redis.delete(Message.key_for(message_id))
-        self._queue().intermediate_queue.remove(message_id)
 
-    def alive(self, worker: str) -> None:
-        """Records that a worker is alive. RQ does not restore its own register if Redis loses it. Raises RedisError."""
-        self.redis.set(_SIGN + worker, "", ex=3 * HEARTBEAT_SECONDS)
+    def alive(self, worker: str, abilities: Abilities = NOTHING) -> None:
+        """Records that a worker is alive, and what it has. RQ does not restore its own register if Redis loses it.
+
+        Raises RedisError.
+        """
+        self.redis.set(_SIGN + worker, json.dumps(abilities.record()), ex=3 * HEARTBEAT_SECONDS)
 
     def gone(self, worker: str) -> None:
         """Records that a worker has ended. Raises RedisError."""
@@ -90,6 +127,12 @@ class Queue:
     def live_workers(self) -> int:
         """The number of workers with a heartbeat in the last 15 seconds. Raises RedisError."""
         return sum(1 for _ in self.redis.scan_iter(match=_SIGN + "*", count=1000))
+
+    def workers(self) -> list[Abilities]:
+        """What the workers with a heartbeat in the last 15 seconds have. Raises RedisError."""
+        keys = list(self.redis.scan_iter(match=_SIGN + "*", count=1000))
+        said = cast(list[bytes | None], self.redis.mget(keys)) if keys else []
+        return [Abilities.of(json.loads(one)) for one in said if one]
 
 
 def reconcile(repository: Repository, queue: Queue) -> int:
@@ -100,6 +143,7 @@ def reconcile(repository: Repository, queue: Queue) -> int:
     jobs = repository.queued()
     if not jobs:
         return 0
+    _explain(repository, jobs, queue.workers())
     waiting = queue.waiting()
     sent = 0
     for job in jobs:
@@ -107,10 +151,21 @@ def reconcile(repository: Repository, queue: Queue) -> int:
             continue
         if job.sent_ago is not None:
             queue.forget(_message_id(job.job_id, job.attempt))
-        queue.send(job.job_id, job.attempt)
+        queue.send(job.job_id, job.attempt, job.priority, job.needs)
         repository.sent(job.job_id, job.attempt)
         sent += 1
     return sent
+
+
+def _explain(repository: Repository, jobs: Sequence[Waiting], workers: Sequence[Abilities]) -> None:
+    """Records of jobs that no live worker can run why they wait."""
+    reasons = {needs: why_waiting(needs, workers) for needs in {job.needs for job in jobs}}
+    changed: dict[str | None, list[str]] = {}
+    for job in jobs:
+        if reasons[job.needs] != job.why:
+            changed.setdefault(reasons[job.needs], []).append(job.job_id)
+    for why, job_ids in changed.items():
+        repository.explain(job_ids, why)
 
 
 def _settling(job: Waiting) -> bool:

@@ -1,4 +1,4 @@
-"""The record of jobs. All SQL of the service is in this module, in `attempts` and in `transactions`.
+"""The record of jobs. All SQL of the service is in this module, `attempts`, `turns` and `transactions`.
 
 Every change of a job is one transaction together with its event; a result and its artifacts are one, too.
 """
@@ -9,14 +9,15 @@ from datetime import datetime
 from hashlib import sha256
 from typing import Any
 
-from sqlalchemy import Select, func, literal, select, text, tuple_, update
+from sqlalchemy import Select, func, literal, select, text, tuple_
 from sqlalchemy.orm import Session, defer, undefer
 from sqlalchemy.sql.elements import ColumnElement
 
 from services.errors import QuotaExceeded
-from services.jobs.attempts import Attempts
-from services.jobs.models import Artifact, Event, IdempotencyKey, Job, JobKind, State, UtcTime
-from services.jobs.transactions import not_held
+from services.jobs.models import Artifact, Event, IdempotencyKey, Job, JobKind, State
+from services.jobs.placement import NO_DEMAND, Demand
+from services.jobs.turns import Turns
+from services.jobs.utc_time import UtcTime
 from services.pipeline.spec import JobSpec, digest
 from services.pipeline.warning import JobWarning
 
@@ -47,17 +48,6 @@ class Key:
 
 
 @dataclass(frozen=True)
-class Waiting:
-    """A queued job: its id, the number of attempts it has had, and how many seconds ago its id was last put on the
-    queue, by the database's clock; None if it was not yet.
-    """
-
-    job_id: str
-    attempt: int
-    sent_ago: float | None
-
-
-@dataclass(frozen=True)
 class News:
     """The next events of a job, in order, and whether nothing follows them: the job has ended, or was deleted."""
 
@@ -70,8 +60,8 @@ _AT_ONCE = 500
 _AS_LISTED = (defer(Job.spec), defer(Job.result))
 
 
-class Repository(Attempts):
-    """The record of jobs: the operations of clients and of the queue, and, from `Attempts`, those of workers."""
+class Repository(Turns):
+    """The record of jobs: what clients do with it, and from `Turns` and `Attempts` what the queue and workers do."""
 
     # Operations of clients
 
@@ -91,6 +81,7 @@ class Repository(Attempts):
         checked: bool = True,
         owner: str = "",
         owner_queued: int | None = None,
+        demand: Demand = NO_DEMAND,
     ) -> tuple[Job | None, dict[str, Any]]:
         """Records a new queued job. Returns it and `answer(job)`, or None and the key's first answer if it was used.
 
@@ -115,6 +106,7 @@ class Repository(Attempts):
                 warnings=warnings,
                 checked=checked,
                 owner=owner,
+                demand=demand,
             )
             said = answer(job)
             if key is not None:
@@ -212,29 +204,6 @@ class Repository(Attempts):
         """An artifact of a job, or None if there is none of this name."""
         with self._read() as session:
             return session.get(Artifact, (job_id, name))
-
-    # Operations of the queue
-
-    def queued(self) -> list[Waiting]:
-        """All queued jobs but those of paused campaigns, oldest first."""
-        columns = select(Job.id, Job.attempt, Job.sent_at)
-        with self._read() as session:
-            waiting = columns.where(Job.state == State.QUEUED, not_held())
-            found = session.execute(waiting.order_by(Job.queued_at, Job.id)).all()
-            now = self._now(session)
-        return [
-            Waiting(one.id, one.attempt, None if one.sent_at is None else (now - one.sent_at).total_seconds())
-            for one in found
-        ]
-
-    def sent(self, job_id: str, attempt: int) -> None:
-        """Records that a queued job's id was put on the queue now."""
-        with self._write() as session:
-            session.execute(
-                update(Job)
-                .where(Job.id == job_id, Job.attempt == attempt, Job.state == State.QUEUED)
-                .values(sent_at=self._now(session))
-            )
 
 
 def place(before: tuple[datetime, str]) -> ColumnElement[Any]:

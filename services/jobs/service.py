@@ -9,6 +9,7 @@ from redis.exceptions import RedisError
 from sqlalchemy.exc import IntegrityError
 
 from services.jobs.models import Job
+from services.jobs.placement import NO_DEMAND, Demand, Needs
 from services.jobs.queue import Queue
 from services.jobs.repository import Key, Repository
 from services.logs import logger
@@ -36,6 +37,7 @@ class Submissions:
         checked: bool = True,
         owner: str = "",
         owner_queued: int | None = None,
+        demand: Demand = NO_DEMAND,
     ) -> dict[str, Any]:
         """Records the job, then sends its id. Returns `answer(job)`, or the first answer if the key was used before.
 
@@ -45,7 +47,8 @@ class Submissions:
         another request.
         """
         given = (spec, self.max_queued, key, answer, warnings)
-        create = partial(self.repository.create, *given, checked=checked, owner=owner, owner_queued=owner_queued)
+        about: dict[str, Any] = {"checked": checked, "owner": owner, "owner_queued": owner_queued, "demand": demand}
+        create = partial(self.repository.create, *given, **about)
         try:
             job, said = create()
         except IntegrityError:  # another process recorded the same key at the same moment
@@ -56,7 +59,7 @@ class Submissions:
 
     def _send(self, job: Job) -> None:
         try:
-            self.queue.send(job.id, job.attempt)
+            self.queue.send(job.id, job.attempt, job.priority, Needs.read(job.needs))
         except RedisError as error:
             # The job is recorded; the supervisor sends it when Redis answers again.
             log.warning("queue out of reach, job waits in the record", job=job.id, error=str(error))

@@ -13,6 +13,7 @@ from sqlalchemy.sql.elements import ColumnElement
 from services.jobs import outbox, totals
 from services.jobs.listed import listed
 from services.jobs.models import Campaign, CampaignState, Event, Job, JobKind, State
+from services.jobs.placement import NO_DEMAND, Demand, targets_of
 from services.pipeline.warning import JobWarning
 
 
@@ -65,6 +66,7 @@ class Transactions:
         warnings: Sequence[JobWarning] = (),
         checked: bool = True,
         owner: str = "",
+        demand: Demand = NO_DEMAND,
     ) -> Job:
         """Records a new queued job and its first event."""
         now = self._now(session)
@@ -82,6 +84,8 @@ class Transactions:
             lost=0,
             checked=checked,
             owner=owner,
+            priority=demand.priority,
+            needs=demand.needs(targets_of(spec)).text,
             warnings=[one.model_dump(mode="json") for one in warnings],
             events=1,
             **(listed(spec) if kind is JobKind.ATTACK else {}),

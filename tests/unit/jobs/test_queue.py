@@ -27,7 +27,7 @@ def lost(queue: Queue) -> None:
 
 def taken_and_dropped(queue: Queue) -> None:
     """What Redis looks like after a worker took the message and died: its list is empty, its hash is there."""
-    assert queue.redis.delete("rq:queue:scene-attack") == 1
+    assert queue.redis.delete(*queue.redis.scan_iter("rq:queue:*")) == 1
 
 
 def test_a_message_is_a_name_and_an_id_in_json(queue: Queue) -> None:
@@ -45,7 +45,8 @@ def test_a_job_is_sent_once_however_often_it_is_tried(repository: Repository, qu
     queue.send(job.id, 0)
     queue.send(job.id, 0)
     reconcile(repository, queue)
-    assert queue.redis.llen("rq:queue:scene-attack") == 1
+    (name,) = queue.redis.scan_iter("rq:queue:*")
+    assert queue.redis.llen(name) == 1
 
 
 def test_what_was_recorded_but_never_sent_is_sent(repository: Repository, queue: Queue) -> None:

@@ -9,12 +9,14 @@ import rq
 from redis import Redis
 from rq import Callback, Retry
 
-from services.jobs.queue import NAME, TASK, Queue, connect
+from services.jobs.placement import ANY_WORKER, NOTHING, Abilities, Needs, Priority
+from services.jobs.queue import TASK, Queue, connect, queue_name
 from services.settings import Settings
 from worker.rq_worker import JobWorker
 from worker.runner import Runner
 
 ID = "0123456789abcdef" * 2
+NAME = queue_name(Priority.NORMAL, ANY_WORKER)
 
 
 class Noting(Runner):
@@ -128,6 +130,29 @@ def test_maintenance_leaves_a_planted_message_alone(
 
 def explode(*_: object) -> None:
     raise AssertionError("a callback was called")
+
+
+def test_messages_of_a_higher_priority_come_first_and_queues_of_one_take_turns(
+    redis: Redis, worker: JobWorker, runner: Noting
+) -> None:
+    queue = Queue(redis)
+    ids = [digit * 32 for digit in "abcdef"]
+    places = [
+        (Priority.LOW, ANY_WORKER),
+        *[(Priority.NORMAL, ANY_WORKER)] * 2,
+        *[(Priority.NORMAL, Needs((), "cpu"))] * 2,
+    ]
+    for job_id, (priority, needs) in zip(ids, [*places, (Priority.HIGH, ANY_WORKER)], strict=True):
+        queue.send(job_id, 0, priority, needs)
+    for _ in ids:
+        work(worker)
+    assert [seen[0] for seen in runner.seen] == ["f", "d", "b", "e", "c", "a"]
+
+
+def test_a_worker_announces_what_it_has(redis: Redis, worker: JobWorker) -> None:
+    worker.heartbeat()
+    assert Queue(redis).workers() == [NOTHING]
+    assert Abilities.of(NOTHING.record()) == NOTHING
 
 
 def test_dead_workers_are_forgotten(redis: Redis, worker: JobWorker) -> None:

@@ -1,0 +1,129 @@
+"""Which worker may run which job, and whose turn it is. A job needs networks, and may ask for a device and for memory;
+a worker announces what it has, and takes only jobs whose needs it meets.
+"""
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from enum import StrEnum
+from typing import Any, Literal, Self
+
+Device = Literal["cpu", "cuda"]
+
+
+class Priority(StrEnum):
+    """The order in which jobs are taken: those of a higher priority first, and within one the owners in turn."""
+
+    HIGH = "high"
+    NORMAL = "normal"
+    LOW = "low"
+
+
+@dataclass(frozen=True)
+class Needs:
+    """What a job needs: the names of its networks, sorted; a kind of device, None for any; bytes of address space."""
+
+    targets: tuple[str, ...] = ()
+    device: Device | None = None
+    memory: int = 0
+
+    @classmethod
+    def read(cls, text: str | None) -> Self:
+        """The needs of a `text`; None is that of a job that any worker may run. Raises ValueError for another text."""
+        try:
+            targets, device, memory = json.loads(text or "[[], null, 0]")
+            return cls(tuple(targets), device, int(memory))
+        except TypeError as error:
+            raise ValueError(f"these are no needs of a job: {(text or '')[:100]!r}") from error
+
+    @property
+    def text(self) -> str:
+        """The needs in words of their own: equal needs have equal texts. It is part of the name of a queue."""
+        return json.dumps([self.targets, self.device, self.memory])
+
+
+ANY_WORKER = Needs()
+"""The needs of a job that any worker may run."""
+
+
+@dataclass(frozen=True)
+class Demand:
+    """What the sender of a job or a campaign asks of the queue; it is no part of the request and changes no result."""
+
+    priority: Priority = Priority.NORMAL
+    device: Device | None = None
+    memory: int = 0
+
+    @classmethod
+    def of(cls, record: Mapping[str, Any] | None) -> Self:
+        """The demand that the database has of a campaign as JSON."""
+        return cls() if record is None else cls(Priority(record["priority"]), record["device"], record["memory"])
+
+    def record(self) -> dict[str, Any]:
+        """The demand as JSON."""
+        return asdict(self)
+
+    def needs(self, targets: Iterable[str]) -> Needs:
+        """The needs of a job with these networks."""
+        return Needs(tuple(sorted(set(targets))), self.device, self.memory)
+
+
+NO_DEMAND = Demand()
+"""A job of normal priority that any worker with its networks may run."""
+CAMPAIGNS = Demand(Priority.LOW)
+"""That of campaigns, unless they ask for something else: single jobs come first."""
+
+
+@dataclass(frozen=True)
+class Abilities:
+    """What a worker has: its kind of device, the names of its networks, and the address space of a job in bytes."""
+
+    device: str = "cpu"
+    targets: frozenset[str] = field(default_factory=frozenset)
+    memory: int = 0
+
+    @classmethod
+    def of(cls, record: Mapping[str, Any]) -> Self:
+        """The abilities that a message has as JSON."""
+        return cls(record["device"], frozenset(record["targets"]), record["memory"])
+
+    def record(self) -> dict[str, Any]:
+        """The abilities as JSON."""
+        return {"device": self.device, "targets": sorted(self.targets), "memory": self.memory}
+
+    def lacks(self, needs: Needs) -> str | None:
+        """What a worker with these abilities lacks for a job, in words; None if it can run the job."""
+        missing = [name for name in needs.targets if name not in self.targets]
+        if missing:
+            return f"the network {missing[0]!r}"
+        if needs.device is not None and needs.device != self.device:
+            return f"the device {needs.device}"
+        if needs.memory > self.memory:
+            return f"{needs.memory:,} bytes of memory for a job"
+        return None
+
+
+NOTHING = Abilities()
+"""Those of a worker that has no network."""
+
+
+def targets_of(spec: Mapping[str, Any]) -> list[str]:
+    """The names of the networks that a full spec needs: the one under attack, a surrogate, those of the transfer. Of a
+    selection job, those of its views.
+    """
+    if "views" in spec:
+        return [name for view in spec["views"] for name in targets_of(view["probe"])]
+    transfer = (spec.get("analysis") or {}).get("transfer") or {}
+    guide = spec["attack"].get("surrogate")
+    return [spec["target"]["name"], *([guide] if guide else []), *transfer.get("targets", ())]
+
+
+def why_waiting(needs: Needs, workers: Sequence[Abilities]) -> str | None:
+    """Why a queued job is taken by none of the live workers; None if one of them can run it."""
+    if not workers:
+        return "no worker is running"
+    lacking = [worker.lacks(needs) for worker in workers]
+    if None in lacking:
+        return None
+    words = sorted({one for one in lacking if one is not None})
+    return f"no worker that is running has {' or '.join(words[:3])}"
