@@ -20,7 +20,7 @@ from rq.worker_registration import clean_worker_registry
 from services.jobs import queue, watchdog
 from services.jobs.child import ChildDied
 from services.jobs.database import connect as connect_database
-from services.jobs.placement import Priority
+from services.jobs.placement import ANY_WORKER, Priority
 from services.jobs.repository import Repository
 from services.logs import configure, logger
 from services.settings import settings
@@ -39,7 +39,8 @@ class JobWorker(SimpleWorker):  # type: ignore[misc]
 
     def __init__(self, runner: Runner, connection: Redis, **options: Any) -> None:
         self._messages = queue.Queue(connection)
-        mine = self._messages.for_worker(runner.abilities)
+        # Its queues are found at the first heartbeat. Redis is not asked before RQ has set how long answers may take.
+        mine = [queue.queue_name(Priority.NORMAL, ANY_WORKER)]
         # RQ listens for worker_ttl - 15 seconds at a time and sends a heartbeat in between.
         ttl = 15 + queue.HEARTBEAT_SECONDS
         super().__init__(mine, connection=connection, worker_ttl=ttl, serializer="json", **options)

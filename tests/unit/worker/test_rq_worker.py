@@ -155,6 +155,13 @@ def test_a_worker_announces_what_it_has(redis: Redis, worker: JobWorker) -> None
     assert Abilities.of(NOTHING.record()) == NOTHING
 
 
+def test_a_wait_for_messages_is_longer_than_that_for_other_answers(redis_url: str, runner: Noting) -> None:
+    with connect(redis_url) as fresh:
+        worker = JobWorker(runner, name="w", connection=fresh)
+        worker.heartbeat()
+        assert fresh.connection_pool.get_connection().socket_timeout > worker.dequeue_timeout
+
+
 def test_dead_workers_are_forgotten(redis: Redis, worker: JobWorker) -> None:
     worker.register_birth()
     redis.sadd("rq:workers", "rq:worker:dead")
