@@ -8,6 +8,7 @@ from typing import Any
 from fastapi import Response
 from fastapi.responses import HTMLResponse
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup, escape
 
 from api.dashboard import words
 from services.access.caller import Caller
@@ -28,10 +29,20 @@ HEADERS = {
 STATIC = {file.name: file.read_bytes() for file in files(__package__).joinpath("static").iterdir()}
 VERSION = sha256(b"".join(STATIC[name] for name in sorted(STATIC))).hexdigest()[:12]
 
+
+def prose(text: str) -> Markup:
+    """Text of the API's description as HTML: what stands between backticks is code."""
+    parts = text.split("`")
+    return Markup("").join(
+        Markup("<code>{}</code>").format(one) if k % 2 else escape(one) for k, one in enumerate(parts)
+    )
+
+
 _templates = Environment(
     loader=PackageLoader(__package__), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
 )
 _templates.globals |= {"version": VERSION, "words": words, "group_words": group_words, "states": list(State)}
+_templates.filters["prose"] = prose
 _templates.globals |= {"campaign_states": list(CampaignState), "changed": CHANGED}
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 from fastapi import APIRouter, Request, Response
 
+from api.authentication import CallerDependency
 from api.dashboard.pages import html
 
 REF = "#/components/schemas/"
@@ -36,7 +37,7 @@ class Operation:
 
 
 @router.get("/docs")
-def reference(request: Request) -> Response:
+def reference(request: Request, caller: CallerDependency) -> Response:
     """The page."""
     described = request.app.openapi()
     operations = [
@@ -46,7 +47,7 @@ def reference(request: Request) -> Response:
     words = {name: one.get("description", "") for name, one in described["components"]["schemas"].items()}
     kinds = {name: type_of(one) for name, one in described["components"]["schemas"].items() if not schemas[name]}
     values: dict[str, Any] = {"operations": operations, "schemas": schemas, "described": words, "kinds": kinds}
-    return html("reference.html", intro=described["info"]["description"], **values)
+    return html("reference.html", caller=caller, intro=described["info"]["description"], **values)
 
 
 def _operation(method: str, path: str, one: Mapping[str, Any]) -> Operation:

@@ -4,6 +4,8 @@ import re
 import pytest
 from httpx import Client
 
+from api.dashboard.pages import prose
+
 GZIP = {"accept-encoding": "gzip"}
 PLAIN = {"accept-encoding": "identity"}
 
@@ -69,6 +71,7 @@ def test_pages_load_nothing_from_elsewhere_and_all_else_loads_nothing(client: Cl
 
 def test_the_description_in_words_names_every_operation_and_type(client: Client) -> None:
     described, page = client.get("/openapi.json").json(), client.get("/docs").text
+    assert "With <code>Prefer: wait=N</code> the answer" in page
     for path, methods in described["paths"].items():
         for method in methods:
             assert f"<code>{method.upper()} {path}</code>" in page
@@ -77,3 +80,7 @@ def test_the_description_in_words_names_every_operation_and_type(client: Client)
     assert set(described["components"]["schemas"]) <= set(ids)
     assert set(re.findall(r'href="#([^"]+)"', page)) <= {*ids, "content"}
     assert "number, at least 0.05, at most 100.0" in page
+
+
+def test_prose_is_escaped_and_has_code_between_backticks() -> None:
+    assert prose("a `<b>` & `c") == "a <code>&lt;b&gt;</code> &amp; <code>c</code>"
