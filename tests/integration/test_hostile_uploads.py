@@ -49,9 +49,9 @@ def programs_started(processes: list[psutil.Process], log: Path) -> Iterator[lis
     """Fills a list with the system calls by which the processes and their children start programs meanwhile."""
     pids = [word for process in processes for word in ("-p", str(process.pid))]
     with subprocess.Popen(["strace", "-f", "-qq", "-e", "trace=execve,execveat", "-o", str(log), *pids]) as strace:
-        until(lambda: all(map(is_traced, processes)), "strace traces the service")
         started: list[str] = []
         try:
+            until(lambda: all(map(is_traced, processes)), "strace traces the service")
             yield started
         finally:
             strace.terminate()
