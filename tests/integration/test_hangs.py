@@ -46,7 +46,8 @@ def test_a_stopped_process_does_not_hold_its_job(stack: Stack, impatient: Stack,
     stop(stopped)
     job = impatient.ended(job_id)
     assert job["state"] == "succeeded"
-    assert job["attempt"] >= 2  # more where others keep the machine so busy that a process stands still for as long
+    # A job process whose worker is stopped goes on, and may be done before the worker is killed.
+    assert job["attempt"] >= 2 or module == "worker.rq_worker"
     assert perturbation(impatient, job_id) == wanted
     until(lambda: gone(stopped) and gone(runs), "what was stopped is killed")
 
