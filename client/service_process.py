@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from services.confinement.system_calls import die_with_parent
 from services.errors import JobFailure
-from services.jobs.parent_death import die_with_parent
 
 STOP_SECONDS = 30.0
 

@@ -16,9 +16,9 @@ from pathlib import Path
 import psycopg
 from psycopg.sql import SQL, Identifier
 
+from services.confinement.system_calls import die_with_parent
 from services.jobs.database import connect, migrate
 from services.jobs.models import Base
-from services.jobs.parent_death import die_with_parent
 from services.settings import Settings
 
 PATIENCE = 30.0

@@ -9,8 +9,8 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+from services.confinement.system_calls import die_with_parent
 from services.jobs import watchdog
-from services.jobs.parent_death import die_with_parent
 from services.logs import logger
 
 POLL_SECONDS = 0.1

@@ -26,8 +26,14 @@ def forbid_new_privileges() -> None:
 
 
 def die_with_parent() -> None:
-    """The kernel kills this process when its parent ends. A change of user or group takes that back. Raises OSError."""
+    """The kernel kills this process when the thread of its parent that started it ends.
+
+    This is kept across exec; a change of user or group takes it back. Raises OSError.
+    """
+    parent = os.getppid()
     prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:  # the parent ended before the call
+        os.kill(os.getpid(), signal.SIGKILL)
 
 
 def _checked(result: int) -> int:

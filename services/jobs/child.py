@@ -15,7 +15,7 @@ from queue import SimpleQueue
 from threading import Thread, Timer
 from typing import Any
 
-from services.jobs.parent_death import die_with_parent
+from services.confinement.system_calls import die_with_parent
 from services.jobs.stillness import Stillness
 from services.settings import Settings
 
