@@ -38,8 +38,8 @@ from services.settings import Settings, settings
 
 REPORT_SECONDS = 0.25
 """Shortest time between two writes of progress. The next write includes the trace rows since the last one."""
-POLL_SECONDS = 0.02
-"""Shortest time between two reads of the record before a rendering, to see whether to stop; a step takes far longer."""
+POLL_SECONDS = 0.25
+"""Shortest time between two reads of the record before a rendering, to see whether to stop."""
 
 log = logger(__name__)
 

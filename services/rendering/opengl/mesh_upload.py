@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -103,6 +104,14 @@ class Drawing:
         # What pyrender's Renderer._update_context asks of a scene.
         self.meshes = {Upload(tuple(held.primitive for held in upload)) for upload in uploads.values()}
         self.lights: tuple[()] = ()
+
+
+@lru_cache(maxsize=1)
+def closed_drawing(meshes: tuple[Mesh, ...]) -> Drawing:
+    """The drawing of meshes with their watertight surfaces. The last one is kept: a job that attacks the same meshes as
+    the one before finds them prepared, and uploaded.
+    """
+    return Drawing(meshes, watertight=True)
 
 
 def _corners(mesh: Mesh) -> Array:

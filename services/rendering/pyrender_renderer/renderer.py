@@ -73,12 +73,12 @@ class PyrenderRenderer(DeclaredRenderer):
     ) -> None:
         """For attacks on `groups` (None: the default groups). For the meaning of a tolerance see `errors`."""
         self.backend = context.current().backend
-        from services.rendering.opengl.mesh_upload import Drawing  # imports OpenGL, so after the context
+        from services.rendering.opengl.mesh_upload import closed_drawing  # imports OpenGL, so after the context
 
         description = scene.description
         self.size = description.camera.size
-        meshes = [placed.mesh for placed in scene.placed]
-        self.drawing = Drawing(meshes, watertight=True)  # public, for passes of one's own over it
+        meshes = tuple(placed.mesh for placed in scene.placed)
+        self.drawing = closed_drawing(meshes)  # public, for passes of one's own over it
         self._ground = torch.tensor(description.ground, dtype=torch.float32)
         self._has_floor = description.floor is not None
         self._numbers = SceneParameters(scene)
