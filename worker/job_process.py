@@ -16,6 +16,7 @@ from services.errors import Cancelled, InvalidRequest, JobFailure, out_of_memory
 from services.jobs.artifacts import ArtifactStore, media_type
 from services.jobs.attempts import Attempt, Standing
 from services.jobs.child import connect, reply, requests
+from services.jobs.cpu_share import give_way
 from services.jobs.database import connect as connect_database
 from services.jobs.memory_limit import memory_limit
 from services.jobs.models import Artifact, Job, JobKind
@@ -211,6 +212,7 @@ def abilities(values: Settings) -> Abilities:
 def main() -> None:
     """Loads network and OpenGL once, reports that it is ready, then runs jobs until its parent ends."""
     configure("job")
+    give_way()
     values = settings()
     connection = connect()
     inbox = requests(connection)
