@@ -66,7 +66,8 @@ def load(path: Path | None, problem: AttackProblem, method: Method, verifier: Ve
     assert {field.name for field in fields(run)} == {*_PLAIN, "trace", "ever", "stored", "image", "scores"}
     run.trace = [TraceRow(**row) for row in words["trace"]]
     run.ever, run.image, run.scores = tensors["ever"], tensors["image"], tensors["scores"]
-    run.stored = {n.removeprefix("stored."): v for n, v in tensors.items() if n.startswith("stored.")}
+    # the file has them sorted by name; the result lists its subsets and shares in the problem's order
+    run.stored = {group: tensors[f"stored.{group}"] for group in problem.groups}
     method.load({n.removeprefix("method."): v for n, v in tensors.items() if n.startswith("method.")})
     problem.queries, problem.renders, problem.surrogate_queries, *of_verifier = words["counts"]
     verifier.queries, verifier.renders = of_verifier

@@ -181,7 +181,7 @@ class _Running:
         state.ever |= view.truncated.cpu()
         best = not state.trace or _rank(row) >= _rank(state.trace[state.stored_step])
         if best if problem.variations else fooled or (best and not state.fooled):
-            state.stored = {g: v.detach().clone() for g, v in view.perturbation.items()}
+            state.stored = {group: view.perturbation[group].detach().clone() for group in problem.groups}
             state.stored_step = state.step
             state.image, state.scores = image.cpu().clone(), logits.cpu().clone()
         state.fooled |= fooled
