@@ -62,11 +62,11 @@ class Prior:
         """∂margin/∂perturbation at a perturbation, float64 [total], the mean over the variations of the step if it has
         any. Takes one query of the surrogate for each.
         """
+        self.own.variations = problem.variations
         with torch.enable_grad():
             view = self.own.view(perturbation, gradient=True)
             logits = self.own.logits(quantize(view.images)[1])
         [found] = gradients([self.own], [view], logits)
-        self.own.variations = problem.variations
         found = mean_gradients(found, sample(self.own, view, gradient=True))
         self._count(problem)
         return self.own.layout.flatten(found).double()

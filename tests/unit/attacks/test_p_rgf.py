@@ -1,16 +1,22 @@
+from typing import Any
+
 import pytest
 import torch
 
 from services.attacks.differences import evaluate
+from services.attacks.expectation import Expectation
 from services.attacks.goal import ResolvedGoal
 from services.attacks.p_rgf import PRgf, PRgfMethod, projected_gradient
+from services.attacks.prior import Prior
 from services.attacks.problem import AttackProblem
 from services.attacks.spsa import draw_directions
 from services.attacks.surrogate import Surrogate
+from services.rendering.protocol import InactiveCoordinate
 from tests.unit.attacks.small import (
     Ahead,
     LinearRenderer,
     LinearTarget,
+    OpaqueCurvedRenderer,
     Pixels,
     autograd,
     problem,
@@ -118,6 +124,35 @@ def test_a_prior_without_direction_is_left_out() -> None:
     queries = case.queries
     method.advance(case, case.view(method.perturbation), 0)
     assert case.queries - queries == 4
+
+
+def test_the_surrogates_gradient_is_that_of_this_steps_variations_alone() -> None:
+    """A coordinate counts as inactive if it is so under each of them. A resumed attack knows no earlier ones."""
+
+    class Hides(OpaqueCurvedRenderer):
+        def __init__(self) -> None:
+            super().__init__()
+            self.asked = 0
+
+        def inactive(self, parameters: Any, reach: Any) -> Any:
+            self.asked += 1
+            return (InactiveCoordinate("b", 1, "b 1", "hidden"),)
+
+    renderer = Hides()
+    expectation = Expectation(noise=8.0, samples=3)
+    case = problem(renderer, LinearTarget(), expectation=expectation)
+    case.surrogate = Surrogate(LinearTarget(), ResolvedGoal(case.goal.leave, None))
+
+    def asked(steps: list[int]) -> int:
+        prior = Prior(case)
+        prior.load(case.layout.spread({"a": 1e-3, "b": 1e-3}))
+        for step in steps:
+            case.draw(step)
+            renderer.asked = 0
+            prior.gradient(case, case.nothing())
+        return renderer.asked
+
+    assert asked([3]) == asked([2, 3])
 
 
 def test_no_direction_at_all_is_refused() -> None:
