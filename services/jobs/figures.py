@@ -43,6 +43,8 @@ class Figures(Transactions):
     def read(self) -> ServiceFigures:
         """The figures now. Raises SQLAlchemyError if the database does not answer."""
         with self._read() as session:
+            if session.get_bind().dialect.name == "postgresql":  # so that all is read of one moment; SQLite does so
+                session.connection(execution_options={"isolation_level": "REPEATABLE READ"})
             jobs = session.execute(select(Job.kind, Job.state, func.count()).group_by(Job.kind, Job.state)).all()
             campaigns = session.execute(select(Campaign.state, func.count()).group_by(Campaign.state)).all()
             waiting = select(func.count(), func.min(Job.queued_at)).where(Job.state == State.QUEUED, not_held())

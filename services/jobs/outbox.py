@@ -26,7 +26,9 @@ def tell_of_campaign(session: Session, campaign_id: str, now: datetime) -> None:
 
 
 def _tell(session: Session, owner: str, kind: str, data: dict[str, Any], now: datetime) -> None:
-    for webhook in session.scalars(select(Webhook.id).where(Webhook.owner == owner)).all():
+    # locked, so that none is deleted before its message is written
+    found = select(Webhook.id).where(Webhook.owner == owner).order_by(Webhook.id)
+    for webhook in session.scalars(found.with_for_update(read=True, key_share=True)).all():
         message = {"type": kind, "timestamp": now.astimezone(UTC).isoformat(), "data": data}
         body = json.dumps(message, ensure_ascii=False, allow_nan=False)
         made = Delivery(id=f"msg_{uuid4().hex}", webhook_id=webhook, body=body, created_at=now, due_at=now, attempts=0)

@@ -187,7 +187,8 @@ class Repository(Turns):
                         found[job_id] = News([], True)
                     elif now.events > seen[job_id]:
                         events = list(session.scalars(_events(job_id, seen[job_id], _AT_ONCE)))
-                        found[job_id] = News(events, now.state.terminal and events[-1].number >= now.events)
+                        last = events[-1].number if events else now.events  # none: it was deleted meanwhile
+                        found[job_id] = News(events, now.state.terminal and last >= now.events)
         return found
 
     def events(self, job_id: str, after: int, limit: int = _AT_ONCE) -> list[Event]:

@@ -1,0 +1,82 @@
+"""What another process commits between two statements of a transaction."""
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+from sqlalchemy import Engine, event
+
+from services.jobs.deletion import Deletions
+from services.jobs.figures import Figures
+from services.jobs.models import State
+from services.jobs.repository import Repository
+from services.jobs.webhooks import Webhooks
+from tests.unit.jobs.records import OUTCOME, add, start, state
+from tests.unit.jobs.test_several_supervisors import POSTGRESQL, waits_for_a_lock
+
+
+@contextmanager
+def meanwhile(engine: Engine, before: str, action: Callable[[], Any]) -> Iterator[list[str]]:
+    """Takes the action once, before the next statement that has these words. Yields the statement once it was met."""
+    met: list[str] = []
+
+    def act(_connection: Any, _cursor: Any, statement: str, *_: Any) -> None:
+        if not met and before in statement:
+            met.append(statement)
+            action()
+
+    event.listen(engine, "before_cursor_execute", act)
+    try:
+        yield met
+    finally:
+        event.remove(engine, "before_cursor_execute", act)
+    assert met, f"no statement has {before!r}"
+
+
+@POSTGRESQL
+def test_a_webhook_that_is_deleted_meanwhile_does_not_fail_the_job(engine: Engine, repository: Repository) -> None:
+    webhooks = Webhooks(engine)
+    webhook = webhooks.create("", "https://example.org")
+    job = add(repository)
+    attempt = start(repository, job)
+    removing = threading.Thread(target=webhooks.remove, args=(webhook.id, None))
+
+    def remove() -> None:
+        removing.start()
+        while removing.is_alive() and not waits_for_a_lock(engine):
+            pass
+
+    with meanwhile(engine, "INSERT INTO deliveries", remove):
+        assert repository.succeed(attempt, {}, OUTCOME, [])
+    removing.join()
+    assert state(repository, job.id) is State.SUCCEEDED
+    assert webhooks.all(None) == []
+
+
+@POSTGRESQL
+def test_a_job_that_is_deleted_while_its_events_are_read_has_ended(engine: Engine, repository: Repository) -> None:
+    job = add(repository)
+    assert repository.succeed(start(repository, job), {}, OUTCOME, [])
+    with meanwhile(engine, "FROM events", lambda: Deletions(engine).delete(job.id)):
+        news = repository.news({job.id: 1})
+    assert news[job.id].events == []
+    assert news[job.id].ended
+
+
+@POSTGRESQL
+def test_counters_do_not_fall_when_a_job_ends_while_they_are_read(engine: Engine, repository: Repository) -> None:
+    job = add(repository)
+    attempt = start(repository, job)
+    repository.progress(attempt, "attacking", 3, 9, [{"step": 3, "queries": 7}])
+    before = Figures(engine).read()
+
+    def end() -> None:
+        repository.succeed(attempt, {}, OUTCOME | {"steps": 3, "queries": 7}, [])
+
+    with meanwhile(engine, "sum(jobs.steps_done)", end):
+        during = Figures(engine).read()
+    after = Figures(engine).read()
+    assert before.totals["steps"][""] <= during.totals["steps"][""] <= after.totals["steps"][""]
+    assert sum(during.jobs.values()) == 1
