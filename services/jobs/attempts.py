@@ -88,8 +88,9 @@ class Attempts(Transactions):
         if rows:
             values |= _reached(rows[-1]["step"], rows[-1].get("queries", 0))
         with self._write() as session:
+            mine = select(Job.phase, Job.phase_at).where(*_fence(attempt))
+            before = session.execute(mine.with_for_update()).one_or_none()
             now = self._now(session)
-            before = session.execute(select(Job.phase, Job.phase_at).where(*_fence(attempt))).one_or_none()
             if before is not None and before.phase != phase:
                 values["phase_at"] = now
             number = session.scalar(update(Job).where(*_fence(attempt)).values(values).returning(Job.events))
@@ -189,7 +190,7 @@ class Attempts(Transactions):
             if free["lost"] >= max_attempts:
                 self._move(session, attempt.job_id, State.FAILED, fence, **free, **reason)
                 return
-        self._move(session, attempt.job_id, State.QUEUED, fence, **free, sent_at=None)
+        self._move(session, attempt.job_id, State.QUEUED, fence, **free, sent_at=None, phase_at=None)
 
 
 def _reached(step: int, queries: int) -> dict[str, Any]:

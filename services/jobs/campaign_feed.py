@@ -114,11 +114,13 @@ class Feeder(Transactions):
             self._expanded[campaign_id] = campaign, views(campaign)
 
     def _fail(self, campaign_id: str, why: str) -> None:
-        log.warning("campaign failed", campaign=campaign_id, why=why)
         with self._write() as session:
             values = {"state": CampaignState.FAILED, "ended_at": self._now(session), "failure": why}
-            session.execute(update(Campaign).where(Campaign.id == campaign_id).values(values))
+            active = (Campaign.id == campaign_id, Campaign.state.in_((CampaignState.SELECTING, CampaignState.RUNNING)))
+            if session.scalar(update(Campaign).where(*active).values(values).returning(Campaign.id)) is None:
+                return  # paused, or ended meanwhile
             outbox.tell_of_campaign(session, campaign_id, self._now(session))
+        log.warning("campaign failed", campaign=campaign_id, why=why)
 
     def _plan(self, campaign_id: str) -> None:
         """Chooses the views and plans the jobs, once all selection jobs have ended."""

@@ -157,7 +157,7 @@ class Job(Base):
     step: Mapped[int | None]
     steps: Mapped[int | None]
     phase_at: Mapped[datetime | None]
-    """The time at which the attempt entered the phase."""
+    """The time at which the attempt entered the phase; None while there is no attempt."""
     steps_done: Mapped[int] = mapped_column(default=0, server_default="0")
     """Steps of the attack that any attempt has come to."""
     queries_done: Mapped[int] = mapped_column(BigInteger, default=0, server_default="0")

@@ -169,7 +169,8 @@ def _explain(repository: Repository, jobs: Sequence[Waiting], workers: Sequence[
 
 
 def _settling(job: Waiting) -> bool:
-    return job.sent_ago is not None and job.sent_ago < SETTLE_SECONDS
+    # a time in the future is that of a clock that was put back since
+    return job.sent_ago is not None and 0 <= job.sent_ago < SETTLE_SECONDS
 
 
 def _message_id(job_id: str, attempt: int) -> str:

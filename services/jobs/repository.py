@@ -166,7 +166,6 @@ class Repository(Turns):
         Returns the job, or None if the id is unknown.
         """
         with self._write() as session:
-            self._lock(session, job_id)
             if self._move(session, job_id, State.CANCELLED, [Job.state == State.QUEUED]) is None:
                 self._move(session, job_id, State.CANCELLING, [Job.state == State.RUNNING])
             return session.get(Job, job_id)

@@ -51,6 +51,7 @@ class Transactions:
     def _write(self, *, durable: bool = False) -> Iterator[Session]:
         """A transaction. One that is `durable` is on the disk when it ends, also after a power cut."""
         with Session(self._lasting if durable else self._writes, expire_on_commit=False) as session, session.begin():
+            session.connection()  # waits for the lock of SQLite, so that times that are read now are those of the write
             yield session
             totals.write(session)
 
@@ -100,6 +101,7 @@ class Transactions:
         self, session: Session, job_id: str, to: State, where: Sequence[ColumnElement[bool]], **values: Any
     ) -> Job | None:
         """Changes a job's state if it meets the conditions `where`, and records the event; otherwise returns None."""
+        self._lock(session, job_id)
         now = self._now(session)
         changed = (
             update(Job)

@@ -82,6 +82,20 @@ def test_the_time_of_each_stage(repository: Repository, figures: Figures, clock:
     assert dict(stages["attacking"].up_to) == below | above
 
 
+def test_the_wait_between_two_attempts_is_no_time_of_a_phase(
+    repository: Repository, figures: Figures, clock: Clock
+) -> None:
+    job = add(repository)
+    clock.advance(1)
+    attempt = start(repository, job)
+    repository.progress(attempt, "attacking", 0, 9, [])
+    clock.advance(2)
+    repository.give_back(attempt)
+    clock.advance(1000)
+    repository.request_cancel(job.id)
+    assert {stage: times.seconds for stage, times in figures.read().stages.items()} == {"waiting": 1}
+
+
 def test_nothing_is_counted_of_a_transaction_that_is_undone(repository: Repository, figures: Figures) -> None:
     add(repository)
     with pytest.raises(KeyError):

@@ -3,16 +3,19 @@
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from typing import Any
 
 import pytest
-from sqlalchemy import Engine, event
+from sqlalchemy import Engine, event, select, text, update
+from sqlalchemy.exc import OperationalError
 
 from services.jobs.deletion import Deletions
 from services.jobs.figures import Figures
-from services.jobs.models import State
+from services.jobs.models import Campaign, CampaignState, Job, State
 from services.jobs.repository import Repository
 from services.jobs.webhooks import Webhooks
+from tests.unit.jobs.campaign_stage import Stage, spec
 from tests.unit.jobs.records import OUTCOME, add, start, state
 from tests.unit.jobs.test_several_supervisors import POSTGRESQL, waits_for_a_lock
 
@@ -80,3 +83,51 @@ def test_counters_do_not_fall_when_a_job_ends_while_they_are_read(engine: Engine
     after = Figures(engine).read()
     assert before.totals["steps"][""] <= during.totals["steps"][""] <= after.totals["steps"][""]
     assert sum(during.jobs.values()) == 1
+
+
+def test_a_campaign_that_is_cancelled_meanwhile_does_not_fail(engine: Engine, repository: Repository) -> None:
+    stage = Stage(engine, repository)
+    Webhooks(engine).create("", "https://example.org")
+    campaign = stage.begin(spec())
+    with engine.execution_options(writes=True).begin() as connection:
+        connection.execute(update(Campaign).values(spec={"name": "of another version"}))
+    with meanwhile(engine, "SELECT campaigns.spec", lambda: stage.campaigns.cancel(campaign)):
+        stage.feeder.tick()
+    assert stage.campaign(campaign).state is CampaignState.CANCELLED
+    [webhook] = Webhooks(engine).all(None)
+    assert len(Webhooks(engine).deliveries(webhook.id)) == 1
+
+
+@pytest.mark.parametrize("end", ["progress", "succeed", "request_cancel"])
+def test_the_time_of_an_event_is_that_of_its_turn_to_write(engine: Engine, repository: Repository, end: str) -> None:
+    """Read before a write has its lock, it would be earlier than that of the event before."""
+    job = add(repository)
+    attempt = start(repository, job)
+    locked: list[bool] = []
+
+    def clock() -> datetime:
+        kind = engine.dialect.name
+        with engine.connect() as other:
+            try:
+                if kind == "postgresql":
+                    other.execute(select(Job.id).where(Job.id == job.id).with_for_update(nowait=True))
+                else:
+                    other.execute(text("PRAGMA busy_timeout=0"))
+                    other.execute(text("ROLLBACK"))
+                    other.execute(text("BEGIN IMMEDIATE"))
+            except OperationalError:
+                locked.append(True)
+            else:
+                locked.append(False)
+            if kind == "sqlite":
+                other.invalidate()
+        return datetime.now(UTC)
+
+    late = Repository(engine, clock)
+    {
+        "progress": lambda: late.progress(attempt, "attacking", 1, 9, []),
+        "succeed": lambda: late.succeed(attempt, {}, OUTCOME, []),
+        "request_cancel": lambda: late.request_cancel(job.id),
+    }[end]()
+    assert locked
+    assert all(locked)

@@ -73,6 +73,15 @@ def test_a_message_just_taken_is_not_sent_again(repository: Repository, queue: Q
     assert reconcile(repository, queue) == 0
 
 
+def test_a_clock_that_is_put_back_holds_no_job_up(repository: Repository, queue: Queue, clock: Clock) -> None:
+    job = add(repository)
+    reconcile(repository, queue)
+    lost(queue)
+    clock.advance(-3600)
+    assert reconcile(repository, queue) == 1
+    assert queue.waiting() == {f"{job.id}-0"}
+
+
 def test_only_queued_jobs_are_sent(repository: Repository, queue: Queue) -> None:
     start(repository, add(repository))
     repository.request_cancel(add(repository).id)
