@@ -44,6 +44,7 @@ from services.device import check_device
 from services.errors import JobFailure
 from services.jobs import watchdog
 from services.jobs.artifacts import ArtifactStore
+from services.jobs.asset_removal import DeletedAssets
 from services.jobs.campaign_service import CampaignService
 from services.jobs.campaigns import Campaigns
 from services.jobs.database import connect as connect_database
@@ -115,6 +116,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
             webhook_hosts=chosen.allowed_webhook_hosts,
             storage=Storage(chosen.data_dir),
             housekeeping=Housekeeping(engine, store, chosen.data_dir),
+            deleted_assets=DeletedAssets(engine, library),
             max_campaign_jobs=chosen.max_campaign_jobs,
         )
         service_metrics = ServiceMetrics(Figures(engine), queue, watcher.streams)

@@ -2,7 +2,9 @@
 
 import asyncio
 import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from typing import BinaryIO
 
 from api.fair_queue import FairQueue
@@ -11,7 +13,11 @@ from services.errors import JobFailure
 from services.logs import logger
 from services.scenes.isolated_reading import AT_ONCE, reader
 from services.scenes.library import Entry, Library
+from services.scenes.uploads import name_of
 from services.settings import Settings
+
+Adding = Callable[[str], AbstractContextManager[None]]
+"""Takes the name of a mesh; what it gives is entered while the mesh is read and stored."""
 
 log = logger(__name__)
 
@@ -35,15 +41,18 @@ class MeshUploads:
         self._threads.shutdown(wait=False, cancel_futures=True)
         reader().close()
 
-    async def add(self, file: BinaryIO, kind: str, client: str) -> Entry:
-        """Checks and stores a mesh of format `kind`. Raises InvalidRequest("file" or "kind"), and Unavailable."""
+    async def add(self, file: BinaryIO, kind: str, client: str, adding: Adding) -> Entry:
+        """Checks and stores a mesh of format `kind`, while `adding` is entered with its name.
+
+        Raises InvalidRequest("file" or "kind"), and Unavailable.
+        """
         loop = asyncio.get_running_loop()
         turn = loop.create_future()
         place = self._waiting.add(turn, client, file.seek(0, os.SEEK_END))
         self._admit()
         try:
             await turn
-            return await loop.run_in_executor(self._threads, self._add, file, kind)
+            return await loop.run_in_executor(self._threads, self._add, file, kind, adding)
         except JobFailure as error:
             raise Unavailable(f"the file could not be read: {error.detail}") from error
         finally:
@@ -59,10 +68,12 @@ class MeshUploads:
             if not turn.done():  # its client may have gone
                 turn.set_result(None)
 
-    def _add(self, file: BinaryIO, kind: str) -> Entry:
+    def _add(self, file: BinaryIO, kind: str, adding: Adding) -> Entry:
         # Waiting uploads stay on the disk; only those whose turn it is are in memory.
         file.seek(0)
-        return self._library.add_mesh(file.read(), kind, self._limits)
+        data = file.read()
+        with adding(f"sha256:{name_of(data, kind)}"):
+            return self._library.add_mesh(data, kind, self._limits)
 
 
 def _start() -> None:

@@ -18,9 +18,8 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from api.request_id import HEADER
 from api.schemas import BadField
 from api.warm_process import Unavailable
-from services.errors import InvalidRequest, QuotaExceeded, without_folders
+from services.errors import InUse, InvalidRequest, QuotaExceeded, without_folders
 from services.jobs.artifacts import Damaged
-from services.jobs.deletion import InUse
 from services.jobs.outages import outage_of
 from services.jobs.repository import KeyReused, QueueFull
 from services.logs import logger

@@ -18,6 +18,7 @@ from services.access.keys import AccessKeys
 from services.access.quotas import Quotas
 from services.access.sessions import Sessions
 from services.jobs.artifacts import ArtifactStore
+from services.jobs.asset_removal import DeletedAssets
 from services.jobs.campaign_service import CampaignService
 from services.jobs.housekeeping import Housekeeping
 from services.jobs.models import Job
@@ -53,6 +54,7 @@ class Services:
     webhook_hosts: frozenset[str]
     storage: Storage
     housekeeping: Housekeeping
+    deleted_assets: DeletedAssets
     max_campaign_jobs: int
 
 

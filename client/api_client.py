@@ -140,6 +140,16 @@ class ApiClient:
                 self._http.post("/v1/assets", files={"file": (path.name, file)}, data={"kind": kind}, timeout=_CHECK)
             )
 
+    def assets(self) -> list[dict[str, Any]]:
+        """The library entries of the meshes that were uploaded."""
+        return list(self._json(self._http.get("/v1/assets"))["items"])
+
+    def delete_asset(self, name: str) -> None:
+        """Deletes an uploaded mesh by its name, "sha256:" and 64 digits."""
+        response = self._http.delete(f"/v1/assets/{name.removeprefix('sha256:')}")
+        if response.is_error:
+            raise _refusal(response)
+
     def submit_campaign(self, spec: Mapping[str, Any]) -> dict[str, Any]:
         """Starts a campaign and returns it."""
         return self._json(self._http.post("/v1/campaigns", json=spec, timeout=_CHECK))

@@ -48,6 +48,9 @@ class Blobs(Protocol):
     def remove(self, name: str, unwanted_seconds: float) -> None:
         """Removes a file if it was neither written nor wanted within the last `unwanted_seconds`, if there is one."""
 
+    def delete(self, name: str) -> None:
+        """Removes a file at once, if there is one. Nobody may be about to write it."""
+
 
 class Folder:
     """Files in a folder; a name may have folders of its own."""
@@ -92,6 +95,10 @@ class Folder:
                 aside.rename(path)
             else:
                 aside.unlink()
+
+    def delete(self, name: str) -> None:
+        """Removes a file at once."""
+        (self._folder / name).unlink(missing_ok=True)
 
 
 def _age(path: Path) -> float:
@@ -145,6 +152,11 @@ class Objects:
         if max(unwanted_seconds, YOUNG_SECONDS) <= age < math.inf:
             with _errors():
                 self._files.rm_file(f"{self._prefix}/{name}")
+
+    def delete(self, name: str) -> None:
+        """Removes an object at once."""
+        with suppress(FileNotFoundError), _errors():
+            self._files.rm_file(f"{self._prefix}/{name}")
 
     def _age(self, name: str) -> float:
         """The time in seconds since an object was written, infinite if there is none."""

@@ -50,6 +50,10 @@ class QuotaExceeded(Exception):
         self.seconds = seconds
 
 
+class InUse(Exception):
+    """What was to be deleted is in use; the message says by what. The API answers 409 with it."""
+
+
 class Cancelled(Exception):
     """The job was asked to stop."""
 

@@ -12,6 +12,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from services.device import check_device
 from services.errors import JobFailure
 from services.jobs.artifacts import ArtifactStore
+from services.jobs.asset_removal import DeletedAssets
 from services.jobs.campaign_feed import Feeder
 from services.jobs.database import connect as connect_database
 from services.jobs.database import migrate
@@ -20,6 +21,7 @@ from services.jobs.queue import Queue, reconcile
 from services.jobs.queue import connect as connect_redis
 from services.jobs.repository import Repository
 from services.logs import configure, logger
+from services.scenes.library import Library
 from services.settings import Settings, settings
 from worker.supervisor import Program, Supervisor
 
@@ -85,7 +87,8 @@ def housekeeping(values: Settings, engine: Engine) -> Callable[[], None]:
     feeder = Feeder(engine, values.max_campaign_queued)
     store = ArtifactStore(values.files)
     meshes = values.cache_dir / "meshes", values.cache_bytes
-    house = Housekeeping(engine, store, values.data_dir, values.retention_days, meshes)
+    deleted = DeletedAssets(engine, Library(values.cache_dir, values.files))
+    house = Housekeeping(engine, store, values.data_dir, values.retention_days, meshes, deleted)
     failing = False
 
     def tick() -> None:

@@ -1,18 +1,21 @@
 """Routes for meshes that users upload."""
 
+from functools import partial
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, File, Form, HTTPException, Request, UploadFile
+from fastapi import APIRouter, Depends, File, Form, HTTPException, Path, Request, UploadFile
 from starlette.concurrency import run_in_threadpool
 
 from api.authentication import CallerDependency
 from api.routes.jobs import client_of
 from api.schemas import AssetList
-from api.state import ServicesDependency
+from api.state import ServicesDependency, no_such
+from services.logs import logger
 from services.scenes.library import Entry
 
 PATH = "/v1/assets"
 router = APIRouter(prefix=PATH, tags=["scenes"])
+log = logger(__name__)
 
 
 def form_body(request: Request) -> None:
@@ -31,9 +34,8 @@ async def upload(
 ) -> Entry:
     """Checks a mesh and stores it under a hash of its bytes and kind. Scenes name it by the `name` in the answer."""
     await run_in_threadpool(services.quotas.check_upload, caller.owner, file.size or 0)
-    entry = await services.uploads.add(file.file, kind, client_of(request, caller))
-    await run_in_threadpool(services.assets.add, caller.owner, entry.name, file.size or 0)
-    return entry
+    adding = partial(services.assets.adding, caller.owner, size=file.size or 0)
+    return await services.uploads.add(file.file, kind, client_of(request, caller), adding)
 
 
 @router.get("")
@@ -41,3 +43,23 @@ def listing(services: ServicesDependency, caller: CallerDependency) -> AssetList
     """Lists the uploaded meshes."""
     is_visible = services.assets.visible(caller)
     return AssetList(items=[entry for entry in services.library.entries(category="upload") if is_visible(entry.name)])
+
+
+@router.delete("/{sha256}", status_code=204)
+def delete(
+    sha256: Annotated[str, Path(description="the 64 digits after `sha256:` in the mesh's name")],
+    services: ServicesDependency,
+    caller: CallerDependency,
+) -> None:
+    """Deletes an upload, with its files if no other owner has uploaded the same. Answers 409 while a job or campaign
+    refers to the mesh. A key with `admin` deletes the uploads of all owners.
+    """
+    name = f"sha256:{sha256}"
+    if caller.only is None and not services.library.has_upload(name):
+        raise no_such("upload")
+    if not services.assets.delete(caller, name):
+        raise no_such("upload")
+    try:
+        services.deleted_assets.remove(name)
+    except OSError as error:
+        log.warning("files of a deleted upload are removed later", asset=name, error=str(error))

@@ -1,5 +1,6 @@
 """The commands `assets`: the meshes and environment maps that a request can name."""
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -88,6 +89,36 @@ def add(
         out().print(entry["name"], markup=False, highlight=False)
         for note in entry.get("notes", ()):
             err().print(note, markup=False, highlight=False)
+
+
+@app.command(epilog="Example: [bold]scene-attack assets uploads[/bold]")
+def uploads(url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
+    """List the meshes that were uploaded to a running service."""
+    from client.api_client import ApiClient
+    from client.console import out, print_json, table
+
+    with ApiClient(url) as client:
+        entries = client.assets()
+    if as_json:
+        print_json(entries)
+    else:
+        rows = [[entry["name"], entry["title"], str(entry["triangles"])] for entry in entries]
+        out().print(table(("mesh", "title", "triangles"), rows))
+
+
+@app.command(epilog="Example: [bold]scene-attack assets delete sha256:0f3c…[/bold]")
+def delete(
+    mesh: Annotated[str, typer.Argument(help="The name that `assets add` printed, or its 64 digits.")],
+    url: UrlOption = DEFAULT_URL,
+) -> None:
+    """Delete an uploaded mesh. A job or campaign that refers to it must be deleted first."""
+    from client.api_client import ApiClient
+    from services.errors import InvalidRequest
+
+    if not re.fullmatch(r"(sha256:)?[0-9a-f]{64}", mesh):
+        raise InvalidRequest("MESH", f"{mesh!r} is not the name of an uploaded mesh, which is sha256: and 64 digits")
+    with ApiClient(url) as client:
+        client.delete_asset(mesh)
 
 
 @app.command(epilog="Example: [bold]scene-attack assets environments[/bold]")

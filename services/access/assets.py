@@ -1,22 +1,67 @@
-"""The record of who uploaded which mesh. The file itself is stored once, under its hash, whoever sent it."""
+"""The record of who uploaded which mesh. The file itself is stored once, under its hash, whoever sent it.
 
-from collections.abc import Callable
+The record comes first and the files second, both when a mesh is uploaded and when it is deleted: files are removed only
+while nobody has the mesh.
+"""
 
-from sqlalchemy import func, select
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from sqlalchemy import delete, func, select, update
 
 from services.access.caller import Caller
 from services.access.models import OwnedAsset
+from services.jobs.asset_models import Asset
+from services.jobs.asset_uses import check_unused, hold
 from services.jobs.transactions import Transactions
 
 
 class OwnedAssets(Transactions):
-    """Adds and finds the uploads of owners."""
+    """Adds, finds and deletes the uploads of owners."""
 
-    def add(self, owner: str, name: str, size: int) -> None:
-        """Records that an owner uploaded the mesh of this name, of `size` bytes. Repeating it changes nothing."""
+    def add(self, owner: str, name: str, size: int) -> bool:
+        """Records that an owner uploads the mesh of this name, of `size` bytes. Returns False if it had done so."""
         with self._write() as session:
-            if session.get(OwnedAsset, (owner, name)) is None:
-                session.add(OwnedAsset(owner=owner, name=name, size=size, created_at=self._now(session)))
+            if hold(session, [name], to_change=True):
+                session.execute(update(Asset).where(Asset.name == name).values(deleted_at=None))
+            if session.get(OwnedAsset, (owner, name)) is not None:
+                return False
+            session.add(OwnedAsset(owner=owner, name=name, size=size, created_at=self._now(session)))
+            return True
+
+    @contextmanager
+    def adding(self, owner: str, name: str, size: int) -> Iterator[None]:
+        """Records an upload for the time in which its file is read and stored, and for good unless that fails."""
+        is_new = self.add(owner, name, size)
+        try:
+            yield
+        except BaseException:
+            if is_new:
+                with self._write() as session:
+                    session.execute(delete(OwnedAsset).where(OwnedAsset.owner == owner, OwnedAsset.name == name))
+            raise
+
+    def delete(self, caller: Caller, name: str) -> bool:
+        """Deletes the caller's upload, or that of all owners if it is an administrator. Returns False if there is none.
+
+        Raises InUse if a job or campaign of the owner refers to the mesh; of others, only if no owner is left.
+        """
+        owner = caller.only
+        with self._write() as session:
+            if owner is not None and session.get(OwnedAsset, (owner, name)) is None:
+                return False
+            if hold(session, [name], to_change=True):
+                return False
+            owners = session.scalars(select(OwnedAsset.owner).where(OwnedAsset.name == name)).all()
+            if owner is not None and owner not in owners:  # it was deleted before this transaction held it
+                return False
+            is_last = owner is None or list(owners) == [owner]
+            check_unused(session, name, owner, by_others=is_last)
+            gone = (OwnedAsset.name == name,) if owner is None else (OwnedAsset.name == name, OwnedAsset.owner == owner)
+            session.execute(delete(OwnedAsset).where(*gone))
+            if is_last:
+                session.execute(update(Asset).where(Asset.name == name).values(deleted_at=self._now(session)))
+            return True
 
     def used(self, owner: str) -> int:
         """The bytes that an owner has uploaded."""
@@ -24,10 +69,13 @@ class OwnedAssets(Transactions):
             return session.scalar(select(func.sum(OwnedAsset.size)).where(OwnedAsset.owner == owner)) or 0
 
     def visible(self, caller: Caller) -> Callable[[str], bool]:
-        """The function that says whether the caller sees the upload of a name: its owner has uploaded it, too."""
+        """The function that says whether the caller sees the upload of a name: its owner has uploaded it, too.
+        Administrators see all that were not deleted.
+        """
         only = caller.only
-        if only is None:
-            return lambda _: True
         with self._read() as session:
+            if only is None:
+                deleted = frozenset(session.scalars(select(Asset.name).where(Asset.deleted_at.is_not(None))))
+                return lambda name: name not in deleted
             names = frozenset(session.scalars(select(OwnedAsset.name).where(OwnedAsset.owner == only)))
         return names.__contains__

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from typing import Any
 from uuid import uuid4
 
@@ -12,10 +13,12 @@ from sqlalchemy.orm import Session, defer, undefer
 from services.analysis.campaign_curves import Curves
 from services.analysis.campaign_table import Case
 from services.jobs import outbox
+from services.jobs.asset_uses import check_held, refer_from_campaign, uploads_among
 from services.jobs.models import Campaign, CampaignJob, CampaignState, Job, JobKind, State
 from services.jobs.placement import CAMPAIGNS, Demand
 from services.jobs.repository import Key, KeyReused, place
 from services.jobs.transactions import Transactions
+from services.pipeline.campaign_check import check_meshes, meshes_of
 from services.pipeline.campaign_spec import CampaignSpec
 
 
@@ -43,13 +46,15 @@ class Campaigns(Transactions):
     ) -> Campaign:
         """Records a new campaign and returns it, or the first one of the key if it was used before.
 
-        Raises KeyReused if the key came with another request, and IntegrityError if another process records the same
-        key at the same moment.
+        Raises KeyReused if the key came with another request, InvalidRequest if a mesh of the request was deleted, and
+        IntegrityError if another process records the same key at the same moment.
         """
         with self._write(durable=True) as session:
             given = None if key is None else Key(key, digest, owner)
             if given is not None and (first := _first(session, given)) is not None:
                 return first
+            uploads = uploads_among(meshes_of(spec))
+            check_held(session, uploads, partial(check_meshes, spec))
             campaign = Campaign(
                 id=uuid4().hex,
                 name=spec.name,
@@ -63,6 +68,8 @@ class Campaigns(Transactions):
                 request_digest=digest,
             )
             session.add(campaign)
+            session.flush()
+            refer_from_campaign(session, campaign.id, uploads)
             return campaign
 
     def of_key(self, key: Key) -> Campaign | None:

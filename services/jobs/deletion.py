@@ -6,15 +6,12 @@ from datetime import timedelta
 from sqlalchemy import ColumnElement, delete, func, or_, select
 from sqlalchemy.orm import Session
 
+from services.errors import InUse
 from services.jobs.models import Artifact, Campaign, CampaignJob, Job, State
 from services.jobs.transactions import Transactions
 
 AT_ONCE = 200
 """Jobs that one transaction deletes, and hashes that one query looks for."""
-
-
-class InUse(Exception):
-    """What was to be deleted is in use; the message says by what."""
 
 
 class Deletions(Transactions):

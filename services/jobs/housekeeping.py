@@ -8,6 +8,7 @@ from pathlib import Path
 from sqlalchemy import Engine
 
 from services.jobs.artifacts import ArtifactStore
+from services.jobs.asset_removal import DeletedAssets
 from services.jobs.deletion import Deletions
 from services.jobs.repository import Repository
 from services.jobs.working_files import WorkingFiles
@@ -23,7 +24,8 @@ SEARCH_SECONDS = 3600.0
 
 class Housekeeping:
     """Keeps data directory and cache tidy. Jobs are deleted `retention_days` after their end; None keeps them for ever.
-    `meshes` is the folder of processed meshes and the bytes that they may take; None leaves them alone.
+    `meshes` is the folder of processed meshes and the bytes that they may take; None leaves them alone. `assets` has
+    the uploads that were deleted.
     """
 
     def __init__(
@@ -33,6 +35,7 @@ class Housekeeping:
         data_dir: Path,
         retention_days: float | None = None,
         meshes: tuple[Path, int] | None = None,
+        assets: DeletedAssets | None = None,
     ) -> None:
         self._repository = Repository(engine)
         self._deletions = Deletions(engine)
@@ -41,6 +44,7 @@ class Housekeeping:
         self._data_dir = data_dir
         self._retention_days = retention_days
         self._meshes = meshes
+        self._assets = assets
         self._swept = self._searched = float("-inf")
 
     def delete(self, job_id: str) -> None:
@@ -60,6 +64,8 @@ class Housekeeping:
         if now - self._searched >= SEARCH_SECONDS:
             self._searched = now
             self._remove(self._store.names())
+            if self._assets is not None:
+                self._assets.remove_all()
             remove_unfinished(self._data_dir)
 
     def _remove(self, hashes: Iterable[str]) -> None:

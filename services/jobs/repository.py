@@ -6,6 +6,7 @@ Every change of a job is one transaction together with its event; a result and i
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from hashlib import sha256
 from typing import Any
 
@@ -14,10 +15,12 @@ from sqlalchemy.orm import Session, defer, undefer
 from sqlalchemy.sql.elements import ColumnElement
 
 from services.errors import QuotaExceeded
+from services.jobs.asset_uses import check_held, uploads_among
 from services.jobs.models import Artifact, Event, IdempotencyKey, Job, JobKind, State
 from services.jobs.placement import NO_DEMAND, Demand
 from services.jobs.turns import Turns
 from services.jobs.utc_time import UtcTime
+from services.pipeline.names_known import check_meshes
 from services.pipeline.spec import JobSpec, digest
 from services.pipeline.warning import JobWarning
 
@@ -85,8 +88,8 @@ class Repository(Turns):
     ) -> tuple[Job | None, dict[str, Any]]:
         """Records a new queued job. Returns it and `answer(job)`, or None and the key's first answer if it was used.
 
-        Raises QueueFull if `max_queued` jobs are queued, QuotaExceeded if the owner has `owner_queued` of them, and
-        KeyReused if the key came with another request.
+        Raises QueueFull if `max_queued` jobs are queued, QuotaExceeded if the owner has `owner_queued` of them,
+        KeyReused if the key came with another request, and InvalidRequest if a mesh of the request was deleted.
         """
         with self._write(durable=True) as session:
             if key is not None and (first := _first_answer(session, key)) is not None:
@@ -98,6 +101,8 @@ class Repository(Turns):
                 own = select(func.count()).select_from(Job).where(*single, Job.owner == owner)
                 if (session.scalar(own) or 0) >= owner_queued:
                     raise QuotaExceeded(f"an owner may have {owner_queued:,} jobs queued", QUEUED_SECONDS)
+            uploads = uploads_among(thing.mesh for thing in spec.scene.objects)
+            check_held(session, uploads, partial(check_meshes, spec))
             job = self._add_job(
                 session,
                 spec.model_dump(mode="json"),

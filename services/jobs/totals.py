@@ -6,16 +6,14 @@ change, so they are locked last, all in one order, and for a moment.
 
 from bisect import bisect_left
 from collections import Counter
-from typing import Any
 
-from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import Session
 
 from services.jobs.models import Job, State, Total
+from services.jobs.upsert import insert
 
 STAGE_BOUNDS = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0)
 """Upper bounds of the histogram of a stage's time, in seconds; above them is one more class."""
-_INSERT: dict[str, Any] = {"sqlite": sqlite.insert, "postgresql": postgresql.insert}
 
 
 def count(session: Session, name: str, label: str = "", by: float = 1) -> None:
@@ -47,6 +45,6 @@ def write(session: Session) -> None:
     counted = session.info.pop("totals", None)
     if counted:
         rows = [{"name": name, "label": label, "value": by} for (name, label), by in sorted(counted.items())]
-        added = _INSERT[session.get_bind().dialect.name](Total).values(rows)
+        added = insert(session, Total).values(rows)
         values = {"value": Total.value + added.excluded.value}
         session.execute(added.on_conflict_do_update(index_elements=[Total.name, Total.label], set_=values))

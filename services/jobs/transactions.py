@@ -11,6 +11,7 @@ from sqlalchemy.orm import Session
 from sqlalchemy.sql.elements import ColumnElement
 
 from services.jobs import outbox, totals
+from services.jobs.asset_uses import refer_from_job, uploads_of
 from services.jobs.listed import listed
 from services.jobs.models import Campaign, CampaignState, Event, Job, JobKind, State
 from services.jobs.placement import NO_DEMAND, Demand, targets_of
@@ -93,6 +94,8 @@ class Transactions:
         )
         session.add(job)
         session.flush()
+        if kind is JobKind.ATTACK:  # selections belong to a campaign, which refers to the meshes itself
+            refer_from_job(session, job.id, uploads_of(spec))
         session.add(Event(job_id=job.id, number=1, kind="state", data=story(job), created_at=now))
         totals.count(session, "submitted", kind.value)
         return job

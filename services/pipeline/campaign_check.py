@@ -62,6 +62,11 @@ def check_meshes(campaign: CampaignSpec, check: Callable[[str], None]) -> None:
                 raise InvalidRequest(field, error.detail) from error
 
 
+def meshes_of(campaign: CampaignSpec) -> frozenset[str]:
+    """The names of all meshes of the campaign."""
+    return frozenset(name for name, _ in _meshes(campaign))
+
+
 def _meshes(campaign: CampaignSpec) -> Iterator[tuple[str, str]]:
     for g, grid in enumerate(campaign.grids):
         if isinstance(grid.scenes, SceneGrid):

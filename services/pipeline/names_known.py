@@ -12,8 +12,15 @@ def check_names(spec: JobSpec, check_mesh: Callable[[str], None]) -> None:
     belong to the schema. `check_mesh` raises InvalidRequest("mesh") for the name of an unknown mesh.
     """
     known(spec.target.name)
+    check_meshes(spec, check_mesh)
+
+
+def check_meshes(spec: JobSpec, check: Callable[[str], None]) -> None:
+    """Calls `check` with the name of every mesh. It raises InvalidRequest("mesh") for one that may not be named,
+    which is raised again with the path of the mesh in the request.
+    """
     for index, thing in enumerate(spec.scene.objects):
         try:
-            check_mesh(thing.mesh)
+            check(thing.mesh)
         except InvalidRequest as error:
             raise InvalidRequest(f"scene.objects.{index}.mesh", error.detail) from error

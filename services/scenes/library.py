@@ -22,6 +22,7 @@ from services.suggestions import did_you_mean
 
 KEPT_MESHES = 32
 """Number of recently used meshes kept in memory; a large mesh takes about 30 MB."""
+_UPLOAD = re.compile(r"sha256:([0-9a-f]{64})")
 SETUP = "run scripts/setup to fetch the furniture library and the environment maps"
 
 
@@ -87,14 +88,24 @@ class Library:
         An upload for whose name `may_use` is false is unknown, too.
         """
         kind, _, rest = name.partition("/")
-        upload = re.fullmatch(r"sha256:([0-9a-f]{64})", name)
-        if upload is not None and not may_use(name):
-            raise self._unknown_mesh(name)
-        known = (kind == "furniture" and rest in self._catalogue()) or (
-            upload is not None and self._uploads.record(upload[1]) is not None
-        )
-        if not known:
+        if _UPLOAD.fullmatch(name):
+            if not (may_use(name) and self.has_upload(name)):
+                raise self._unknown_mesh(name)
+        elif not (kind == "furniture" and rest in self._catalogue()):
             self.mesh(name)
+
+    def has_upload(self, name: str) -> bool:
+        """Whether there is an uploaded mesh of that name, `sha256:<hex>`."""
+        upload = _UPLOAD.fullmatch(name)
+        return upload is not None and self._uploads.record(upload[1]) is not None
+
+    def remove_upload(self, name: str) -> None:
+        """Removes the files of an uploaded mesh, if there are any. Other processes may keep it in memory."""
+        upload = _UPLOAD.fullmatch(name)
+        if upload is not None:
+            with self._lock:
+                self._meshes.pop(name, None)
+            self._uploads.remove(upload[1])
 
     def entries(
         self,
@@ -159,8 +170,8 @@ class Library:
         kind, _, rest = name.partition("/")
         if kind == "primitive" and rest in PRIMITIVES:
             return primitive(rest)
-        if re.fullmatch(r"sha256:[0-9a-f]{64}", name):
-            upload = self._uploads.record(name.removeprefix("sha256:"))
+        if found := _UPLOAD.fullmatch(name):
+            upload = self._uploads.record(found[1])
             if upload is not None:
                 return self._uploads.load(upload)
         models = self._catalogue()

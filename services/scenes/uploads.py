@@ -98,6 +98,12 @@ class Uploads:
         except (FileNotFoundError, ValidationError):
             return None
 
+    def remove(self, sha256: str) -> None:
+        """Removes the files of the upload with this digest, those that there are. Nobody may be about to add it."""
+        for ending in (".json", ".npz", ""):  # the metadata first, so that every listed upload is complete
+            self._files.delete(f"{sha256}{ending}")
+        self._kept(sha256).unlink(missing_ok=True)
+
     def all(self) -> list[Upload]:
         """Returns the metadata of all uploads, ordered by digest."""
         names = [name.removesuffix(".json") for name in self._files.names() if name.endswith(".json")]

@@ -64,6 +64,13 @@ def test_a_url_of_no_store_is_bad_input(url: str) -> None:
     assert error.value.field == "SCENE_ATTACK_ARTIFACT_URL"
 
 
+def test_a_file_is_deleted_at_once(files: Blobs) -> None:
+    files.delete("a/b")  # there is none
+    files.write("a/b", b"1")
+    files.delete("a/b")
+    assert files.names() == []
+
+
 def test_a_file_is_removed_unless_it_is_wanted(files: Blobs, place: Path | str) -> None:
     assert not files.keep("a/b")
     files.remove("a/b", 0.0)  # there is none

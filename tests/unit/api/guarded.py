@@ -9,7 +9,7 @@ from fastapi import FastAPI
 
 from api.auth_rules import RULES
 from api.state import Services
-from services.access.caller import Scope
+from services.access.caller import Caller, Scope
 from services.jobs.models import CampaignState, State
 from services.pipeline.campaign_spec import parse as parse_campaign
 from services.pipeline.spec import parse
@@ -17,10 +17,16 @@ from services.pipeline.spec import parse
 SPHERE = {"camera": {"size": [32, 32]}, "objects": [{"mesh": "primitive/sphere"}]}
 ATTACK = {"renderer": "pyrender", "steps": 1, "queries": 20}
 CAMPAIGN = {"grids": [{"scenes": [SPHERE], "attacks": [{"name": "a", "attack": ATTACK}]}]}
+_IDS = ("{job_id}", "{campaign_id}", "{webhook_id}", "{sha256}")
+MESH = "0a" * 32
+"""The digits of an upload of alice's, of which there is only the record."""
 CLOSED = {route: scope for route, scope in RULES.items() if scope is not None}
 """The routes that need a key, and their scopes."""
-OWNED = [route for route in CLOSED if any(part in route for part in ("{job_id}", "{campaign_id}", "{webhook_id}"))]
+OWNED = [route for route in CLOSED if any(part in route for part in _IDS)]
 """The routes to what one owner has."""
+
+
+ALICE = Caller("alice", frozenset(), "")
 
 
 @dataclass(frozen=True)
@@ -37,24 +43,25 @@ class Guarded:
     def ask(self, route: str, caller: str, *, exists: bool = True) -> httpx.Response:
         """The answer to a request for a route ("GET /v1/jobs/{job_id}"), of what alice has or of nothing."""
         method, path = route.split(" ")
-        names = {"job_id": self.job, "campaign_id": self.campaign, "webhook_id": self.webhook}
+        names = {"job_id": self.job, "campaign_id": self.campaign, "webhook_id": self.webhook, "sha256": MESH}
         names = names if exists else dict.fromkeys(names, "x")
         filled = path.format(name="original.png", move="pause", **names)
         return self.client.request(method, filled, headers=self.headers[caller])
 
     def untouched(self) -> bool:
-        """Whether alice's job, campaign and webhook are as they were."""
+        """Whether alice's job, campaign, webhook and upload are as they were."""
         job = self.services.repository.line(self.job)
         campaign = self.services.campaigns.record.get(self.campaign)
         assert job is not None
         assert campaign is not None
         assert self.webhook in {one.id for one in self.services.webhooks.all("alice")}
+        assert self.services.assets.visible(ALICE)(f"sha256:{MESH}")
         return (job.state, campaign.state) == (State.QUEUED, CampaignState.SELECTING)
 
 
 @contextmanager
 def guarding(app: FastAPI, client: httpx.Client) -> Iterator[Guarded]:
-    """Makes keys for an app that is served, and a job, a campaign and a webhook of alice's, which nobody may touch."""
+    """Makes keys for an app that is served, and what alice has, which nobody may touch."""
     services = app.state.services
     assert isinstance(services, Services)
     job, _ = services.repository.create(
@@ -78,6 +85,7 @@ def guarding(app: FastAPI, client: httpx.Client) -> Iterator[Guarded]:
     headers["not a bearer"] = {"authorization": headers["admin"]["authorization"].replace("Bearer", "Basic")}
     campaign = services.campaigns.submit(parse_campaign(CAMPAIGN), None, "alice")
     webhook = services.webhooks.create("alice", "https://receiver.example/")
+    services.assets.add("alice", f"sha256:{MESH}", 1)
     guarded = Guarded(services, client, headers, job.id, campaign.id, webhook.id)
     yield guarded
     assert guarded.untouched()

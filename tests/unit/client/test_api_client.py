@@ -37,7 +37,7 @@ def client(script: Script) -> Iterator[ApiClient]:
             script.seen.append((self.command, self.path, dict(self.headers)))
             script.answers.pop(0)(self)
 
-        do_GET = do_POST = answer  # noqa: N815
+        do_GET = do_POST = do_DELETE = answer  # noqa: N815
 
         def log_message(self, format: str, *args: object) -> None:  # noqa: A002
             pass
@@ -169,6 +169,14 @@ def test_a_download_that_breaks_leaves_no_file(client: ApiClient, script: Script
     client.download("j", "attacked.png", tmp_path / "attacked.png")
     assert (tmp_path / "attacked.png").read_bytes() == b"whole"
     assert [path.name for path in tmp_path.iterdir()] == ["attacked.png"]
+
+
+def test_an_upload_is_deleted_by_its_name(client: ApiClient, script: Script) -> None:
+    script.answers = [says(204, b""), says(409, {"detail": "the mesh is in use by job 0f3c"})]
+    client.delete_asset("sha256:" + "0a" * 32)
+    with pytest.raises(ApiError, match="in use by job 0f3c"):
+        client.delete_asset("0a" * 32)
+    assert [(method, path) for method, path, _ in script.seen] == [("DELETE", "/v1/assets/" + "0a" * 32)] * 2
 
 
 def test_nobody_there_is_not_ready() -> None:

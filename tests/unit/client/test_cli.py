@@ -207,6 +207,12 @@ def test_targets_for_machines() -> None:
     assert "efficientnet-lite0" in names
 
 
+def test_only_an_upload_is_deleted() -> None:
+    done = cli("assets", "delete", "furniture/grand-piano")
+    assert done.returncode == 2
+    assert "is not the name of an uploaded mesh" in done.stderr
+
+
 def test_assets_are_listed_from_the_cache_given(tmp_path: Path) -> None:
     environ = {"SCENE_ATTACK_CACHE": str(tmp_path), "SCENE_ATTACK_DATA": str(tmp_path)}
     listed = json.loads(cli("assets", "list", "--json", **environ).stdout)

@@ -7,8 +7,9 @@ import pytest
 from sqlalchemy import Engine
 from sqlalchemy.orm import Session
 
+from services.errors import InUse
 from services.jobs.artifacts import ArtifactStore
-from services.jobs.deletion import Deletions, InUse
+from services.jobs.deletion import Deletions
 from services.jobs.housekeeping import GRACE_SECONDS, Housekeeping, remove_unfinished
 from services.jobs.models import Artifact, Campaign, CampaignJob, CampaignState, Job
 from services.jobs.repository import Repository
