@@ -21,8 +21,8 @@ from api.request_rate import RequestRate
 from services.access.caller import KEYLESS, Caller
 from services.access.caller import Scope as AccessScope
 from services.access.keys import AccessKeys
-from services.access.listening import is_loopback
 from services.access.sessions import Sessions
+from services.addresses import is_loopback
 from services.logs import logger
 
 SIGN_IN = "/sign-in"

@@ -4,14 +4,17 @@ A web site can give its own name the address of this machine, and a browser then
 site (DNS rebinding). The name in the request's Host header shows it.
 """
 
+import re
 from collections.abc import Collection
-from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from api.problems import problem
-from services.access.listening import is_loopback
+from services.addresses import is_loopback
+
+_HOST = re.compile(r"(?:\[([0-9A-Fa-f:.]*:[0-9A-Fa-f:.]*)\]|([A-Za-z0-9._~-]+))(?::[0-9]{0,5})?")
+"""An IPv6 address in brackets, or a name or IPv4 address, and perhaps a port."""
 
 
 class KnownHosts:
@@ -39,7 +42,5 @@ class KnownHosts:
 
 def _hostname(host: str) -> str:
     """The name or address in a Host header, in lower case; "" if it is none."""
-    try:
-        return urlsplit(f"//{host}").hostname or ""
-    except ValueError:
-        return ""
+    found = _HOST.fullmatch(host)
+    return "" if found is None else (found[1] or found[2]).lower()

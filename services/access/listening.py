@@ -1,8 +1,7 @@
 """Where the service may listen: other machines reach it only once there is a key."""
 
-from ipaddress import ip_address
-
 from services.access.keys import AccessKeys
+from services.addresses import is_loopback
 from services.errors import InvalidRequest
 from services.jobs.database import connect, migrate
 from services.settings import Settings
@@ -26,13 +25,3 @@ def check_listening(settings: Settings) -> None:
             "use it; make one with `scene-attack keys create NAME --scope admin` (in a container: `docker compose run "
             "--rm api scene-attack keys create NAME --scope admin`), or listen on 127.0.0.1",
         )
-
-
-def is_loopback(host: str) -> bool:
-    """Whether a host name or address is this machine's loopback."""
-    if host == "localhost":
-        return True
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return False

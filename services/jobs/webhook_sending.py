@@ -10,20 +10,19 @@ import time
 from base64 import b64decode, b64encode
 from collections.abc import Iterable
 from hashlib import sha256
-from ipaddress import IPv4Address, IPv6Address, ip_address, ip_network
 from socket import SOCK_STREAM, getaddrinfo
 from typing import Any
 from urllib.parse import urlsplit
 
 import httpcore
 
+from services.addresses import is_public, read
 from services.errors import InvalidRequest
 from services.jobs.webhooks import Message
 
 SECONDS = 15.0
 """Longest time of an attempt, from the look-up of the name to the status of the answer."""
 LONGEST_URL = 2000
-_TRANSLATED = ip_network("64:ff9b::/96")  # IPv4 addresses behind NAT64
 
 
 class Refused(Exception):
@@ -44,22 +43,11 @@ def check_url(url: str, allowed: frozenset[str]) -> None:
     if parts.scheme != "https" and not (parts.scheme == "http" and host in allowed):
         raise InvalidRequest("url", "it has to begin with https://")
     try:
-        address = ip_address(host)
+        address = read(host)
     except ValueError:
         return
     if host not in allowed and not is_public(address):
         raise InvalidRequest("url", "the address is not public; the operator allows such by SCENE_ATTACK_WEBHOOK_HOSTS")
-
-
-def is_public(address: IPv4Address | IPv6Address) -> bool:
-    """Whether an address is one of the internet, also the one that an IPv6 address stands for."""
-    if isinstance(address, IPv6Address):
-        inner = address.ipv4_mapped or address.sixtofour or (address.teredo or (None, None))[1]
-        if address in _TRANSLATED:
-            inner = IPv4Address(int(address) & 0xFFFFFFFF)
-        if inner is not None:
-            return is_public(inner)
-    return address.is_global and not (address.is_multicast or address.is_reserved or address.is_unspecified)
 
 
 def headers(message: Message, timestamp: int) -> dict[str, str]:
@@ -115,7 +103,7 @@ class _Checked(httpcore.NetworkBackend):
         """Resolves the name once, and connects to an address of it that may be connected to."""
         for *_, place in getaddrinfo(host, port, type=SOCK_STREAM):
             text = str(place[0])
-            if host in self._allowed or text in self._allowed or is_public(ip_address(text.partition("%")[0])):
+            if host in self._allowed or text in self._allowed or is_public(read(text)):
                 left = _left(self._deadline, timeout)
                 return _Timed(self._plain.connect_tcp(text, port, left, local_address, socket_options), self._deadline)
         raise Refused(f"{host} has no public address; the operator allows others by SCENE_ATTACK_WEBHOOK_HOSTS")

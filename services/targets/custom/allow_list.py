@@ -1,12 +1,10 @@
 """Checks the factory or the address that a card names against the operator's lists. It needs no torch."""
 
 import socket
-from ipaddress import IPv4Address, IPv6Address, ip_address
 from urllib.parse import urlsplit
 
+from services.addresses import Address, is_loopback, is_public, read
 from services.settings import settings
-
-Address = IPv4Address | IPv6Address
 
 
 def factory_refusal(factory: str) -> str | None:
@@ -29,7 +27,7 @@ def endpoint_refusal(endpoint: str) -> str | None:
         return "the endpoint has a user name, a password or a fragment; leave them out"
     if url.scheme == "https" and host:
         return None
-    if url.scheme == "http" and _is_loopback(host):
+    if url.scheme == "http" and is_loopback(host):
         return None
     return f"the endpoint {endpoint!r} is neither https nor on this machine"
 
@@ -41,25 +39,11 @@ def resolve(host: str, port: int) -> str:
     returned, not to the name: another look-up may give another address. Raises OSError if there is none.
     """
     for *_, place in socket.getaddrinfo(host, port, type=socket.SOCK_STREAM):
-        if _allowed(host, _plain(str(place[0]))):
+        if _allowed(host, read(str(place[0]))):
             return str(place[0])
     raise OSError(f"{host} has no address that is public or listed in SCENE_ATTACK_TARGET_ENDPOINTS")
 
 
 def _allowed(host: str, address: Address) -> bool:
     named = host == str(address) or (host == "localhost" and address.is_loopback)
-    return address.is_global or named or str(address) in settings().allowed_endpoints
-
-
-def _plain(text: str) -> Address:
-    """The address; an IPv4 address written as IPv6 is the former."""
-    address = ip_address(text.partition("%")[0])
-    mapped = getattr(address, "ipv4_mapped", None)
-    return address if mapped is None else mapped
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return host == "localhost" or ip_address(host).is_loopback
-    except ValueError:
-        return False
+    return is_public(address) or named or str(address) in settings().allowed_endpoints

@@ -66,7 +66,8 @@ def test_the_key_comes_before_the_body(guarded: Guarded) -> None:
 
 HOSTS = {
     **dict.fromkeys(("service.example", "SERVICE.example:80", "127.0.0.1", "[::1]:8008"), 200),
-    **dict.fromkeys(("other.example", "service.example.evil.example", "0.0.0.0", ""), 421),
+    **dict.fromkeys(("other.example", "service.example.evil.example", "0.0.0.0", "", "[::2]"), 421),
+    **dict.fromkeys(("[::1]:x]", "[::1]x", "[localhost]", "[127.0.0.1]", "a@localhost", "localhost:80:80", "::1"), 400),
 }
 
 

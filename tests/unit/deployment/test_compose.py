@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from api.routes import health
 from client.cli import app
-from services.access.listening import is_loopback
+from services.addresses import is_loopback
 from services.settings import Settings
 
 ROOT = Path(__file__).parents[3]
