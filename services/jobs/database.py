@@ -21,8 +21,10 @@ from services.private_folder import make_private
 from services.settings import Settings
 
 MIGRATIONS = Path(__file__).parent / "migrations"
-BUSY_MILLISECONDS = 10_000
-"""How long a transaction waits for another one's lock; SQLite has one writer at a time."""
+LOCK_SECONDS = 10.0
+"""How long a transaction waits for another one's lock; SQLite has one writer at a time. A process that waits uses no
+processor time, and must not be taken to hang: it waits for a quarter of that time at most.
+"""
 CONNECT_SECONDS = 5
 """How long to wait for PostgreSQL's answer to a new connection."""
 _MIGRATING = 0x5CE4EA77
@@ -46,10 +48,13 @@ def connect(settings: Settings) -> Engine:
     except ModuleNotFoundError as error:
         detail = f"{error.name} is not installed; PostgreSQL needs the extra: pip install 'scene-attack[postgresql]'"
         raise InvalidRequest("SCENE_ATTACK_DATABASE_URL", detail) from error
+    wait = min(LOCK_SECONDS, settings.stall_seconds / 4)
     make_private(settings.data_dir)  # also beside PostgreSQL: the files of running jobs are there
     if kind == "sqlite":
-        event.listen(engine, "connect", _tune_sqlite)
+        event.listen(engine, "connect", partial(_tune_sqlite, wait))
         event.listen(engine, "begin", _begin_sqlite)
+    else:
+        event.listen(engine, "do_connect", partial(_connect_postgresql, wait))
     return engine
 
 
@@ -68,10 +73,16 @@ def _kind(url: str) -> str:
     return kind
 
 
-def _tune_sqlite(connection: Any, _record: Any) -> None:
+def _connect_postgresql(wait: float, _dialect: Any, _record: Any, _words: Any, arguments: dict[str, Any]) -> Any:
+    from services.jobs.answer_limit import limited  # its driver is an extra
+
+    return limited(wait, arguments)
+
+
+def _tune_sqlite(wait: float, connection: Any, _record: Any) -> None:
     connection.isolation_level = None  # _begin_sqlite issues BEGIN
     cursor = connection.cursor()
-    for pragma in (f"busy_timeout={BUSY_MILLISECONDS}", "journal_mode=WAL", "foreign_keys=ON"):
+    for pragma in (f"busy_timeout={round(1000 * wait)}", "journal_mode=WAL", "foreign_keys=ON"):
         cursor.execute(f"PRAGMA {pragma}")
     cursor.close()
 
@@ -91,11 +102,22 @@ def _begin_sqlite(connection: Connection) -> None:
 def migrate(engine: Engine, settings: Settings) -> None:
     """Migrates the tables to the newest revision. Processes that start together wait for one another."""
     with _alone(engine, settings), engine.execution_options(writes=True).begin() as connection:
-        if engine.dialect.name == "postgresql":  # held until the transaction ends
+        if engine.dialect.name == "postgresql":
+            _be_patient(connection)
+            # held until the transaction ends
             connection.execute(text("SELECT pg_advisory_xact_lock(:number)"), {"number": _MIGRATING})
         config = _config()
         config.attributes["connection"] = connection
         command.upgrade(config, "head")
+
+
+def _be_patient(connection: Connection) -> None:
+    """Lets a connection wait as long as it takes; it closes when it is not needed any more."""
+    driver: Any = connection.connection.driver_connection
+    driver.answer_seconds = None
+    connection.detach()
+    for limit in ("lock_timeout", "idle_in_transaction_session_timeout"):
+        connection.exec_driver_sql(f"SET LOCAL {limit} = 0")
 
 
 def revisions(engine: Engine) -> tuple[str | None, str, set[str]]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from redis.exceptions import RedisError
-from sqlalchemy.exc import InterfaceError, OperationalError
+from sqlalchemy.exc import DBAPIError, InterfaceError, OperationalError
 from sqlalchemy.exc import TimeoutError as PoolTimeout
 
 _STORAGE = {
@@ -57,6 +57,8 @@ def _outage(error: BaseException) -> Outage | None:
     if isinstance(error, OperationalError | InterfaceError | PoolTimeout):
         number = next((number for part, number in _IN_DATABASE.items() if part in str(error)), None)
         return Outage("database", "the database does not answer") if number is None else _storage(number)
+    if isinstance(error, DBAPIError) and error.connection_invalidated:  # e.g. ended by the server, for its silence
+        return Outage("database", "the database does not answer")
     if isinstance(error, OSError):
         return _storage(error.errno)
     said = _OS_ERROR.search(str(error)) if type(error).__name__ == "SafetensorError" else None

@@ -6,14 +6,15 @@ import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import psycopg
 import pytest
 import torch
 from redis import Redis
 from safetensors.torch import save_file
+from sqlalchemy import Engine, text
 from sqlalchemy.exc import SQLAlchemyError
 
 from services import atomic_write
-from services.jobs import database
 from services.jobs.database import connect, migrate
 from services.jobs.outages import Outage, outage_of
 from services.jobs.repository import Repository
@@ -112,9 +113,8 @@ def test_a_read_only_disk_is_named(disk: Path) -> None:
     engine.dispose()
 
 
-def test_a_locked_database_and_one_that_has_gone_do_not_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(database, "BUSY_MILLISECONDS", 10)
-    settings = Settings(data=tmp_path)
+def test_a_locked_database_and_one_that_has_gone_do_not_answer(tmp_path: Path) -> None:
+    settings = Settings(data=tmp_path, stall_seconds=0.04)
     engine = connect(settings)
     migrate(engine, settings)
     repository = Repository(engine)
@@ -147,3 +147,49 @@ def test_redis_is_named_and_faults_are_no_outages(tmp_path: Path) -> None:
     wrapped = RuntimeError("an extension wraps it")
     wrapped.__cause__ = OSError(28, "No space left on device")
     assert outage_of(wrapped) == FULL
+
+
+@pytest.fixture
+def hasty(postgresql_url: str) -> Iterator[Engine]:
+    """A PostgreSQL that is waited for only a moment."""
+    engine = connect(Settings(database_url=postgresql_url, stall_seconds=0.4))
+    yield engine
+    engine.dispose()
+
+
+def test_a_postgresql_that_says_nothing_does_not_answer(hasty: Engine) -> None:
+    with pytest.raises(SQLAlchemyError) as silent, hasty.connect() as connection:
+        connection.execute(text("SELECT pg_sleep(600)"))
+    assert outage_of(silent.value) == AWAY
+    Repository(hasty).ping()  # on another connection, which does not take the late answer for its own
+
+
+def test_a_postgresql_whose_lock_another_holds_does_not_answer(hasty: Engine, postgresql_url: str) -> None:
+    repository = Repository(hasty)
+    job = add(repository)
+    with psycopg.connect(postgresql_url) as other:
+        other.execute("SELECT id FROM jobs FOR UPDATE")
+        with pytest.raises(SQLAlchemyError) as locked:
+            repository.request_cancel(job.id)
+        assert outage_of(locked.value) == AWAY
+    assert repository.request_cancel(job.id) is not None
+
+
+def test_a_process_that_stands_still_in_a_transaction_loses_its_locks(hasty: Engine) -> None:
+    repository = Repository(hasty)
+    job = add(repository)
+    with hasty.connect() as still:
+        still.execute(text("SELECT id FROM jobs FOR UPDATE"))
+        while still_locked(repository, job.id):
+            pass
+        with pytest.raises(SQLAlchemyError) as ended:
+            still.execute(text("SELECT 1"))
+    assert outage_of(ended.value) == AWAY
+
+
+def still_locked(repository: Repository, job_id: str) -> bool:
+    try:
+        repository.request_cancel(job_id)
+    except SQLAlchemyError:
+        return True
+    return False
