@@ -53,7 +53,8 @@ class Turns(Attempts):
 
     def turn(self, job_id: str) -> str:
         """The queued job whose turn it is, of those with the priority and the needs of `job_id`: the oldest one of the
-        owner whose last job was started the longest ago. If none is queued, `job_id` itself.
+        owner whose last job was started the longest ago; one whose attempt was lost or put off goes before new ones.
+        If none is queued, `job_id` itself.
         """
         other = aliased(Job)
         last = select(func.max(other.running_at)).where(other.owner == Job.owner, other.priority == Job.priority)
@@ -66,7 +67,7 @@ class Turns(Attempts):
             owners = select(Job.owner).where(*alike).group_by(Job.owner, Job.priority)
             owners = owners.order_by(last.scalar_subquery().nulls_first(), func.min(Job.queued_at)).limit(1)
             mine = select(Job.id).where(*alike, Job.owner == owners.scalar_subquery())
-            return session.scalar(mine.order_by(Job.queued_at, Job.id).limit(1)) or job_id
+            return session.scalar(mine.order_by(Job.attempt == 0, Job.queued_at, Job.id).limit(1)) or job_id
 
     def explain(self, job_ids: Sequence[str], why: str | None) -> None:
         """Records why these queued jobs wait; None: there is a worker that can run them."""

@@ -119,6 +119,15 @@ def test_owners_take_turns_whatever_order_they_came_in(repository: Repository, c
     assert order == [many[0], few[0], many[1], few[1], many[2], many[3]]
 
 
+def test_a_job_that_was_interrupted_goes_before_new_ones(repository: Repository, clock: Clock) -> None:
+    interrupted, new = add(repository, "a"), add(repository, "a")
+    attempt = repository.lease(interrupted.id, "w", 20)
+    assert attempt is not None
+    clock.advance(1)
+    repository.lose(attempt, 5)
+    assert repository.turn(new.id) == interrupted.id
+
+
 def test_a_turn_is_among_jobs_of_the_same_priority_and_needs(repository: Repository, clock: Clock) -> None:
     normal, high = add(repository, "a").id, add(repository, "b", priority=Priority.HIGH).id
     cuda = add(repository, "c", device="cuda").id
