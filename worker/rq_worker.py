@@ -47,6 +47,11 @@ class JobWorker(SimpleWorker):  # type: ignore[misc]
         self._runner = runner
         self._beaten = 0.0
 
+    @property
+    def connection_timeout(self) -> int:
+        """Longest time in seconds for which the worker waits for Redis: less than a lease lasts. RQ's is 15."""
+        return queue.HEARTBEAT_SECONDS + queue.ANSWER_SECONDS
+
     def heartbeat(self, timeout: int | None = None, pipeline: Any = None) -> None:
         """Sends RQ's heartbeat, and records that this worker is alive."""
         watchdog.alive()

@@ -6,7 +6,7 @@ The worker's process loads neither torch nor OpenGL, so it survives a crash of t
 import time
 from collections.abc import Callable
 
-from sqlalchemy.exc import OperationalError, SQLAlchemyError
+from sqlalchemy.exc import SQLAlchemyError
 
 from services.jobs import watchdog
 from services.jobs.attempts import Attempt, Standing
@@ -115,6 +115,9 @@ class Runner:
             self.close()
             log.warning("attempt lost with its job process", job=job_id, attempt=attempt.number)
             self._repository.lose(attempt, self._settings.max_attempts)
+        except BaseException:
+            self.close()  # nobody would watch the job, and its answer would be taken for that of the next one
+            raise
 
     def _watch(self, attempt: Attempt, beat: Callable[[], None]) -> None:
         child = self._child
@@ -178,7 +181,7 @@ class Runner:
     def _renew(self, attempt: Attempt) -> Standing:
         try:
             return self._repository.renew(attempt, self._settings.lease_seconds)
-        except OperationalError as error:
+        except SQLAlchemyError as error:
             # The lease has not lapsed yet. If the database stays unreachable, another supervisor takes the job back.
             log.warning("lease not renewed", job=attempt.job_id, error=str(error))
             return Standing.GO_ON

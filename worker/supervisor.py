@@ -50,7 +50,7 @@ class Program:
     answers: Callable[[], bool] | None = None
     """Whether it answers now; None for a program that sends signs of life of its own."""
     silent_seconds: float = START_SECONDS
-    """Time without a sign of life after which it hangs. Before its first sign it has `START_SECONDS`."""
+    """Time without a sign of life after which it hangs. One that sends signs has `START_SECONDS` before the first."""
 
     process: "subprocess.Popen[bytes] | None" = field(default=None, init=False)
     _started: float = field(default=0.0, init=False)
@@ -93,7 +93,7 @@ class Program:
             self._heard, self._silent = True, 0.0
             return
         self._silent += min(gap, LONGEST_GAP)
-        if self._silent > (self.silent_seconds if self._heard else START_SECONDS):
+        if self._silent > (self.silent_seconds if self._heard or self.answers is not None else START_SECONDS):
             log.warning("program killed, it hangs", program=self.name, pid=process.pid)
             process.kill()
 

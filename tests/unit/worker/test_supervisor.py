@@ -120,24 +120,37 @@ os.kill(os.getpid(), signal.SIGSTOP)
     Twice().run(hung)
 
 
-@pytest.mark.parametrize("starts", [True, False])
-def test_what_answers_is_left_alone_and_what_starts_too(monkeypatch: pytest.MonkeyPatch, starts: bool) -> None:
+def test_what_answers_is_left_alone_and_what_starts_too(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "ASK_SECONDS", 0.0)
     asked: list[int] = []
     ends: list[int] = []
 
     def answers() -> bool:
         asked.append(1)
-        return not starts
+        return True
 
-    steady = program("steady", "import signal; signal.pause()", answers=answers, ended=lambda: ends.append(1))
-    steady.silent_seconds = 0.0
+    script = "import signal; signal.pause()"
+    steady = program("steady", script, answers=answers, ended=lambda: ends.append(1), silent_seconds=0.0)
+    starting = program("starting", script, ended=lambda: ends.append(1), silent_seconds=0.0)
 
     class Asked(Scenario):
         def done(self) -> bool:
             return len(asked) >= 20 and not ends
 
-    Asked().run(steady)
+    Asked().run(steady, starting)
+
+
+def test_what_never_answers_is_killed_and_started_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "ASK_SECONDS", 0.0)
+    ends: list[int] = []
+    silent = program("silent", "import signal; signal.pause()", answers=lambda: False, ended=lambda: ends.append(1))
+    silent.silent_seconds = 0.0
+
+    class Twice(Scenario):
+        def done(self) -> bool:
+            return len(ends) == 2
+
+    Twice().run(silent)
 
 
 def test_a_signal_ends_the_supervisor() -> None:
