@@ -32,7 +32,9 @@ def command() -> str:
     words = list(sys.argv[1:])
     if "--out" in words:
         del words[words.index("--out") : words.index("--out") + 2]
-    return shlex.join(["python", "-m", f"benchmarks.{Path(sys.argv[0]).stem}", *words])
+    program = Path(sys.argv[0])
+    module = program.parent.name if program.stem == "__main__" else program.stem
+    return shlex.join(["python", "-m", f"benchmarks.{module}", *words])
 
 
 def head(about: str, backend: str, seed: int | None) -> dict[str, object]:

@@ -1,7 +1,10 @@
 """Kills (SIGKILL) and stops (SIGSTOP) the processes of a service at random while it runs mixed jobs: job process,
-worker, API, check process, Redis and supervisor; Redis is once away for longer than a job. Then every job must have one
-result, none twice, none failed, and each must be the same to the byte as that of an undisturbed run. Prints the counts
-as JSON.
+worker, API, check process, Redis, supervisor and database. Redis and the database are once away for longer than a job.
+Then every job must have one result, none twice, none failed, and each must be the same to the byte as that of an
+undisturbed run. Prints the counts as JSON, and writes them with the provenance of a result file if asked to.
+
+PostgreSQL (--database postgresql) is a server of the run's own: the postmaster or the process of a connection is
+killed, or all its processes are stopped, and the server is started again. SQLite is a file: its lock is held instead.
 
 The whole load: python -m benchmarks.chaos --jobs 300 --workers 3 --kills 60 --stops 10
 The short form: python -m benchmarks.chaos --jobs 6 --kills 6 --stops 2 --steps 60 --stall 4 --watchdog 8
@@ -9,9 +12,12 @@ The short form: python -m benchmarks.chaos --jobs 6 --kills 6 --stops 2 --steps 
 
 import argparse
 import json
+import os
 import sys
+from pathlib import Path
 
 from benchmarks.chaos.load import Load, run
+from benchmarks.report import save
 
 
 def main() -> int:
@@ -33,10 +39,17 @@ def main() -> int:
     parser.add_argument(
         "--patience", type=float, default=900.0, help="longest time without a job that ends, in seconds"
     )
-    parser.add_argument("--database-url", help="a PostgreSQL to use instead of SQLite; its database must be empty")
-    parser.add_argument("--redis-stays", dest="away", action="store_false", help="do not keep Redis away")
-    found = run(Load(**vars(parser.parse_args())))
+    parser.add_argument("--database", choices=("sqlite", "postgresql"), default="sqlite", help="default: sqlite")
+    parser.add_argument("--no-away", dest="away", action="store_false", help="keep neither Redis nor database away")
+    parser.add_argument("--out", type=Path, help="file to write the counts to, e.g. benchmarks/results/chaos.json")
+    parser.add_argument("--log", type=Path, help="file for the log of the service; default: it is not kept")
+    options = vars(parser.parse_args())
+    out = options.pop("out")
+    found = run(Load(**options))
     print(json.dumps(found, indent=1))
+    if out is not None:
+        assert __doc__ is not None
+        save(out, __doc__, found.pop("backend"), options["seed"], cores=os.cpu_count(), **found)
     return 0 if found["ok"] else 1
 
 

@@ -1,26 +1,19 @@
-"""The faults: which process is killed or stopped next, and the doing of it."""
+"""The faults: what is killed or stopped next, and the doing of it."""
 
 import random
 import signal
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import psutil
 
+from benchmarks.chaos.databases import DATABASE, Database
 from benchmarks.chaos.service import Service
 
-PROCESSES = (
-    "worker.job_process",
-    "worker.rq_worker",
-    "api.main",
-    "services.jobs.preflight_process",
-    "redis-server",
-    "supervisor",
-)
-"""What can die: modules of the service, a program that it runs, and the supervisor, which the harness starts again."""
-RUNNING = PROCESSES[:2]
+RUNNING = ("worker.job_process", "worker.rq_worker")
 """What runs jobs. They are hit while a job takes steps."""
+OTHERS = ("redis-server", "supervisor", "api.main", "services.jobs.preflight_process")
+"""What else can die: modules of the service, a program that it runs, and the supervisor, which is started again."""
 PATIENCE = 30.0
 """Time in seconds to wait for a process that is to be hit: it may have been hit just before."""
 
@@ -34,36 +27,52 @@ class Fault:
     at: float
 
 
-def plan(kills: int, stops: int, seed: int, targets: tuple[str, ...] = PROCESSES) -> list[tuple[str, str]]:
-    """Faults as (kind, target) in a random order, each target about as often as any other."""
+def plan(kills: int, stops: int, seed: int, of_database: tuple[str, ...] = ()) -> list[tuple[str, str]]:
+    """Faults as (kind, target) in a random order, each target about as often as any other. `of_database` is what of the
+    database can be killed; it is always stopped as a whole.
+    """
     draw = random.Random(seed)
     found = []
-    for kind, count in (("kill", kills), ("stop", stops)):
+    for kind, count, database in (("kill", kills, of_database), ("stop", stops, (DATABASE,))):
+        targets = (*RUNNING, *database, *OTHERS)
         order = [targets[number % len(targets)] for number in range(count)]
         found += [(kind, target) for target in order]
     draw.shuffle(found)
     return found
 
 
-def hit(service: Service, kind: str, target: str, draw: random.Random) -> Fault | None:
+def hit(service: Service, database: Database, kind: str, target: str, draw: random.Random) -> Fault | None:
     """Kills (SIGKILL) or stops (SIGSTOP) one of the target's processes. Returns None if there is none for long."""
+    if target == DATABASE:
+        began = time.time()
+        database.stop(draw)
+        return Fault(kind, target, began)
     deadline = time.monotonic() + PATIENCE
     while time.monotonic() < deadline:
-        living = service.processes(target)
-        if living:
-            try:
-                draw.choice(living).send_signal(signal.SIGKILL if kind == "kill" else signal.SIGSTOP)
-            except psutil.NoSuchProcess:
-                continue
+        met = database.kill(target, draw) if target in database.killed else _send(service, kind, target, draw)
+        if met:
             return Fault(kind, target, time.time())
         time.sleep(0.1)
     return None
 
 
-def keep_away(service: Service, target: str, seconds: float, over: Callable[[], bool]) -> Fault:
-    """Stops a program whenever it is started again, for `seconds` or until `over()`."""
+def _send(service: Service, kind: str, target: str, draw: random.Random) -> bool:
+    living = service.processes(target)
+    if not living:
+        return False
+    try:
+        draw.choice(living).send_signal(signal.SIGKILL if kind == "kill" else signal.SIGSTOP)
+    except psutil.NoSuchProcess:
+        return False
+    return True
+
+
+def keep_away(service: Service, database: Database, target: str, seconds: float) -> Fault:
+    """Stops a program whenever it is started again, or the database, for `seconds`."""
     began, deadline = time.time(), time.monotonic() + seconds
-    while time.monotonic() < deadline and not over():
+    if target == DATABASE:
+        database.keep_away(seconds)
+    while time.monotonic() < deadline:
         for process in service.processes(target):
             try:
                 if process.status() != psutil.STATUS_STOPPED:

@@ -1,28 +1,28 @@
 """One run: jobs are submitted while their service is hit, and every one is compared with an undisturbed one."""
 
-import json
 import random
 import tempfile
 import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from sqlalchemy import Engine, func, select
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.sql.elements import ColumnElement
 
-from benchmarks.chaos.client import Client, differences
+from benchmarks.chaos.client import Client
+from benchmarks.chaos.counts import counts, recoveries
+from benchmarks.chaos.databases import DATABASE, Database, Postgresql, Sqlite
 from benchmarks.chaos.faults import PATIENCE, RUNNING, Fault, hit, keep_away, plan
 from benchmarks.chaos.jobs import mixed, requests
-from benchmarks.chaos.recovery import gaps, recovery
 from benchmarks.chaos.service import Service
 from services.jobs.database import connect
-from services.jobs.models import Job, JobKind, State
+from services.jobs.models import Job, State
 from services.jobs.repository import Repository
 from services.settings import Settings
 
@@ -43,27 +43,31 @@ class Load:
     stall: float = 40.0
     watchdog: float = 60.0
     away: bool = True
-    """Whether Redis is once away for longer than the longest job takes."""
+    """Whether Redis, and then the database, is once away for longer than the longest job takes."""
     pause: float = 4.0
     """Longest time between two faults that are due."""
     patience: float = 900.0
     """Time without any job ending after which the run has failed."""
-    database_url: str | None = None
+    database: Literal["sqlite", "postgresql"] = "sqlite"
+    log: Path | None = None
+    """Where the log of the service is kept."""
 
 
 def run(load: Load) -> dict[str, Any]:
     """Runs the load and returns its counts. "ok" is whether every job has one result, the same as undisturbed."""
-    with tempfile.TemporaryDirectory(prefix="scene-attack-chaos-") as folder, _served(load, Path(folder)) as service:
+    with tempfile.TemporaryDirectory(prefix="scene-attack-chaos-") as name, ExitStack() as stack:
+        data = Path(name) / "data"
+        database: Database = Postgresql() if load.database == "postgresql" else Sqlite(data)
+        stack.callback(database.end)
+        service = stack.enter_context(_served(load, data, database, load.log or Path(name) / "log"))
         client = Client(service.url, load.patience)
+        stack.callback(client.close)
         engine = connect(service.settings)
-        try:
-            return _run(load, service, client, engine)
-        finally:
-            client.close()
-            engine.dispose()
+        stack.callback(engine.dispose)
+        return _run(load, service, database, client, engine)
 
 
-def _run(load: Load, service: Service, client: Client, engine: Engine) -> dict[str, Any]:
+def _run(load: Load, service: Service, database: Database, client: Client, engine: Engine) -> dict[str, Any]:
     undisturbed, longest = _reference(load, client)
     client.errors.clear()
     began = time.monotonic()
@@ -78,35 +82,38 @@ def _run(load: Load, service: Service, client: Client, engine: Engine) -> dict[s
 
     sender = threading.Thread(target=submit, daemon=True)
     sender.start()
-    faults, missed = _hit_all(load, service, engine, known, longest)
+    faults, missed = _hit_all(load, service, database, engine, known, longest)
     sender.join(load.patience)
     _until(load, lambda: _ended(engine) - known >= load.jobs, engine)
     seconds = time.monotonic() - began
-    return _counts(load, client, Repository(engine), ids, undisturbed) | {
+    repository = Repository(engine)
+    return counts(client, repository, ids, undisturbed) | {
+        "database": database.name,
+        "backend": client.job(ids[0])["result"]["provenance"]["backend"],
         "seconds": round(seconds, 1),
         "starts of the service": service.starts,
         "faults": dict(sorted(Counter(f"{fault.kind} {fault.target}" for fault in faults).items())),
         "faults that met no process": missed,
         "refused or broken requests": dict(client.errors),
-        "recovery": recovery(_all_gaps(Repository(engine), ids), faults),
+        "recovery": recoveries(repository, ids, faults),
     }
 
 
 @contextmanager
-def _served(load: Load, folder: Path) -> Iterator[Service]:
+def _served(load: Load, data: Path, database: Database, log: Path) -> Iterator[Service]:
     settings = Settings(
-        data=folder / "data",
-        database_url=load.database_url,
+        data=data,
+        database_url=database.url,
         workers=load.workers,
         threads=1,
         stall_seconds=load.stall,
         max_queued=max(1000, 2 * load.jobs),
     )
-    service = Service(settings, folder / "log", load.watchdog)
+    service = Service(settings, log, load.watchdog)
     try:
         yield service
     except BaseException:
-        print((folder / "log").read_text()[-20_000:])
+        print(log.read_text()[-20_000:])
         raise
     finally:
         service.end()
@@ -125,21 +132,24 @@ def _reference(load: Load, client: Client) -> tuple[list[dict[str, str]], float]
     return [client.files(job_id) for job_id in ids], longest
 
 
-def _hit_all(load: Load, service: Service, engine: Engine, known: int, longest: float) -> tuple[list[Fault], int]:
+def _hit_all(
+    load: Load, service: Service, database: Database, engine: Engine, known: int, longest: float
+) -> tuple[list[Fault], int]:
     """Hits the service until all faults are done, spread evenly over the jobs."""
     draw = random.Random(load.seed)
     done: list[Fault] = []
     missed = 0
-    planned = plan(load.kills, load.stops, load.seed)
+    planned = plan(load.kills, load.stops, load.seed, database.killed)
+    away = {len(planned) // 2: "redis-server", 3 * len(planned) // 4: DATABASE} if load.away else {}
     for number, (kind, target) in enumerate(planned):
         due = known + number * load.jobs // (len(planned) + 1)
         _until(load, lambda due=due: _ended(engine) >= due, engine)  # type: ignore[misc]
         time.sleep(draw.uniform(0.1, load.pause))
-        if load.away and number == len(planned) // 2:
-            done.append(keep_away(service, "redis-server", 1.5 * longest, lambda: False))
+        if number in away:
+            done.append(keep_away(service, database, away[number], 1.5 * longest))
         if target in RUNNING:
             _wait_for_a_step(engine)
-        fault = hit(service, kind, target, draw)
+        fault = hit(service, database, kind, target, draw)
         if fault is None:
             missed += 1
         else:
@@ -178,59 +188,3 @@ def _count(engine: Engine, *where: ColumnElement[bool]) -> int:
                 return connection.scalar(select(func.count()).select_from(Job).where(*where)) or 0
         except SQLAlchemyError:
             time.sleep(0.2)
-
-
-def _counts(
-    load: Load, client: Client, repository: Repository, ids: list[str], undisturbed: list[dict[str, str]]
-) -> dict[str, Any]:
-    states: Counter[str] = Counter()
-    failures: Counter[str] = Counter()
-    attempts: Counter[str] = Counter()
-    different: list[dict[str, Any]] = []
-    identical = results = 0
-    for number, job_id in enumerate(ids):
-        job = client.job(job_id)
-        states[job["state"]] += 1
-        attempts[str(job["attempt"])] += 1
-        if job["failure"] is not None:
-            failures[job["failure"]["kind"]] += 1
-        ends = [event for event in repository.events(job_id, 0, limit=10**6) if event.data.get("state") == "succeeded"]
-        results += len(ends)
-        if job["state"] == "succeeded":
-            said = _differences(client.files(job_id), undisturbed[number % len(undisturbed)])
-            identical += not said
-            if said:
-                different.append({"kind": number % len(undisturbed), "attempts": job["attempt"], "differences": said})
-    recorded = _recorded(repository)
-    wanted = load.jobs + len(undisturbed)
-    return {
-        "ok": len(set(ids)) == identical == results == load.jobs and recorded == wanted,
-        "jobs": load.jobs,
-        "states": dict(states),
-        "failures": dict(failures),
-        "identical to an undisturbed run": identical,
-        "different": different,
-        "results": results,
-        "jobs that nobody submitted": recorded - wanted,
-        "attempts": dict(sorted(attempts.items())),
-    }
-
-
-def _differences(found: dict[str, str], wanted: dict[str, str]) -> list[str]:
-    """Where a job's files differ from those of an undisturbed one, at most ten places of each file."""
-    said = []
-    for name in sorted(found.keys() | wanted.keys()):
-        if name.endswith(".json") and name in found and name in wanted:
-            said += differences(json.loads(found[name]), json.loads(wanted[name]), name)[:10]
-        elif found.get(name) != wanted.get(name):
-            said.append(name)
-    return said
-
-
-def _recorded(repository: Repository) -> int:
-    with repository._read() as session:  # noqa: SLF001 - the service has no use for it
-        return session.scalar(select(func.count()).select_from(Job).where(Job.kind == JobKind.ATTACK)) or 0
-
-
-def _all_gaps(repository: Repository, ids: list[str]) -> list[Any]:
-    return [gap for job_id in ids for gap in gaps(repository.events(job_id, 0, limit=10**6))]
