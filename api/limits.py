@@ -1,10 +1,11 @@
-"""Middleware that refuses requests before they are parsed: bodies that are too large, and addresses with a character
-that no text may have.
+"""Middleware that refuses requests before they are parsed: bodies that are too large, forms in other encodings than
+UTF-8, and addresses with a character that no text may have.
 """
 
 from collections.abc import Mapping
 from urllib.parse import parse_qsl
 
+from python_multipart.multipart import parse_options_header
 from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -15,7 +16,7 @@ from services.errors import InvalidRequest
 JSON_BYTES = 2**20
 """Largest body that is not an upload."""
 FORM_BYTES = 2**16
-"""Bytes that a multipart form may have in addition to its file."""
+"""Bytes of the largest form, and those that a multipart form may have in addition to its file."""
 DRAIN = 4
 """A body of at most this many times the limit is read and discarded, so that the client receives the answer. The
 connection is closed on a larger body."""
@@ -25,7 +26,7 @@ class BodyLimit:
     """Answers 413 for bodies over the limit of their path, and reads no more than the limit into memory.
 
     `uploads` maps a path to the largest size of its file in bytes. There a body that is too large is answered by 422
-    for the field `file`.
+    for the field `file`. A form of any other path may have FORM_BYTES.
     """
 
     def __init__(self, app: ASGIApp, uploads: Mapping[str, int]) -> None:
@@ -37,7 +38,8 @@ class BodyLimit:
         if scope["type"] != "http":
             return await self.app(scope, receive, send)
         upload = self.uploads.get(scope["path"])
-        limit = JSON_BYTES if upload is None else upload + FORM_BYTES
+        most = FORM_BYTES if _form_of(scope) is not None else JSON_BYTES
+        limit = most if upload is None else upload + FORM_BYTES
         length = Headers(scope=scope).get("content-length", "")
         if length.isdigit() and int(length) > limit:
             if int(length) <= DRAIN * limit:
@@ -67,6 +69,34 @@ async def _drain(receive: Receive) -> None:
         message = await receive()
         if message["type"] != "http.request" or not message.get("more_body", False):
             return
+
+
+class Utf8Forms:
+    """Answers 415 for a form that names another encoding than UTF-8.
+
+    The framework decodes the fields of a form by the codec that the client names, of all that Python has; some take
+    minutes for a megabyte, in which no other request is answered.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI."""
+        if scope["type"] == "http":
+            charset = (_form_of(scope) or {}).get(b"charset", b"utf-8").lower()
+            if charset not in (b"utf-8", b"utf8", b"us-ascii"):
+                return await problem(415, "a form has to be in UTF-8")(scope, receive, send)
+        return await self.app(scope, receive, send)
+
+
+def _form_of(scope: Scope) -> dict[bytes, bytes] | None:
+    """The parameters of the content type of a form, read as the framework reads them; None if the body is no form."""
+    kind, parameters = parse_options_header(Headers(scope=scope).get("content-type"))
+    return parameters if kind in _FORMS else None
+
+
+_FORMS = (b"multipart/form-data", b"application/x-www-form-urlencoded")
 
 
 class NoNul:

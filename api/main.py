@@ -21,7 +21,7 @@ from api.authentication import Authentication
 from api.conditional import Compression, Conditional
 from api.description import describe
 from api.hosts import KnownHosts
-from api.limits import BodyLimit, NoNul
+from api.limits import BodyLimit, NoNul, Utf8Forms
 from api.mesh_uploads import MeshUploads
 from api.metrics import Measured, RequestMetrics, ServiceMetrics
 from api.preflight import Preflight
@@ -153,6 +153,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
             Middleware(SameSite),
             Middleware(Authentication, rate=RequestRate(chosen.owner_requests)),
             Middleware(NoNul),
+            Middleware(Utf8Forms),
             Middleware(BodyLimit, uploads={assets.PATH: chosen.max_upload_bytes}),
         ],
     )

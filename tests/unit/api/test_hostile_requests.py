@@ -227,3 +227,37 @@ def test_a_body_is_parsed_beside_the_other_requests(client: Client, monkeypatch:
     answered.set()
     thread.join()
     assert statuses == [422]
+
+
+def form(kind: str, value: bytes) -> dict[str, bytes | dict[str, str]]:
+    """A multipart form of one field, whose content type is `kind`."""
+    body = b'--b\r\ncontent-disposition: form-data; name="kind"\r\n\r\n' + value + b"\r\n--b--\r\n"
+    return {"content": body, "headers": {"content-type": kind}}
+
+
+@pytest.mark.parametrize("path", ["/sign-in", "/v1/assets"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "multipart/form-data; boundary=b; charset=punycode",
+        'Multipart/Form-Data ;charset="PunyCode"; boundary=b',
+        "multipart/form-data; boundary=b; charset*=us-ascii'en'punycode; charset=idna",
+        "multipart/form-data; boundary=b; charset=undefined",
+        "multipart/form-data; boundary=b; charset=utf-7",
+        "application/x-www-form-urlencoded; charset=utf-16",
+    ],
+)
+def test_a_form_names_no_codec_but_utf_8(client: Client, path: str, kind: str) -> None:
+    # 200,000 characters of punycode take a second to decode, and a million of them minutes.
+    answer = client.post(path, **form(kind, b"x-" + b"a" * 50_000))  # type: ignore[arg-type]
+    assert (answer.status_code, answer.json()["detail"]) == (415, "a form has to be in UTF-8")
+
+
+def test_a_form_may_say_that_it_is_utf_8(client: Client) -> None:
+    answer = client.post("/v1/assets", **form("multipart/form-data; boundary=b; charset=UTF-8", b"obj"))  # type: ignore[arg-type]
+    assert [error["field"] for error in answer.json()["errors"]] == ["file"]
+
+
+def test_a_form_without_a_file_is_short(client: Client) -> None:
+    answer = client.post("/sign-in", content=b"&" * 70_000, headers={"content-type": "application/x-www-form-urlencoded"})
+    assert answer.status_code == 413
