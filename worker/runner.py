@@ -94,19 +94,22 @@ class Runner:
     def run(self, job_id: str, beat: Callable[[], None]) -> None:
         """Leases and runs a job until it ends, fails, is cancelled, or is queued again because the worker stops.
 
-        The job is the one whose turn it is, of those like `job_id`. Does nothing if none of them is queued any more.
+        The job is the one whose turn it is, of those with the priority of `job_id`. Does nothing if none of them that
+        this worker can run is queued any more.
         Calls `beat` about once a second. Raises ChildDied if no job process can be started.
         """
         self.ensure_ready()
         attempt = None
         for _ in range(TURNS):
-            job_id = self._repository.turn(job_id)
-            attempt = self._repository.lease(job_id, self._owner, self._settings.lease_seconds)
-            if attempt is not None:
+            turn = self._repository.turn(job_id, self._abilities)
+            if turn is not None:
+                attempt = self._repository.lease(turn, self._owner, self._settings.lease_seconds)
+            if turn is None or attempt is not None:
                 break
         if attempt is None:
-            log.info("job is not queued, message dropped", job=job_id)
+            log.info("no such job is queued, message dropped", job=job_id)
             return
+        job_id = attempt.job_id
         log.info("job taken", job=job_id, attempt=attempt.number)
         self._jobs += 1
         try:

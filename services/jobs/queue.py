@@ -29,6 +29,9 @@ HEARTBEAT_SECONDS = 5
 """Longest time between two heartbeats of a worker."""
 ANSWER_SECONDS = 3
 """Time after which Redis is taken to be away."""
+MOST_EMPTY = 100
+"""Empty queues whose names are kept: a worker listens to a new one after its next heartbeat."""
+_PREFIX: str = rq.Queue.redis_queue_namespace_prefix
 _SIGN = f"{NAME}:worker:"
 _ID = re.compile(r"[0-9a-f]{32}")
 _NAME = re.compile(f"{NAME}:(?:{'|'.join(Priority)}):(.+)")
@@ -89,9 +92,19 @@ class Queue:
             )
 
     def waiting(self) -> set[str]:
-        """Ids of the messages on all queues. Raises RedisError."""
-        names = [one for one in self._names() if one.startswith(f"{NAME}:")]
-        return {message for name in names for message in self._queue(name).get_job_ids()}
+        """Ids of the messages on all queues. Forgets empty queues if there are many: clients choose what jobs need.
+
+        Raises RedisError.
+        """
+        keys = [key for key in self._keys() if key.startswith(f"{_PREFIX}{NAME}:".encode())]
+        with self.redis.pipeline(transaction=False) as together:
+            for key in keys:
+                together.lrange(key, 0, -1)
+            found = dict(zip(keys, together.execute(), strict=True))
+        empty = [key for key, messages in found.items() if not messages]
+        if len(empty) > MOST_EMPTY:
+            self.redis.srem(rq.Queue.redis_queues_keys, *empty)  # a queue is added again with its next message
+        return {message.decode(errors="replace") for messages in found.values() for message in messages}
 
     def for_worker(self, abilities: Abilities) -> list[str]:
         """The names of the queues that a worker listens to, in the order of their priorities. Raises RedisError."""
@@ -104,10 +117,11 @@ class Queue:
         mine = sorted((one for one in needs if abilities.lacks(one) is None), key=lambda one: one.text)
         return [queue_name(priority, one) for priority in Priority for one in mine]
 
+    def _keys(self) -> set[bytes]:
+        return cast(set[bytes], self.redis.smembers(rq.Queue.redis_queues_keys))
+
     def _names(self) -> list[str]:
-        prefix = rq.Queue.redis_queue_namespace_prefix
-        found = cast(set[bytes], self.redis.smembers(rq.Queue.redis_queues_keys))
-        return sorted(key.decode(errors="replace").removeprefix(prefix) for key in found)
+        return sorted(key.decode(errors="replace").removeprefix(_PREFIX) for key in self._keys())
 
     def forget(self, message_id: str) -> None:
         """Deletes what is left of a message that is on no queue any more. Raises RedisError."""

@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from sqlalchemy import func, select, update
-from sqlalchemy.orm import aliased, defer
+from sqlalchemy.orm import aliased
 
 from services.jobs.attempts import Attempts
 from services.jobs.models import Job, State
-from services.jobs.placement import Needs, Priority
+from services.jobs.placement import ANY_WORKER, Abilities, Needs, Priority
 from services.jobs.transactions import not_held
 
 _AT_ONCE = 500
@@ -51,23 +51,25 @@ class Turns(Attempts):
             for one in found
         ]
 
-    def turn(self, job_id: str) -> str:
-        """The queued job whose turn it is, of those with the priority and the needs of `job_id`: the oldest one of the
-        owner whose last job was started the longest ago; one whose attempt was lost or put off goes before new ones.
-        If none is queued, `job_id` itself.
+    def turn(self, job_id: str, abilities: Abilities) -> str | None:
+        """The queued job whose turn it is, of those with the priority of `job_id` that a worker with these abilities
+        can run: the oldest one of the owner whose last job was started the longest ago; one whose attempt was lost or
+        put off goes before new ones. None if there is none.
+
+        Their needs may differ: a client that asks for another amount of memory in each job has no more turns by it.
         """
         other = aliased(Job)
         last = select(func.max(other.running_at)).where(other.owner == Job.owner, other.priority == Job.priority)
         with self._read() as session:
-            asked = session.get(Job, job_id, options=[defer(Job.spec)])
-            if asked is None:
-                return job_id
-            needs = Job.needs.is_(None) if asked.needs is None else Job.needs == asked.needs
-            alike = (Job.state == State.QUEUED, Job.priority == asked.priority, needs, not_held())
-            owners = select(Job.owner).where(*alike).group_by(Job.owner, Job.priority)
+            priority = session.scalar(select(Job.priority).where(Job.id == job_id))
+            queued = (Job.state == State.QUEUED, Job.priority == priority, not_held())
+            needs = session.scalars(select(func.coalesce(Job.needs, ANY_WORKER.text)).where(*queued).distinct()).all()
+            mine = [text for text in needs if abilities.lacks(Needs.read(text)) is None]
+            possible = (*queued, func.coalesce(Job.needs, ANY_WORKER.text).in_(mine))
+            owners = select(Job.owner).where(*possible).group_by(Job.owner, Job.priority)
             owners = owners.order_by(last.scalar_subquery().nulls_first(), func.min(Job.queued_at)).limit(1)
-            mine = select(Job.id).where(*alike, Job.owner == owners.scalar_subquery())
-            return session.scalar(mine.order_by(Job.attempt == 0, Job.queued_at, Job.id).limit(1)) or job_id
+            jobs = select(Job.id).where(*possible, Job.owner == owners.scalar_subquery())
+            return session.scalar(jobs.order_by(Job.attempt == 0, Job.queued_at, Job.id).limit(1))
 
     def explain(self, job_ids: Sequence[str], why: str | None) -> None:
         """Records why these queued jobs wait; None: there is a worker that can run them."""

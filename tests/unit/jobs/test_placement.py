@@ -100,10 +100,11 @@ def test_reasons_of_several_workers_are_said_together() -> None:
     )
 
 
-def take(repository: Repository, job_id: str, clock: Clock) -> str:
+def take(repository: Repository, job_id: str, clock: Clock, abilities: Abilities = CPU) -> str:
     """Leases the job whose turn it is, as a worker that was given `job_id`, and ends it."""
     clock.advance(1)
-    turn = repository.turn(job_id)
+    turn = repository.turn(job_id, abilities)
+    assert turn is not None
     attempt = repository.lease(turn, "w", 20)
     assert isinstance(attempt, Attempt)
     repository.fail(attempt, "internal", "because")
@@ -125,12 +126,37 @@ def test_a_job_that_was_interrupted_goes_before_new_ones(repository: Repository,
     assert attempt is not None
     clock.advance(1)
     repository.lose(attempt, 5)
-    assert repository.turn(new.id) == interrupted.id
+    assert repository.turn(new.id, CPU) == interrupted.id
 
 
-def test_a_turn_is_among_jobs_of_the_same_priority_and_needs(repository: Repository, clock: Clock) -> None:
+def test_an_owner_has_no_more_turns_by_asking_for_something_else_each_time(
+    repository: Repository, clock: Clock
+) -> None:
+    many, few = [], []
+    for jobs, owner, memory in [(many, "many", k) for k in range(1, 5)] + [(few, "few", 0)] * 2:
+        jobs.append(add(repository, owner, memory=memory).id)
+        clock.advance(1)
+    order = [take(repository, job_id, clock) for job_id in [*many, *few]]
+    assert order == [many[0], few[0], many[1], few[1], many[2], many[3]]
+
+
+def test_a_turn_is_among_jobs_of_the_same_priority_that_the_worker_can_run(
+    repository: Repository, clock: Clock
+) -> None:
     normal, high = add(repository, "a").id, add(repository, "b", priority=Priority.HIGH).id
     cuda = add(repository, "c", device="cuda").id
-    assert [take(repository, job_id, clock) for job_id in (high, cuda, normal)] == [high, cuda, normal]
-    assert repository.turn(normal) == normal  # nothing is queued: its message is dropped
-    assert repository.turn("none") == "none"
+    card = Abilities("cuda", frozenset({LITE}), 2**34)
+    assert repository.turn(cuda, CPU) == normal
+    order = [take(repository, job_id, clock, worker) for job_id, worker in ((high, CPU), (cuda, card), (normal, card))]
+    assert order == [high, normal, cuda]
+    assert repository.turn(normal, CPU) is None  # nothing is queued: its message is dropped
+    assert repository.turn("none", CPU) is None
+
+
+def test_empty_queues_are_forgotten_if_there_are_many(queue: Queue) -> None:
+    queue.send("a" * 32, 0, Priority.NORMAL, Needs((LITE,), None, 7))
+    empty = [f"rq:queue:{queue_name(Priority.NORMAL, Needs((LITE,), None, k))}" for k in range(100, 300)]
+    queue.redis.sadd("rq:queues", "rq:queue:of something else", *empty)
+    assert queue.waiting() == {f"{'a' * 32}-0"}
+    assert queue.redis.scard("rq:queues") == 2
+    assert queue_name(Priority.NORMAL, Needs((LITE,), None, 7)) in queue.for_worker(CPU)
