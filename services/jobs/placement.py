@@ -32,14 +32,20 @@ class Needs:
         """The needs of a `text`; None is that of a job that any worker may run. Raises ValueError for another text."""
         try:
             targets, device, memory = json.loads(text or "[[], null, 0]")
-            return cls(tuple(targets), device, int(memory))
-        except TypeError as error:
+            if not _is_names(targets) or device not in (None, "cpu", "cuda") or type(memory) is not int:
+                raise ValueError("a value of another kind")
+        except (TypeError, ValueError, RecursionError) as error:
             raise ValueError(f"these are no needs of a job: {(text or '')[:100]!r}") from error
+        return cls(tuple(targets), device, memory)
 
     @property
     def text(self) -> str:
         """The needs in words of their own: equal needs have equal texts. It is part of the name of a queue."""
         return json.dumps([self.targets, self.device, self.memory])
+
+
+def _is_names(data: object) -> bool:
+    return isinstance(data, list) and all(isinstance(one, str) for one in data)
 
 
 ANY_WORKER = Needs()
@@ -84,8 +90,14 @@ class Abilities:
 
     @classmethod
     def of(cls, record: Mapping[str, Any]) -> Self:
-        """The abilities that a message has as JSON."""
-        return cls(record["device"], frozenset(record["targets"]), record["memory"])
+        """The abilities that a message has as JSON. Raises ValueError if it has none."""
+        try:
+            device, targets, memory = record["device"], record["targets"], record["memory"]
+        except (KeyError, TypeError) as error:
+            raise ValueError("these are no abilities of a worker") from error
+        if not isinstance(device, str) or not _is_names(targets) or type(memory) is not int:
+            raise ValueError("these are no abilities of a worker")
+        return cls(device, frozenset(targets), memory)
 
     def record(self) -> dict[str, Any]:
         """The abilities as JSON."""

@@ -100,7 +100,9 @@ class Queue:
         with self.redis.pipeline(transaction=False) as together:
             for key in keys:
                 together.lrange(key, 0, -1)
-            found = dict(zip(keys, together.execute(), strict=True))
+            said = together.execute(raise_on_error=False)
+        # What somebody planted under the name of a queue is none, and keeps nothing else from being sent.
+        found = {key: messages for key, messages in zip(keys, said, strict=True) if isinstance(messages, list)}
         empty = [key for key, messages in found.items() if not messages]
         if len(empty) > MOST_EMPTY:
             self.redis.srem(rq.Queue.redis_queues_keys, *empty)  # a queue is added again with its next message
@@ -146,7 +148,11 @@ class Queue:
         """What the workers with a heartbeat in the last 15 seconds have. Raises RedisError."""
         keys = list(self.redis.scan_iter(match=_SIGN + "*", count=1000))
         said = cast(list[bytes | None], self.redis.mget(keys)) if keys else []
-        return [Abilities.of(json.loads(one)) for one in said if one]
+        found = []
+        for one in said:
+            with suppress(ValueError, RecursionError):  # what somebody planted
+                found.append(Abilities.of(json.loads(one or b"")))
+        return found
 
 
 def reconcile(repository: Repository, queue: Queue) -> int:

@@ -259,5 +259,6 @@ def test_a_form_may_say_that_it_is_utf_8(client: Client) -> None:
 
 
 def test_a_form_without_a_file_is_short(client: Client) -> None:
-    answer = client.post("/sign-in", content=b"&" * 70_000, headers={"content-type": "application/x-www-form-urlencoded"})
+    kind = {"content-type": "application/x-www-form-urlencoded"}
+    answer = client.post("/sign-in", content=b"&" * 70_000, headers=kind)
     assert answer.status_code == 413

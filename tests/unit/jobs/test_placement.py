@@ -56,12 +56,42 @@ def test_queues_are_listened_to_in_the_order_of_their_priorities(queue: Queue) -
 
 
 @pytest.mark.parametrize(
-    "planted", [f"{NAME}:normal:", f"{NAME}:normal:[1]", f"{NAME}:normal:[[], {{}}, 0]", f"{NAME}:x:y"]
+    "planted",
+    [
+        f"{NAME}:normal:",
+        f"{NAME}:normal:[1]",
+        f"{NAME}:normal:[[], {{}}, 0]",
+        f"{NAME}:normal:[[], null, 1e999]",
+        f"{NAME}:normal:[[{{}}], null, 0]",
+        f"{NAME}:normal:{'[' * 100_000}",
+        f"{NAME}:x:y",
+    ],
+    ids=range(7),
 )
 def test_what_is_no_queue_of_the_service_is_not_listened_to(queue: Queue, planted: str) -> None:
     before = queue.for_worker(CPU)
     queue.redis.sadd("rq:queues", f"rq:queue:{NAME}:{planted}")
     assert queue.for_worker(CPU) == before
+
+
+@pytest.mark.parametrize(
+    "planted",
+    [b"", b"junk", b"{}", b"[]", b'{"device": "cpu", "targets": [{}], "memory": 0}', b"[" * 100_000],
+    ids=range(6),
+)
+def test_what_is_no_sign_of_a_worker_is_ignored(queue: Queue, planted: bytes) -> None:
+    queue.redis.set(f"{NAME}:worker:planted", planted)
+    queue.alive("one", CPU)
+    assert queue.workers() == [CPU]
+
+
+def test_what_is_no_queue_keeps_no_job_from_being_sent(repository: Repository, queue: Queue) -> None:
+    queue.redis.set(f"rq:queue:{NAME}:normal:planted", "a text")
+    queue.redis.sadd("rq:queues", f"rq:queue:{NAME}:normal:planted")
+    queue.redis.rpush(f"rq:queue:{NAME}:normal:other", b"\xff")
+    queue.redis.sadd("rq:queues", f"rq:queue:{NAME}:normal:other")
+    add(repository)
+    assert reconcile(repository, queue) == 1
 
 
 def test_a_job_needs_its_network_its_surrogate_and_those_of_the_transfer() -> None:
