@@ -40,6 +40,7 @@ def test_every_container_is_limited_and_keeps_its_hands_to_itself(manifest: dict
     pod = manifest["spec"]["template"]["spec"]
     assert pod["securityContext"]["runAsNonRoot"] is True
     assert pod["automountServiceAccountToken"] is False
+    assert pod["enableServiceLinks"] is False, "SCENE_ATTACK_PORT would be the address of the Service scene-attack"
     for container in [*pod["containers"], *pod.get("initContainers", ())]:
         own = container["securityContext"]
         assert own["readOnlyRootFilesystem"] is True
