@@ -19,6 +19,7 @@ from benchmarks.chaos.jobs import mixed
 from benchmarks.report import RESULTS, save
 from services.jobs.database import connect, migrate
 from services.jobs.models import Job
+from services.jobs.placement import Abilities
 from services.jobs.repository import Repository
 from services.pipeline.spec import parse
 from services.settings import Settings
@@ -27,6 +28,7 @@ T = TypeVar("T")
 ROW = {"step": 1, "queries": 2, "seconds": 0.1, "loss": 0.9, "label": "teapot", "confidence": 0.9, "advantage": 3.0}
 OUTCOME = {"fooled": True, "steps": 1, "queries": 2, "p": 0.004}
 WORKER = "benchmark"
+ABLE = Abilities("cpu", frozenset({"efficientnet-lite0"}), 2**34)
 
 
 def main() -> None:
@@ -62,7 +64,7 @@ def _run(repository: Repository, jobs: int, queued: int) -> dict[str, float]:
         if number < queued:
             seconds.clear()
             continue
-        timed("turn", partial(repository.turn, job.id))
+        timed("turn", partial(repository.turn, job.id, ABLE))
         attempt = timed("lease", partial(repository.lease, job.id, WORKER, 60.0))
         assert attempt is not None
         timed("progress", partial(repository.progress, attempt, "attacking", 1, 9, [ROW]))
