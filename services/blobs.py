@@ -1,4 +1,4 @@
-"""Files by name, in a folder or in an object store such as S3. Each is written whole or not at all, and none changes.
+"""Files by name, in a folder or in an object store such as S3. Each is written, or replaced, whole or not at all.
 
 An object store is whatever fsspec has a file system for. Its address and its keys are those of that file system's own
 environment variables (S3: `AWS_ENDPOINT_URL`, `AWS_ACCESS_KEY_ID`, `AWS_SECRET_ACCESS_KEY`).

@@ -93,7 +93,7 @@ class Jobs:
         self._repository = Repository(connect_database(settings))
         self._store = ArtifactStore(settings.files)
         self._library = Library(settings.cache_dir, settings.files)
-        self._working_files = WorkingFiles(settings.data_dir)
+        self._working_files = WorkingFiles(settings.data_dir, settings.files)
 
     def run(self, attempt: Attempt) -> None:
         """Runs one attempt and records its outcome. Raises the errors of outages, and nothing is recorded."""
@@ -142,15 +142,16 @@ class Jobs:
         checked: Callable[[JobSpec, Sequence[JobWarning]], None],
     ) -> None:
         with self._working_files.attempt_directory(attempt) as out:
-            result = execute(
-                parse(job.spec),
-                out,
-                self._library,
-                progress=reporter.progress,
-                cancelled=reporter.stop,
-                checkpoint=self._working_files.checkpoint(attempt.job_id),
-                checked=checked,
-            )
+            with self._working_files.checkpoint(attempt) as checkpoint:
+                result = execute(
+                    parse(job.spec),
+                    out,
+                    self._library,
+                    progress=reporter.progress,
+                    cancelled=reporter.stop,
+                    checkpoint=checkpoint,
+                    checked=checked,
+                )
             self._keep(attempt, result, out)
 
     def _select(self, attempt: Attempt, job: Job, reporter: Reporter) -> None:

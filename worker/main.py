@@ -88,7 +88,7 @@ def housekeeping(values: Settings, engine: Engine) -> Callable[[], None]:
     store = ArtifactStore(values.files)
     meshes = values.cache_dir / "meshes", values.cache_bytes
     deleted = DeletedAssets(engine, Library(values.cache_dir, values.files))
-    house = Housekeeping(engine, store, values.data_dir, values.retention_days, meshes, deleted)
+    house = Housekeeping(engine, store, values.data_dir, values.retention_days, meshes, deleted, values.files)
     failing = False
 
     def tick() -> None:

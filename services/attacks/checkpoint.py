@@ -3,6 +3,7 @@
 import json
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -21,6 +22,7 @@ COUNTS = 5
 """Counts that a checkpoint keeps."""
 _WORDS = "step restart began settings below_noise seconds stopped fooled verified stored_step sampled_error"
 _PLAIN = tuple(_WORDS.split())
+_BACKENDS = "backends"
 
 
 def save(path: Path, run: AttackState, problem: AttackProblem, method: Method, verifier: Verifier) -> None:
@@ -37,6 +39,7 @@ def save(path: Path, run: AttackState, problem: AttackProblem, method: Method, v
         verifier.queries,
         verifier.renders,
     ]
+    words[_BACKENDS] = _backends(problem, verifier)
     with atomic_write.replacing(path) as part:
         # safetensors saves no two tensors that share memory, as a method's may
         save_file(
@@ -47,7 +50,8 @@ def save(path: Path, run: AttackState, problem: AttackProblem, method: Method, v
 
 
 def load(path: Path | None, problem: AttackProblem, method: Method, verifier: Verifier) -> AttackState | None:
-    """Returns the saved state of the loop, or None if `path` is None, missing, damaged or of an earlier version.
+    """Returns the saved state of the loop, or None if `path` is None, missing, damaged, of an earlier version, or of
+    other backends: a machine whose images differ in their last bits does not go on where another one stopped.
 
     Also loads the method's state into `method`, and the counts into `problem` and `verifier`. After None the attack
     starts again and ends in the same result.
@@ -56,11 +60,13 @@ def load(path: Path | None, problem: AttackProblem, method: Method, verifier: Ve
         return None
     try:
         with safe_open(path, "pt") as file:
-            words = json.loads((file.metadata() or {})["run"])
+            words = _words(file)
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
     except (SafetensorError, KeyError, ValueError, OSError):
         return None
-    if not words.keys() >= set(_PLAIN) or len(words["counts"]) != COUNTS:  # an earlier version's
+    if not words.keys() >= {*_PLAIN, _BACKENDS} or len(words["counts"]) != COUNTS:  # an earlier version's
+        return None
+    if words[_BACKENDS] != _backends(problem, verifier):
         return None
     run = AttackState(**{name: words[name] for name in _PLAIN})
     assert {field.name for field in fields(run)} == {*_PLAIN, "trace", "ever", "stored", "image", "scores"}
@@ -72,3 +78,21 @@ def load(path: Path | None, problem: AttackProblem, method: Method, verifier: Ve
     problem.queries, problem.renders, problem.surrogate_queries, *of_verifier = words["counts"]
     verifier.queries, verifier.renders = of_verifier
     return run
+
+
+def saved_step(path: Path) -> int:
+    """The step that a checkpoint was saved at; -1 if there is none or it is damaged."""
+    try:
+        with safe_open(path, "pt") as file:
+            return int(_words(file)["step"])
+    except (SafetensorError, KeyError, ValueError, OSError):
+        return -1
+
+
+def _words(file: Any) -> dict[str, Any]:
+    words: dict[str, Any] = json.loads((file.metadata() or {})["run"])
+    return words
+
+
+def _backends(problem: AttackProblem, verifier: Verifier) -> list[str]:
+    return [problem.renderer.backend, verifier.renderer.backend, problem.target.backend]

@@ -25,7 +25,7 @@ SEARCH_SECONDS = 3600.0
 class Housekeeping:
     """Keeps data directory and cache tidy. Jobs are deleted `retention_days` after their end; None keeps them for ever.
     `meshes` is the folder of processed meshes and the bytes that they may take; None leaves them alone. `assets` has
-    the uploads that were deleted.
+    the uploads that were deleted. `place` has the artifacts, and copies of checkpoints if it is the URL of a store.
     """
 
     def __init__(
@@ -36,11 +36,12 @@ class Housekeeping:
         retention_days: float | None = None,
         meshes: tuple[Path, int] | None = None,
         assets: DeletedAssets | None = None,
+        place: Path | str | None = None,
     ) -> None:
         self._repository = Repository(engine)
         self._deletions = Deletions(engine)
         self._store = store
-        self._working_files = WorkingFiles(data_dir)
+        self._working_files = WorkingFiles(data_dir, place)
         self._data_dir = data_dir
         self._retention_days = retention_days
         self._meshes = meshes
@@ -66,6 +67,7 @@ class Housekeeping:
             self._remove(self._store.names())
             if self._assets is not None:
                 self._assets.remove_all()
+            self._working_files.forget_copies(self._repository)
             remove_unfinished(self._data_dir)
 
     def _remove(self, hashes: Iterable[str]) -> None:

@@ -1,4 +1,7 @@
-"""Files of running jobs: checkpoints, and the directory into which an attempt writes. No result depends on them."""
+"""Files of running jobs: checkpoints, and the directory into which an attempt writes. No result depends on them.
+
+Machines that share a store copy the checkpoints of long jobs to it (`checkpoint_copies`).
+"""
 
 import shutil
 from collections.abc import Iterator
@@ -6,20 +9,31 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from services.jobs.attempts import Attempt
+from services.jobs.checkpoint_copies import CheckpointCopies
 from services.jobs.repository import Repository
 
 
 class WorkingFiles:
     """The files `data_dir/checkpoints/<job id>` and the directories `data_dir/running/<job id>-<attempt>/`."""
 
-    def __init__(self, data_dir: Path) -> None:
+    def __init__(self, data_dir: Path, place: Path | str | None = None) -> None:
+        """place: where the artifacts are; checkpoints are copied to it if it is the URL of a store."""
         self._checkpoints = data_dir / "checkpoints"
         self._running = data_dir / "running"
+        self._copies = CheckpointCopies(place) if isinstance(place, str) else None
 
-    def checkpoint(self, job_id: str) -> Path:
-        """The path of a job's checkpoint, from which a later attempt resumes."""
+    @contextmanager
+    def checkpoint(self, attempt: Attempt) -> Iterator[Path]:
+        """Yields the path of a job's checkpoint, from which the attempt resumes if it is not the first one."""
         self._checkpoints.mkdir(parents=True, exist_ok=True)
-        return self._checkpoints / job_id
+        path = self._checkpoints / attempt.job_id
+        if self._copies is None:
+            yield path
+            return
+        if attempt.number > 1:
+            self._copies.fetch(attempt.job_id, path)
+        with self._copies.kept(attempt.job_id, path):
+            yield path
 
     @contextmanager
     def attempt_directory(self, attempt: Attempt) -> Iterator[Path]:
@@ -38,6 +52,17 @@ class WorkingFiles:
         if job is None or job.state.terminal:
             for file in self._checkpoints.glob(f"{job_id}*"):
                 file.unlink(missing_ok=True)
+            if self._copies is not None:
+                self._copies.forget(job_id)
+
+    def forget_copies(self, repository: Repository) -> None:
+        """Removes the copies of checkpoints of jobs that have ended. Raises OSError if the store does not answer."""
+        if self._copies is None:
+            return
+        for job_id in self._copies.job_ids():
+            job = repository.get(job_id)
+            if job is None or job.state.terminal:
+                self._copies.remove(job_id)
 
     def sweep(self, repository: Repository) -> None:
         """Removes the files that killed processes left behind of attempts and jobs that have ended."""

@@ -92,3 +92,13 @@ def test_an_old_object_is_removed_and_written_again_if_it_is_wanted(
     assert not files.keep("a/b")
     files.remove("a/b", 0.0)
     assert files.names() == []
+
+
+def test_a_file_is_replaced_and_deleted_at_once(files: Blobs) -> None:
+    files.delete("a/b")  # there is none
+    files.write("a/b", b"1")
+    files.write("a/b", b"22")
+    with files.open("a/b") as file:
+        assert file.read() == b"22"
+    files.delete("a/b")
+    assert files.names() == []

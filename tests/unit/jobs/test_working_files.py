@@ -1,5 +1,6 @@
 from pathlib import Path
 
+from services.jobs.attempts import Attempt
 from services.jobs.repository import Repository
 from services.jobs.working_files import WorkingFiles
 from tests.unit.jobs.records import add, start
@@ -12,11 +13,12 @@ def test_sweeping_removes_what_is_over_and_keeps_what_is_not(repository: Reposit
     start(repository, running)
     repository.fail(start(repository, over), "internal", "because")
     for job in (running, queued, over):
-        working_files.checkpoint(job.id).write_bytes(b"saved")
+        with working_files.checkpoint(Attempt(job.id, 1)) as path:
+            path.write_bytes(b"saved")
     kept = tmp_path / "running" / f"{running.id}-2"
     for out in (kept, kept.with_name(f"{running.id}-1"), kept.with_name(f"{over.id}-1")):
         out.mkdir(parents=True)
-    working_files.checkpoint(over.id).with_suffix(".0123.part").write_bytes(b"half")
+    path.with_suffix(".0123.part").write_bytes(b"half")
 
     working_files.sweep(repository)
 

@@ -1,0 +1,91 @@
+"""Two machines share a database and a store, and have data folders of their own. One dies in the middle of a job."""
+
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from services.blobs import blobs
+from services.jobs import checkpoint_copies
+from services.jobs.artifacts import ArtifactStore
+from services.jobs.database import connect, migrate
+from services.jobs.models import Job, State
+from services.jobs.repository import Repository
+from services.pipeline.execute import Progress
+from services.settings import Settings
+from tests.unit.jobs import small
+from tests.unit.jobs.records import add, row, start
+from worker.job_process import Jobs, Reporter
+
+ATTACK = {"renderer": "image", "base_renderer": "pyrender", "steps": 6, "learning_rate": {"image": 1e-6}}
+SPEC = small.spec(ATTACK, goal={"reach": "tench"})
+"""An attack that takes all its steps."""
+
+
+class Died(BaseException):
+    """The end of a process, which no code of the job sees."""
+
+
+def end_of(repository: Repository, store: ArtifactStore, job: Job) -> tuple[Any, dict[str, str]]:
+    """The result of a job without its times, and its files that have none, by name and hash."""
+    found = row(repository, job)
+    assert found["state"] is State.SUCCEEDED, found["failure_detail"]
+    result = found["result"]
+    for record in (result, *result["trace"]):
+        record.pop("seconds")
+    files = {one.name: one.sha256 for one in repository.artifacts(job.id) if not one.name.endswith(".json")}
+    for sha256 in files.values():
+        store.open(sha256).close()
+    return result, files
+
+
+@pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
+def test_another_machine_goes_on_from_the_checkpoint_of_a_dead_one(
+    request: pytest.FixtureRequest, tmp_path: Path, s3_url: str, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    url = f"sqlite:///{tmp_path / 'shared.sqlite'}"
+    if kind == "postgresql":
+        url = request.getfixturevalue("postgresql_url")
+    first, second = (
+        Settings(data=tmp_path / name, database_url=url, artifact_url=s3_url) for name in ("first", "second")
+    )
+    engine = connect(first)
+    migrate(engine, first)
+    repository, store, copies = Repository(engine), ArtifactStore(s3_url), blobs(s3_url, "checkpoints")
+    monkeypatch.setattr("worker.job_process.connect_database", lambda _: engine)  # so that the test can close it
+    monkeypatch.setattr("services.attacks.checkpoint.EVERY", -1.0)  # after every step
+    monkeypatch.setattr(checkpoint_copies, "COPY_SECONDS", 0.005)
+
+    undisturbed = add(repository, SPEC)
+    Jobs(first).run(start(repository, undisturbed))
+    expected = end_of(repository, store, undisturbed)
+    assert len(expected[0]["trace"]) == 7
+
+    seen: list[int] = []
+    go_on = Reporter.progress
+
+    def watched(reporter: Reporter, progress: Progress) -> None:
+        go_on(reporter, progress)
+        if progress.row is None:
+            return
+        seen.append(progress.step)
+        if len(seen) == 4:
+            for _ in range(2000):
+                if copies.exists(job.id):
+                    raise Died
+                threading.Event().wait(0.005)
+
+    monkeypatch.setattr(Reporter, "progress", watched)
+    job = add(repository, SPEC)
+    attempt = start(repository, job)
+    with pytest.raises(Died):
+        Jobs(first).run(attempt)
+    repository.lose(attempt, 3)
+    Jobs(second).run(start(repository, job))
+    assert seen[:4] == [0, 1, 2, 3]
+    assert 0 < seen[4] <= 3, "the other machine began again"
+    assert seen[-1] == 6
+    assert end_of(repository, store, job) == expected
+    assert copies.names() == []
+    engine.dispose()
