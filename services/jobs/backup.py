@@ -1,80 +1,83 @@
-"""A consistent copy of the data directory while the service runs.
+"""A consistent copy of a service's data while it runs.
 
 The database is copied first. Files never change and are written before a row names them, so that the files copied
 afterwards hold everything that the copied database names.
 """
 
-import shutil
-import sqlite3
-from contextlib import closing
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
 from services import atomic_write
+from services.blobs import Blobs, blobs
 from services.errors import InvalidRequest, JobFailure
+from services.jobs.database import connect
+from services.jobs.database_copy import SQLITE, copy_database
+from services.settings import Settings
 
-DATABASE = "jobs.sqlite"
-FOLDERS = ("artifacts", "assets")
-"""Folders of the data directory that are copied. The others hold files of running jobs, which begin again without."""
+PARTS = ("artifacts", "assets")
+"""What is copied of the place of artifacts. What else is there belongs to running jobs, which begin again without."""
+_CHUNK_BYTES = 2**20
 
 
 @dataclass(frozen=True)
 class Backup:
-    """What a backup holds: the number of files and their bytes, and that of jobs, None without a database."""
+    """What a backup holds: the number of files and their bytes, and that of jobs."""
 
     files: int
     size: int
-    jobs: int | None
+    jobs: int
 
 
-def back_up(data_dir: Path, folder: Path, *, with_database: bool = True, with_files: bool = True) -> Backup:
-    """Copies the data directory into `folder`, which is made: its SQLite database, and its artifacts and assets.
+def back_up(settings: Settings, folder: Path) -> Backup:
+    """Copies the database and all artifacts and assets into `folder`, which is made.
 
-    Raises InvalidRequest("FOLDER") if there is something in the folder, and JobFailure("internal") if a file that the
-    database names is missing: it was deleted meanwhile, or long ago.
+    Raises InvalidRequest("FOLDER") if there is something in the folder, JobFailure("internal") if a file that the
+    database names is missing or damaged: it was deleted meanwhile, or long ago; what `copy_database` raises, and
+    OSError if a file cannot be read or written.
     """
     if folder.exists() and any(folder.iterdir()):
         raise InvalidRequest("FOLDER", f"{folder} is not empty; name one that does not exist yet")
-    if with_database and not (data_dir / DATABASE).exists():
-        raise InvalidRequest("--data", f"there is no database in {data_dir}")
+    if settings.database_url is None and not (settings.data_dir / SQLITE).exists():
+        raise InvalidRequest("--data", f"there is no database in {settings.data_dir}")
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-    if with_database:
-        _copy_database(data_dir / DATABASE, folder / DATABASE)
-    files = [path for name in FOLDERS for path in _files(data_dir / name)] if with_files else []
-    size = sum(_copy(path, folder / path.relative_to(data_dir)) for path in files)
-    return Backup(len(files), size, _check(folder, with_files) if with_database else None)
-
-
-def _copy_database(source: Path, goal: Path) -> None:
-    with (
-        atomic_write.replacing(goal) as part,
-        closing(sqlite3.connect(f"{source.as_uri()}?mode=ro", uri=True)) as ours,
-        closing(sqlite3.connect(part)) as copy,
-    ):
-        ours.backup(copy)  # one consistent state, whatever is written meanwhile
-        copy.execute("PRAGMA journal_mode=DELETE")  # so that it is one file
-
-
-def _files(folder: Path) -> list[Path]:
-    return [path for path in folder.rglob("*") if path.is_file() and path.suffix != ".part"]
-
-
-def _copy(source: Path, goal: Path) -> int:
+    engine = connect(settings)
     try:
-        with atomic_write.replacing(goal) as part:
-            shutil.copyfile(source, part)
-    except FileNotFoundError:  # deleted meanwhile; `_check` says if the database names it
-        return 0
-    return goal.stat().st_size
+        copied = copy_database(engine, folder)
+    finally:
+        engine.dispose()
+    files, size, whole = 0, 0, set()
+    for part in PARTS:
+        source = blobs(settings.files, part)
+        for name in source.names():
+            found = _copy(source, name, folder / part / name)
+            if found is not None:
+                sha256, length = found
+                files, size = files + 1, size + length
+                if sha256 == Path(name).name:
+                    whole.add(sha256)
+    _check(copied.artifacts, whole)
+    return Backup(files, size, copied.jobs)
 
 
-def _check(folder: Path, with_files: bool) -> int:
-    """The number of jobs of the copied database. Raises JobFailure if a file that one names is missing."""
-    with closing(sqlite3.connect(f"{(folder / DATABASE).as_uri()}?mode=ro", uri=True)) as copy:
-        named = [row[0] for row in copy.execute("SELECT DISTINCT sha256 FROM artifacts")]
-        [[jobs]] = copy.execute("SELECT count(*) FROM jobs")
-    missing = [sha256 for sha256 in named if not (folder / "artifacts" / sha256[:2] / sha256).exists()]
-    if missing and with_files:
-        detail = f"{len(missing)} of {len(named)} artifacts are missing, such as {missing[0]}; back up again"
+def _copy(source: Blobs, name: str, goal: Path) -> tuple[str, int] | None:
+    """Copies a file and returns its SHA-256 and its size in bytes; None if it was deleted meanwhile."""
+    try:
+        file = source.open(name)
+    except FileNotFoundError:  # `_check` says if the database names it
+        return None
+    digest, size = hashlib.sha256(), 0
+    with file, atomic_write.replacing(goal) as part, part.open("wb") as copy:
+        while chunk := file.read(_CHUNK_BYTES):
+            copy.write(chunk)
+            digest.update(chunk)
+            size += len(chunk)
+    return digest.hexdigest(), size
+
+
+def _check(named: frozenset[str], whole: set[str]) -> None:
+    """Raises JobFailure if the copies of some artifacts that the database names are missing or damaged."""
+    missing = sorted(named - whole)
+    if missing:
+        detail = f"{len(missing)} of {len(named)} artifacts are missing or damaged, such as {missing[0]}; back up again"
         raise JobFailure("internal", detail)
-    return int(jobs)
