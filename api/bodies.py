@@ -10,6 +10,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, core_schema
 
 from api.problems import BadRequestField
+from services import tracing
 from services.errors import InvalidRequest
 from services.strict import MOST_NESTED, is_nested_deeper
 
@@ -38,7 +39,8 @@ def body_of(model: type[Parsed]) -> Callable[..., Parsed]:
         if is_nested_deeper(data):
             raise BadRequestField(InvalidRequest("body", f"it is nested deeper than {MOST_NESTED} lists and objects"))
         try:
-            return model.model_validate(data)
+            with tracing.span("validate"):
+                return model.model_validate(data)
         except ValidationError as error:
             items = error.errors(include_url=False)
             raise RequestValidationError([item | {"loc": ("body", *item["loc"])} for item in items]) from error

@@ -34,7 +34,9 @@ from api.routes import metrics as scraping
 from api.same_site import SameSite
 from api.slow_clients import BodyPace, HeadLimit
 from api.state import Services
+from api.traced import Traced
 from api.watcher import Watcher
+from services import tracing
 from services.access.assets import OwnedAssets
 from services.access.keys import AccessKeys
 from services.access.listening import check_listening
@@ -143,6 +145,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
         redoc_url=None,
         middleware=[
             Middleware(RequestId),
+            *([Middleware(Traced)] if tracing.wanted() else []),
             Middleware(Measured, metrics=metrics),
             Middleware(Compression),
             Middleware(Conditional),
@@ -201,6 +204,7 @@ def run(listener: socket.socket | None = None) -> int:
     """
     check_device()
     configure("api")
+    tracing.configure("api")
     values = settings()
     check_listening(values)
     app = create_app(values)
@@ -219,6 +223,7 @@ def run(listener: socket.socket | None = None) -> int:
         timeout_graceful_shutdown=2,  # event streams of running jobs would not end
     )
     uvicorn.Server(config).run(sockets=[listener])
+    tracing.close()
     return 0
 
 

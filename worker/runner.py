@@ -5,9 +5,11 @@ The worker's process loads neither torch nor OpenGL, so it survives a crash of t
 
 import time
 from collections.abc import Callable
+from datetime import UTC, datetime
 
 from sqlalchemy.exc import SQLAlchemyError
 
+from services import tracing
 from services.jobs import watchdog
 from services.jobs.attempts import Attempt, Standing
 from services.jobs.child import Child, ChildDied
@@ -99,7 +101,7 @@ class Runner:
         Calls `beat` about once a second. Raises ChildDied if no job process can be started.
         """
         self.ensure_ready()
-        attempt = None
+        attempt, began = None, datetime.now(UTC)
         for _ in range(TURNS):
             turn = self._repository.turn(job_id, self._abilities)
             if turn is not None:
@@ -110,6 +112,7 @@ class Runner:
             log.info("no such job is queued, message dropped", job=job_id)
             return
         job_id = attempt.job_id
+        tracing.record("lease", began, datetime.now(UTC), attempt.traceparent, tracing.job(job_id, attempt.number))
         log.info("job taken", job=job_id, attempt=attempt.number)
         self._jobs += 1
         try:

@@ -13,6 +13,7 @@ from api.demands import demand
 from api.routes.connection import while_connected
 from api.schemas import JobPage, JobSummary, JobView, cursor_after, read_cursor
 from api.state import KnownJob, ServicesDependency, check_meshes_of, no_such
+from services import tracing
 from services.access.caller import Caller
 from services.jobs.models import Job, State
 from services.jobs.placement import Demand, Priority
@@ -71,8 +72,10 @@ async def submit(
     key = None if idempotency_key is None else Key(idempotency_key, digest(spec), caller.owner)
     body = None if key is None else await run_in_threadpool(services.repository.first_answer, key)
     if body is None:
-        await run_in_threadpool(lambda: check_names(spec, check_meshes_of(services, caller)))
-        found = await while_connected(request, services.preflight.check(spec, client_of(request, caller)))
+        with tracing.span("names"):
+            await run_in_threadpool(lambda: check_names(spec, check_meshes_of(services, caller)))
+        with tracing.span("check"):
+            found = await while_connected(request, services.preflight.check(spec, client_of(request, caller)))
         spec, warnings = (spec, ()) if found is None else (found.spec, found.warnings)
         whose, most = caller.owner, services.quotas.queued_of(caller.owner)
         about: dict[str, Any] = {"checked": found is not None, "owner": whose, "owner_queued": most, "demand": asked}

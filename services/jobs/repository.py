@@ -85,6 +85,7 @@ class Repository(Turns):
         owner: str = "",
         owner_queued: int | None = None,
         demand: Demand = NO_DEMAND,
+        traceparent: str | None = None,
     ) -> tuple[Job | None, dict[str, Any]]:
         """Records a new queued job. Returns it and `answer(job)`, or None and the key's first answer if it was used.
 
@@ -112,6 +113,7 @@ class Repository(Turns):
                 checked=checked,
                 owner=owner,
                 demand=demand,
+                traceparent=traceparent,
             )
             said = answer(job)
             if key is not None:

@@ -8,6 +8,7 @@ from typing import Any
 from redis.exceptions import RedisError
 from sqlalchemy.exc import IntegrityError
 
+from services import tracing
 from services.jobs.models import Job
 from services.jobs.placement import NO_DEMAND, Demand, Needs
 from services.jobs.queue import Queue
@@ -48,13 +49,17 @@ class Submissions:
         """
         given = (spec, self.max_queued, key, answer, warnings)
         about: dict[str, Any] = {"checked": checked, "owner": owner, "owner_queued": owner_queued, "demand": demand}
+        about["traceparent"] = tracing.context()
         create = partial(self.repository.create, *given, **about)
-        try:
-            job, said = create()
-        except IntegrityError:  # another process recorded the same key at the same moment
-            job, said = create()
+        with tracing.span("record"):
+            try:
+                job, said = create()
+            except IntegrityError:  # another process recorded the same key at the same moment
+                job, said = create()
         if job is not None:
-            self._send(job)
+            tracing.describe({"scene_attack.job.id": job.id})
+            with tracing.span("send", kind="producer"):
+                self._send(job)
         return said
 
     def _send(self, job: Job) -> None:

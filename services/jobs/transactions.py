@@ -69,6 +69,7 @@ class Transactions:
         checked: bool = True,
         owner: str = "",
         demand: Demand = NO_DEMAND,
+        traceparent: str | None = None,
     ) -> Job:
         """Records a new queued job and its first event."""
         now = self._now(session)
@@ -90,6 +91,7 @@ class Transactions:
             needs=demand.needs(targets_of(spec)).text,
             warnings=[one.model_dump(mode="json") for one in warnings],
             events=1,
+            traceparent=traceparent,
             **(listed(spec) if kind is JobKind.ATTACK else {}),
         )
         session.add(job)

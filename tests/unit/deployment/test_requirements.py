@@ -14,7 +14,8 @@ ROOT = Path(__file__).parents[3]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 EXTRAS = PROJECT["optional-dependencies"]
 DIRECT = {
-    "requirements.txt": PROJECT["dependencies"] + EXTRAS["onnx"] + EXTRAS["postgresql"] + EXTRAS["s3"],
+    "requirements.txt": PROJECT["dependencies"]
+    + [one for extra in ("onnx", "postgresql", "s3", "tracing") for one in EXTRAS[extra]],
     "requirements-dev.txt": EXTRAS["dev"],
 }
 
