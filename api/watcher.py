@@ -4,7 +4,8 @@ A stream reads what happened before it began by itself. What follows is read onc
 """
 
 import asyncio
-from collections import deque
+import time
+from collections import Counter, deque
 from collections.abc import AsyncGenerator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -12,12 +13,15 @@ from dataclasses import dataclass, field
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.concurrency import run_in_threadpool
 
+from services.access.keys import AccessKeys
 from services.jobs.models import Event, Job
 from services.jobs.repository import News, Repository
 from services.logs import logger
 
 POLL_SECONDS = 0.2
 """Time between two reads of the record."""
+KEY_SECONDS = 2.0
+"""Time between two looks at whether the keys of the streams are still valid."""
 KEPT = 64
 """Number of a job's last events that are kept for its streams; one that falls further behind reads the record."""
 
@@ -40,6 +44,10 @@ class _Followed:
             self.events.extend(news.events)
             self.last = news.events[-1].number
         self.ended = news.ended
+        self.wake()
+
+    def wake(self) -> None:
+        """Wakes the streams."""
         heard, self.news = self.news, asyncio.Event()
         heard.set()
 
@@ -53,10 +61,17 @@ class _Followed:
 
 
 class Watcher:
-    """Reads the events of followed jobs. Its task runs while there are any."""
+    """Reads the events of followed jobs, and whether the keys of those who follow them are still valid. Its task runs
+    while there are any.
+    """
 
-    def __init__(self, repository: Repository) -> None:
+    def __init__(self, repository: Repository, keys: AccessKeys) -> None:
         self._repository = repository
+        self._keys = keys
+        self._callers: Counter[str] = Counter()
+        """The prefixes of the streams' keys, each with the number of its streams."""
+        self._ended: set[str] = set()
+        """Those of them that have ended."""
         self._followed: dict[str, _Followed] = {}
         self._task: asyncio.Task[None] | None = None
 
@@ -69,14 +84,17 @@ class Watcher:
         if self._task is not None:
             self._task.cancel()
 
-    async def events(self, job: Job, after: int) -> AsyncGenerator[Event, None]:
-        """Yields the job's events with a number above `after` as they are recorded, until the job has ended."""
-        with self._following(job) as followed:
-            while True:
+    async def events(self, job: Job, after: int, key: str | None = None) -> AsyncGenerator[Event, None]:
+        """Yields the job's events with a number above `after` as they are recorded, until the job has ended, or the key
+        with the prefix `key` if one is given ("": until there is a key).
+        """
+        with self._following(job) as followed, self._calling(key):
+            while key not in self._ended:
                 if after >= followed.last:
                     if followed.ended:
                         return
                     await followed.news.wait()
+                    continue
                 found = followed.after(after)
                 if found is None:
                     found = await run_in_threadpool(self._repository.events, job.id, after)
@@ -116,8 +134,26 @@ class Watcher:
             if not followed.streams:
                 del self._followed[job.id]
 
+    @contextmanager
+    def _calling(self, key: str | None) -> Iterator[None]:
+        if key is None:
+            yield
+            return
+        self._callers[key] += 1
+        try:
+            yield
+        finally:
+            self._callers[key] -= 1
+            if not self._callers[key]:
+                del self._callers[key]
+                self._ended.discard(key)
+
     async def _watch(self) -> None:
+        looked = float("-inf")
         while self._followed:
+            if time.monotonic() - looked >= KEY_SECONDS:
+                looked = time.monotonic()
+                await self._look_at_keys()
             seen = {job_id: followed.last for job_id, followed in self._followed.items() if not followed.ended}
             try:
                 news = await run_in_threadpool(self._repository.news, seen)
@@ -128,3 +164,17 @@ class Watcher:
                     if job_id in self._followed:
                         self._followed[job_id].add(found)
             await asyncio.sleep(POLL_SECONDS)
+
+    async def _look_at_keys(self) -> None:
+        asked = set(self._callers)
+        if not asked:
+            return
+        try:
+            ended = await run_in_threadpool(self._keys.ended, asked)
+        except SQLAlchemyError as error:
+            log.warning("keys of event streams not checked", error=str(error))
+            return
+        self._ended |= ended & set(self._callers)
+        if ended:
+            for followed in self._followed.values():
+                followed.wake()

@@ -7,6 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Header, HTTPException
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
+from api.authentication import CallerDependency
 from api.state import KnownJob, ServicesDependency
 
 LARGEST = 2**31 - 1
@@ -34,14 +35,18 @@ def resume_after(
     responses={204: {"description": "no event will follow the last one seen; do not come back"}},
 )
 async def stream(
-    job: KnownJob, services: ServicesDependency, after: Annotated[int, Depends(resume_after)]
+    job: KnownJob,
+    services: ServicesDependency,
+    caller: CallerDependency,
+    after: Annotated[int, Depends(resume_after)],
 ) -> AsyncIterator[ServerSentEvent]:
-    """Streams a job's events from the first, or from the one after `Last-Event-ID`, until the job has ended.
+    """Streams a job's events from the first, or from the one after `Last-Event-ID`, until the job has ended, or
+    the caller's key.
 
     The data of a `state` event is {"state", "attempt"}, with "outcome" or "failure" at the end. The data of a
     `progress` event is {"phase", "step", "steps", "rows"}, where rows are those of the trace since the last event. A
     job that was interrupted repeats some of its steps.
     """
-    async with aclosing(services.watcher.events(job, after)) as events:
+    async with aclosing(services.watcher.events(job, after, caller.key)) as events:
         async for event in events:
             yield ServerSentEvent(data=event.data, event=event.kind, id=str(event.number))

@@ -6,7 +6,7 @@ from contextlib import suppress
 from datetime import datetime, timedelta
 from hashlib import sha256
 
-from sqlalchemy import select, update
+from sqlalchemy import or_, select, update
 from sqlalchemy.exc import SQLAlchemyError
 
 from services.access.caller import Scope
@@ -74,6 +74,20 @@ class AccessKeys(Transactions):
         with self._read() as session:
             key, now = session.get(AccessKey, prefix), self._now(session)
         return None if key is None or not self._is_valid(key, now) else key
+
+    def ended(self, prefixes: Collection[str]) -> set[str]:
+        """Those of some keys, by their prefixes, that are revoked, expired or unknown. The prefix "" is that of callers
+        without a key, and ends with the first key.
+        """
+        with self._read() as session:
+            in_time = or_(AccessKey.expires_at.is_(None), AccessKey.expires_at > self._now(session))
+            valid = select(AccessKey.prefix).where(
+                AccessKey.prefix.in_(prefixes), AccessKey.revoked_at.is_(None), in_time
+            )
+            ended = set(prefixes) - set(session.scalars(valid))
+        if "" in ended and not self.exist():
+            ended.remove("")
+        return ended
 
     def _is_valid(self, key: AccessKey, now: datetime) -> bool:
         if key.revoked_at is not None or (key.expires_at is not None and key.expires_at <= now):

@@ -90,3 +90,17 @@ def test_scopes_allow_what_they_say_and_admin_everything() -> None:
     assert [scope for scope in Scope if reader.may(scope)] == [Scope.JOBS_READ]
     assert all(Caller.of("root", ["admin"], "sa_2").may(scope) for scope in Scope)
     assert not any(Caller.of("nobody", [], "sa_3").may(scope) for scope in Scope)
+
+
+def test_which_of_some_keys_have_ended(keys: AccessKeys, clock: Clock) -> None:
+    assert keys.ended([]) == set()
+    assert keys.ended([""]) == set()  # there is no key yet
+    valid, revoked, expiring = (
+        keys.create(name, "alice", {Scope.JOBS_READ}, seconds)[0].prefix
+        for name, seconds in (("valid", None), ("revoked", None), ("expiring", 60.0))
+    )
+    keys.revoke(revoked)
+    asked = [valid, revoked, expiring, "sa_unknown", ""]
+    assert keys.ended(asked) == {revoked, "sa_unknown", ""}
+    clock.advance(61)
+    assert keys.ended(asked) == {revoked, expiring, "sa_unknown", ""}

@@ -1,6 +1,12 @@
 import json
 
+import pytest
 from httpx import Client
+
+from api import watcher
+from api.authentication import COOKIE
+from services.access.caller import Scope
+from tests.unit.api.guarded import Guarded, bearer
 
 
 def stream(client: Client, job_id: str, **headers: str) -> list[tuple[int, str, dict[str, object]]]:
@@ -44,3 +50,18 @@ def test_a_number_that_is_none_is_refused(client: Client, finished: str) -> None
 
 def test_events_of_no_job(client: Client) -> None:
     assert client.get("/v1/jobs/none/events").status_code == 404
+
+
+@pytest.mark.parametrize("by", ["key", "session"])
+def test_a_stream_ends_when_its_key_is_revoked(guarded: Guarded, monkeypatch: pytest.MonkeyPatch, by: str) -> None:
+    monkeypatch.setattr(watcher, "KEY_SECONDS", 0.0)
+    keys = guarded.services.keys
+    key, text = keys.create("watching", "alice", {Scope.JOBS_READ})
+    headers = bearer(text) if by == "key" else {"cookie": f"{COOKIE}={guarded.services.sessions.begin(key.prefix)}"}
+    path = f"/v1/jobs/{guarded.job}/events"
+    with guarded.client.stream("GET", path, headers=headers) as answer:
+        said = answer.iter_lines()
+        assert next(said).startswith(("id:", "event:", "data:", ":"))
+        keys.revoke(key.prefix)
+        assert not any("succeeded" in one for one in said)  # it ends, though the job does not
+    assert guarded.client.get(path, headers=headers).status_code == 401

@@ -10,6 +10,8 @@ from sqlalchemy import Engine, event
 
 from api import watcher as module
 from api.watcher import Watcher
+from services.access.caller import Scope
+from services.access.keys import AccessKeys
 from services.jobs.database import connect, migrate
 from services.jobs.models import Job
 from services.jobs.repository import Repository
@@ -42,6 +44,10 @@ def line(repository: Repository, job: Job) -> Job:
     return found
 
 
+def watching(repository: Repository, engine: Engine) -> Watcher:
+    return Watcher(repository, AccessKeys(engine))
+
+
 async def numbers(watcher: Watcher, job: Job, after: int = 0) -> AsyncIterator[int]:
     async with aclosing(watcher.events(job, after)) as events:
         async for one in events:
@@ -60,11 +66,11 @@ def run(test: Callable[[], Awaitable[None]]) -> None:
     asyncio.run(whole())
 
 
-def test_streams_get_every_event_once_and_in_order_whenever_they_begin(repository: Repository) -> None:
+def test_streams_get_every_event_once_and_in_order_whenever_they_begin(repository: Repository, engine: Engine) -> None:
     job = add(repository)
 
     async def test() -> None:
-        watcher = Watcher(repository)
+        watcher = watching(repository, engine)
         early = [asyncio.create_task(collect(watcher, line(repository, job))) for _ in range(3)]
         attempt = start(repository, job)
         for step in range(2 * KEPT):
@@ -84,11 +90,11 @@ def test_streams_get_every_event_once_and_in_order_whenever_they_begin(repositor
     run(test)
 
 
-def test_a_slow_stream_that_fell_behind_reads_the_record(repository: Repository) -> None:
+def test_a_slow_stream_that_fell_behind_reads_the_record(repository: Repository, engine: Engine) -> None:
     job = add(repository)
 
     async def test() -> None:
-        watcher = Watcher(repository)
+        watcher = watching(repository, engine)
         slow = numbers(watcher, line(repository, job))
         assert await anext(slow) == 1
         fast = asyncio.create_task(collect(watcher, line(repository, job)))
@@ -110,7 +116,7 @@ def test_many_streams_cost_as_many_reads_as_one(repository: Repository, engine: 
     reads = []
 
     async def test() -> None:
-        watcher = Watcher(repository)
+        watcher = watching(repository, engine)
         streams = [asyncio.create_task(collect(watcher, one, one.events)) for one in lines for _ in range(25)]
         await asyncio.sleep(0)
         for job in jobs:
@@ -127,7 +133,7 @@ def test_a_stream_of_a_deleted_job_ends(repository: Repository, engine: Engine) 
     job = add(repository)
 
     async def test() -> None:
-        watcher = Watcher(repository)
+        watcher = watching(repository, engine)
         stream = numbers(watcher, line(repository, job))
         assert await anext(stream) == 1
         with engine.execution_options(writes=True).begin() as connection:
@@ -138,11 +144,48 @@ def test_a_stream_of_a_deleted_job_ends(repository: Repository, engine: Engine) 
     run(test)
 
 
-def test_waiting_for_the_end_of_a_job_stops_in_time(repository: Repository) -> None:
+@pytest.mark.parametrize("has_key", [True, False])
+def test_a_stream_ends_with_its_key_and_others_go_on(
+    repository: Repository, engine: Engine, monkeypatch: pytest.MonkeyPatch, has_key: bool
+) -> None:
+    monkeypatch.setattr(module, "KEY_SECONDS", 0.0)
+    keys = AccessKeys(engine)
+    prefixes = [keys.create(name, "alice", {Scope.JOBS_READ})[0].prefix for name in "ab"] if has_key else ["", ""]
+    reads = []
+
+    async def test() -> None:
+        watcher = watching(repository, engine)
+
+        async def follow(job: Job, key: str | None) -> list[int]:
+            async with aclosing(watcher.events(line(repository, job), 0, key)) as events:
+                return [one.number async for one in events]
+
+        job = add(repository)
+        event.listen(engine, "before_cursor_execute", lambda *said: reads.append("access_keys" in said[2]))
+        ending = [asyncio.create_task(follow(job, prefixes[0])) for _ in range(100)]
+        others = [asyncio.create_task(follow(job, None)), asyncio.create_task(follow(job, prefixes[1]))]
+        await asyncio.sleep(0)
+        if has_key:
+            keys.revoke(prefixes[0])
+        else:
+            keys.create("first", "alice", {Scope.JOBS_READ})
+        assert await asyncio.gather(*ending) == [[1]] * 100
+        if has_key:
+            assert not any(other.done() for other in others)
+        repository.request_cancel(job.id)
+        assert await others[0] == [1, 2]
+        assert await others[1] == ([1, 2] if has_key else [1])
+        watcher.close()
+
+    run(test)
+    assert sum(reads) < 100  # not one for each stream
+
+
+def test_waiting_for_the_end_of_a_job_stops_in_time(repository: Repository, engine: Engine) -> None:
     job = add(repository)
 
     async def test() -> None:
-        watcher = Watcher(repository)
+        watcher = watching(repository, engine)
         assert not await watcher.until_over(line(repository, job), 0)
         over = asyncio.create_task(watcher.until_over(line(repository, job), LONG))
         repository.request_cancel(job.id)
