@@ -16,7 +16,7 @@ RULES: dict[str, Scope | None] = {
     # Health, for load balancers; without a key it names no extension and no network
     "GET /healthz": OPEN,
     "GET /readyz": OPEN,
-    "GET /metrics": _READ,
+    "GET /metrics": Scope.METRICS_READ,
     # The API
     "POST /v1/jobs": _WRITE,
     "GET /v1/jobs": _READ,

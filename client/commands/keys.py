@@ -34,8 +34,8 @@ def create(
     scope: Annotated[
         list[str] | None,
         typer.Option(
-            help="What the key allows: jobs:read, jobs:write, assets:write or admin, which is everything, for all "
-            "owners. May be repeated; without it the first three."
+            help="What the key allows: jobs:read, jobs:write, assets:write, metrics:read or admin, which is everything "
+            "for all owners. May be repeated; without it the first three."
         ),
     ] = None,
     owner: Annotated[

@@ -16,6 +16,7 @@ class Scope(StrEnum):
     JOBS_READ = "jobs:read"
     JOBS_WRITE = "jobs:write"
     ASSETS_WRITE = "assets:write"
+    METRICS_READ = "metrics:read"
     ADMIN = "admin"
 
 
