@@ -42,11 +42,15 @@ class Guarded:
 
     def ask(self, route: str, caller: str, *, exists: bool = True) -> httpx.Response:
         """The answer to a request for a route ("GET /v1/jobs/{job_id}"), of what alice has or of nothing."""
+        method, path = self.place(route, exists=exists)
+        return self.client.request(method, path, headers=self.headers[caller])
+
+    def place(self, route: str, *, exists: bool = True) -> tuple[str, str]:
+        """The method and path of a route, of what alice has or of nothing."""
         method, path = route.split(" ")
         names = {"job_id": self.job, "campaign_id": self.campaign, "webhook_id": self.webhook, "sha256": MESH}
         names = names if exists else dict.fromkeys(names, "x")
-        filled = path.format(name="original.png", move="pause", **names)
-        return self.client.request(method, filled, headers=self.headers[caller])
+        return method, path.format(name="original.png", move="pause", **names)
 
     def untouched(self) -> bool:
         """Whether alice's job, campaign, webhook and upload are as they were."""
