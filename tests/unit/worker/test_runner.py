@@ -6,6 +6,7 @@ import pytest
 
 from services.jobs.child import Child
 from services.jobs.database import connect, migrate
+from services.jobs.placement import Abilities
 from services.jobs.repository import Repository
 from services.settings import Settings
 from tests.unit.jobs.records import add, state
@@ -21,6 +22,7 @@ class Hanging(Runner):
         child = self.child = self._child = Child("tests.unit.jobs.echo_child", self._settings)
         child.receive(30)
         child.send({"do": "hang"})
+        self._abilities = Abilities("cpu", frozenset({"efficientnet-lite0"}), 2**34)
 
 
 def test_a_job_process_ends_with_the_watch_over_it(tmp_path: Path) -> None:
