@@ -213,6 +213,7 @@ def app(repository: Repository, campaigns: CampaignService | None = None) -> Fas
         webhook_hosts=frozenset(),
         storage=none,
         housekeeping=none,
+        deleted_assets=none,
         max_campaign_jobs=0,
     )
     return made
