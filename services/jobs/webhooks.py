@@ -2,13 +2,15 @@
 
 import secrets
 from base64 import b64encode
+from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import timedelta
 from hashlib import sha256
+from types import MappingProxyType
 from typing import Any
 from uuid import uuid4
 
-from sqlalchemy import Select, delete, func, select, update
+from sqlalchemy import case, delete, func, select, update
 
 from services.errors import InvalidRequest
 from services.jobs.transactions import Transactions
@@ -20,19 +22,22 @@ ATTEMPTS = 10
 """Attempts at a message; the last is about 14 hours after the first."""
 FIRST_SECONDS = 5.0
 """Wait after the first attempt; it triples each time."""
+NOBODY: Mapping[str, int] = MappingProxyType({})
+"""The messages on their way, if there are none."""
 KEPT = timedelta(days=7)
 """Time for which messages are kept that were delivered or given up."""
 
 
 @dataclass(frozen=True)
 class Message:
-    """A message to send now: its id, the bytes of its body, where to, and the secret of its signature."""
+    """A message to send now: its id, the bytes of its body, where to, the secret of its signature, and whose it is."""
 
     id: str
     body: bytes
     url: str
     secret: str
     attempt: int
+    owner: str = ""
 
 
 class Webhooks(Transactions):
@@ -66,29 +71,42 @@ class Webhooks(Transactions):
         with self._read() as session:
             return list(session.scalars(query.order_by(Delivery.created_at.desc(), Delivery.id).limit(limit)))
 
-    def take(self, limit: int, seconds: float) -> list[Message]:
+    def take(self, limit: int, seconds: float, most: int = 1, busy: Mapping[str, int] = NOBODY) -> list[Message]:
         """Takes at most `limit` messages that are due. Unless `ended` says otherwise, they are due again in `seconds`:
         a process that dies loses none.
+
+        Owners take turns, each with its oldest message first. An owner gets `most` messages at once, less those that
+        `busy` says are on their way: receivers that do not answer delay the messages of their owner only.
         """
         with self._read() as session:  # most of the time there is none, and nothing is written
-            if session.scalar(_due(self._now(session)).limit(1)) is None:
+            now = self._now(session)
+            turn = func.row_number().over(partition_by=Webhook.owner, order_by=(Delivery.due_at, Delivery.id))
+            due = select(Delivery.id, Delivery.due_at, Webhook.owner, turn.label("turn"))
+            first = due.join(Webhook).where(Delivery.due_at <= now).subquery()
+            left = most - case(dict(busy), value=first.c.owner, else_=0) if busy else most
+            mine = select(first.c.id).where(first.c.turn <= left).order_by(first.c.turn, first.c.due_at)
+            ids = session.scalars(mine.limit(limit)).all()
+            if not ids:
                 return []
         with self._write() as session:
             now = self._now(session)
-            due = _due(now).order_by(Delivery.due_at).limit(limit)
-            ids = session.scalars(due.with_for_update(skip_locked=True)).all()
+            still = select(Delivery.id).where(Delivery.id.in_(ids), Delivery.due_at <= now)
+            taken = session.scalars(still.with_for_update(skip_locked=True)).all()
             session.execute(
                 update(Delivery)
-                .where(Delivery.id.in_(ids))
+                .where(Delivery.id.in_(taken))
                 .values(due_at=now + timedelta(seconds=seconds), attempts=Delivery.attempts + 1)
                 .execution_options(synchronize_session=False)
             )
             found = session.execute(
-                select(Delivery.id, Delivery.body, Webhook.url, Webhook.secret, Delivery.attempts)
+                select(Delivery.id, Delivery.body, Webhook.url, Webhook.secret, Delivery.attempts, Webhook.owner)
                 .join(Webhook)
-                .where(Delivery.id.in_(ids))
+                .where(Delivery.id.in_(taken))
             )
-            return [Message(one.id, one.body.encode(), one.url, one.secret, one.attempts) for one in found]
+            return [
+                Message(one.id, one.body.encode(), one.url, one.secret, one.attempts, one.owner)
+                for one in sorted(found, key=lambda one: ids.index(one.id))
+            ]
 
     def ended(self, message: Message, status: int | None, error: str | None) -> None:
         """Records an attempt: delivered if there was no error, else due again, or given up after the last attempt."""
@@ -107,10 +125,6 @@ class Webhooks(Transactions):
         with self._write() as session:
             old = (Delivery.due_at.is_(None), Delivery.created_at < self._now(session) - KEPT)
             session.execute(delete(Delivery).where(*old))
-
-
-def _due(now: datetime) -> Select[str]:
-    return select(Delivery.id).where(Delivery.due_at <= now)
 
 
 def wait(message_id: str, attempt: int) -> float:

@@ -23,9 +23,9 @@ def test_the_end_of_a_job_is_told_to_the_webhooks_of_its_owner(repository: Repos
     mine = [webhooks.create("", URL), webhooks.create("", f"{URL}/2")]
     webhooks.create("another", URL)
     job = add(repository)
-    assert webhooks.take(9, 60) == []
+    assert webhooks.take(9, 60, 9) == []
     repository.fail(start(repository, job), "timeout", "too long")
-    messages = webhooks.take(9, 60)
+    messages = webhooks.take(9, 60, 9)
     assert sorted(one.url for one in messages) == sorted(one.url for one in mine)
     assert {one.secret for one in messages} == {one.secret for one in mine}
     told = json.loads(messages[0].body)
@@ -45,23 +45,23 @@ def test_nothing_is_told_of_a_change_that_is_undone(repository: Repository, webh
     attempt = start(repository, add(repository))
     with pytest.raises((StatementError, TypeError)):
         repository.succeed(attempt, {"not": {1j}}, {}, [])
-    assert webhooks.take(9, 60) == []
+    assert webhooks.take(9, 60, 9) == []
 
 
 def test_a_message_is_due_again_until_it_is_delivered(repository: Repository, webhooks: Webhooks, clock: Clock) -> None:
     hook = webhooks.create("", URL)
     repository.request_cancel(add(repository).id)
-    [first] = webhooks.take(9, 60)
-    assert webhooks.take(9, 60) == []
+    [first] = webhooks.take(9, 60, 9)
+    assert webhooks.take(9, 60, 9) == []
     clock.advance(61)  # the process that took it has died
-    [second] = webhooks.take(9, 60)
+    [second] = webhooks.take(9, 60, 9)
     assert (second.id, second.body, second.attempt) == (first.id, first.body, 2)
     webhooks.ended(first, 200, None)  # by the process that was thought dead
     webhooks.ended(second, 500, "it answered 500")
     clock.advance(wait(second.id, 2) - 0.1)
-    assert webhooks.take(9, 60) == []
+    assert webhooks.take(9, 60, 9) == []
     clock.advance(0.2)
-    [third] = webhooks.take(9, 60)
+    [third] = webhooks.take(9, 60, 9)
     webhooks.ended(third, 204, None)
     [told] = webhooks.deliveries(hook.id)
     assert (told.attempts, told.status, told.error, told.due_at) == (3, 204, None, None)
@@ -72,11 +72,11 @@ def test_a_message_is_given_up_and_forgotten(repository: Repository, webhooks: W
     hook = webhooks.create("", URL)
     repository.request_cancel(add(repository).id)
     for attempt in range(1, ATTEMPTS + 1):
-        [message] = webhooks.take(9, 60)
+        [message] = webhooks.take(9, 60, 9)
         assert message.attempt == attempt
         webhooks.ended(message, None, "no answer")
         clock.advance(50_000)
-    assert webhooks.take(9, 60) == []
+    assert webhooks.take(9, 60, 9) == []
     [told] = webhooks.deliveries(hook.id)
     assert (told.delivered_at, told.error) == (None, "no answer")
     webhooks.sweep()
@@ -109,4 +109,23 @@ def test_webhooks_are_counted_and_deleted_by_their_owner_only(repository: Reposi
     assert job is not None
     repository.request_cancel(job.id)
     assert webhooks.remove(made[0].id, "me")
-    assert len(webhooks.take(99, 60)) == MOST - 1
+    assert len(webhooks.take(99, 60, 99)) == MOST - 1
+
+
+def test_owners_take_turns_and_have_a_few_messages_on_their_way(
+    repository: Repository, webhooks: Webhooks, clock: Clock
+) -> None:
+    for owner, hooks, jobs in (("many", 3, 4), ("few", 1, 2)):
+        for _ in range(hooks):
+            webhooks.create(owner, URL)
+        for _ in range(jobs):
+            clock.advance(1)
+            job, _ = repository.create(SPEC, 99, None, lambda _: {}, owner=owner)
+            assert job is not None
+            repository.request_cancel(job.id)
+    first = webhooks.take(3, 60, 2)
+    assert [one.owner for one in first] == ["many", "few", "many"]
+    assert [one.owner for one in webhooks.take(9, 60, 2, {"many": 2, "few": 1})] == ["few"]
+    assert webhooks.take(9, 60, 2, {"many": 2}) == []
+    assert [one.owner for one in webhooks.take(9, 60, 9, {"many": 2})] == ["many"] * 7
+    assert webhooks.take(0, 60) == []

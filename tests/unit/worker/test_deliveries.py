@@ -3,10 +3,12 @@
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from queue import SimpleQueue
@@ -18,7 +20,8 @@ from services.jobs.database import connect, migrate
 from services.jobs.repository import Repository
 from services.jobs.webhooks import Webhooks
 from services.settings import Settings
-from tests.unit.jobs.records import add, start
+from tests.unit.jobs.records import SPEC, add, start
+from worker.deliveries import AT_ONCE, PER_OWNER, Sender
 
 LONG = 60
 
@@ -79,3 +82,28 @@ def test_messages_of_ended_jobs_are_sent(
     assert (first.attempts, first.status, first.error, first.delivered_at) == (1, 503, "it answered 503", None)
     assert first.due_at is not None
     assert (second.attempts, second.status, second.due_at) == (1, 200, None)
+
+
+def test_a_receiver_that_never_answers_delays_its_owner_only(
+    values: Settings, engine: Engine, receiver: tuple[str, SimpleQueue[dict[str, object]]]
+) -> None:
+    url, got = receiver
+    webhooks, repository = Webhooks(engine), Repository(engine)
+    with socket.create_server(("127.0.0.1", 0), backlog=AT_ONCE) as silent, ThreadPoolExecutor(AT_ONCE) as pool:
+        for owner, address in (("one", f"http://127.0.0.1:{silent.getsockname()[1]}/"), ("another", url)):
+            webhooks.create(owner, address)
+            for _ in range(AT_ONCE if owner == "one" else 1):
+                job, _ = repository.create(SPEC, 99, None, lambda _: {}, owner=owner)
+                assert job is not None
+                repository.request_cancel(job.id)
+        sender = Sender(webhooks, values, pool)
+        sender.round()
+        assert got.get(timeout=LONG)["type"] == "job.cancelled"
+        asked = [silent.accept()[0] for _ in range(PER_OWNER)]
+        sender.round()
+        assert not sender.idle()
+        silent.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            silent.accept()
+        for one in asked:
+            one.close()
