@@ -41,8 +41,8 @@ async def upload(
 @router.get("")
 def listing(services: ServicesDependency, caller: CallerDependency) -> AssetList:
     """Lists the uploaded meshes."""
-    is_visible = services.assets.visible(caller)
-    return AssetList(items=[entry for entry in services.library.entries(category="upload") if is_visible(entry.name)])
+    may_see = services.assets.visible(caller)
+    return AssetList(items=services.library.entries(category="upload", may_see=may_see))
 
 
 @router.delete("/{sha256}", status_code=204)

@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Query, Response
 from pydantic import BaseModel
 
 from api.authentication import CallerDependency
@@ -21,7 +21,7 @@ class TargetList(BaseModel):
     items: list[TargetInfo]
 
 
-@router.get("/scenes")
+@router.get("/scenes", response_model=SceneLibrary)
 def scenes(
     services: ServicesDependency,
     caller: CallerDependency,
@@ -29,14 +29,13 @@ def scenes(
     creator: Filter = None,
     licence: Filter = None,
     search: Filter = None,
-) -> SceneLibrary:
+) -> Response:
     """Lists the meshes that match all given filters, the environment maps, and their credits."""
-    is_visible = services.assets.visible(caller)
-    found = services.library.entries(category=category, creator=creator, licence=licence, search=search)
-    meshes = [entry for entry in found if entry.kind != "upload" or is_visible(entry.name)]
+    meshes = services.library.entries(category, creator, licence, search, services.assets.visible(caller))
     environments = services.library.environments()
     credits_ = {entry.credit for entry in [*meshes, *environments] if entry.credit is not None}
-    return SceneLibrary(meshes=meshes, environments=environments, credits=sorted(credits_))
+    found = SceneLibrary(meshes=meshes, environments=environments, credits=sorted(credits_))
+    return Response(found.model_dump_json(), media_type="application/json")  # the framework would validate it again
 
 
 @router.get("/targets")

@@ -59,6 +59,7 @@ class Library:
         self._uploads = Uploads(blobs(files, "assets"), self._processed)
         self._lock = threading.RLock()
         self._models: dict[str, Model] | None = None
+        self._shipped_entries: list[Entry] = []
         self._meshes: OrderedDict[str, Mesh] = OrderedDict()
         self._maps: dict[str, EnvironmentMap] = {}
 
@@ -113,24 +114,26 @@ class Library:
         creator: str | None = None,
         licence: str | None = None,
         search: str | None = None,
+        may_see: Callable[[str], bool] = lambda _: True,
     ) -> list[Entry]:
         """Lists the meshes that match every filter, case-insensitively, by kind and then by name.
 
         category, creator and licence match if they are equal; search matches if every word of it is part of the name,
-        title, category or creator. Furniture is listed only if its library is installed.
+        title, category or creator. Furniture is listed only if its library is installed, and an upload only if
+        `may_see` is true for its name; the record of no other one is read.
         """
         words = (search or "").lower().split()
 
         def matches(entry: Entry) -> bool:
-            text = f"{entry.name} {entry.title} {entry.category} {entry.creator}".lower()
             return (
                 (category is None or entry.category.lower() == category.lower())
                 and (creator is None or entry.creator.lower() == creator.lower())
                 and (licence is None or entry.licence.lower() == licence.lower())
-                and all(word in text for word in words)
+                and (not words or _has(entry, words))
             )
 
-        return [entry for entry in self._all() if matches(entry)]
+        uploads = self._uploads.all(lambda sha256: may_see(f"sha256:{sha256}"))
+        return [entry for entry in (*self._shipped(), *map(_uploaded, uploads)) if matches(entry)]
 
     def add_mesh(self, data: bytes, kind: str, limits: Settings | None = None) -> Entry:
         """Validates an uploaded file (obj, ply, stl, glb or off), stores it by its SHA-256 and returns its entry.
@@ -183,8 +186,7 @@ class Library:
         """The error for a name that is none. It suggests no upload, which may be somebody else's."""
         if name.startswith("furniture/") and not self._catalogue():
             return InvalidRequest("mesh", f"there is no furniture in {self._furniture}; {SETUP}")
-        known = [entry.name for entry in self._all() if entry.kind != "upload"]
-        return InvalidRequest("mesh", _unknown_mesh(name, known))
+        return InvalidRequest("mesh", _unknown_mesh(name, [entry.name for entry in self._shipped()]))
 
     def _catalogue(self) -> dict[str, Model]:
         with self._lock:
@@ -193,14 +195,19 @@ class Library:
                 self._models = read_catalogue(self._furniture, self._processed / "catalogue.json")
             return self._models
 
-    def _all(self) -> list[Entry]:
-        furniture = [_furniture(model) for model in self._catalogue().values()]
-        solids = [_solid(name) for name in PRIMITIVES]
-        return [
-            *sorted(furniture, key=lambda entry: entry.name),
-            *sorted(solids, key=lambda entry: entry.name),
-            *(_uploaded(record) for record in self._uploads.all()),
-        ]
+    def _shipped(self) -> list[Entry]:
+        """The furniture and the primitives. They are kept: to make them anew takes longer than all else of a list."""
+        models = self._catalogue()
+        with self._lock:
+            if not models or not self._shipped_entries:
+                furniture = sorted(map(_furniture, models.values()), key=lambda entry: entry.name)
+                self._shipped_entries = [*furniture, *sorted(map(_solid, PRIMITIVES), key=lambda entry: entry.name)]
+            return self._shipped_entries
+
+
+def _has(entry: Entry, words: Iterable[str]) -> bool:
+    text = f"{entry.name} {entry.title} {entry.category} {entry.creator}".lower()
+    return all(word in text for word in words)
 
 
 def _furniture(model: Model) -> Entry:

@@ -5,6 +5,7 @@ ever. What was parsed is kept with the bytes: a later parser reads only what is 
 """
 
 import hashlib
+from collections.abc import Callable
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -104,10 +105,10 @@ class Uploads:
             self._files.delete(f"{sha256}{ending}")
         self._kept(sha256).unlink(missing_ok=True)
 
-    def all(self) -> list[Upload]:
-        """Returns the metadata of all uploads, ordered by digest."""
+    def all(self, wanted: Callable[[str], bool] = lambda _: True) -> list[Upload]:
+        """Returns the metadata of the uploads for whose digest `wanted` is true, ordered by digest."""
         names = [name.removesuffix(".json") for name in self._files.names() if name.endswith(".json")]
-        return [record for record in map(self.record, names) if record is not None]
+        return [record for record in map(self.record, filter(wanted, names)) if record is not None]
 
     def load(self, upload: Upload) -> Mesh:
         """Returns the mesh of an upload. Raises JobFailure("asset-missing") if its files are missing or changed."""

@@ -7,6 +7,7 @@ from services.errors import InvalidRequest
 from services.scenes.environment import average
 from services.scenes.library import Library
 from services.scenes.primitives import PRIMITIVES
+from services.scenes.uploads import Uploads
 
 TETRAHEDRON = b"OFF\n4 4 6\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 3\n"
 
@@ -114,3 +115,23 @@ def test_an_upload_is_seen_by_another_library(tmp_path):
     assert entry in other.entries()
     assert other.mesh(entry.name).triangles == 4
     assert other.mesh(entry.name).sha256 == entry.name.removeprefix("sha256:")
+
+
+def test_a_list_reads_the_uploads_that_may_be_seen_and_no_other(tmp_path, monkeypatch):
+    library = Library(tmp_path / "cache", tmp_path / "data")
+    mine, another = (library.add_mesh(TETRAHEDRON + end, "off") for end in (b"", b"\n"))
+    read = []
+    record = Uploads.record
+    monkeypatch.setattr(Uploads, "record", lambda self, sha256: read.append(f"sha256:{sha256}") or record(self, sha256))
+    assert {mine, another} < set(library.entries())
+    assert sorted(read) == sorted([mine.name, another.name])
+    read.clear()
+    assert library.entries(category="upload", may_see={mine.name}.__contains__) == [mine]
+    assert read == [mine.name]
+    with pytest.raises(InvalidRequest, match="primitive/sphere"):
+        library.check_mesh("primitive/spher")
+    assert read == [mine.name]
+
+
+def test_entries_of_the_furniture_are_made_once(library):
+    assert all(one is other for one, other in zip(library.entries(), library.entries(), strict=True))
