@@ -24,6 +24,7 @@ from api.hosts import KnownHosts
 from api.limits import BodyLimit, NoNul, Utf8Forms
 from api.mesh_uploads import MeshUploads
 from api.metrics import Measured, RequestMetrics, ServiceMetrics
+from api.open_uploads import OpenUploads
 from api.preflight import Preflight
 from api.problems import Answers, install
 from api.request_id import RequestId
@@ -155,6 +156,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
             Middleware(KnownHosts, hosts=chosen.own_hosts),
             Middleware(SameSite),
             Middleware(Authentication, rate=RequestRate(chosen.owner_requests)),
+            Middleware(OpenUploads, path=assets.PATH),
             Middleware(NoNul),
             Middleware(Utf8Forms),
             Middleware(BodyLimit, uploads={assets.PATH: chosen.max_upload_bytes}),

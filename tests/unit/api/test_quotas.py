@@ -1,8 +1,12 @@
 """An owner that has, or sends, too much is told when to try again; others are not held up."""
 
+import socket
+from contextlib import ExitStack
+
 import pytest
 
 from api.main import create_app
+from api.open_uploads import MOST
 from services.access.caller import Scope
 from services.access.quotas import Quotas
 from services.settings import Settings
@@ -49,3 +53,31 @@ def test_too_many_requests(redis_url: str, tmp_path_factory: pytest.TempPathFact
         assert answers[3].headers["content-type"] == "application/problem+json"
         assert client.get("/v1/targets", headers=bearer(texts["b"])).status_code == 200
         assert client.get("/healthz", headers=bearer(texts["a"])).status_code == 200
+
+
+def half_an_upload(guarded: Guarded, caller: str) -> socket.socket:
+    """A connection over which an upload has begun: the service waits for its bytes."""
+    url = guarded.client.base_url
+    connection = socket.create_connection((url.host, url.port), timeout=60)
+    head = {
+        "host": f"{url.host}:{url.port}",
+        "content-type": "multipart/form-data; boundary=b",
+        "content-length": "9000",
+    }
+    head |= {"expect": "100-continue"} | guarded.headers[caller]
+    lines = ["POST /v1/assets HTTP/1.1", *(f"{name}: {text}" for name, text in head.items()), "", ""]
+    connection.sendall("\r\n".join(lines).encode())
+    assert connection.recv(1000).startswith(b"HTTP/1.1 100 ")
+    return connection
+
+
+def test_too_many_open_uploads(guarded: Guarded) -> None:
+    with ExitStack() as opened:
+        connections = [opened.enter_context(half_an_upload(guarded, "alice")) for _ in range(MOST)]
+        answer = upload(guarded, "alice")
+        assert answer.status_code == 429, answer.text
+        assert int(answer.headers["retry-after"]) > 0
+        assert upload(guarded, "bob").status_code == 201
+        connections[0].sendall(b"x" * 9000)
+        assert connections[0].recv(1000).startswith(b"HTTP/1.1 4")
+        assert upload(guarded, "alice").status_code == 201
