@@ -19,8 +19,10 @@ from services.jobs.storage import Storage
 from services.logs import logger
 from services.settings import Settings
 
-START_SECONDS = 180.0
-"""Longest time that a job process may take to load."""
+START_SECONDS = 600.0
+"""Longest time that a job process may take to load: two minutes on a machine that others keep busy. One that hangs is
+noticed earlier.
+"""
 POLL_SECONDS = 0.1
 """Longest time between two checks whether the worker should stop."""
 STOP_SECONDS = 10.0

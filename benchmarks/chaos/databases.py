@@ -12,7 +12,7 @@ import psutil
 
 from benchmarks.postgresql import Server
 
-LOOK_SECONDS = 0.2
+LOOK_SECONDS = 0.5
 SILENT_SECONDS = 8.0
 """Time without an answer after which PostgreSQL is killed and started again; that of an embedded Redis is the same."""
 LOCKED_SECONDS = (4.0, 14.0)

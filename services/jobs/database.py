@@ -102,8 +102,8 @@ def _begin_sqlite(connection: Connection) -> None:
 def migrate(engine: Engine, settings: Settings) -> None:
     """Migrates the tables to the newest revision. Processes that start together wait for one another."""
     with _alone(engine, settings), engine.execution_options(writes=True).begin() as connection:
+        be_patient(connection)
         if engine.dialect.name == "postgresql":
-            _be_patient(connection)
             # held until the transaction ends
             connection.execute(text("SELECT pg_advisory_xact_lock(:number)"), {"number": _MIGRATING})
         config = _config()
@@ -111,8 +111,10 @@ def migrate(engine: Engine, settings: Settings) -> None:
         command.upgrade(config, "head")
 
 
-def _be_patient(connection: Connection) -> None:
-    """Lets a connection wait as long as it takes; it closes when it is not needed any more."""
+def be_patient(connection: Connection) -> None:
+    """Lets a connection's transaction take as long as it does, as those of commands may. Afterwards it closes."""
+    if connection.dialect.name != "postgresql":
+        return
     driver: Any = connection.connection.driver_connection
     driver.answer_seconds = None
     connection.detach()

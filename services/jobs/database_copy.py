@@ -13,6 +13,7 @@ from sqlalchemy import Connection, Engine, func, select, text
 
 from services import atomic_write
 from services.errors import InvalidRequest, JobFailure
+from services.jobs.database import be_patient
 from services.jobs.models import Artifact, Job
 
 SQLITE = "jobs.sqlite"
@@ -38,6 +39,7 @@ def copy_database(engine: Engine, folder: Path) -> DatabaseCopy:
     if engine.dialect.name == "sqlite":
         return _copy_sqlite(engine, folder / SQLITE)
     with engine.connect().execution_options(isolation_level="REPEATABLE READ") as connection:
+        be_patient(connection)
         program = _pg_dump(int(connection.scalar(text("SHOW server_version_num"))) // 10_000)
         # pg_dump sees what this transaction sees, and so do the queries
         snapshot = connection.scalar(text("SELECT pg_export_snapshot()"))

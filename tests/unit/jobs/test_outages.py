@@ -15,7 +15,7 @@ from sqlalchemy import Engine, text
 from sqlalchemy.exc import SQLAlchemyError
 
 from services import atomic_write
-from services.jobs.database import connect, migrate
+from services.jobs.database import be_patient, connect, migrate
 from services.jobs.outages import Outage, outage_of
 from services.jobs.repository import Repository
 from services.jobs.storage import Storage
@@ -152,7 +152,7 @@ def test_redis_is_named_and_faults_are_no_outages(tmp_path: Path) -> None:
 @pytest.fixture
 def hasty(postgresql_url: str) -> Iterator[Engine]:
     """A PostgreSQL that is waited for only a moment."""
-    engine = connect(Settings(database_url=postgresql_url, stall_seconds=0.4))
+    engine = connect(Settings(database_url=postgresql_url, stall_seconds=2))  # 0.5 s for a lock, 0.75 s for an answer
     yield engine
     engine.dispose()
 
@@ -162,6 +162,15 @@ def test_a_postgresql_that_says_nothing_does_not_answer(hasty: Engine) -> None:
         connection.execute(text("SELECT pg_sleep(600)"))
     assert outage_of(silent.value) == AWAY
     Repository(hasty).ping()  # on another connection, which does not take the late answer for its own
+
+
+def test_a_command_waits_as_long_as_postgresql_takes(hasty: Engine) -> None:
+    with hasty.connect() as connection:
+        be_patient(connection)
+        connection.execute(text("SELECT pg_sleep(1)"))
+        driver = connection.connection.dbapi_connection
+    with hasty.connect() as other:
+        assert other.connection.dbapi_connection is not driver, "it is no connection of the service's"
 
 
 def test_a_postgresql_whose_lock_another_holds_does_not_answer(hasty: Engine, postgresql_url: str) -> None:
