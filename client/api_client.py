@@ -65,9 +65,9 @@ class ApiClient:
         """The URL of the service, without a slash at the end."""
         return str(self._http.base_url).rstrip("/")
 
-    def submit(self, spec: Mapping[str, Any]) -> dict[str, Any]:
-        """Queues a job and returns it."""
-        return self._json(self._http.post("/v1/jobs", json=spec, timeout=_CHECK))
+    def submit(self, spec: Mapping[str, Any], priority: str | None = None) -> dict[str, Any]:
+        """Queues a job and returns it; `priority` is high, normal or low."""
+        return self._json(self._http.post("/v1/jobs", json=spec, params=_given(priority=priority), timeout=_CHECK))
 
     def job(self, job_id: str) -> dict[str, Any]:
         """One job, with its spec, state and, when it has succeeded, its result."""
@@ -75,8 +75,7 @@ class ApiClient:
 
     def jobs(self, limit: int = 20, state: str | None = None, cursor: str | None = None) -> dict[str, Any]:
         """A page of jobs, newest first: {"items": […], "next": cursor or null}."""
-        given = {"limit": limit, "state": state, "cursor": cursor}
-        return self._json(self._http.get("/v1/jobs", params={k: v for k, v in given.items() if v is not None}))
+        return self._json(self._http.get("/v1/jobs", params=_given(limit=limit, state=state, cursor=cursor)))
 
     def cancel(self, job_id: str) -> dict[str, Any]:
         """Asks a job to stop and returns it; has no effect on a job that has ended."""
@@ -150,9 +149,10 @@ class ApiClient:
         if response.is_error:
             raise _refusal(response)
 
-    def submit_campaign(self, spec: Mapping[str, Any]) -> dict[str, Any]:
-        """Starts a campaign and returns it."""
-        return self._json(self._http.post("/v1/campaigns", json=spec, timeout=_CHECK))
+    def submit_campaign(self, spec: Mapping[str, Any], priority: str | None = None) -> dict[str, Any]:
+        """Starts a campaign and returns it; `priority` is that of its jobs: high, normal or low."""
+        given = _given(priority=priority)
+        return self._json(self._http.post("/v1/campaigns", json=spec, params=given, timeout=_CHECK))
 
     def campaign(self, campaign_id: str) -> dict[str, Any]:
         """One campaign, with its request, progress and outcomes."""
@@ -188,6 +188,11 @@ class ApiClient:
         if not isinstance(data, dict):
             raise httpx.DecodingError(f"{response.url} answered a JSON {type(data).__name__}, not an object")
         return data
+
+
+def _given(**values: str | int | None) -> dict[str, str | int]:
+    """The query parameters that were given."""
+    return {name: value for name, value in values.items() if value is not None}
 
 
 def _refusal(response: httpx.Response) -> ApiError:

@@ -35,6 +35,8 @@ class Line:
     steps: int | None
     outcome: dict[str, Any] | None
     failure_kind: str | None
+    waiting: str | None
+    """Why no live worker takes the queued job; None if one of them can run it."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +87,7 @@ def line(job: Job) -> Line:
         steps=job.steps,
         outcome=with_outcome(job.outcome),
         failure_kind=job.failure_kind,
+        waiting=job.waiting if job.state is State.QUEUED else None,
     )
 
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from client.commands import campaign_run
-from client.commands.options import DEFAULT_URL, JsonOption, UrlOption
+from client.commands.options import DEFAULT_URL, JsonOption, PriorityOption, UrlOption
 from services.errors import InvalidRequest
 
 app = typer.Typer(
@@ -19,7 +19,12 @@ CampaignId = Annotated[str, typer.Argument(metavar="ID", help="The id that `camp
 
 
 @app.command(epilog="Example: [bold]scene-attack campaign submit examples/campaign-small.json[/bold]")
-def submit(spec: campaign_run.SpecArgument, url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
+def submit(
+    spec: campaign_run.SpecArgument,
+    url: UrlOption = DEFAULT_URL,
+    priority: PriorityOption = None,
+    as_json: JsonOption = False,
+) -> None:
     """Start a campaign at a running service."""
     from client import spec_input
     from client.api_client import ApiClient
@@ -27,7 +32,7 @@ def submit(spec: campaign_run.SpecArgument, url: UrlOption = DEFAULT_URL, as_jso
 
     data = spec_input.read(spec)
     with ApiClient(url) as client:
-        found = client.submit_campaign(data)
+        found = client.submit_campaign(data, priority)
         if as_json:
             print_json(found)
         else:

@@ -26,7 +26,7 @@ def list_jobs(
     limit: Annotated[int, typer.Option(min=1, max=100, help="Largest number of jobs to list.")] = 20,
     as_json: JsonOption = False,
 ) -> None:
-    """List jobs, newest first."""
+    """List jobs, newest first. A queued job that no live worker can run says why it waits."""
     from client.api_client import ApiClient
     from client.console import out, print_json, state_text, table
     from client.outcomes import answer_cell, verdict, verified
@@ -38,11 +38,13 @@ def list_jobs(
         return
     rows = []
     for job in page["items"]:
-        done = job.get("outcome")
+        done, state_cell = job.get("outcome"), state_text(job["state"])
+        if job.get("waiting"):
+            state_cell.append(f"\n{job['waiting']}", style="dim")
         rows.append(
             [
                 job["id"],
-                state_text(job["state"]),
+                state_cell,
                 job["name"],
                 job["attack"],
                 job["target"],

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from client.commands.options import DEFAULT_URL, JsonOption, SeedOption, UrlOption
+from client.commands.options import DEFAULT_URL, JsonOption, PriorityOption, SeedOption, UrlOption
 
 if TYPE_CHECKING:
     from client.api_client import ApiClient
@@ -23,6 +23,7 @@ def submit(
     url: UrlOption = DEFAULT_URL,
     watch: Annotated[bool, typer.Option("--watch", "-w", help="Follow the job until it ends.")] = False,
     seed: SeedOption = None,
+    priority: PriorityOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Queue a job at a running service.
@@ -37,7 +38,7 @@ def submit(
 
     data = spec_input.read(spec, seed)
     with ApiClient(url) as client:
-        job = client.submit(data)
+        job = client.submit(data, priority)
         warn(job.get("warnings", ()))
         if not job.get("checked", True):
             err().print("accepted before its check had ended; a worker checks it first")
@@ -81,6 +82,8 @@ def show(job: dict[str, Any]) -> None:
         print_answered([QuestionResult.model_validate(one) for one in job["result"].get("questions", ())])
         return
     out().print(table(("id", "state", "scene", "attack"), [[job["id"], state_text(job["state"]), scene, attack]]))
+    if job.get("waiting"):
+        err().print(f"waits: {job['waiting']}", markup=False, highlight=False)
     for error in job.get("errors", ()):
         err().print(f"rejected: {error['field']}: {error['detail']}", markup=False, highlight=False)
     if job.get("failure"):

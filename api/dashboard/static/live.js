@@ -53,8 +53,8 @@ function throttled(action, pause) {
   };
 }
 
+const update = throttled(refresh, live?.dataset.events ? 700 : 0);
 if (live?.dataset.events) {
-  const update = throttled(refresh, 700);
   const source = new EventSource(live.dataset.events);
   source.addEventListener("progress", update);
   source.addEventListener("state", (event) => {
@@ -68,8 +68,8 @@ if (live?.dataset.events) {
   source.addEventListener("open", () => {
     connection.hidden = true;
   });
-} else if (live?.dataset.poll) {
-  const update = throttled(refresh, 0);
+}
+if (live?.dataset.poll) {
   setInterval(() => {
     if (!document.hidden) update();
   }, Number(live.dataset.poll));

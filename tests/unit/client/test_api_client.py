@@ -9,9 +9,11 @@ from pathlib import Path
 
 import httpx
 import pytest
+from typer.testing import CliRunner
 
 from client import api_client
 from client.api_client import ApiClient, ApiError
+from client.cli import app
 
 Answer = Callable[[BaseHTTPRequestHandler], None]
 
@@ -177,6 +179,35 @@ def test_an_upload_is_deleted_by_its_name(client: ApiClient, script: Script) -> 
     with pytest.raises(ApiError, match="in use by job 0f3c"):
         client.delete_asset("0a" * 32)
     assert [(method, path) for method, path, _ in script.seen] == [("DELETE", "/v1/assets/" + "0a" * 32)] * 2
+
+
+def test_a_priority_is_sent_if_one_is_given(client: ApiClient, script: Script) -> None:
+    script.answers += [says(202, {"id": "1"})] * 4
+    client.submit({}, "high")
+    client.submit({})
+    client.submit_campaign({}, "normal")
+    command = ["submit", "-", "--priority", "low", "--url", client.url]
+    done = CliRunner().invoke(app, command, input='{"scene": {}}')
+    assert done.exit_code == 0, done.output
+    paths = ["/v1/jobs?priority=high", "/v1/jobs", "/v1/campaigns?priority=normal", "/v1/jobs?priority=low"]
+    assert [path for _, path, _ in script.seen] == paths
+
+
+def test_a_priority_of_another_name_is_refused(client: ApiClient, script: Script) -> None:
+    done = CliRunner().invoke(app, ["submit", "-", "--priority", "urgent", "--url", client.url], input="{}")
+    assert done.exit_code == 2
+    assert script.seen == []
+
+
+def test_a_job_that_no_worker_can_run_says_why(client: ApiClient, script: Script) -> None:
+    why = "no worker that is running has the device cuda"
+    spec = {"scene": {"objects": [{"mesh": "primitive/cube"}]}, "attack": {"renderer": "torch", "method": "fgsm"}}
+    job = {"id": "1", "state": "queued", "name": "cube", "attack": "a", "target": "t", "waiting": why, "spec": spec}
+    script.answers += [says(200, {"items": [job, job | {"waiting": None}], "next": None}), says(200, job)]
+    listed = CliRunner().invoke(app, ["jobs", "list", "--url", client.url], env={"COLUMNS": "200"})
+    assert listed.output.count(why) == 1
+    shown = CliRunner().invoke(app, ["jobs", "show", "1", "--url", client.url], env={"COLUMNS": "200"})
+    assert f"waits: {why}" in shown.output
 
 
 def test_nobody_there_is_not_ready() -> None:

@@ -1,0 +1,25 @@
+"""Jobs that wait for a worker which can run them, on the pages."""
+
+import pytest
+
+from services.jobs.repository import Repository
+from tests.unit.api.dashboard_records import add, start
+from tests.unit.api.test_dashboard_pages import Tags, anyio_backend, get, repository
+
+__all__ = ["anyio_backend", "repository"]
+pytestmark = pytest.mark.anyio
+
+
+async def test_a_job_that_no_worker_can_run_says_why(repository: Repository) -> None:
+    why = "no worker that is running has the network <x>"
+    job, other = add(repository), add(repository)
+    repository.explain([job.id], why)
+    assert Tags((await get(repository, "/")).text).text.count(why) == 1
+    tags = Tags((await get(repository, f"/jobs/{job.id}")).text)
+    assert f"Waiting for a worker: {why}." in tags.text
+    assert any(a.get("data-poll") for a in tags.all("div")), "no event tells of a reason that has gone"
+    assert "Waiting for a worker." in Tags((await get(repository, f"/jobs/{other.id}")).text).text
+    start(repository, job)
+    tags = Tags((await get(repository, f"/jobs/{job.id}")).text)
+    assert why not in tags.text
+    assert not any(a.get("data-poll") for a in tags.all("div"))
