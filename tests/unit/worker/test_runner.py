@@ -1,43 +1,201 @@
-"""The worker's watch over its job process, which here only answers what it was sent."""
+"""The runner with a real record and a real child, which renders nothing."""
 
+import os
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+from sqlalchemy.exc import InternalError
 
+from services.jobs.attempts import Attempt, Standing
 from services.jobs.child import Child
 from services.jobs.database import connect, migrate
-from services.jobs.placement import Abilities
+from services.jobs.models import Job, State
 from services.jobs.repository import Repository
 from services.settings import Settings
-from tests.unit.jobs.records import add, state
+from tests.unit.jobs.records import SPEC, add, start
+from tests.unit.worker.scripted_child import ANSWERS, DIES, HANGS, MEETS_AN_OUTAGE
+from worker import runner
 from worker.runner import Runner
 
 
-class Hanging(Runner):
-    """A runner whose job process hangs in its job."""
+class Stage:
+    """A record, and a runner for it; `pids` are those of its job processes."""
 
-    child: Child
+    def __init__(self, data: Path, **values: Any) -> None:
+        settings = Settings(data=data, lease_seconds=0.4, **values)  # a renewal each tenth of a second
+        self.engine = connect(settings)
+        migrate(self.engine, settings)
+        self.repository = Repository(self.engine)
+        self.runner = Runner(settings, self.repository, "w")
+        self.pids: list[int] = []
 
-    def ensure_ready(self) -> None:
-        child = self.child = self._child = Child("tests.unit.jobs.echo_child", self._settings)
-        child.receive(30)
-        child.send({"do": "hang"})
-        self._abilities = Abilities("cpu", frozenset({"efficientnet-lite0"}), 2**34)
+    def child(self, _module: str, settings: Settings) -> Child:
+        made = Child("tests.unit.worker.scripted_child", settings)
+        self.pids.append(made.pid)
+        return made
+
+    def add(self, seed: int) -> Job:
+        return add(self.repository, SPEC.model_copy(update={"seed": seed}))
+
+    def run(self, seed: int, beat: Callable[[], Any] = lambda: None) -> Job:
+        """Runs a job that does what the seed says, and returns what the record then has of it."""
+        job = self.add(seed)
+        self.runner.run(job.id, beat)
+        return self.found(job)
+
+    def found(self, job: Job) -> Job:
+        found = self.repository.work(job.id)
+        assert found is not None
+        return found
+
+    def ended(self, number: int) -> bool:
+        """Whether the job process of this number has ended."""
+        try:
+            os.kill(self.pids[number], 0)
+        except ProcessLookupError:
+            return True
+        return False
 
 
-def test_a_job_process_ends_with_the_watch_over_it(tmp_path: Path) -> None:
-    settings = Settings(data=tmp_path, lease_seconds=0.04)
-    engine = connect(settings)
-    migrate(engine, settings)
-    repository = Repository(engine)
-    job = add(repository)
-    runner = Hanging(settings, repository, "w")
+@pytest.fixture
+def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Stage]]:
+    made: list[Stage] = []
 
-    def beat() -> None:
-        raise ValueError("a fault of the worker's own")
+    def stage(**values: Any) -> Stage:
+        made.append(Stage(tmp_path, **values))
+        monkeypatch.setattr(runner, "Child", made[-1].child)
+        return made[-1]
 
-    with pytest.raises(ValueError, match="own"):
-        runner.run(job.id, beat)
-    assert not runner.child.alive()
-    assert state(repository, job.id) == "running"  # until its lease lapses
-    engine.dispose()
+    yield stage
+    for one in made:
+        one.runner.close()
+        one.engine.dispose()
+
+
+@pytest.fixture
+def stage(make: Callable[..., Stage]) -> Stage:
+    return make()
+
+
+def test_a_job_is_left_to_its_process_and_the_process_stays(stage: Stage) -> None:
+    assert [stage.run(ANSWERS).state for _ in range(2)] == [State.RUNNING, State.RUNNING]
+    assert len(stage.pids) == 1
+    assert stage.runner.abilities.memory == 7
+
+
+def test_a_process_that_dies_loses_its_attempt(stage: Stage) -> None:
+    job = stage.run(DIES)
+    assert (job.state, job.lost, job.attempt) == (State.QUEUED, 1, 1)
+    stage.runner.ensure_ready()
+    assert len(stage.pids) == 2
+
+
+def test_a_process_that_hangs_loses_its_attempt(make: Callable[..., Stage]) -> None:
+    stage = make(stall_seconds=1.5)
+    job = stage.run(HANGS)
+    assert (job.state, job.lost) == (State.QUEUED, 1)
+    assert stage.ended(0)
+
+
+def test_a_job_that_takes_too_long_fails(make: Callable[..., Stage]) -> None:
+    stage = make(job_seconds=0.3)
+    job = stage.run(HANGS)
+    assert (job.state, job.failure_kind) == (State.FAILED, "timeout")
+    assert stage.ended(0)
+
+
+def test_a_worker_that_stops_gives_its_job_back(stage: Stage) -> None:
+    job = stage.run(HANGS, stage.runner.request_stop)
+    assert (job.state, job.lost, job.lease_owner) == (State.QUEUED, 0, None)
+    assert stage.ended(0)
+
+
+def test_a_process_that_does_not_stop_when_its_job_is_cancelled_is_killed(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(runner, "STOP_SECONDS", 0.0)
+    job = stage.add(HANGS)
+    stage.runner.run(job.id, lambda: stage.repository.request_cancel(job.id))
+    assert stage.found(job).state is State.CANCELLED
+    assert stage.ended(0)
+
+
+def test_a_process_whose_job_was_taken_back_is_killed_and_the_job_left_alone(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(runner, "STOP_SECONDS", 0.0)
+    job = stage.add(HANGS)
+    others: list[Attempt] = []
+
+    def take() -> None:
+        if not others:
+            stage.repository.take_back(3, owner="w")
+            others.append(start(stage.repository, job, "other"))
+
+    stage.runner.run(job.id, take)
+    assert (stage.found(job).state, stage.found(job).lease_owner) == (State.RUNNING, "other")
+    assert stage.ended(0)
+
+
+def test_the_lease_is_renewed(stage: Stage) -> None:
+    job = stage.add(HANGS)
+    until = []
+
+    def look() -> None:
+        until.append(stage.found(job).lease_until)
+        if len(until) == 3:
+            stage.runner.request_stop()
+
+    stage.runner.run(job.id, look)
+    assert until == sorted(set(until))
+
+
+@pytest.mark.parametrize(("usable", "lost"), [(True, 1), (False, 0)])
+def test_an_outage_counts_only_if_it_cannot_be_seen(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch, usable: bool, lost: int
+) -> None:
+    monkeypatch.setattr(Runner, "usable", lambda _: usable)
+    job = stage.run(MEETS_AN_OUTAGE)
+    assert (job.state, job.lost) == (State.QUEUED, lost)
+
+
+def test_the_job_whose_turn_it_is_runs(stage: Stage) -> None:
+    first, second = stage.add(ANSWERS), stage.add(ANSWERS)
+    stage.runner.run(second.id, lambda: None)
+    assert (stage.found(first).state, stage.found(second).state) == (State.RUNNING, State.QUEUED)
+
+
+def test_a_process_is_replaced_after_so_many_jobs(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runner, "MAX_JOBS", 2)
+    for _ in range(3):
+        stage.run(ANSWERS)
+    assert len(stage.pids) == 2
+    assert stage.ended(0)
+
+
+def test_a_lease_that_cannot_be_renewed_is_no_end(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A database that was made read-only says so by another class of errors than one that is away."""
+    tries: list[Attempt] = []
+
+    def renew(attempt: Attempt, _seconds: float) -> Standing:
+        tries.append(attempt)
+        if len(tries) == 2:
+            stage.runner.request_stop()
+        raise InternalError("UPDATE jobs", {}, Exception("cannot execute UPDATE in a read-only transaction"))
+
+    monkeypatch.setattr(stage.repository, "renew", renew)
+    assert stage.run(HANGS).state is State.QUEUED
+    assert len(tries) == 2
+
+
+def test_no_process_goes_on_with_a_job_that_nobody_watches(stage: Stage) -> None:
+    """The next job would take its answer for its own."""
+
+    def fail() -> None:
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        stage.run(HANGS, fail)
+    assert stage.ended(0)
