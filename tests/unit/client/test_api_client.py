@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from client import api_client
 from client.api_client import ApiClient, ApiError
 from client.cli import app
+from services.pipeline.spec import parse
 
 Answer = Callable[[BaseHTTPRequestHandler], None]
 
@@ -201,7 +202,7 @@ def test_a_priority_of_another_name_is_refused(client: ApiClient, script: Script
 
 def test_a_job_that_no_worker_can_run_says_why(client: ApiClient, script: Script) -> None:
     why = "no worker that is running has the device cuda"
-    spec = {"scene": {"objects": [{"mesh": "primitive/cube"}]}, "attack": {"renderer": "torch", "method": "fgsm"}}
+    spec = parse({"scene": {"objects": [{"mesh": "primitive/cube"}]}}).model_dump(mode="json")
     job = {"id": "1", "state": "queued", "name": "cube", "attack": "a", "target": "t", "waiting": why, "spec": spec}
     script.answers += [says(200, {"items": [job, job | {"waiting": None}], "next": None}), says(200, job)]
     listed = CliRunner().invoke(app, ["jobs", "list", "--url", client.url], env={"COLUMNS": "200"})
