@@ -17,8 +17,9 @@ from services.jobs.campaign_feed import Feeder
 from services.jobs.database import connect as connect_database
 from services.jobs.database import migrate
 from services.jobs.housekeeping import Housekeeping
-from services.jobs.queue import Queue, reconcile
+from services.jobs.queue import Queue
 from services.jobs.queue import connect as connect_redis
+from services.jobs.reconciler import Reconciler
 from services.jobs.repository import Repository
 from services.logs import configure, logger
 from services.scenes.library import Library
@@ -82,8 +83,8 @@ def housekeeping(values: Settings, engine: Engine) -> Callable[[], None]:
     Several supervisors may do so at once; each step is a transaction that changes a job at most once.
     """
     assert values.redis_url is not None
-    queue = Queue(connect_redis(values.redis_url))
     repository = Repository(engine)
+    reconciler = Reconciler(repository, Queue(connect_redis(values.redis_url)))
     feeder = Feeder(engine, values.max_campaign_queued)
     store = ArtifactStore(values.files)
     meshes = values.cache_dir / "meshes", values.cache_bytes
@@ -97,7 +98,7 @@ def housekeeping(values: Settings, engine: Engine) -> Callable[[], None]:
             for job_id in repository.take_back(values.max_attempts):
                 log.warning("job taken back, its lease had lapsed", job=job_id)
             feeder.tick()
-            reconcile(repository, queue)
+            reconciler.look()
             house.tidy()
         except (SQLAlchemyError, RedisError, OSError) as error:
             if not failing:  # once, or an outage would fill the log

@@ -16,8 +16,9 @@ from services.jobs import outbox
 from services.jobs.asset_uses import check_held, refer_from_campaign, uploads_among
 from services.jobs.models import Campaign, CampaignJob, CampaignState, Job, JobKind, State
 from services.jobs.placement import CAMPAIGNS, Demand
-from services.jobs.repository import Key, KeyReused, place
+from services.jobs.repository import Key, KeyReused
 from services.jobs.transactions import Transactions
+from services.jobs.utc_time import place
 from services.pipeline.campaign_check import check_meshes, meshes_of
 from services.pipeline.campaign_spec import CampaignSpec
 

@@ -93,6 +93,7 @@ class Job(Base):
     __table_args__ = (
         Index("jobs_by_state", "state", "created_at", "id"),
         Index("jobs_by_turn", "state", "campaign_id", "kind"),
+        Index("jobs_by_sending", "state", "sent_at"),
         Index("jobs_by_age", "created_at", "id"),
         Index("jobs_by_owner", "owner", "created_at", "id"),
         Index("jobs_by_start", "owner", "priority", "running_at"),

@@ -8,7 +8,6 @@ start a job that is queued, at most. Whether the job may run, and what it is, a 
 
 import json
 import re
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import cast
@@ -18,9 +17,7 @@ from redis import Redis
 from rq.exceptions import DeserializationError, DuplicateJobError
 from rq.job import Job as Message
 
-from services.jobs.placement import ANY_WORKER, NOTHING, Abilities, Needs, Priority, why_waiting
-from services.jobs.repository import Repository
-from services.jobs.turns import Waiting
+from services.jobs.placement import ANY_WORKER, NOTHING, Abilities, Needs, Priority
 
 NAME = "scene-attack"
 TASK = "run_job"
@@ -35,8 +32,6 @@ _PREFIX: str = rq.Queue.redis_queue_namespace_prefix
 _SIGN = f"{NAME}:worker:"
 _ID = re.compile(r"[0-9a-f]{32}")
 _NAME = re.compile(f"{NAME}:(?:{'|'.join(Priority)}):(.+)")
-SETTLE_SECONDS = 5.0
-"""Age below which a missing message is not sent again: a worker may have taken it and not leased its job yet."""
 
 
 def connect(url: str) -> Redis:
@@ -84,7 +79,7 @@ class Queue:
             self._queue(queue_name(priority, needs)).enqueue_call(
                 TASK,
                 args=(job_id,),
-                job_id=_message_id(job_id, attempt),
+                job_id=message_id(job_id, attempt),
                 unique=True,
                 timeout=-1,  # limits are the worker's own
                 result_ttl=0,
@@ -155,43 +150,6 @@ class Queue:
         return found
 
 
-def reconcile(repository: Repository, queue: Queue) -> int:
-    """Sends every queued job that has no message, e.g. after Redis lost its data. Returns how many were sent.
-
-    Raises RedisError.
-    """
-    jobs = repository.queued()
-    if not jobs:
-        return 0
-    _explain(repository, jobs, queue.workers())
-    waiting = queue.waiting()
-    sent = 0
-    for job in jobs:
-        if _message_id(job.job_id, job.attempt) in waiting or _settling(job):
-            continue
-        if job.sent_ago is not None:
-            queue.forget(_message_id(job.job_id, job.attempt))
-        queue.send(job.job_id, job.attempt, job.priority, job.needs)
-        repository.sent(job.job_id, job.attempt)
-        sent += 1
-    return sent
-
-
-def _explain(repository: Repository, jobs: Sequence[Waiting], workers: Sequence[Abilities]) -> None:
-    """Records of jobs that no live worker can run why they wait."""
-    reasons = {needs: why_waiting(needs, workers) for needs in {job.needs for job in jobs}}
-    changed: dict[str | None, list[str]] = {}
-    for job in jobs:
-        if reasons[job.needs] != job.why:
-            changed.setdefault(reasons[job.needs], []).append(job.job_id)
-    for why, job_ids in changed.items():
-        repository.explain(job_ids, why)
-
-
-def _settling(job: Waiting) -> bool:
-    # a time in the future is that of a clock that was put back since
-    return job.sent_ago is not None and 0 <= job.sent_ago < SETTLE_SECONDS
-
-
-def _message_id(job_id: str, attempt: int) -> str:
+def message_id(job_id: str, attempt: int) -> str:
+    """The id of the message that stands for a queued job which has had so many attempts."""
     return f"{job_id}-{attempt}"

@@ -10,16 +10,15 @@ from functools import partial
 from hashlib import sha256
 from typing import Any
 
-from sqlalchemy import Select, func, literal, select, text, tuple_
+from sqlalchemy import Select, func, select, text, tuple_
 from sqlalchemy.orm import Session, defer, undefer
-from sqlalchemy.sql.elements import ColumnElement
 
 from services.errors import QuotaExceeded
 from services.jobs.asset_uses import check_held, uploads_among
 from services.jobs.models import Artifact, Event, IdempotencyKey, Job, JobKind, State
 from services.jobs.placement import NO_DEMAND, Demand
 from services.jobs.turns import Turns
-from services.jobs.utc_time import UtcTime
+from services.jobs.utc_time import place
 from services.pipeline.names_known import check_meshes
 from services.pipeline.spec import JobSpec, digest
 from services.pipeline.warning import JobWarning
@@ -211,13 +210,6 @@ class Repository(Turns):
         """An artifact of a job, or None if there is none of this name."""
         with self._read() as session:
             return session.get(Artifact, (job_id, name))
-
-
-def place(before: tuple[datetime, str]) -> ColumnElement[Any]:
-    """A (created_at, id) as SQL. The time has the columns' type: PostgreSQL would compare an aware datetime with a
-    column that has no time zone in the zone of the session.
-    """
-    return tuple_(literal(before[0], UtcTime()), before[1])
 
 
 def _events(job_id: str, after: int, limit: int) -> Select[Event]:

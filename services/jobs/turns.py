@@ -2,26 +2,30 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
 
-from sqlalchemy import func, select, update
+from sqlalchemy import Select, func, select, tuple_, update
 from sqlalchemy.orm import aliased
 
 from services.jobs.attempts import Attempts
 from services.jobs.models import Job, State
 from services.jobs.placement import ANY_WORKER, Abilities, Needs, Priority
 from services.jobs.transactions import not_held
+from services.jobs.utc_time import place
 
 _AT_ONCE = 500
 
 
 @dataclass(frozen=True)
 class Waiting:
-    """A queued job: its id, the number of attempts it has had, and how many seconds ago its id was last put on the
-    queue, by the database's clock; None if it was not yet.
+    """A queued job: its id, the number of attempts it has had, when it was submitted, and how many seconds ago its id
+    was last put on the queue, by the database's clock; None if it was not yet.
     """
 
     job_id: str
     attempt: int
+    created_at: datetime
     sent_ago: float | None
     priority: Priority
     needs: Needs
@@ -29,24 +33,37 @@ class Waiting:
     """Why it waits, as the record says so far."""
 
 
+_COLUMNS = (Job.id, Job.attempt, Job.created_at, Job.sent_at, Job.priority, Job.needs, Job.waiting)
+_QUEUED = select(*_COLUMNS).where(Job.state == State.QUEUED, not_held())
+
+
 class Turns(Attempts):
     """Queued jobs, whose turn it is, and why they wait."""
 
-    def queued(self) -> list[Waiting]:
-        """All queued jobs but those of paused campaigns, oldest first."""
-        columns = select(Job.id, Job.attempt, Job.sent_at, Job.priority, Job.needs, Job.waiting)
+    def queued(self, limit: int = _AT_ONCE, after: Waiting | None = None) -> list[Waiting]:
+        """At most `limit` queued jobs but those of paused campaigns, oldest first: those that come after `after`."""
+        query = _QUEUED.order_by(Job.created_at, Job.id).limit(limit)
+        if after is not None:
+            query = query.where(tuple_(Job.created_at, Job.id) > place((after.created_at, after.job_id)))
+        return self._waiting(query)
+
+    def unsent(self, limit: int) -> list[Waiting]:
+        """At most `limit` queued jobs whose id was not put on the queue since they were queued."""
+        return self._waiting(_QUEUED.where(Job.sent_at.is_(None)).limit(limit))
+
+    def _waiting(self, query: Select[*tuple[Any, ...]]) -> list[Waiting]:
         with self._read() as session:
-            waiting = columns.where(Job.state == State.QUEUED, not_held())
-            found = session.execute(waiting.order_by(Job.queued_at, Job.id)).all()
-            now = self._now(session)
+            found = session.execute(query).all()
+            now = self._now(session) if found else None
         return [
             Waiting(
-                one.id,
-                one.attempt,
-                None if one.sent_at is None else (now - one.sent_at).total_seconds(),
-                one.priority,
-                Needs.read(one.needs),
-                one.waiting,
+                job_id=one.id,
+                attempt=one.attempt,
+                created_at=one.created_at,
+                sent_ago=None if one.sent_at is None or now is None else (now - one.sent_at).total_seconds(),
+                priority=one.priority,
+                needs=Needs.read(one.needs),
+                why=one.waiting,
             )
             for one in found
         ]
@@ -81,9 +98,12 @@ class Turns(Attempts):
 
     def sent(self, job_id: str, attempt: int) -> None:
         """Records that a queued job's id was put on the queue now."""
+        self.all_sent([(job_id, attempt)])
+
+    def all_sent(self, jobs: Sequence[tuple[str, int]]) -> None:
+        """Records that the ids of queued jobs, each with its number of attempts, were put on the queue now."""
         with self._write() as session:
-            session.execute(
-                update(Job)
-                .where(Job.id == job_id, Job.attempt == attempt, Job.state == State.QUEUED)
-                .values(sent_at=self._now(session))
-            )
+            now = self._now(session)
+            for job_id, attempt in sorted(jobs):  # in one order, so that two supervisors wait for each other in no ring
+                queued = (Job.id == job_id, Job.attempt == attempt, Job.state == State.QUEUED)
+                session.execute(update(Job).where(*queued).values(sent_at=now))

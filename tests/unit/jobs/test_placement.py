@@ -7,7 +7,8 @@ import pytest
 from services.jobs.attempts import Attempt
 from services.jobs.models import Job
 from services.jobs.placement import ANY_WORKER, Abilities, Demand, Needs, Priority, targets_of, why_waiting
-from services.jobs.queue import NAME, Queue, connect, queue_name, reconcile
+from services.jobs.queue import NAME, Queue, connect, queue_name
+from services.jobs.reconciler import Reconciler
 from services.jobs.repository import Repository
 from services.pipeline.spec import parse
 from tests.unit.jobs.conftest import Clock
@@ -91,7 +92,7 @@ def test_what_is_no_queue_keeps_no_job_from_being_sent(repository: Repository, q
     queue.redis.rpush(f"rq:queue:{NAME}:normal:other", b"\xff")
     queue.redis.sadd("rq:queues", f"rq:queue:{NAME}:normal:other")
     add(repository)
-    assert reconcile(repository, queue) == 1
+    assert Reconciler(repository, queue).look() == 1
 
 
 def test_a_job_needs_its_network_its_surrogate_and_those_of_the_transfer() -> None:
@@ -107,7 +108,7 @@ def test_a_job_that_no_live_worker_can_run_says_why(repository: Repository, queu
     job, cuda = add(repository), add(repository, device="cuda")
 
     def waiting() -> list[str | None]:
-        reconcile(repository, queue)
+        Reconciler(repository, queue).look()
         return [found.waiting for found in map(repository.get, (job.id, cuda.id)) if found is not None]
 
     assert waiting() == ["no worker is running"] * 2

@@ -5,7 +5,9 @@ from collections.abc import Iterator
 import pytest
 from rq.job import Job as Message
 
-from services.jobs.queue import HEARTBEAT_SECONDS, SETTLE_SECONDS, TASK, Queue, connect, reconcile
+from services.jobs import reconciler
+from services.jobs.queue import HEARTBEAT_SECONDS, TASK, Queue, connect
+from services.jobs.reconciler import SETTLE_SECONDS, Reconciler
 from services.jobs.repository import Repository
 from services.jobs.service import Submissions
 from tests.unit.jobs.conftest import Clock
@@ -44,62 +46,94 @@ def test_a_job_is_sent_once_however_often_it_is_tried(repository: Repository, qu
     job = add(repository)
     queue.send(job.id, 0)
     queue.send(job.id, 0)
-    reconcile(repository, queue)
+    Reconciler(repository, queue).look()
+    assert repository.unsent(1) == [], "its sender died before it had recorded that it was sent"
     (name,) = queue.redis.scan_iter("rq:queue:*")
     assert queue.redis.llen(name) == 1
 
 
 def test_what_was_recorded_but_never_sent_is_sent(repository: Repository, queue: Queue) -> None:
     first, second = add(repository), add(repository)
-    assert reconcile(repository, queue) == 2
+    assert Reconciler(repository, queue).look() == 2
     assert queue.waiting() == {f"{first.id}-0", f"{second.id}-0"}
-    assert reconcile(repository, queue) == 0
+    assert Reconciler(repository, queue).look() == 0
 
 
 @pytest.mark.parametrize("accident", [lost, taken_and_dropped])
 def test_what_redis_lost_is_sent_again(repository: Repository, queue: Queue, clock: Clock, accident) -> None:  # type: ignore[no-untyped-def]
     job = add(repository)
-    assert reconcile(repository, queue) == 1
+    assert Reconciler(repository, queue).look() == 1
     accident(queue)
     clock.advance(SETTLE_SECONDS + 1)
-    assert reconcile(repository, queue) == 1
+    assert Reconciler(repository, queue).look() == 1
     assert queue.waiting() == {f"{job.id}-0"}
+
+
+def test_a_look_is_at_few_jobs_and_all_get_their_turn(
+    repository: Repository, queue: Queue, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reconciler, "AT_ONCE", 3)
+    jobs = [add(repository) for _ in range(8)]  # all of one time, so that their ids order them
+    steady = Reconciler(repository, queue)
+    first = [steady.look() for _ in range(4)]
+    assert max(first) <= 2 * 3
+    assert sum(first) == 8
+    lost(queue)
+    clock.advance(SETTLE_SECONDS + 1)
+    newest = add(repository)
+    sent = [steady.look() for _ in range(4)]
+    assert max(sent) <= 2 * 3
+    assert sum(sent) == 9
+    assert queue.waiting() == {f"{job.id}-0" for job in [*jobs, newest]}
+
+
+def test_every_reason_to_wait_is_found_in_turn(
+    repository: Repository, queue: Queue, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reconciler, "AT_ONCE", 3)
+    jobs = [add(repository) for _ in range(8)]
+    for job in jobs:
+        repository.sent(job.id, 0)
+    steady = Reconciler(repository, queue)
+    for _ in range(3):
+        steady.look()
+    assert {found.why for found in repository.queued()} == {"no worker is running"}
 
 
 def test_a_message_just_taken_is_not_sent_again(repository: Repository, queue: Queue) -> None:
     add(repository)
-    reconcile(repository, queue)
+    Reconciler(repository, queue).look()
     taken_and_dropped(queue)
-    assert reconcile(repository, queue) == 0
+    assert Reconciler(repository, queue).look() == 0
 
 
 def test_a_clock_that_is_put_back_holds_no_job_up(repository: Repository, queue: Queue, clock: Clock) -> None:
     job = add(repository)
-    reconcile(repository, queue)
+    Reconciler(repository, queue).look()
     lost(queue)
     clock.advance(-3600)
-    assert reconcile(repository, queue) == 1
+    assert Reconciler(repository, queue).look() == 1
     assert queue.waiting() == {f"{job.id}-0"}
 
 
 def test_only_queued_jobs_are_sent(repository: Repository, queue: Queue) -> None:
     start(repository, add(repository))
     repository.request_cancel(add(repository).id)
-    assert reconcile(repository, queue) == 0
+    assert Reconciler(repository, queue).look() == 0
 
 
 def test_a_job_given_back_is_sent_for_its_next_attempt(repository: Repository, queue: Queue) -> None:
     job = add(repository)
-    reconcile(repository, queue)
+    Reconciler(repository, queue).look()
     repository.give_back(start(repository, job))
-    assert reconcile(repository, queue) == 1
+    assert Reconciler(repository, queue).look() == 1
     assert f"{job.id}-1" in queue.waiting()
 
 
 def test_a_job_is_taken_while_redis_is_away(repository: Repository, queue: Queue, tmp_path) -> None:  # type: ignore[no-untyped-def]
     nowhere = Queue(connect(f"unix://{tmp_path}/none.sock"))
     said = Submissions(repository, nowhere, 10).submit(SPEC, None, lambda job: {"id": job.id})
-    assert reconcile(repository, queue) == 1
+    assert Reconciler(repository, queue).look() == 1
     assert queue.waiting() == {f"{said['id']}-0"}
 
 
