@@ -1,6 +1,5 @@
 """The pages, rendered from a real record and parsed as a browser would."""
 
-import json
 from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
@@ -298,15 +297,3 @@ async def test_static_files_are_kept_only_under_their_version(repository: Reposi
     assert "immutable" in (await get(repository, style)).headers["cache-control"]
     assert (await get(repository, "/static/style.css")).headers["cache-control"] == "no-cache"
     assert (await get(repository, "/static/..%2froutes.py")).status_code == 404
-
-
-@pytest.mark.anyio
-async def test_a_result_of_version_0_1_0_has_its_page(repository: Repository) -> None:
-    """The file is what that version wrote; fields that came later are missing in it."""
-    found = json.loads((Path(__file__).parent / "result-0.1.0.json").read_text())
-    job = add(repository)
-    attempt = start(repository, job)
-    assert repository.succeed(attempt, found, line_of(Result.model_validate(result())), [])
-    page = await get(repository, f"/jobs/{job.id}")
-    assert page.status_code == 200
-    assert "necklace" in Tags(page.text).text
