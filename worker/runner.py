@@ -5,6 +5,7 @@ The worker's process loads neither torch nor OpenGL, so it survives a crash of t
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from datetime import UTC, datetime
 
 from sqlalchemy.exc import SQLAlchemyError
@@ -100,16 +101,16 @@ class Runner:
 
         The job is the one whose turn it is, of those with the priority of `job_id`. Does nothing if none of them that
         this worker can run is queued any more.
-        Calls `beat` about once a second. Raises ChildDied if no job process can be started.
+        Calls `beat` about once a second. Raises ChildDied if no job process can be started. If the database does not
+        answer, the record sends the job again: it is queued, or its lease lapses.
         """
         self.ensure_ready()
-        attempt, began = None, datetime.now(UTC)
-        for _ in range(TURNS):
-            turn = self._repository.turn(job_id, self._abilities)
-            if turn is not None:
-                attempt = self._repository.lease(turn, self._owner, self._settings.lease_seconds)
-            if turn is None or attempt is not None:
-                break
+        began = datetime.now(UTC)
+        try:
+            attempt = self._lease(job_id)
+        except SQLAlchemyError as error:
+            log.warning("job not taken, the database does not answer", job=job_id, error=str(error))
+            return
         if attempt is None:
             log.info("no such job is queued, message dropped", job=job_id)
             return
@@ -122,10 +123,21 @@ class Runner:
         except ChildDied:
             self.close()
             log.warning("attempt lost with its job process", job=job_id, attempt=attempt.number)
-            self._repository.lose(attempt, self._settings.max_attempts)
+            with suppress(SQLAlchemyError):
+                self._repository.lose(attempt, self._settings.max_attempts)
         except BaseException:
             self.close()  # nobody would watch the job, and its answer would be taken for that of the next one
             raise
+
+    def _lease(self, job_id: str) -> Attempt | None:
+        for _ in range(TURNS):
+            turn = self._repository.turn(job_id, self._abilities)
+            if turn is None:
+                return None
+            attempt = self._repository.lease(turn, self._owner, self._settings.lease_seconds)
+            if attempt is not None:
+                return attempt
+        return None
 
     def _watch(self, attempt: Attempt, beat: Callable[[], None]) -> None:
         child = self._child

@@ -1,7 +1,9 @@
 """The runner with a real record and a real child, which renders nothing."""
 
 import os
+import sqlite3
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -198,4 +200,17 @@ def test_no_process_goes_on_with_a_job_that_nobody_watches(stage: Stage) -> None
 
     with pytest.raises(ZeroDivisionError):
         stage.run(HANGS, fail)
+    assert stage.ended(0)
+
+
+def test_a_database_that_does_not_answer_is_left_to_the_record(make: Callable[..., Stage], tmp_path: Path) -> None:
+    stage = make(stall_seconds=1.5)
+    job = stage.add(HANGS)
+    with closing(sqlite3.connect(tmp_path / "jobs.sqlite", isolation_level=None)) as other:
+        other.execute("BEGIN IMMEDIATE")
+        stage.runner.run(job.id, lambda: None)
+        assert stage.found(job).state is State.QUEUED  # its id will be sent again
+        other.execute("ROLLBACK")
+        stage.runner.run(job.id, lambda: other.execute("BEGIN IMMEDIATE") if not other.in_transaction else None)
+        assert stage.found(job).state is State.RUNNING  # until its lease lapses
     assert stage.ended(0)
