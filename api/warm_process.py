@@ -3,6 +3,7 @@
 import asyncio
 import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import Any, BinaryIO
 
 from services.errors import InvalidRequest
@@ -24,13 +25,21 @@ class TooSlow(Exception):
     """The process had not answered in time, and was killed."""
 
 
+@dataclass
+class _Asked:
+    """A request: whether the process has it, and whether nobody waits for the answer any more."""
+
+    sent: bool = False
+    dropped: bool = False
+
+
 class WarmProcess:
     """A child that runs `python -m services.jobs.preflight_process` and stays warm between requests."""
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self._child: Child | None = None
-        # With one thread, requests wait for one another; the request of a client that disconnects still finishes.
+        # With one thread, requests wait for one another.
         self._thread = ThreadPoolExecutor(1, "preflight")
 
     async def start(self) -> None:
@@ -50,18 +59,29 @@ class WarmProcess:
     async def ask(self, message: dict[str, Any], file: BinaryIO | None, seconds: float) -> dict[str, Any]:
         """Returns the answer to a request with the bytes of `file`, which may take `seconds` once the process is warm.
 
-        Raises InvalidRequest for an invalid field, TooSlow, ChildDied if the process ended, and Unavailable.
+        Raises InvalidRequest for an invalid field, TooSlow, ChildDied if the process ended, and Unavailable. If this is
+        cancelled, the process ends once it has the request: the next one need not wait for an answer nobody wants.
         """
         loop = asyncio.get_running_loop()
-        answer = await loop.run_in_executor(self._thread, self._ask, message, file, seconds)
+        asked = _Asked()
+        try:
+            answer = await loop.run_in_executor(self._thread, self._ask, message, file, seconds, asked)
+        except asyncio.CancelledError:
+            asked.dropped = True
+            if asked.sent and self._child is not None:
+                self._child.end()
+            raise
         if "field" in answer:
             raise InvalidRequest(answer["field"], answer["detail"])
         if "trouble" in answer:
             raise Unavailable(f"the check of this request failed: {answer['trouble']}")
         return answer
 
-    def _ask(self, message: dict[str, Any], file: BinaryIO | None, seconds: float) -> dict[str, Any]:
+    def _ask(self, message: dict[str, Any], file: BinaryIO | None, seconds: float, asked: _Asked) -> dict[str, Any]:
         child = self._warm()
+        asked.sent = True  # before the look at `dropped`, so that one of both threads sees what the other one did
+        if asked.dropped:
+            raise Unavailable("nobody waits for the answer")
         try:
             # Waiting uploads stay on the disk; only the file of this request is read into memory.
             child.send(message, b"" if file is None else file.read())

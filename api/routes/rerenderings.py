@@ -3,13 +3,14 @@
 import binascii
 from typing import Annotated
 
-from fastapi import APIRouter, Depends
+from fastapi import APIRouter, Depends, Request
 from pydantic import BaseModel, Field, model_validator
 from starlette.concurrency import run_in_threadpool
 
 from api.authentication import CallerDependency
 from api.bodies import body_of
 from api.rerenderer import decoded
+from api.routes.connection import while_connected
 from api.routes.jobs import json_body
 from api.state import Services, ServicesDependency, check_meshes_of, no_such
 from services.access.caller import Caller
@@ -55,16 +56,19 @@ class RerenderingView(BaseModel):
 
 @router.post("", dependencies=[Depends(json_body)])
 async def rerender(
+    request: Request,
     body: Annotated[RerenderingBody, Depends(body_of(RerenderingBody))],
     services: ServicesDependency,
     caller: CallerDependency,
 ) -> RerenderingView:
     """Fits the scene's normals, illumination and material to an image, and classifies the fitted scene's rendering.
 
-    The answer comes when the fit has ended: one image at a time, for at most five minutes.
+    The answer comes when the fit has ended: one image at a time, for at most five minutes. A client that closes its
+    connection ends it.
     """
     image, spec = await run_in_threadpool(_read, body, services, caller)
-    return RerenderingView.model_validate(await services.rerenderer.rerender(image, spec, body.fit))
+    work = services.rerenderer.rerender(image, spec, body.fit)
+    return RerenderingView.model_validate(await while_connected(request, work))
 
 
 def _read(body: RerenderingBody, services: Services, caller: Caller) -> tuple[bytes, JobSpec]:

@@ -9,7 +9,7 @@ from zlib import crc32
 
 import pytest
 import torch
-from httpx import Client
+from httpx import Client, ReadTimeout
 from PIL import Image
 
 from api.state import Services
@@ -109,3 +109,16 @@ def test_a_jpeg_is_read_and_a_damaged_file_is_not() -> None:
     assert decode_image(buffer.getvalue(), (4, 6)).shape == (4, 6, 3)
     with pytest.raises(ValueError, match="damaged"):
         decode_image(png(torch.zeros(64, 64, 3, dtype=torch.uint8))[:60], (64, 64))
+
+
+def test_a_client_that_goes_ends_its_fit(client: Client, noisy: torch.Tensor) -> None:
+    body = {"image": {"data": in_base64(noisy)}, "scene": SPHERE, "fit": {"steps": 2}}
+    assert client.post("/v1/rerenderings", json=body).status_code == 200  # the process is warm
+    long = body | {"fit": {"steps": 10_000}}  # minutes
+    with pytest.raises(ReadTimeout):
+        client.post("/v1/rerenderings", json=long, timeout=1)
+    answers = []
+    while not answers or answers[-1] == 503:
+        answers.append(client.post("/v1/rerenderings", json=body).status_code)
+    assert answers[-1] == 200
+    assert len(answers) < 1000
