@@ -30,7 +30,7 @@ def is_public(address: Address) -> bool:
     """Whether an address is one of the internet. So must be the IPv4 address that an IPv6 address stands for."""
     if isinstance(address, IPv6Address):
         inner = address.ipv4_mapped or address.sixtofour or (address.teredo or (None, None))[1]
-        if address in _TRANSLATED_HERE:
+        if address in _TRANSLATED_HERE or address.is_site_local:  # Python takes fec0::/10 for global
             return False
         if address in _TRANSLATED:
             inner = IPv4Address(int(address) & 0xFFFFFFFF)

@@ -13,5 +13,8 @@ def metrics(request: Request) -> Response:
     Counters of jobs, steps, queries and stages are kept in the database: they are the same from every process, and
     never fall.
     """
-    encode, media_type = choose_encoder(request.headers.get("accept", ""))
+    try:
+        encode, media_type = choose_encoder(request.headers.get("accept", ""))
+    except (TypeError, ValueError):  # a version that is none
+        encode, media_type = choose_encoder("")
     return Response(encode(request.app.state.metrics.registry), media_type=media_type)

@@ -24,6 +24,7 @@ ADDRESSES = {
     "::1": False,
     "fe80::1": False,
     "fc00::1": False,
+    "fec0::1": False,
     "ff02::1": False,
     "::ffff:127.0.0.1": False,
     "::ffff:8.8.8.8": True,

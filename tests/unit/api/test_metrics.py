@@ -62,6 +62,13 @@ def test_a_new_format_is_given_to_those_who_ask(client: Client) -> None:
     assert answer.text.endswith("# EOF\n")
 
 
+@pytest.mark.parametrize("version", ["abc", "..", ""])
+def test_a_version_that_is_none_gets_the_format_of_all(client: Client, version: str) -> None:
+    answer = client.get("/metrics", headers={"Accept": f"application/openmetrics-text; version={version}"})
+    assert answer.status_code == 200
+    assert "scene_attack_up" in answer.text
+
+
 def test_metrics_say_what_is_away() -> None:
     away = ServiceMetrics(
         Figures(create_engine("sqlite:////no/such/folder/jobs.sqlite")), Queue(connect("redis://127.0.0.1:1")), int
