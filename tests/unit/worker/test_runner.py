@@ -16,8 +16,7 @@ from services.jobs.database import connect, migrate
 from services.jobs.models import Job, State
 from services.jobs.repository import Repository
 from services.settings import Settings
-from tests.unit.jobs.records import SPEC, add, start
-from tests.unit.worker.scripted_child import ANSWERS, DIES, HANGS, MEETS_AN_OUTAGE
+from tests.unit.jobs.records import add, start
 from worker import runner
 from worker.runner import Runner
 
@@ -26,6 +25,7 @@ class Stage:
     """A record, and a runner for it; `pids` are those of its job processes."""
 
     def __init__(self, data: Path, **values: Any) -> None:
+        self.data = data
         settings = Settings(data=data, lease_seconds=0.4, **values)  # a renewal each tenth of a second
         self.engine = connect(settings)
         migrate(self.engine, settings)
@@ -38,12 +38,14 @@ class Stage:
         self.pids.append(made.pid)
         return made
 
-    def add(self, seed: int) -> Job:
-        return add(self.repository, SPEC.model_copy(update={"seed": seed}))
+    def script(self, does: str) -> None:
+        """What the process does with its next job: answer, die, hang, or meet an outage."""
+        (self.data / "script").write_text(does)
 
-    def run(self, seed: int, beat: Callable[[], Any] = lambda: None) -> Job:
-        """Runs a job that does what the seed says, and returns what the record then has of it."""
-        job = self.add(seed)
+    def run(self, does: str, beat: Callable[[], Any] = lambda: None) -> Job:
+        """Runs a new job, and returns what the record then has of it."""
+        self.script(does)
+        job = add(self.repository)
         self.runner.run(job.id, beat)
         return self.found(job)
 
@@ -82,13 +84,13 @@ def stage(make: Callable[..., Stage]) -> Stage:
 
 
 def test_a_job_is_left_to_its_process_and_the_process_stays(stage: Stage) -> None:
-    assert [stage.run(ANSWERS).state for _ in range(2)] == [State.RUNNING, State.RUNNING]
+    assert [stage.run("answer").state for _ in range(2)] == [State.RUNNING, State.RUNNING]
     assert len(stage.pids) == 1
     assert stage.runner.abilities.memory == 7
 
 
 def test_a_process_that_dies_loses_its_attempt(stage: Stage) -> None:
-    job = stage.run(DIES)
+    job = stage.run("die")
     assert (job.state, job.lost, job.attempt) == (State.QUEUED, 1, 1)
     stage.runner.ensure_ready()
     assert len(stage.pids) == 2
@@ -96,20 +98,20 @@ def test_a_process_that_dies_loses_its_attempt(stage: Stage) -> None:
 
 def test_a_process_that_hangs_loses_its_attempt(make: Callable[..., Stage]) -> None:
     stage = make(stall_seconds=1.5)
-    job = stage.run(HANGS)
+    job = stage.run("hang")
     assert (job.state, job.lost) == (State.QUEUED, 1)
     assert stage.ended(0)
 
 
 def test_a_job_that_takes_too_long_fails(make: Callable[..., Stage]) -> None:
     stage = make(job_seconds=0.3)
-    job = stage.run(HANGS)
+    job = stage.run("hang")
     assert (job.state, job.failure_kind) == (State.FAILED, "timeout")
     assert stage.ended(0)
 
 
 def test_a_worker_that_stops_gives_its_job_back(stage: Stage) -> None:
-    job = stage.run(HANGS, stage.runner.request_stop)
+    job = stage.run("hang", stage.runner.request_stop)
     assert (job.state, job.lost, job.lease_owner) == (State.QUEUED, 0, None)
     assert stage.ended(0)
 
@@ -118,7 +120,8 @@ def test_a_process_that_does_not_stop_when_its_job_is_cancelled_is_killed(
     stage: Stage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(runner, "STOP_SECONDS", 0.0)
-    job = stage.add(HANGS)
+    stage.script("hang")
+    job = add(stage.repository)
     stage.runner.run(job.id, lambda: stage.repository.request_cancel(job.id))
     assert stage.found(job).state is State.CANCELLED
     assert stage.ended(0)
@@ -128,7 +131,8 @@ def test_a_process_whose_job_was_taken_back_is_killed_and_the_job_left_alone(
     stage: Stage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(runner, "STOP_SECONDS", 0.0)
-    job = stage.add(HANGS)
+    stage.script("hang")
+    job = add(stage.repository)
     others: list[Attempt] = []
 
     def take() -> None:
@@ -142,7 +146,8 @@ def test_a_process_whose_job_was_taken_back_is_killed_and_the_job_left_alone(
 
 
 def test_the_lease_is_renewed(stage: Stage) -> None:
-    job = stage.add(HANGS)
+    stage.script("hang")
+    job = add(stage.repository)
     until = []
 
     def look() -> None:
@@ -159,12 +164,13 @@ def test_an_outage_counts_only_if_it_cannot_be_seen(
     stage: Stage, monkeypatch: pytest.MonkeyPatch, usable: bool, lost: int
 ) -> None:
     monkeypatch.setattr(Runner, "usable", lambda _: usable)
-    job = stage.run(MEETS_AN_OUTAGE)
+    job = stage.run("outage")
     assert (job.state, job.lost) == (State.QUEUED, lost)
 
 
 def test_the_job_whose_turn_it_is_runs(stage: Stage) -> None:
-    first, second = stage.add(ANSWERS), stage.add(ANSWERS)
+    stage.script("answer")
+    first, second = add(stage.repository), add(stage.repository)
     stage.runner.run(second.id, lambda: None)
     assert (stage.found(first).state, stage.found(second).state) == (State.RUNNING, State.QUEUED)
 
@@ -172,7 +178,7 @@ def test_the_job_whose_turn_it_is_runs(stage: Stage) -> None:
 def test_a_process_is_replaced_after_so_many_jobs(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(runner, "MAX_JOBS", 2)
     for _ in range(3):
-        stage.run(ANSWERS)
+        stage.run("answer")
     assert len(stage.pids) == 2
     assert stage.ended(0)
 
@@ -188,7 +194,7 @@ def test_a_lease_that_cannot_be_renewed_is_no_end(stage: Stage, monkeypatch: pyt
         raise InternalError("UPDATE jobs", {}, Exception("cannot execute UPDATE in a read-only transaction"))
 
     monkeypatch.setattr(stage.repository, "renew", renew)
-    assert stage.run(HANGS).state is State.QUEUED
+    assert stage.run("hang").state is State.QUEUED
     assert len(tries) == 2
 
 
@@ -199,7 +205,7 @@ def test_no_process_goes_on_with_a_job_that_nobody_watches(stage: Stage) -> None
         raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
-        stage.run(HANGS, fail)
+        stage.run("hang", fail)
     assert stage.ended(0)
 
 
