@@ -59,6 +59,8 @@ def _outage(error: BaseException) -> Outage | None:
         return Outage("database", "the database does not answer") if number is None else _storage(number)
     if isinstance(error, DBAPIError) and error.connection_invalidated:  # e.g. ended by the server, for its silence
         return Outage("database", "the database does not answer")
+    if isinstance(error, DBAPIError) and "read-only transaction" in str(error.orig):  # of PostgreSQL: a standby, say
+        return Outage("database", "the database is read-only")
     if isinstance(error, OSError):
         return _storage(error.errno)
     said = _OS_ERROR.search(str(error)) if type(error).__name__ == "SafetensorError" else None

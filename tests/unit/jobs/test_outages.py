@@ -11,7 +11,7 @@ import pytest
 import torch
 from redis import Redis
 from safetensors.torch import save_file
-from sqlalchemy import Engine, text
+from sqlalchemy import Engine, event, text
 from sqlalchemy.exc import SQLAlchemyError
 
 from services import atomic_write
@@ -136,6 +136,15 @@ def test_a_locked_database_and_one_that_has_gone_do_not_answer(tmp_path: Path) -
         path.rename(tmp_path / path.name.removeprefix("away-"))
     repository.ping()
     engine.dispose()
+
+
+@pytest.mark.parametrize("database", ["postgresql"], indirect=True)
+def test_a_database_that_was_made_read_only_is_named(engine: Engine, repository: Repository) -> None:
+    """A standby, or a server whose disk is nearly full. Its driver does not call this an operational error."""
+    event.listen(engine, "begin", lambda connection: connection.exec_driver_sql("SET TRANSACTION READ ONLY"))
+    with pytest.raises(SQLAlchemyError) as caught:
+        add(repository)
+    assert outage_of(caught.value) == Outage("database", "the database is read-only")
 
 
 def test_redis_is_named_and_faults_are_no_outages(tmp_path: Path) -> None:
