@@ -19,6 +19,7 @@ from api import dashboard
 from api.audit import Audit
 from api.authentication import Authentication
 from api.conditional import Compression, Conditional
+from api.dashboard.error_pages import ErrorPages
 from api.description import describe
 from api.hosts import KnownHosts
 from api.limits import BodyLimit, NoNul, Utf8Forms
@@ -150,6 +151,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
             Middleware(Measured, metrics=metrics),
             Middleware(Compression),
             Middleware(Conditional),
+            Middleware(ErrorPages),
             Middleware(Answers),
             Middleware(Audit),
             Middleware(BodyPace),

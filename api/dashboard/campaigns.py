@@ -8,9 +8,9 @@ from fastapi.responses import RedirectResponse
 
 from api.authentication import CallerDependency
 from api.dashboard.charts import Chart, chart
-from api.dashboard.pages import HEADERS, html, missing
+from api.dashboard.pages import HEADERS, html
 from api.schemas import cursor_after, read_cursor
-from api.state import Services, ServicesDependency
+from api.state import Services, ServicesDependency, no_such
 from services.access.caller import Caller
 from services.analysis.campaign_table import Cell, Corners, Table
 from services.errors import InvalidRequest
@@ -81,7 +81,7 @@ def move(campaign_id: str, move: str, services: ServicesDependency, caller: Call
     record = services.campaigns.record
     moves = {"pause": record.pause, "resume": record.resume, "cancel": record.cancel}
     if move not in moves or caller.visible(record.get(campaign_id)) is None:
-        return missing()
+        raise no_such("campaign")
     moves[move](campaign_id)
     return RedirectResponse(f"/campaigns/{campaign_id}", 303, HEADERS)
 
@@ -104,7 +104,7 @@ def _list(
 def _campaign(template: str, campaign_id: str, services: Services, caller: Caller) -> Response:
     found = caller.visible(services.campaigns.record.get(campaign_id, whole=True))
     if found is None:
-        return missing()
+        raise no_such("campaign")
     result = services.campaigns.result(found, curves=False)
     attacked = sorted(result.views, key=lambda view: not view.chosen)
     page = Page(

@@ -50,8 +50,3 @@ def html(template: str, status: int = 200, caller: Caller | None = None, **value
     """A page made of a template and values, for a caller who can sign out if it has a key."""
     text = _templates.get_template(template).render(now=datetime.now(UTC), caller=caller, **values)
     return HTMLResponse(text, status, HEADERS)
-
-
-def missing() -> Response:
-    """The page of an address that leads nowhere."""
-    return html("missing.html", 404)

@@ -8,9 +8,9 @@ from fastapi.responses import RedirectResponse
 
 from api.authentication import CallerDependency
 from api.dashboard import views
-from api.dashboard.pages import HEADERS, STATIC, VERSION, html, missing
+from api.dashboard.pages import HEADERS, STATIC, VERSION, html
 from api.schemas import cursor_after, read_cursor
-from api.state import Services, ServicesDependency
+from api.state import Services, ServicesDependency, no_such
 from services.access.caller import Caller
 from services.errors import InvalidRequest
 from services.jobs.models import Event, State
@@ -61,7 +61,7 @@ def job_part(job_id: str, services: ServicesDependency, caller: CallerDependency
 def cancel(job_id: str, services: ServicesDependency, caller: CallerDependency) -> Response:
     """Cancels a job, as the button on its page asks, and redirects to the page."""
     if caller.visible(services.repository.line(job_id)) is None:
-        return missing()
+        raise no_such("job")
     services.repository.request_cancel(job_id)
     return RedirectResponse(f"/jobs/{job_id}", 303, HEADERS)
 
@@ -71,7 +71,7 @@ def static(name: str, request: Request) -> Response:
     """Style, script and icon. Their address contains a version, so that browsers may cache them."""
     data = STATIC.get(name)
     if data is None:
-        return missing()
+        raise no_such("file")
     kept = "max-age=31536000, immutable" if request.query_params.get("v") == VERSION else "no-cache"
     return Response(data, headers=HEADERS | {"Cache-Control": kept}, media_type=_KINDS[name.rpartition(".")[2]])
 
@@ -90,7 +90,7 @@ def _list(template: str, services: Services, caller: Caller, state: State | None
 def _job(template: str, job_id: str, services: Services, caller: Caller) -> Response:
     found = caller.visible(services.repository.get(job_id, with_result=True))
     if found is None:
-        return missing()
+        raise no_such("job")
     events = [] if found.result else _all_events(services, job_id)
     return html(template, caller=caller, page=views.page(found, events, services.repository.artifacts(job_id)))
 

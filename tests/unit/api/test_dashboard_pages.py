@@ -240,12 +240,6 @@ async def test_cancel_button_cancels(repository: Repository) -> None:
     assert found.state == "cancelled"
 
 
-async def test_an_unknown_job_is_a_page_that_says_so(repository: Repository) -> None:
-    page = await get(repository, "/jobs/nothing")
-    assert page.status_code == 404
-    assert "There is no such page" in page.text
-
-
 async def test_whatever_a_job_says_is_text_and_never_markup(repository: Repository) -> None:
     spec = SPEC.model_copy(
         update={
@@ -274,7 +268,7 @@ async def test_pages_keep_their_own_content_policy(repository: Repository) -> No
     job, targeted = add(repository), add(repository, parse(SPEC.model_dump() | {"goal": {"reach": "harp"}}))
     succeed(repository, job, result())
     repository.progress(start(repository, targeted), "attacking", 0, 120, [row(0)])
-    for path in ("/", f"/jobs/{job.id}", f"/jobs/{targeted.id}", "/jobs/nothing"):
+    for path in ("/", f"/jobs/{job.id}", f"/jobs/{targeted.id}"):
         page = await get(repository, path)
         assert "default-src 'none'" in page.headers["content-security-policy"]
         tags = Tags(page.text)

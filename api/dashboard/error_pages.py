@@ -1,0 +1,66 @@
+"""Middleware that shows a person the errors of pages as pages. Programs get the problem document."""
+
+import json
+import re
+from http import HTTPStatus
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.responses import Response
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from api.dashboard.pages import html
+from api.problems import MEDIA_TYPE
+
+_HTML = re.compile(r"(?:^|,)\s*text/html\s*(?:;(?!\s*q=0(?:\.0*)?\s*(?:,|$))[^,]*)?(?:,|$)", re.IGNORECASE)
+"""An Accept header that asks for HTML by its name. Programs that take anything do not ask for it."""
+_OF_PROGRAMS = re.compile(r"/(?:v1|metrics|healthz|readyz|openapi\.json)(?:/|$)")
+"""The beginning of paths that are no pages."""
+
+
+class ErrorPages:
+    """Turns problem documents into pages, for a browser that asks for HTML and outside the API."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI."""
+        if scope["type"] != "http" or _OF_PROGRAMS.match(scope["path"]):
+            return await self.app(scope, receive, send)
+        asks_for_html = _HTML.search(Headers(scope=scope).get("accept", "")) is not None
+        start: Message | None = None
+        document = b""
+
+        async def turned(message: Message) -> None:
+            nonlocal start, document
+            if message["type"] == "http.response.start" and _is_problem(message):
+                MutableHeaders(raw=message["headers"]).add_vary_header("Accept")
+                if asks_for_html:
+                    start = message
+                    return
+            if start is None:
+                await send(message)
+                return
+            document += message.get("body", b"")
+            if not message.get("more_body", False):
+                begun, start = start, None
+                await _page(scope, begun, document)(scope, receive, send)
+
+        return await self.app(scope, receive, turned)
+
+
+def _is_problem(message: Message) -> bool:
+    return Headers(raw=message["headers"]).get("content-type", "").startswith(MEDIA_TYPE)
+
+
+def _page(scope: Scope, begun: Message, document: bytes) -> Response:
+    """The page of a problem, with the problem's status and the headers that are not about its body."""
+    status = begun["status"]
+    detail = json.loads(document)["detail"] if document else ""
+    page = html(
+        "error.html", status, scope.get("state", {}).get("caller"), title=HTTPStatus(status).phrase, detail=detail
+    )
+    for name, value in Headers(raw=begun["headers"]).items():
+        if not name.startswith("content-"):
+            page.headers.setdefault(name, value)
+    return page
