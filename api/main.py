@@ -41,11 +41,10 @@ from api.watcher import Watcher
 from services import tracing
 from services.access.assets import OwnedAssets
 from services.access.keys import AccessKeys
-from services.access.listening import check_listening
+from services.access.listening import check_listening, listen
 from services.access.quotas import Quotas
 from services.access.sessions import Sessions
 from services.device import check_device
-from services.errors import JobFailure
 from services.jobs import watchdog
 from services.jobs.artifacts import ArtifactStore
 from services.jobs.asset_removal import DeletedAssets
@@ -84,8 +83,6 @@ def create_app(values: Settings | None = None) -> FastAPI:
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        if chosen.redis_url is None:
-            raise JobFailure("internal", "the API on its own needs SCENE_ATTACK_REDIS_URL; `serve` brings one")
         engine = connect_database(chosen)
         migration = asyncio.create_task(_migrate(engine, chosen))
         tasks = [asyncio.create_task(_show_life()), migration]
@@ -203,19 +200,22 @@ async def _migrate(engine: Engine, values: Settings) -> None:
 def run(listener: socket.socket | None = None) -> int:
     """Serves until SIGTERM or SIGINT, on a socket already listening or else on the settings' address.
 
-    Raises InvalidRequest if the device of the settings is not there, or if other machines reach the address and there
-    is no key.
+    Raises InvalidRequest if the device of the settings is not there, there is no URL of a Redis, the address is taken,
+    or other machines reach it and there is no key.
     """
     check_device()
     configure("api")
     tracing.configure("api")
     values = settings()
     check_listening(values)
+    # What cannot be is refused here: the server would show a traceback.
+    connect_redis(values.redis_url).close()
+    connect_database(values).dispose()
     app = create_app(values)
     # What has been imported by now stays for ever: the garbage collector need not look at it again and again.
     gc.collect()
     gc.freeze()
-    listener = listener or socket.create_server((values.host, values.port))
+    listener = listener or listen(values.host, values.port)
     log.info("listening", address=listener.getsockname())
     log_extensions()
     config = uvicorn.Config(

@@ -1,6 +1,7 @@
 """A client of the service's HTTP API."""
 
 import os
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ import httpx
 from httpx_sse import connect_sse
 
 from services import atomic_write
+from services.errors import InvalidRequest
 
 TERMINAL = ("succeeded", "failed", "rejected", "cancelled")
 _PATIENCE = 30.0
@@ -44,11 +46,16 @@ class ApiClient:
     """Calls the service at a URL, with the key in SCENE_ATTACK_KEY if there is one. Redirects are not followed, so that
     the key goes nowhere else.
 
-    Methods raise ApiError if the service refuses, and httpx.HTTPError if it does not answer.
+    Raises InvalidRequest if URL or key cannot be one. Methods raise ApiError if the service refuses, and
+    httpx.HTTPError if it does not answer.
     """
 
     def __init__(self, url: str, *, transport: httpx.BaseTransport | None = None) -> None:
         key = os.environ.get("SCENE_ATTACK_KEY", "").strip()
+        if not key.isascii() or not key.isprintable():
+            raise InvalidRequest("SCENE_ATTACK_KEY", "is no key of this service: those are ASCII and begin with sa_")
+        if not re.match(r"https?://[^/]", url):
+            raise InvalidRequest("--url", f"{url!r} is no address of a service, such as http://127.0.0.1:8008")
         headers = {"Authorization": f"Bearer {key}"} if key else {}
         self._http = httpx.Client(base_url=url, headers=headers, timeout=_PATIENCE, transport=transport)
 

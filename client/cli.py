@@ -92,7 +92,8 @@ def _end_with(error: Exception) -> NoReturn:
     from services.settings import Settings
 
     if isinstance(error, ApiError):
-        _end(2 if 400 <= error.status < 500 else 1, f"refused: {error}")
+        hint = "; the command line sends the one in SCENE_ATTACK_KEY" if error.status == 401 else ""
+        _end(2 if 400 <= error.status < 500 else 1, f"refused: {error}{hint}")
     if isinstance(error, ValidationError) and error.title == Settings.__name__:
         first = error.errors()[0]
         name = f"SCENE_ATTACK_{str(first['loc'][0]).upper()}"
@@ -100,7 +101,19 @@ def _end_with(error: Exception) -> NoReturn:
     if isinstance(error, HTTPError):
         reason = str(error) or type(error).__name__
         _end(1, f"no answer from the service ({reason}); start one with scene-attack serve, or name it with --url")
+    if isinstance(error, OSError) and error.strerror:  # a full disk, a folder that cannot be written, a store
+        name = f": {error.filename}" if error.filename else ""
+        _end(1, f"failed: {error.strerror}{name}")
+    if _is_outage(error):
+        reason = str(error.__cause__ or error).splitlines()[0]
+        _end(1, f"the database does not answer ({reason}); scene-attack doctor says what to do")
     raise error
+
+
+def _is_outage(error: Exception) -> bool:
+    # A program that has not imported the database has not asked it.
+    database = sys.modules.get("sqlalchemy.exc")
+    return database is not None and isinstance(error, database.OperationalError)
 
 
 def _end(code: int, message: str) -> NoReturn:

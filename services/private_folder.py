@@ -8,15 +8,29 @@ from pathlib import Path
 OTHERS = stat.S_IRWXG | stat.S_IRWXO
 
 
-def make_private(folder: Path) -> None:
+class NotOurs(Exception):
+    """A folder holds what is not ours, and others may look into it: it is not closed to them."""
+
+
+def make_private(folder: Path, ours: frozenset[str]) -> None:
     """Makes a folder with mode 0700. Of one that is there and ours it takes the rights of group and others away.
 
     A folder that every user shares (it has the sticky bit, as /tmp has) stays as it is, and so does one that belongs to
     somebody else or cannot be changed. What lies in a private folder is private whatever its own mode.
+
+    `ours` are the names of what a folder of ours may hold. Raises NotOurs where one that would have to be closed holds
+    anything else, as a home directory or / would; names that begin with a dot and lost+found do not count.
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
     folder.mkdir(mode=0o700, exist_ok=True)
     found = folder.stat()
     if found.st_uid == os.geteuid() and found.st_mode & OTHERS and not found.st_mode & stat.S_ISVTX:
+        foreign = sorted(path.name for path in folder.iterdir() if path.name not in ours and _counts(path.name))
+        if foreign:
+            raise NotOurs(foreign[0])
         with suppress(OSError):  # a file system that is read-only, or knows no modes
             folder.chmod(stat.S_IMODE(found.st_mode) & ~OTHERS)
+
+
+def _counts(name: str) -> bool:
+    return not name.startswith(".") and name != "lost+found"

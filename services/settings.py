@@ -12,7 +12,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 class Settings(BaseSettings):
     """All settings of an operator; `scene-attack serve --help` and docs/operations.md describe them."""
 
-    model_config = SettingsConfigDict(env_prefix="SCENE_ATTACK_", frozen=True)
+    model_config = SettingsConfigDict(env_prefix="SCENE_ATTACK_", env_ignore_empty=True, frozen=True)
 
     cache: Path = Field(Path("~/.cache/scene-attack"), description="downloaded and derived files; safe to delete")
     data: Path = Field(Path("~/.local/share/scene-attack"), description="database, artifacts, uploaded assets")

@@ -10,7 +10,6 @@ from sqlalchemy import Engine
 from sqlalchemy.exc import SQLAlchemyError
 
 from services.device import check_device
-from services.errors import JobFailure
 from services.jobs.artifacts import ArtifactStore
 from services.jobs.asset_removal import DeletedAssets
 from services.jobs.campaign_feed import Feeder
@@ -32,15 +31,12 @@ log = logger(__name__)
 def run() -> int:
     """Supervises the workers until SIGTERM or SIGINT. Returns the exit status.
 
-    Raises InvalidRequest if the device of the settings is not there, and JobFailure if no Redis URL is set.
+    Raises InvalidRequest if the device of the settings is not there, or the URL of Redis is missing or none.
     """
     check_device()
     configure("worker-supervisor")
     values = settings()
-    if values.redis_url is None:
-        raise JobFailure(
-            "internal", "workers on their own need SCENE_ATTACK_REDIS_URL; `scene-attack serve` brings one"
-        )
+    connect_redis(values.redis_url).close()  # refuses a URL that cannot be, before anything is made
     engine = connect_database(values)
     migrate(engine, values)
     repository = Repository(engine)
@@ -82,7 +78,6 @@ def housekeeping(values: Settings, engine: Engine) -> Callable[[], None]:
 
     Several supervisors may do so at once; each step is a transaction that changes a job at most once.
     """
-    assert values.redis_url is not None
     repository = Repository(engine)
     reconciler = Reconciler(repository, Queue(connect_redis(values.redis_url)))
     feeder = Feeder(engine, values.max_campaign_queued)

@@ -5,10 +5,11 @@ import sys
 
 import httpx
 
-from services.access.listening import check_listening
+from services.access.listening import check_listening, listen
 from services.device import check_device
 from services.jobs.database import connect as connect_database
 from services.jobs.database import migrate
+from services.jobs.queue import connect as connect_redis
 from services.jobs.repository import Repository
 from services.logs import configure, logger
 from services.settings import Settings, settings
@@ -22,11 +23,13 @@ log = logger(__name__)
 def serve(values: Settings) -> int:
     """Runs the whole service until SIGTERM or SIGINT; prints "ready URL" once it takes jobs. Returns the exit status.
 
-    Raises OSError if the address is taken, InvalidRequest if the device of the settings is not there, or if other
-    machines reach the address and there is no key.
+    Raises InvalidRequest if the address is taken or the device of the settings is not there, or if other machines reach
+    the address and there is no key.
     """
     check_device()
     check_listening(values)
+    if values.redis_url is not None:
+        connect_redis(values.redis_url).close()  # refuses a URL that cannot be, before anything is made
     configure("supervisor")
     engine = connect_database(values)
     migrate(engine, values)
@@ -53,11 +56,6 @@ def serve(values: Settings) -> int:
             redis.remove()
         engine.dispose()
     return 0
-
-
-def listen(host: str, port: int) -> socket.socket:
-    """Opens a listening socket; port 0 stands for any free port. Raises OSError if the address is taken."""
-    return socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
 
 
 def _api(values: Settings, listener: socket.socket) -> Program:

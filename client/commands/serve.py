@@ -42,18 +42,10 @@ def serve(
 
     Prints "ready URL" once it takes jobs. Ctrl-C stops everything; a running job goes on from its checkpoint next time.
     """
-    from services.errors import InvalidRequest
-
     values = _settings(host=host, port=port, workers=workers, data=data)
     from worker.stack import serve as run
 
-    try:
-        code = run(values)
-    except OSError as error:
-        raise InvalidRequest(
-            "--port", f"cannot listen on {values.host}:{values.port} ({error.strerror}); try --port 0"
-        ) from error
-    raise typer.Exit(code)
+    raise typer.Exit(run(values))
 
 
 def api(host: HostOption = None, port: PortOption = None, data: DataOption = None) -> None:

@@ -1,5 +1,8 @@
 """Where the service may listen: other machines reach it only once there is a key."""
 
+import os
+import socket
+
 from services.access.keys import AccessKeys
 from services.addresses import is_loopback
 from services.errors import InvalidRequest
@@ -25,3 +28,14 @@ def check_listening(settings: Settings) -> None:
             "use it; make one with `scene-attack keys create NAME --scope admin` (in a container: `docker compose run "
             "--rm api scene-attack keys create NAME --scope admin`), or listen on 127.0.0.1",
         )
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """Opens a listening socket; port 0 stands for any free port. Raises InvalidRequest("--port") if that cannot be."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        return socket.create_server((host, port), family=family)
+    except OSError as error:
+        reason = os.strerror(error.errno) if error.errno and error.errno > 0 else error.strerror
+        detail = f"cannot listen on {host}:{port} ({reason}); try --port 0"
+        raise InvalidRequest("--port", detail) from error

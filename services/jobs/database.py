@@ -17,7 +17,7 @@ from sqlalchemy import Connection, Engine, create_engine, event, make_url, text
 from sqlalchemy.exc import ArgumentError, NoSuchModuleError
 
 from services.errors import InvalidRequest
-from services.private_folder import make_private
+from services.private_folder import NotOurs, make_private
 from services.settings import Settings
 
 MIGRATIONS = Path(__file__).parent / "migrations"
@@ -27,6 +27,9 @@ processor time, and must not be taken to hang: it waits for a quarter of that ti
 """
 CONNECT_SECONDS = 5
 """How long to wait for PostgreSQL's answer to a new connection."""
+_DATABASE_FILES = {"jobs.sqlite", "jobs.sqlite-shm", "jobs.sqlite-wal", "migrate.lock", "database.dump"}
+IN_DATA_FOLDER = frozenset(_DATABASE_FILES | {"artifacts", "assets", "checkpoints", "running", "demo"})
+"""What a data directory may hold, also one that a backup made."""
 _MIGRATING = 0x5CE4EA77
 """The number of the lock that PostgreSQL gives one migration at a time."""
 
@@ -34,7 +37,8 @@ _MIGRATING = 0x5CE4EA77
 def connect(settings: Settings) -> Engine:
     """Returns an engine for the settings' database, which is SQLite in the data directory unless a URL is set.
 
-    Raises InvalidRequest if the URL is none of SQLite or PostgreSQL, or the driver is not installed.
+    Raises InvalidRequest if the URL is none of SQLite or PostgreSQL, the driver is not installed, or the data directory
+    cannot be made or holds other things.
     """
     # A file that has gone is not made again: it may come back, and what was written meanwhile would be lost.
     url = settings.database_url or f"sqlite:///file:{quote(str(_file(settings)))}?mode=rw&uri=true"
@@ -49,13 +53,28 @@ def connect(settings: Settings) -> Engine:
         detail = f"{error.name} is not installed; PostgreSQL needs the extra: pip install 'scene-attack[postgresql]'"
         raise InvalidRequest("SCENE_ATTACK_DATABASE_URL", detail) from error
     wait = min(LOCK_SECONDS, settings.stall_seconds / 4)
-    make_private(settings.data_dir)  # also beside PostgreSQL: the files of running jobs are there
+    try:
+        _make_data_folder(settings.data_dir)  # also beside PostgreSQL: the files of running jobs are there
+    except OSError as error:
+        detail = f"the folder {settings.data_dir} cannot be made ({error.strerror}); name another one"
+        raise InvalidRequest("SCENE_ATTACK_DATA", detail) from error
     if kind == "sqlite":
         event.listen(engine, "connect", partial(_tune_sqlite, wait))
         event.listen(engine, "begin", _begin_sqlite)
     else:
         event.listen(engine, "do_connect", partial(_connect_postgresql, wait))
     return engine
+
+
+def _make_data_folder(folder: Path) -> None:
+    try:
+        make_private(folder, IN_DATA_FOLDER)
+    except NotOurs as error:
+        detail = (
+            f"{folder} holds other things, such as {error}, and would be closed to other users; name a folder for the "
+            f"service alone, or close this one yourself: chmod 700 {folder}"
+        )
+        raise InvalidRequest("SCENE_ATTACK_DATA", detail) from error
 
 
 def _file(settings: Settings) -> Path:
@@ -147,7 +166,7 @@ def _alone(engine: Engine, settings: Settings) -> Iterator[None]:
     if engine.dialect.name != "sqlite":
         yield
         return
-    make_private(settings.data_dir)
+    _make_data_folder(settings.data_dir)
     with (settings.data_dir / "migrate.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if settings.database_url is None:

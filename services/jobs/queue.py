@@ -17,8 +17,10 @@ from redis import Redis
 from rq.exceptions import DeserializationError, DuplicateJobError
 from rq.job import Job as Message
 
+from services.errors import InvalidRequest
 from services.jobs.placement import ANY_WORKER, NOTHING, Abilities, Needs, Priority
 
+SETTING = "SCENE_ATTACK_REDIS_URL"
 NAME = "scene-attack"
 TASK = "run_job"
 """What a message asks for. No function has this name."""
@@ -34,13 +36,20 @@ _ID = re.compile(r"[0-9a-f]{32}")
 _NAME = re.compile(f"{NAME}:(?:{'|'.join(Priority)}):(.+)")
 
 
-def connect(url: str) -> Redis:
+def connect(url: str | None) -> Redis:
     """Returns a Redis client that gives up after 3 seconds without an answer.
 
     The URL begins with redis:, rediss: (TLS) or unix:, and may have a user and a password. Over TLS the server's
-    certificate must be one that this machine trusts, or one of the file `?ssl_ca_certs=`.
+    certificate must be one that this machine trusts, or one of the file `?ssl_ca_certs=`. Raises InvalidRequest if
+    there is no URL, or it is none of these.
     """
-    return Redis.from_url(url, socket_timeout=ANSWER_SECONDS, socket_connect_timeout=ANSWER_SECONDS)
+    if url is None:
+        raise InvalidRequest(SETTING, "is needed where API and workers run apart; `scene-attack serve` brings a Redis")
+    try:
+        return Redis.from_url(url, socket_timeout=ANSWER_SECONDS, socket_connect_timeout=ANSWER_SECONDS)
+    except ValueError as error:  # the URL itself may have a password and is not shown
+        detail = "must be a URL such as redis://:password@host:6379/0, rediss://… for TLS, or unix:///path/of/socket"
+        raise InvalidRequest(SETTING, detail) from error
 
 
 def queue_name(priority: Priority, needs: Needs) -> str:
