@@ -5,6 +5,7 @@ What may take a process down with it, drivers and compiled code, is tried in a p
 
 import json
 import os
+import secrets
 import shutil
 import stat
 import subprocess
@@ -20,7 +21,7 @@ from redis.exceptions import RedisError
 from sqlalchemy.exc import SQLAlchemyError
 
 from services.errors import InvalidRequest, JobFailure, without_folders
-from services.settings import Settings
+from services.settings import Settings, unknown_variables
 
 Level = Literal["ok", "warn", "fail"]
 GIGABYTE = 10**9
@@ -45,7 +46,9 @@ def checkup(settings: Settings) -> Iterator[Finding]:
     """Makes all checks, the quick ones first. None of them changes anything but the kernels, which may be compiled."""
     checks: list[Callable[[Settings], Iterator[Finding]]] = [
         packages,
+        variables,
         folders,
+        store,
         database,
         redis,
         meshes,
@@ -78,6 +81,36 @@ def packages(_: Settings) -> Iterator[Finding]:
         yield Finding("packages", "fail", "; ".join(bad), SETUP)
     else:
         yield Finding("packages", "ok", f"Python {python}, scene-attack {version('scene-attack')} and what it needs")
+
+
+def variables(_: Settings) -> Iterator[Finding]:
+    """Whether each variable that looks like a setting is one."""
+    for name, error in unknown_variables(os.environ).items():
+        yield Finding(name, "warn", error, "mend its name, or remove it")
+
+
+def store(settings: Settings) -> Iterator[Finding]:
+    """Whether the store of artifacts takes an object, gives it out and deletes it; a data directory is no store."""
+    if settings.artifact_url is None:
+        return
+    from services.blobs import blobs
+
+    name = f"doctor-{secrets.token_hex(8)}"
+    try:
+        objects = blobs(settings.artifact_url, "artifacts")
+        objects.write(name, b"doctor")
+        with objects.open(name) as file:
+            same = file.read() == b"doctor"
+        objects.delete(name)
+    except InvalidRequest as error:
+        yield Finding("artifact store", "fail", f"{error.field}: {error.detail}", "mend it")
+    except OSError as error:
+        remedy = "start it, or mend SCENE_ATTACK_ARTIFACT_URL and the variables of its client, for S3 those of AWS"
+        yield Finding("artifact store", "fail", error.strerror or str(error), remedy)
+    else:
+        level: Level = "ok" if same else "fail"
+        text = "takes objects and gives them out" if same else "gives out another object than it was given"
+        yield Finding("artifact store", level, text)
 
 
 def folders(settings: Settings) -> Iterator[Finding]:
@@ -162,7 +195,7 @@ def meshes(settings: Settings) -> Iterator[Finding]:
     """Whether the furniture library and the environment maps were fetched."""
     from services.scenes.library import Library
 
-    library = Library(settings.cache_dir, settings.files)
+    library = Library(settings.cache_dir, settings.data_dir)  # uploads, which a store may have, are not asked for
     furniture = sum(entry.kind == "furniture" for entry in library.entries())
     maps = len(library.environments()) - 1  # one is computed
     level: Level = "ok" if furniture and maps else "warn"

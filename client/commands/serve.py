@@ -1,6 +1,7 @@
 """`serve`, `api` and `worker`: the service, whole or in parts. Options are settings; see docs/operations.md."""
 
 import os
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -71,11 +72,13 @@ def _settings(**given: str | int | Path | None) -> "Settings":
     """
     from services.device import check_device
     from services.rendering.kernels.build import check_kernels
-    from services.settings import settings
+    from services.settings import settings, unknown_variables
 
     os.environ.update(
         {f"SCENE_ATTACK_{name.upper()}": str(value) for name, value in given.items() if value is not None}
     )
+    for name, error in unknown_variables(os.environ).items():
+        print(f"scene-attack: {name} is left out: {error}", file=sys.stderr)
     check_device()
     check_kernels()
     return settings()

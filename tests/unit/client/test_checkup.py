@@ -8,6 +8,7 @@ from typer.testing import CliRunner
 from client import checkup
 from client.checkup import Finding
 from client.cli import app
+from services.blobs import blobs
 from services.jobs.database import connect, migrate
 from services.settings import Settings
 
@@ -99,6 +100,30 @@ def test_redis_that_answers_and_one_that_does_not(tmp_path: Path, redis_url: str
     assert (found.level, found.text.endswith("workers alive: 0")) == ("ok", True)
     assert only(list(checkup.redis(settings(tmp_path, redis_url="redis://127.0.0.1:1")))).level == "fail"
     assert only(list(checkup.redis(settings(tmp_path, redis_url="http://127.0.0.1:1")))).level == "fail"
+
+
+def test_a_store_that_answers_and_one_that_does_not(
+    tmp_path: Path, s3_url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert list(checkup.store(settings(tmp_path))) == []
+    there = settings(tmp_path, artifact_url=f"{s3_url}/doctor")
+    assert only(list(checkup.store(there))).level == "ok"
+    assert blobs(f"{s3_url}/doctor", "artifacts").names() == []
+    nowhere = only(list(checkup.store(settings(tmp_path, artifact_url="s3://no-such-bucket/doctor"))))
+    assert (nowhere.level, "does not answer" in nowhere.text) == ("fail", True)
+    assert only(list(checkup.store(settings(tmp_path, artifact_url="nothing://bucket")))).level == "fail"
+    monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:1")
+    assert only(list(checkup.store(there))).level == "fail"
+    assert only(list(checkup.meshes(there))).level == "warn"  # it needs no store
+
+
+def test_a_variable_that_is_no_setting_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert list(checkup.variables(settings(tmp_path))) == []
+    monkeypatch.setenv("SCENE_ATTACK_MAX_QUEUD", "3")
+    monkeypatch.setenv("SCENE_ATTACK_KEY", "sa_a")
+    found = only(list(checkup.variables(settings(tmp_path))))
+    assert (found.subject, found.level) == ("SCENE_ATTACK_MAX_QUEUD", "warn")
+    assert "did you mean 'SCENE_ATTACK_MAX_QUEUED'" in found.text
 
 
 def test_meshes_that_were_not_fetched(tmp_path: Path) -> None:
