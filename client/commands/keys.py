@@ -1,13 +1,15 @@
 """The commands `keys`: make, list and revoke the keys of a service, in its database."""
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from client.commands.options import JsonOption
+from client.commands.options import DataOption, JsonOption
 
 if TYPE_CHECKING:
     from services.access.keys import AccessKeys
@@ -15,13 +17,14 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     help="Make, list and revoke the keys of a service. Works on the database that SCENE_ATTACK_DATA or "
-    "SCENE_ATTACK_DATABASE_URL names, also while the service runs.",
+    "SCENE_ATTACK_DATABASE_URL names, also while the service runs. Of a service that has --data, give it here too.",
     no_args_is_help=True,
 )
 
 DEFAULT_SCOPES = ("jobs:read", "jobs:write", "assets:write")
 LONGEST = 100
 DAY = 24 * 60 * 60.0
+MOST_DAYS = 36_500
 
 
 @app.command(
@@ -42,7 +45,8 @@ def create(
         str | None,
         typer.Option(help="Whose jobs, campaigns and meshes the key makes and sees; without it, NAME is the owner."),
     ] = None,
-    days: Annotated[float | None, typer.Option(min=0, help="The key expires after this time.")] = None,
+    days: Annotated[float | None, typer.Option(help="The key expires after this time.")] = None,
+    data: DataOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Make a key and print its text, which is not kept: copy it now. Programs send it from SCENE_ATTACK_KEY.
@@ -58,30 +62,33 @@ def create(
         if word not in known:
             raise InvalidRequest("--scope", f"{word!r} is no scope; it is one of {', '.join(known)}")
     name, owner = _word("NAME", name), _word("--owner", name if owner is None else owner, least=0)
-    with _keys() as keys:
+    if days is not None and not 0 < days <= MOST_DAYS:
+        raise InvalidRequest("--days", f"must be more than 0 and at most {MOST_DAYS:,}, not {days:g}")
+    with _keys(data) as keys:
         scopes = {Scope(word) for word in scope or DEFAULT_SCOPES}
         key, text = keys.create(name, owner, scopes, None if days is None else days * DAY)
     if as_json:
         print_json(_shown(key) | {"key": text})
         return
     out().print(text, markup=False, highlight=False, soft_wrap=True)
-    err().print(f"This is the only time that the key {key.prefix} is shown.", markup=False, highlight=False)
+    said = f"This is the only time that the key {key.prefix} is shown. It is in {_place()}."
+    err().print(said, markup=False, highlight=False, soft_wrap=True)
 
 
 @app.command("list", epilog="Example: [bold]scene-attack keys list[/bold]")
-def list_keys(as_json: JsonOption = False) -> None:
+def list_keys(data: DataOption = None, as_json: JsonOption = False) -> None:
     """List all keys, oldest first, also those that are revoked or have expired. No key's text is known."""
     from client.console import out, print_json, table
 
-    with _keys() as keys:
+    with _keys(data) as keys:
         found = [_shown(key) for key in keys.all()]
     if as_json:
         print_json(found)
         return
-    columns = ("prefix", "name", "owner", "scopes", "state", "created", "last used")
+    columns = ("prefix", "name", "owner", "scopes", "state", "expires", "created", "last used")
     rows = [
         [one["prefix"], one["name"], one["owner"], " ".join(one["scopes"]), one["state"]]
-        + [(one[time] or "never")[:16] for time in ("created", "last_used")]
+        + [(one[time] or "never")[:16] for time in ("expires", "created", "last_used")]
         for one in found
     ]
     out().print(table(columns, rows))
@@ -90,16 +97,17 @@ def list_keys(as_json: JsonOption = False) -> None:
 @app.command(epilog="Example: [bold]scene-attack keys revoke sa_1f0c9a7b3e[/bold]")
 def revoke(
     prefix: Annotated[str, typer.Argument(metavar="PREFIX", help="The key's prefix, from `keys list`.")],
+    data: DataOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """End a key for good. Its next request is refused, and its sessions of the dashboard end."""
     from client.console import out, print_json
     from services.errors import InvalidRequest
 
-    with _keys() as keys:
+    with _keys(data) as keys:
         key = keys.revoke(prefix)
     if key is None:
-        raise InvalidRequest("PREFIX", f"there is no key {prefix!r}; `scene-attack keys list` shows all of them")
+        raise InvalidRequest("PREFIX", f"there is no key {prefix!r} in {_place()}; `keys list` shows all of them")
     if as_json:
         print_json(_shown(key))
     else:
@@ -107,17 +115,28 @@ def revoke(
 
 
 @contextmanager
-def _keys() -> "Iterator[AccessKeys]":
+def _keys(data: Path | None) -> "Iterator[AccessKeys]":
+    """The keys in the settings' database, or in that of another data directory."""
     from services.access.keys import AccessKeys
     from services.jobs.database import connect, migrate
     from services.settings import settings
 
+    if data is not None:  # before the settings are read, which happens once
+        os.environ["SCENE_ATTACK_DATA"] = str(data)
     engine = connect(settings())
     try:
         migrate(engine, settings())
         yield AccessKeys(engine)
     finally:
         engine.dispose()
+
+
+def _place() -> str:
+    """Where the keys are, in words. The URL of a database may have a password and is not shown."""
+    from services.settings import settings
+
+    values = settings()
+    return str(values.data_dir) if values.database_url is None else "the database of SCENE_ATTACK_DATABASE_URL"
 
 
 def _word(field: str, text: str, least: int = 1) -> str:

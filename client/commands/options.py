@@ -1,5 +1,6 @@
 """Options of several commands."""
 
+from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
@@ -7,6 +8,9 @@ import typer
 DEFAULT_URL = "http://127.0.0.1:8008"
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
+DataOption = Annotated[
+    Path | None, typer.Option("--data", help="Directory of database, artifacts and uploads [SCENE_ATTACK_DATA].")
+]
 SeedOption = Annotated[int | None, typer.Option("--seed", min=0, help="Use this seed instead of the spec's.")]
 PriorityOption = Annotated[
     Literal["high", "normal", "low"] | None,

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from client.commands.options import DataOption
+
 if TYPE_CHECKING:
     from services.settings import Settings
 
@@ -22,9 +24,6 @@ PortOption = Annotated[
     int | None, typer.Option("--port", "-p", help="Port to listen on, 0 for a free one [SCENE_ATTACK_PORT, 8008].")
 ]
 WorkersOption = Annotated[int | None, typer.Option("--workers", "-w", help="Job processes [SCENE_ATTACK_WORKERS, 1].")]
-DataOption = Annotated[
-    Path | None, typer.Option("--data", help="Directory of database, artifacts and uploads [SCENE_ATTACK_DATA].")
-]
 
 
 def register(app: typer.Typer) -> None:

@@ -63,6 +63,9 @@ def test_the_text_of_a_key_is_all_of_stdout(data: Path) -> None:
         (["create", ""], "NAME"),
         (["create", "x" * 101], "NAME"),
         (["create", "alice", "--owner", "a\nb"], "--owner"),
+        (["create", "alice", "--days", "0"], "--days"),
+        (["create", "alice", "--days", "1e9"], "--days"),
+        (["create", "alice", "--days", "nan"], "--days"),
         (["revoke", "sa_0000000000"], "PREFIX"),
     ],
 )
@@ -71,3 +74,12 @@ def test_what_is_wrong_is_said(arguments: list[str], field: str) -> None:
         CliRunner().invoke(app, ["keys", *arguments], catch_exceptions=False)
     assert refused.value.field == field
     assert keys("list") == []
+
+
+def test_a_key_of_another_data_folder_says_where_it_is(data: Path) -> None:
+    other = data / "other"
+    done = CliRunner().invoke(app, ["keys", "create", "alice", "--data", str(other)])
+    assert find(other, done.stdout.strip()) is not None
+    assert f"It is in {other}." in done.stderr
+    settings.cache_clear()
+    assert keys("list", "--data", str(data)) == []
