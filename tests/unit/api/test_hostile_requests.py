@@ -80,7 +80,7 @@ HEADERS = {
     "a long host": ("GET", "/healthz", {"host": "x" * 10_000}, 421),
     "half an origin": ("POST", "/v1/jobs/none/cancel", {"origin": "http://["}, 403),
     "an origin without a host": ("POST", "/v1/jobs/none/cancel", {"origin": "null"}, 403),
-    "a port that is none": ("GET", "/healthz", {"host": "localhost:x"}, 200),
+    "a port that is none": ("GET", "/healthz", {"host": "localhost:x"}, 400),
 }
 
 

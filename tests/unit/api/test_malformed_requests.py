@@ -98,7 +98,7 @@ HEADERS = {
     "two origins": ({"origin": "http://localhost, https://evil.example"}, 403),
     "half a host": ({"host": "[::1"}, 400),
     "a host of another name": ({"host": "evil.example"}, 421),
-    "a user in the host": ({"host": "localhost@evil.example"}, 421),
+    "a user in the host": ({"host": "localhost@evil.example"}, 400),
 }
 
 

@@ -211,7 +211,8 @@ def test_no_process_goes_on_with_a_job_that_nobody_watches(stage: Stage) -> None
 
 def test_a_database_that_does_not_answer_is_left_to_the_record(make: Callable[..., Stage], tmp_path: Path) -> None:
     stage = make(stall_seconds=1.5)
-    job = stage.add(HANGS)
+    stage.script("hang")
+    job = add(stage.repository)
     with closing(sqlite3.connect(tmp_path / "jobs.sqlite", isolation_level=None)) as other:
         other.execute("BEGIN IMMEDIATE")
         stage.runner.run(job.id, lambda: None)
