@@ -88,6 +88,7 @@ class Settings(BaseSettings):
     owner_queued: int = Field(
         500, ge=1, description="queued jobs of one owner of keys beyond which its new ones get 429; so below likewise"
     )
+    owner_campaigns: int = Field(50, ge=1, description="campaigns of one owner that have not ended")
     owner_upload_bytes: int = Field(10 * 2**30, ge=0, description="bytes of all uploads of one owner")
     owner_requests: int = Field(
         6000, ge=1, description="requests of one owner in a minute, counted by each process of the API"

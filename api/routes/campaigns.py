@@ -69,7 +69,8 @@ async def submit(
     campaign = None if key is None else await run_in_threadpool(services.campaigns.record.of_key, key)
     if campaign is None:
         await while_connected(request, _check(spec, services, caller, client_of(request, caller)))
-        campaign = await run_in_threadpool(services.campaigns.submit, spec, idempotency_key, caller.owner, asked)
+        whose, most = caller.owner, services.quotas.campaigns_of(caller.owner)
+        campaign = await run_in_threadpool(services.campaigns.submit, spec, idempotency_key, whose, asked, most)
     # The answer to a long list of jobs is large, so it is written in a thread too.
     answer = await run_in_threadpool(lambda: CampaignView.accepted(campaign, spec).model_dump_json())
     headers = {"Location": f"/v1/campaigns/{campaign.id}"}

@@ -1,4 +1,7 @@
-"""What one owner may have: queued jobs and uploaded bytes. The owner "", of a service without keys, has no quotas."""
+"""What one owner may have: queued jobs, campaigns that have not ended, uploaded bytes.
+
+The owner "", of a service without keys, has no quotas.
+"""
 
 from dataclasses import dataclass
 
@@ -15,11 +18,16 @@ class Quotas:
 
     assets: OwnedAssets
     queued: int
+    campaigns: int
     upload_bytes: int
 
     def queued_of(self, owner: str) -> int | None:
         """The largest number of jobs that the owner may have queued; None if there is no limit."""
         return self.queued if owner else None
+
+    def campaigns_of(self, owner: str) -> int | None:
+        """The largest number of campaigns that have not ended for the owner; None if there is no limit."""
+        return self.campaigns if owner else None
 
     def check_upload(self, owner: str, size: int) -> None:
         """Raises QuotaExceeded if the owner may not upload `size` more bytes."""

@@ -37,16 +37,24 @@ class CampaignService:
     record: Campaigns
     queue: Queue
 
-    def submit(self, spec: CampaignSpec, key: str | None, owner: str = "", demand: Demand = CAMPAIGNS) -> Campaign:
+    def submit(
+        self,
+        spec: CampaignSpec,
+        key: str | None,
+        owner: str = "",
+        demand: Demand = CAMPAIGNS,
+        owner_campaigns: int | None = None,
+    ) -> Campaign:
         """Records a checked campaign; the supervisor queues its jobs. Returns it, or the first one of the key.
 
-        Raises KeyReused if the key came with another request.
+        Raises KeyReused if the key came with another request, and QuotaExceeded if `owner_campaigns` of the owner have
+        not ended.
         """
-        count = len(views(spec))
+        given = (spec, len(views(spec)), request_digest(spec), key, owner, demand, owner_campaigns)
         try:
-            return self.record.create(spec, count, request_digest(spec), key, owner, demand)
+            return self.record.create(*given)
         except IntegrityError:  # another process recorded the same key at the same moment
-            return self.record.create(spec, count, request_digest(spec), key, owner, demand)
+            return self.record.create(*given)
 
     def counts(self, campaign_id: str) -> Counts:
         """The results so far, and the time left with as many workers as there are now."""

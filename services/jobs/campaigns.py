@@ -12,6 +12,7 @@ from sqlalchemy.orm import Session, defer, undefer
 
 from services.analysis.campaign_curves import Curves
 from services.analysis.campaign_table import Case
+from services.errors import QuotaExceeded
 from services.jobs import outbox
 from services.jobs.asset_uses import check_held, refer_from_campaign, uploads_among
 from services.jobs.models import Campaign, CampaignJob, CampaignState, Job, JobKind, State
@@ -21,6 +22,10 @@ from services.jobs.transactions import Transactions
 from services.jobs.utc_time import place
 from services.pipeline.campaign_check import check_meshes, meshes_of
 from services.pipeline.campaign_spec import CampaignSpec
+
+ENDED_SECONDS = 60.0
+"""Time after which an owner with too many campaigns may try again."""
+_OPEN = [state for state in CampaignState if not state.terminal]
 
 
 @dataclass(frozen=True)
@@ -44,16 +49,23 @@ class Campaigns(Transactions):
         key: str | None,
         owner: str = "",
         demand: Demand = CAMPAIGNS,
+        owner_campaigns: int | None = None,
     ) -> Campaign:
         """Records a new campaign and returns it, or the first one of the key if it was used before.
 
-        Raises KeyReused if the key came with another request, InvalidRequest if a mesh of the request was deleted, and
-        IntegrityError if another process records the same key at the same moment.
+        Raises KeyReused if the key came with another request, QuotaExceeded if `owner_campaigns` of the owner have not
+        ended, InvalidRequest if a mesh of the request was deleted, and IntegrityError if another process records the
+        same key at the same moment.
         """
         with self._write(durable=True) as session:
             given = None if key is None else Key(key, digest, owner)
             if given is not None and (first := _first(session, given)) is not None:
                 return first
+            if owner_campaigns is not None:
+                own = (Campaign.owner == owner, Campaign.state.in_(_OPEN))
+                if (session.scalar(select(func.count()).select_from(Campaign).where(*own)) or 0) >= owner_campaigns:
+                    detail = f"an owner may have {owner_campaigns:,} campaigns that have not ended"
+                    raise QuotaExceeded(detail, ENDED_SECONDS)
             uploads = uploads_among(meshes_of(spec))
             check_held(session, uploads, partial(check_meshes, spec))
             campaign = Campaign(
@@ -121,12 +133,11 @@ class Campaigns(Transactions):
 
         Returns the campaign, or None if the id is unknown.
         """
-        open_states = [state for state in CampaignState if not state.terminal]
         with self._write() as session:
             if self._set(
                 session,
                 campaign_id,
-                open_states,
+                _OPEN,
                 state=CampaignState.CANCELLED,
                 ended_at=self._now(session),
                 paused_at=None,

@@ -17,7 +17,7 @@ def test_uploads_are_counted_once_for_each_owner(assets: OwnedAssets) -> None:
 
 
 def test_an_owner_uploads_no_more_than_it_may(assets: OwnedAssets) -> None:
-    quotas = Quotas(assets, queued=5, upload_bytes=100)
+    quotas = Quotas(assets, queued=5, campaigns=7, upload_bytes=100)
     assets.add("alice", "a", 60)
     quotas.check_upload("alice", 40)
     with pytest.raises(QuotaExceeded, match="100 bytes"):
@@ -26,6 +26,7 @@ def test_an_owner_uploads_no_more_than_it_may(assets: OwnedAssets) -> None:
 
 
 def test_a_service_without_keys_has_no_quotas(assets: OwnedAssets) -> None:
-    quotas = Quotas(assets, queued=5, upload_bytes=0)
+    quotas = Quotas(assets, queued=5, campaigns=7, upload_bytes=0)
     quotas.check_upload("", 10**12)
     assert (quotas.queued_of(""), quotas.queued_of("alice")) == (None, 5)
+    assert (quotas.campaigns_of(""), quotas.campaigns_of("alice")) == (None, 7)

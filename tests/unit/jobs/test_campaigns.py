@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 from sqlalchemy import Engine, update
 
+from services.errors import QuotaExceeded
 from services.jobs.campaign_feed import CHUNK, Feeder
 from services.jobs.campaign_service import request_digest
 from services.jobs.models import Campaign, CampaignState, State
@@ -22,6 +23,25 @@ from tests.unit.jobs.records import add
 @pytest.fixture
 def stage(engine: Engine, repository: Repository) -> Stage:
     return Stage(engine, repository)
+
+
+def test_an_owner_has_no_more_open_campaigns_than_it_may(stage: Stage) -> None:
+    def begin(owner: str, most: int | None = 2, key: str | None = None) -> Campaign:
+        one = spec(1)
+        return stage.campaigns.create(one, 1, request_digest(one), key, owner, owner_campaigns=most)
+
+    first, second = begin("alice", key="k"), begin("alice")
+    stage.campaigns.pause(second.id)
+    with pytest.raises(QuotaExceeded, match="2 campaigns"):
+        begin("alice")
+    assert begin("alice", key="k").id == first.id
+    begin("bob")
+    begin("alice", None)
+    for ended in (first, second):
+        stage.campaigns.cancel(ended.id)
+    begin("alice")
+    with pytest.raises(QuotaExceeded):
+        begin("alice")
 
 
 def test_a_campaign_is_selected_run_and_finished(stage: Stage) -> None:
