@@ -15,6 +15,7 @@ from starlette.requests import cookie_parser
 from starlette.responses import RedirectResponse, Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from api.accept import asks_for_html
 from api.auth_rules import OPEN, Rule, rule_of
 from api.problems import problem
 from api.request_rate import RequestRate
@@ -93,9 +94,10 @@ def _caller(services: Doors, scope: Scope) -> Caller | None:
 
 
 def _refusal(rule: Rule | None, caller: Caller | None, asked: Scope) -> Response | None:
-    if caller is None and rule is not None and rule.is_page:
+    if caller is None and rule is not None and rule.is_page and asks_for_html(asked):
         back = asked["path"] if asked["method"] in ("GET", "HEAD") else asked["path"].rpartition("/")[0]
-        return RedirectResponse(f"{SIGN_IN}?{urlencode({'next': back})}", 303, {"Cache-Control": "no-store"})
+        headers = {"Cache-Control": "no-store", "Vary": "Accept"}
+        return RedirectResponse(f"{SIGN_IN}?{urlencode({'next': back})}", 303, headers)
     if caller is None:
         detail = "a key is needed that is known, not revoked and not expired; send it as `Authorization: Bearer KEY`"
         return problem(401, detail, headers=_HOW)

@@ -8,11 +8,10 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from api.accept import asks_for_html
 from api.dashboard.pages import html
 from api.problems import MEDIA_TYPE
 
-_HTML = re.compile(r"(?:^|,)\s*text/html\s*(?:;(?!\s*q=0(?:\.0*)?\s*(?:,|$))[^,]*)?(?:,|$)", re.IGNORECASE)
-"""An Accept header that asks for HTML by its name. Programs that take anything do not ask for it."""
 _OF_PROGRAMS = re.compile(r"/(?:v1|metrics|healthz|readyz|openapi\.json)(?:/|$)")
 """The beginning of paths that are no pages."""
 
@@ -27,7 +26,7 @@ class ErrorPages:
         """ASGI."""
         if scope["type"] != "http" or _OF_PROGRAMS.match(scope["path"]):
             return await self.app(scope, receive, send)
-        asks_for_html = _HTML.search(Headers(scope=scope).get("accept", "")) is not None
+        is_browser = asks_for_html(scope)
         start: Message | None = None
         document = b""
 
@@ -35,7 +34,7 @@ class ErrorPages:
             nonlocal start, document
             if message["type"] == "http.response.start" and _is_problem(message):
                 MutableHeaders(raw=message["headers"]).add_vary_header("Accept")
-                if asks_for_html:
+                if is_browser:
                     start = message
                     return
             if start is None:

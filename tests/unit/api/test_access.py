@@ -16,13 +16,23 @@ BAD_KEYS = ("none", "unknown", "revoked", "expired", "not a bearer")
 @pytest.mark.parametrize("route", CLOSED)
 def test_without_a_valid_key_nothing_is_answered(guarded: Guarded, route: str, caller: str) -> None:
     answer, nothing = guarded.ask(route, caller), guarded.ask(route, caller, exists=False)
-    if route in PAGES:
-        assert answer.status_code == nothing.status_code == 303
-        assert answer.headers["location"].startswith("/sign-in?")
-    else:
-        assert answer.status_code == 401, answer.text
-        assert answer.headers["www-authenticate"] == "Bearer"
+    assert answer.status_code == 401, answer.text
+    assert answer.headers["www-authenticate"] == "Bearer"
     assert answer.content == nothing.content  # what exists looks like what does not
+
+
+@pytest.mark.parametrize("caller", BAD_KEYS)
+@pytest.mark.parametrize("route", sorted(PAGES))
+def test_a_browser_is_sent_to_sign_in_by_what_exists_and_what_does_not(
+    guarded: Guarded, route: str, caller: str
+) -> None:
+    for exists in (True, False):
+        method, path = guarded.place(route, exists=exists)
+        headers = {"accept": "text/html,*/*;q=0.8"} | guarded.headers[caller]
+        answer = guarded.client.request(method, path, headers=headers)
+        assert answer.status_code == 303
+        assert answer.headers["location"].startswith("/sign-in?")
+        assert answer.content == b""
 
 
 @pytest.mark.parametrize("route", CLOSED)

@@ -12,8 +12,9 @@ from tests.unit.api.guarded import CLOSED, Guarded
 
 @pytest.fixture
 def browser(guarded: Guarded) -> Iterator[httpx.Client]:
-    """A client without a key that keeps cookies."""
-    with httpx.Client(base_url=guarded.client.base_url, timeout=60) as browser:
+    """A client without a key that keeps cookies and asks for pages."""
+    headers = {"accept": "text/html,application/xml;q=0.9,*/*;q=0.8"}
+    with httpx.Client(base_url=guarded.client.base_url, timeout=60, headers=headers) as browser:
         yield browser
 
 
