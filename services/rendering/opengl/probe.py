@@ -12,7 +12,10 @@ from typing import Any
 from services import atomic_write
 from services.settings import settings
 
-SECONDS = 60.0
+SECONDS = 300.0
+"""Time after which a driver hangs. On a busy machine a process may take minutes, and must not draw otherwise than on an
+idle one: the images of another platform differ.
+"""
 PREFIXES = ("EGL", "__EGL", "__GL", "LIBGL", "MESA", "GALLIUM", "LP_", "LD_", "CUDA_VISIBLE", "DISPLAY", "WAYLAND")
 """Prefixes of the environment variables that drivers read."""
 FOLDERS = ("/dev/dri", "/usr/share/glvnd/egl_vendor.d", "/etc/glvnd/egl_vendor.d")
