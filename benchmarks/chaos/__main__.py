@@ -7,7 +7,7 @@ PostgreSQL (--database postgresql) is a server of the run's own: the postmaster 
 killed, or all its processes are stopped, and the server is started again. SQLite is a file: its lock is held instead.
 
 The whole load: python -m benchmarks.chaos --jobs 300 --workers 3 --kills 60 --stops 10
-The short form: python -m benchmarks.chaos --jobs 6 --kills 6 --stops 2 --steps 60 --stall 4 --watchdog 8
+The short form: python -m benchmarks.chaos --jobs 6 --workers 1 --kills 6 --stops 2 --steps 40 --stall 8 --watchdog 12
 """
 
 import argparse
