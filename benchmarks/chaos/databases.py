@@ -17,6 +17,8 @@ SILENT_SECONDS = 8.0
 """Time without an answer after which PostgreSQL is killed and started again; that of an embedded Redis is the same."""
 LOCKED_SECONDS = (4.0, 14.0)
 """Shortest and longest time for which SQLite is locked; a transaction waits for ten seconds."""
+PATIENCE = 300.0
+"""Longest wait in seconds for SQLite's lock: a process that was stopped may hold it until it is killed."""
 DATABASE, POSTMASTER, BACKEND = "database", "postmaster", "backend"
 
 
@@ -62,7 +64,7 @@ class Sqlite:
 
     def keep_away(self, seconds: float) -> None:
         """Locks the file: nobody else can write. Under WAL, others still read."""
-        connection = sqlite3.connect(self._file, timeout=60.0, isolation_level=None)
+        connection = sqlite3.connect(self._file, timeout=PATIENCE, isolation_level=None)
         connection.execute("BEGIN EXCLUSIVE")
         time.sleep(seconds)
         connection.close()
