@@ -14,6 +14,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from api.problems import http_problem
+from api.small_chunks import CountedChunks
 
 HEAD_SECONDS = 15.0
 """Longest time from a connection, or from the first byte of a later request on it, to the end of the request's head."""
@@ -25,10 +26,23 @@ _TOO_SLOW = b"HTTP/1.1 408 Request Timeout\r\nconnection: close\r\ncontent-lengt
 
 
 class HeadLimit(H11Protocol):
-    """HTTP/1.1 in which the head of a request has to come in time. Between requests, uvicorn's own limit holds."""
+    """HTTP/1.1 in which the head of a request has to come in time, and a body in no more chunks than `CountedChunks`
+    takes. Between requests, uvicorn's own limit holds.
+    """
 
     head_seconds = HEAD_SECONDS
     _head: asyncio.TimerHandle | None = None
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.conn = CountedChunks(h11.SERVER)
+
+    def send_400_response(self, msg: str) -> None:
+        """Answers what is no HTTP, unless an answer has begun already; then the connection is closed."""
+        if self.conn.our_state in (h11.IDLE, h11.SEND_RESPONSE):
+            super().send_400_response(msg)
+        else:
+            self.transport.close()
 
     def connection_made(self, transport: Any) -> None:
         """Expects a first request."""

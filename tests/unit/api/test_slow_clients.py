@@ -84,3 +84,26 @@ def test_a_large_body_has_the_time_that_it_takes(connection: socket.socket) -> N
         connection.sendall(b"x" * BODY_PACE)
         stop.wait(LIMIT / 2)
     assert answer(connection).endswith(b"\r\n\r\n%d" % size)
+
+
+def chunked(*sizes: int) -> bytes:
+    """A request whose body has chunks of these sizes."""
+    chunks = b"".join(b"%x\r\n%s\r\n" % (size, b"x" * size) for size in (*sizes, 0))
+    return b"POST / HTTP/1.1\r\nhost: localhost\r\ntransfer-encoding: chunked\r\n\r\n" + chunks
+
+
+def test_a_body_of_many_small_chunks_is_refused(connection: socket.socket) -> None:
+    connection.sendall(chunked(*[1] * 2000))
+    assert connection.recv(1000).startswith(b"HTTP/1.1 400 ")
+    while connection.recv(1000):
+        pass  # it is closed
+
+
+def test_large_chunks_and_a_few_small_ones_are_taken_in_each_request(connection: socket.socket) -> None:
+    for sizes in ([1] * 900, [1] * 900, [1000] * 100 + [1] * 1000):
+        connection.sendall(chunked(*sizes))
+        with connection.makefile("rb") as answer:
+            assert answer.readline().startswith(b"HTTP/1.1 200 ")
+            while answer.readline() != b"\r\n":
+                pass
+            assert json.loads(answer.read(len(str(sum(sizes))))) == sum(sizes)
