@@ -20,8 +20,9 @@ from packaging.requirements import Requirement
 from redis.exceptions import RedisError
 from sqlalchemy.exc import SQLAlchemyError
 
+from client.unknown_variables import unknown_variables
 from services.errors import InvalidRequest, JobFailure, without_folders
-from services.settings import Settings, unknown_variables
+from services.settings import Settings
 
 Level = Literal["ok", "warn", "fail"]
 GIGABYTE = 10**9

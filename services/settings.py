@@ -1,15 +1,12 @@
 """Reads settings from environment variables (prefix SCENE_ATTACK_); the defaults work on a laptop."""
 
 import os
-from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
 from pydantic import Field
 from pydantic_settings import BaseSettings, SettingsConfigDict
-
-from services.suggestions import did_you_mean
 
 
 class Settings(BaseSettings):
@@ -175,17 +172,6 @@ class Settings(BaseSettings):
         """Returns the environment variables that give a child process these settings."""
         values = {name: getattr(self, name) for name in type(self).model_fields}
         return {f"SCENE_ATTACK_{name.upper()}": str(value) for name, value in values.items() if value is not None}
-
-
-COMMAND_LINE = ("SCENE_ATTACK_URL", "SCENE_ATTACK_KEY")
-"""Variables that are no settings of the service: where a client finds it, and with which key."""
-
-
-def unknown_variables(environ: Mapping[str, str]) -> dict[str, str]:
-    """The variables of an environment that look like settings and are none, each with its error."""
-    known = [*(f"SCENE_ATTACK_{name.upper()}" for name in Settings.model_fields), *COMMAND_LINE]
-    unknown = sorted(name for name in environ if name.startswith("SCENE_ATTACK_") and name not in known)
-    return {name: f"there is no such setting{did_you_mean(name, known)}" for name in unknown}
 
 
 def _listed(text: str | None) -> frozenset[str]:

@@ -69,9 +69,10 @@ def _settings(**given: str | int | Path | None) -> "Settings":
 
     Comes before the imports of the service, which read the settings once.
     """
+    from client.unknown_variables import unknown_variables
     from services.device import check_device
     from services.rendering.kernels.build import check_kernels
-    from services.settings import settings, unknown_variables
+    from services.settings import settings
 
     os.environ.update(
         {f"SCENE_ATTACK_{name.upper()}": str(value) for name, value in given.items() if value is not None}
