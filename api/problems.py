@@ -1,8 +1,8 @@
 """Turns every error of the API into `application/problem+json` (RFC 9457)."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from http import HTTPStatus
-from typing import Any
+from typing import Any, get_type_hints
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
@@ -23,8 +23,11 @@ from services.jobs.artifacts import Damaged
 from services.jobs.outages import outage_of
 from services.jobs.repository import KeyReused, QueueFull
 from services.logs import logger
+from services.pipeline.campaign_spec import CampaignSpec
 from services.pipeline.campaign_spec import named as campaign_fields
-from services.pipeline.spec import named
+from services.pipeline.field_errors import invalid_fields
+from services.pipeline.spec import JobSpec, named
+from services.strict import Strict
 
 MEDIA_TYPE = "application/problem+json"
 MAX_DETAIL = 5000
@@ -87,9 +90,8 @@ def install(app: FastAPI) -> None:
         items = error.errors()
         if items and items[0]["type"] == "json_invalid":
             return problem(400, f"the body is not JSON: {items[0]['ctx']['error']} at character {items[0]['loc'][-1]}")
-        fields = campaign_fields if request.url.path == "/v1/campaigns" and request.method == "POST" else named
         # pydantic's paths begin with "body", "query" or "header"; clients know fields without that part.
-        return invalid(fields([item | {"loc": item["loc"][1:]} for item in items]))
+        return invalid(_fields_of(request)([item | {"loc": item["loc"][1:]} for item in items]))
 
     @app.exception_handler(HTTPException)
     def _http(request: Request, error: HTTPException) -> Response:
@@ -139,6 +141,17 @@ def install(app: FastAPI) -> None:
         # The server closes the connection after this, so a client must not send its next request on it.
         headers = {"Connection": "close", HEADER: request.scope.get("request_id", "")}
         return problem(500, "the service made a mistake; its log says which", headers=headers)
+
+
+def _fields_of(request: Request) -> Callable[[list[dict[str, Any]]], list[InvalidRequest]]:
+    """The function that names the invalid fields of a request, by the model of its body."""
+    hints = get_type_hints(request.scope["endpoint"]).values()
+    models = [one for one in hints if isinstance(one, type) and issubclass(one, Strict)]
+    if not models or models[0] is JobSpec:
+        return named
+    if models[0] is CampaignSpec:
+        return campaign_fields
+    return lambda items: invalid_fields(items, models[0].model_json_schema())
 
 
 def _allowed(app: FastAPI, path: str) -> list[str]:

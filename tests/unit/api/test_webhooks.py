@@ -37,6 +37,18 @@ def test_a_bad_webhook_names_its_field(client: Client, body: dict[str, object], 
     assert [error["field"] for error in answer.json()["errors"]] == [field]
 
 
+def test_a_misspelt_field_is_answered_by_those_that_there_are(client: Client) -> None:
+    """Those of the request itself, and not those of a job."""
+    for path, there in (
+        ("/v1/webhooks", "url"),
+        ("/v1/rerenderings", "image, scene"),
+        ("/v1/campaigns", "name, grids"),
+    ):
+        answer = client.post(path, json={"uri": URL}).json()
+        [detail] = [error["detail"] for error in answer["errors"] if error["field"] == "uri"]
+        assert detail.startswith(f"there is no such field; there are {there}"), detail
+
+
 def test_a_message_waits_in_the_outbox(client: Client, services: Services) -> None:
     hook = client.post("/v1/webhooks", json={"url": URL}).json()
     job = client.post("/v1/jobs", json=SPHERE).json()
