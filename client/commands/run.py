@@ -56,8 +56,12 @@ def run(
     prepare_folder(out)
     words = job.model_dump(mode="json")
     name, attack = job_name(words), attack_name(words)
-    with JobLine(f"{name}, {attack}") as line:
-        result = _execute(job, out, line)
+    try:
+        with JobLine(f"{name}, {attack}") as line:
+            result = _execute(job, out, line)
+    except KeyboardInterrupt:
+        err().print("Interrupted; the same command goes on from the last checkpoint.", markup=False, highlight=False)
+        raise
     if as_json:
         print_json(result.model_dump(mode="json"))
         return

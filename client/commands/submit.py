@@ -56,15 +56,22 @@ def submit(
 
 
 def follow(client: "ApiClient", job: dict[str, Any]) -> dict[str, Any]:
-    """Shows the job's progress until it has ended; returns the finished job."""
+    """Shows the job's progress until it has ended; returns the finished job. Ctrl-C ends the showing, not the job."""
+    from client.console import err
     from client.live import JobLine
     from services.pipeline.names import attack_name, job_name
 
-    with JobLine(f"{job_name(job['spec'])}, {attack_name(job['spec'])}") as line:
-        for event in client.events(job["id"]):
-            if event.kind == "progress":
-                rows = event.data["rows"]
-                line.update(event.data["phase"], event.data["step"], event.data["steps"], rows[-1] if rows else None)
+    try:
+        with JobLine(f"{job_name(job['spec'])}, {attack_name(job['spec'])}") as line:
+            for event in client.events(job["id"]):
+                if event.kind == "progress":
+                    rows = event.data["rows"]
+                    last = rows[-1] if rows else None
+                    line.update(event.data["phase"], event.data["step"], event.data["steps"], last)
+    except KeyboardInterrupt:
+        said = f"The job goes on. `scene-attack jobs watch {job['id']}` follows it, `jobs cancel` ends it."
+        err().print(said, markup=False, highlight=False, soft_wrap=True)
+        raise
     return client.job(job["id"])
 
 

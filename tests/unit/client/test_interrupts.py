@@ -1,0 +1,43 @@
+"""Ctrl-C says what becomes of the job."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, cast
+
+import pytest
+
+from client.api_client import ApiClient, Event
+from client.commands import run, submit
+from services.pipeline.spec import parse
+
+SPHERE = {"scene": {"objects": [{"mesh": "primitive/sphere"}]}}
+
+
+class Interrupted:
+    """The events of a job, while which Ctrl-C is pressed."""
+
+    def events(self, _: str) -> Iterator[Event]:
+        yield Event("1", "progress", {"phase": "attacking", "step": 3, "steps": 9, "rows": []})
+        raise KeyboardInterrupt
+
+
+def test_a_job_of_a_service_goes_on(capfd: pytest.CaptureFixture[str]) -> None:
+    job = {"id": "0f3c", "spec": parse(SPHERE).model_dump(mode="json")}
+    with pytest.raises(KeyboardInterrupt):
+        submit.follow(cast(ApiClient, Interrupted()), job)
+    assert "The job goes on. `scene-attack jobs watch 0f3c` follows it" in capfd.readouterr().err
+
+
+def test_a_job_of_this_process_goes_on_by_the_same_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def execute(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(run, "_execute", execute)
+    monkeypatch.setattr(run, "keep_memory", lambda: None)  # it would start this program anew
+    (tmp_path / "spec.json").write_text(json.dumps(SPHERE))
+    with pytest.raises(KeyboardInterrupt):
+        run.run(str(tmp_path / "spec.json"), tmp_path / "out")
+    assert "the same command goes on" in capfd.readouterr().err
