@@ -21,14 +21,20 @@ def err() -> Console:
 
 
 def report_extensions() -> None:
-    """Prints on stderr the extensions and the folders of networks that were left out, with the reasons."""
+    """Prints on stderr the extensions that were left out, with the reasons."""
     from services.errors import printable
-    from services.pipeline.extensions import EXTENSIONS, TARGET_FOLDERS
+    from services.pipeline.extensions import EXTENSIONS
 
     for extension in EXTENSIONS:
         if extension.error is not None:
             file = printable(str(extension.path))
             err().print(f"extension left out: {file}: {extension.error}", markup=False, highlight=False)
+
+
+def report_targets() -> None:
+    """Prints on stderr the folders of networks that were left out. A request that names one is told the reason."""
+    from services.pipeline.extensions import TARGET_FOLDERS
+
     for folder in TARGET_FOLDERS:
         if folder.error is not None:
             err().print(f"target left out: {folder.name}: {folder.error}", markup=False, highlight=False)

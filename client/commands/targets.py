@@ -25,10 +25,11 @@ def targets(context: typer.Context, as_json: JsonOption = False) -> None:
     """List the networks that can be attacked."""
     if context.invoked_subcommand is not None:
         return
-    from client.console import out, print_json, report_extensions, table, yes
+    from client.console import out, print_json, report_extensions, report_targets, table, yes
     from services.pipeline.extensions import TARGETS
 
     report_extensions()
+    report_targets()
     found = [target.info for target in TARGETS.values()]
     if as_json:
         print_json([info.model_dump(mode="json") for info in found])

@@ -86,7 +86,7 @@ def test_the_command_line_tries_one(mine: Path) -> None:
     found = json.loads(done.stdout)
     assert found["gradient"]
     assert {answer["label"] for answer in found["answers"]} == set(LABELS)
-    assert "target left out: empty: card.json" in done.stderr
+    assert "target left out" not in done.stderr
     done = check(mine, "short")
     assert done.returncode == 2
     assert "bad input: target.name: target 'short' returns torch.float32 [2, 5]" in done.stderr

@@ -91,3 +91,11 @@ def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
     code, text = said("jobs", "download", "some-job", "--url", NOBODY, "--out", str(tmp_path / "file/out"))
     assert code == 1
     assert "file" in text
+
+
+def test_a_folder_of_a_network_that_is_left_out_is_named_where_it_is_asked_for(tmp_path: Path) -> None:
+    (tmp_path / "mine/empty").mkdir(parents=True)
+    targets = {"SCENE_ATTACK_TARGETS": str(tmp_path / "mine")}
+    assert "target left out: empty: card.json" in cli("targets", **targets).stderr
+    assert cli("plan", "no-such-file", **targets).stderr.startswith("scene-attack: bad input: SPEC: ")
+    assert "card.json" in cli("targets", "check", "empty", **targets).stderr
