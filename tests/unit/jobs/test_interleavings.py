@@ -98,6 +98,18 @@ def test_a_campaign_that_is_cancelled_meanwhile_does_not_fail(engine: Engine, re
     assert len(Webhooks(engine).deliveries(webhook.id)) == 1
 
 
+def test_a_campaign_that_is_cancelled_meanwhile_is_not_planned(engine: Engine, repository: Repository) -> None:
+    stage = Stage(engine, repository)
+    campaign = stage.begin(spec())
+    stage.feeder.tick()
+    for job in stage.queued():
+        stage.work(job)
+    with meanwhile(engine, "jobs.kind = ", lambda: stage.campaigns.cancel(campaign)):
+        stage.feeder.tick()
+    assert stage.campaign(campaign).state is CampaignState.CANCELLED
+    assert stage.campaigns.jobs(campaign, 9, -1) == []
+
+
 @pytest.mark.parametrize("end", ["progress", "succeed", "request_cancel"])
 def test_the_time_of_an_event_is_that_of_its_turn_to_write(engine: Engine, repository: Repository, end: str) -> None:
     """Read before a write has its lock, it would be earlier than that of the event before."""

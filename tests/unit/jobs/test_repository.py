@@ -29,6 +29,36 @@ def test_a_job_is_leased_once(repository: Repository) -> None:
     assert repository.lease(job.id, "b", 20) is None
 
 
+def test_a_new_attempt_has_come_nowhere_yet(repository: Repository) -> None:
+    job = add(repository)
+    attempt = start(repository, job)
+    repository.progress(attempt, "attacking", 3, 9, [])
+    repository.lose(attempt, 3)
+    start(repository, job)
+    found = row(repository, job)
+    assert (found["phase"], found["step"], found["steps"], found["phase_at"]) == (None, None, None, None)
+
+
+def test_with_a_dead_workers_jobs_those_whose_lease_has_lapsed_are_taken_back(
+    repository: Repository, clock: Clock
+) -> None:
+    jobs = [add(repository) for _ in range(3)]
+    for job, owner, seconds in zip(jobs, ("dead", "lapsed", "alive"), (60, 5, 60), strict=True):
+        start(repository, job, owner, seconds)
+    clock.advance(6)
+    assert set(repository.take_back(3, owner="dead")) == {jobs[0].id, jobs[1].id}
+
+
+def test_an_attempt_that_gets_less_far_does_not_lower_the_mark(repository: Repository) -> None:
+    job, lost = add(repository), []
+    for step in (5, 2, 5):
+        attempt = start(repository, job)
+        repository.progress(attempt, "attacking", step, 9, [])
+        repository.lose(attempt, 9)
+        lost.append(row(repository, job)["lost"])
+    assert lost == [0, 1, 2]
+
+
 def test_eight_workers_get_one_lease(repository: Repository) -> None:
     job = add(repository)
     with ThreadPoolExecutor(8) as pool:

@@ -86,6 +86,19 @@ def test_a_message_is_given_up_and_forgotten(repository: Repository, webhooks: W
     assert webhooks.deliveries(hook.id) == []
 
 
+def test_what_a_late_attempt_says_is_not_recorded(repository: Repository, webhooks: Webhooks, clock: Clock) -> None:
+    """Its process hung for so long that the message was sent again."""
+    hook = webhooks.create("", URL)
+    repository.request_cancel(add(repository).id)
+    [first] = webhooks.take(9, 60)
+    clock.advance(61)
+    [second] = webhooks.take(9, 60)
+    webhooks.ended(second, 204, None)
+    webhooks.ended(first, 500, "it answered 500")
+    [told] = webhooks.deliveries(hook.id)
+    assert (told.attempts, told.status, told.error, told.due_at) == (2, 204, None, None)
+
+
 def test_waits_grow_and_are_spread_by_the_message() -> None:
     first = [wait(f"msg_{k}", 1) for k in range(200)]
     assert 0.75 * FIRST_SECONDS <= min(first) < 0.8 * FIRST_SECONDS
