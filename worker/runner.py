@@ -12,6 +12,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from services import tracing
 from services.jobs import watchdog
+from services.jobs.artifacts import ArtifactStore
 from services.jobs.attempts import Attempt, Standing
 from services.jobs.child import Child, ChildDied
 from services.jobs.placement import NOTHING, Abilities
@@ -47,7 +48,7 @@ class Runner:
         self._settings = settings
         self._repository = repository
         self._owner = owner
-        self._storage = Storage(settings.data_dir)
+        self._storage = Storage(settings.data_dir, ArtifactStore(settings.files))
         self._child: Child | None = None
         self._jobs = 0
         self._memory = 0
@@ -175,7 +176,7 @@ class Runner:
             self._put_off(attempt, answer["outage"])
 
     def usable(self) -> bool:
-        """Whether the database answers and the data directory can be written, as every job needs."""
+        """Whether the database and the store answer and the data directory can be written, as every job needs."""
         try:
             self._repository.ping()
         except SQLAlchemyError:

@@ -31,6 +31,14 @@ class ArtifactStore:
     def __init__(self, place: Path | str) -> None:
         self._files = blobs(place, "artifacts")
 
+    def answers(self) -> bool:
+        """Whether the store can be reached."""
+        try:
+            self._files.exists(_name("0" * 64))  # which need not be there
+        except OSError:
+            return False
+        return True
+
     def put(self, source: Path) -> Stored:
         """Copies a file into the store. Its bytes are safe when this returns, so a row may then name them."""
         data = source.read_bytes()

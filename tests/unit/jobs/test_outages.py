@@ -6,6 +6,7 @@ import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import fsspec
 import psycopg
 import pytest
 import torch
@@ -15,11 +16,13 @@ from sqlalchemy import Engine, event, text
 from sqlalchemy.exc import SQLAlchemyError
 
 from services import atomic_write
+from services.jobs.artifacts import ArtifactStore
 from services.jobs.database import be_patient, connect, migrate
 from services.jobs.outages import Outage, outage_of
 from services.jobs.repository import Repository
 from services.jobs.storage import Storage
 from services.settings import Settings
+from tests.postgresql import free_port
 from tests.unit.jobs.records import add
 
 FULL = Outage("storage", "the disk of the data directory is full")
@@ -211,3 +214,14 @@ def still_locked(repository: Repository, job_id: str) -> bool:
     except SQLAlchemyError:
         return True
     return False
+
+
+def test_a_store_of_artifacts_that_is_away_is_an_outage_that_can_be_seen(
+    s3_url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert Storage(tmp_path, ArtifactStore(s3_url)).usable()
+    monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{free_port()}")
+    monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
+    fsspec.get_filesystem_class("s3").clear_instance_cache()
+    assert not Storage(tmp_path, ArtifactStore(s3_url)).usable()
+    fsspec.get_filesystem_class("s3").clear_instance_cache()
