@@ -34,6 +34,10 @@ class Client:
         found: dict[str, Any] = self._ask("GET", f"/v1/jobs/{job_id}").json()
         return found
 
+    def cancel(self, job_id: str) -> None:
+        """Asks a job to stop."""
+        self._ask("POST", f"/v1/jobs/{job_id}/cancel")
+
     def files(self, job_id: str) -> dict[str, str]:
         """The contents of a job's files by name: records as JSON without the times in them, others as their SHA-256."""
         found = {}
