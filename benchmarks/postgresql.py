@@ -68,7 +68,11 @@ class Server:
             return str(connection.info.parameter_status("server_version"))
 
     def start(self) -> None:
-        """Starts the server; the thread that does so must outlive it. Returns without waiting until it answers."""
+        """Starts the server, again once it has been killed; the thread that does so must outlive it. Returns without
+        waiting until it answers.
+        """
+        if self._process is not None:
+            self._process.wait(PATIENCE)  # else its number is still taken, and the new one believes that it runs
         self._process = self._run(self._command)
 
     def wait(self) -> None:
