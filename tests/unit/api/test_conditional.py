@@ -64,7 +64,7 @@ def test_pages_load_nothing_from_elsewhere_and_all_else_loads_nothing(client: Cl
     for path in ("/v1/jobs", "/v1/jobs/none", "/metrics", "/healthz"):
         assert client.get(path).headers["content-security-policy"] == "default-src 'none'; frame-ancestors 'none'"
     for path in ("/", "/docs", "/campaigns", "/jobs/none"):
-        page = client.get(path)
+        page = client.get(path, headers={"Accept": "text/html"})
         assert page.headers["content-security-policy"].startswith("default-src 'none'; img-src 'self'")
         assert not re.findall(r'(?:src|href)="(?:https?:)?//', page.text)
 
