@@ -4,6 +4,7 @@ import json
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -112,18 +113,13 @@ def test_a_short_job_makes_no_copy(url: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("quick", "s3_server")
-def test_a_store_that_does_not_answer_stops_no_attack(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_store_that_does_not_answer_stops_no_attack(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    monkeypatch.setattr(checkpoint_copies, "log", SimpleNamespace(warning=lambda event, **_: said.append(event)))
     save(tmp_path / "here", 1)
-    copies, said = CheckpointCopies("s3://no-such-bucket/folder"), ""
-
-    def warned() -> bool:
-        nonlocal said
-        captured = capsys.readouterr()
-        said += captured.out + captured.err
-        return "checkpoint not copied" in said
-
+    copies = CheckpointCopies("s3://no-such-bucket/folder")
     with copies.kept(JOB, tmp_path / "here"):
-        until(warned)
+        until(lambda: "checkpoint not copied" in said)
     copies.fetch(JOB, tmp_path / "there")
     copies.forget(JOB)
     assert not (tmp_path / "there").exists()
