@@ -110,16 +110,16 @@ def _refusal(rule: Rule | None, caller: Caller | None, asked: Scope) -> Response
     return problem(403, f"this needs a key with the scope {scope}", headers=how)
 
 
-def known_caller(request: Request) -> Caller | None:
+async def known_caller(request: Request) -> Caller | None:  # a function that is not async would be called in a thread
     """Who sends a request to an open route; None if nobody knows."""
     found = request.scope["state"]["caller"]
     assert found is None or isinstance(found, Caller)
     return found
 
 
-def caller(request: Request) -> Caller:
+async def caller(request: Request) -> Caller:
     """Who sends a request to a route that needs a key."""
-    found = known_caller(request)
+    found = await known_caller(request)
     assert found is not None
     return found
 

@@ -6,10 +6,11 @@ from datetime import datetime
 from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, Field
+from sqlalchemy import Row
 
 from services.errors import InvalidRequest, without_folders
 from services.extensions import Extension
-from services.jobs.models import Artifact, Campaign, Job, State
+from services.jobs.models import Artifact, Campaign, Job, State, times_of
 from services.jobs.placement import Priority
 from services.pipeline.outcome import Outcome
 from services.pipeline.result import Result
@@ -78,8 +79,8 @@ class JobSummary(BaseModel):
     )
 
     @classmethod
-    def of(cls, job: Job) -> Self:
-        """The summary of a job in the database."""
+    def of_row(cls, job: Row[Any]) -> Self:
+        """The summary of a job in a list."""
         return cls(**_fields(job))
 
 
@@ -98,7 +99,7 @@ class JobView(JobSummary):
         return cls(**_fields(job), spec=job.spec, result=job.result if with_result else None)
 
 
-def _fields(job: Job) -> dict:  # type: ignore[type-arg]
+def _fields(job: Job | Row[Any]) -> dict:  # type: ignore[type-arg]
     progress = failure = None
     if job.phase is not None:
         progress = {"phase": job.phase, "step": job.step, "steps": job.steps}
@@ -108,7 +109,7 @@ def _fields(job: Job) -> dict:  # type: ignore[type-arg]
         "id": job.id,
         "state": job.state,
         "created": job.created_at,
-        "times": job.times,
+        "times": times_of(job),
         "attempt": job.attempt,
         "priority": job.priority,
         "waiting": job.waiting if job.state is State.QUEUED else None,
@@ -226,7 +227,7 @@ def _shown(error: str | None) -> str | None:
     return None if error is None else without_folders(error)
 
 
-def cursor_after(job: Job | Campaign) -> str:
+def cursor_after(job: Row[Any] | Campaign) -> str:
     """The cursor of the page that begins after this job or campaign."""
     return base64.urlsafe_b64encode(f"{job.created_at.isoformat()} {job.id}".encode()).decode().rstrip("=")
 

@@ -58,7 +58,7 @@ class Services:
     max_campaign_jobs: int
 
 
-def services(request: Request) -> Services:
+async def services(request: Request) -> Services:  # a function that is not async would be called in a thread
     """The app's services."""
     found = request.app.state.services
     assert isinstance(found, Services)

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
+from sqlalchemy import Row
+
 from api.dashboard.charts import Chart, chart
 from api.dashboard.questions import Question, SceneObject, objects, questions
 from services.attacks.verdict import judge, with_outcome
@@ -72,7 +74,7 @@ class Page:
     """Height and width of the images."""
 
 
-def line(job: Job) -> Line:
+def line(job: Job | Row[Any]) -> Line:
     """The data that the list shows of a job."""
     return Line(
         id=job.id,

@@ -110,17 +110,17 @@ def page(
     before = None if cursor is None else read_cursor(cursor)
     jobs = services.repository.page(state, limit + 1, before, campaign, caller.only)
     more = cursor_after(jobs[limit - 1]) if len(jobs) > limit else None
-    found = JobPage(items=[JobSummary.of(job) for job in jobs[:limit]], next=more)
+    found = JobPage(items=[JobSummary.of_row(job) for job in jobs[:limit]], next=more)
     return Response(found.model_dump_json(), media_type="application/json")  # the framework would validate it again
 
 
-@router.get("/{job_id}")
-def get(job_id: str, services: ServicesDependency, caller: CallerDependency) -> JobView:
+@router.get("/{job_id}", response_model=JobView)
+def get(job_id: str, services: ServicesDependency, caller: CallerDependency) -> Response:
     """Returns one job, with its result once it succeeded."""
     job = caller.visible(services.repository.get(job_id, with_result=True))
     if job is None:
         raise no_such("job")
-    return JobView.of(job, with_result=True)
+    return Response(JobView.of(job, with_result=True).model_dump_json(), media_type="application/json")
 
 
 @router.delete("/{job_id}", status_code=204)

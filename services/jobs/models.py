@@ -11,6 +11,7 @@ from sqlalchemy import (
     Float,
     ForeignKey,
     Index,
+    Row,
     String,
     Text,
     text,
@@ -176,8 +177,12 @@ class Job(Base):
     @property
     def times(self) -> dict[str, datetime]:
         """The last time at which the job entered each state, in the order of the states."""
-        found = ((state, getattr(self, column)) for state, column in _TIMES)
-        return {state: time for state, time in found if time is not None}
+        return times_of(self)
+
+
+def times_of(job: "Job | Row[Any]") -> dict[str, datetime]:
+    """The last time at which a job entered each state, in the order of the states."""
+    return {state: time for state, column in _TIMES if (time := getattr(job, column)) is not None}
 
 
 class Event(Base):

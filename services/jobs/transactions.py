@@ -1,8 +1,9 @@
 """Transactions on the record of jobs, and the only function that changes a job's state."""
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from datetime import UTC, datetime
+from threading import Lock
 from typing import Any
 from uuid import uuid4
 
@@ -17,12 +18,19 @@ from services.jobs.models import Campaign, CampaignState, Event, Job, JobKind, S
 from services.jobs.placement import NO_DEMAND, Demand, targets_of
 from services.pipeline.warning import JobWarning
 
+_READS_SQLITE = Lock()
+"""SQLite hands Python's lock back and forth at every row. Threads that read at the same time spend more on that than on
+reading: eight lists at once take a quarter less of the processor one after another.
+"""
+
 
 class Transactions:
     """Sessions for reading and writing. The time of every write is the database's; tests replace it by `clock`."""
 
     def __init__(self, engine: Engine, clock: Callable[[], datetime] | None = None) -> None:
         self._reads = engine
+        is_sqlite = engine.dialect.name == "sqlite"
+        self._reading: AbstractContextManager[Any] = _READS_SQLITE if is_sqlite else nullcontext()
         self._writes = engine.execution_options(writes=True)
         self._lasting = engine.execution_options(writes=True, durable=True)
         self._clock = clock
@@ -45,7 +53,7 @@ class Transactions:
 
     @contextmanager
     def _read(self) -> Iterator[Session]:
-        with Session(self._reads, expire_on_commit=False) as session:
+        with self._reading, Session(self._reads, expire_on_commit=False) as session:
             yield session
 
     @contextmanager
