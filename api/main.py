@@ -28,13 +28,14 @@ from api.metrics import Measured, RequestMetrics, ServiceMetrics
 from api.open_uploads import OpenUploads
 from api.preflight import Preflight
 from api.problems import Answers, install
+from api.protocol import LimitedHttp
 from api.request_id import RequestId
 from api.request_rate import RequestRate
 from api.rerenderer import Rerenderer
 from api.routes import artifacts, assets, campaigns, events, health, jobs, library, rerenderings, webhooks
 from api.routes import metrics as scraping
 from api.same_site import SameSite
-from api.slow_clients import BodyPace, HeadLimit
+from api.slow_clients import BodyPace
 from api.state import Services
 from api.traced import Traced
 from api.watcher import Watcher
@@ -223,7 +224,7 @@ def run(listener: socket.socket | None = None) -> int:
         log_config=None,
         access_log=False,
         server_header=False,
-        http=HeadLimit,
+        http=LimitedHttp,
         timeout_graceful_shutdown=2,  # event streams of running jobs would not end
     )
     uvicorn.Server(config).run(sockets=[listener])

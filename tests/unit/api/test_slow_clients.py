@@ -4,23 +4,28 @@ import json
 import socket
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
 
 import pytest
 import uvicorn
 from starlette.types import Receive, Scope, Send
 
-from api.slow_clients import BODY_PACE, BodyPace, HeadLimit
+from api.protocol import HEAD_BYTES, LimitedHttp
+from api.slow_clients import BODY_PACE, BodyPace
 
 LIMIT = 0.2
+seen: dict[str, list[tuple[bytes, bytes]]] = {}
+"""The headers of the last request."""
 
 
-class QuickHead(HeadLimit):
+class QuickHead(LimitedHttp):
     head_seconds = LIMIT
 
 
-async def length(_: Scope, receive: Receive, send: Send) -> None:
+async def length(scope: Scope, receive: Receive, send: Send) -> None:
     """Answers with the length of the body."""
-    total, more = 0, True
+    seen["headers"] = scope["headers"]
+    total, more = 0, scope["path"] != "/early"
     while more:
         message = await receive()
         total, more = total + len(message["body"]), message["more_body"]
@@ -67,6 +72,50 @@ def test_a_second_request_that_does_not_end_is_given_up(connection: socket.socke
     assert connection.recv(65536).startswith(b"HTTP/1.1 200 ")
     connection.sendall(b"GET / HT")
     assert answer(connection).startswith(b"HTTP/1.1 408 ")
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        b"GET / HTTP/1.1\r\nHost: localhost\r\nA: " + b"b" * 8 * HEAD_BYTES,
+        b"GET / HTTP/1.1\r\nHost: localhost\r\n" + b"a: b\r\n" * HEAD_BYTES,
+        b"GET /" + b"a" * 2 * HEAD_BYTES,
+        b"GET / HTTP/1.1\r\n\r\n",
+        b"GET / HTTP/1.1\r\nHost: localhost\r\nHost: elsewhere\r\n\r\n",
+        b"POST / HTTP/1.1\r\nHost: localhost\r\nContent-Length: 1\r\nTransfer-Encoding: chunked\r\n\r\n",
+        b"GET / HTTP/1.1\r\nHost: localhost\r\nA: b\r\n c\r\n\r\n",
+        b"GET / HTTP/9.9\r\nHost: localhost\r\n\r\n",
+        b"CONNECT localhost:1 HTTP/1.1\r\nHost: localhost\r\n\r\n",
+        b"\x16\x03\x01\x02\x00\x01\x00\x01",
+    ],
+    ids=["long line", "many lines", "long path", "no host", "hosts", "lengths", "fold", "version", "connect", "TLS"],
+)
+def test_a_head_that_is_none_is_refused(connection: socket.socket, head: bytes) -> None:
+    with suppress(ConnectionError):  # it is closed before the whole of a long head is sent
+        connection.sendall(head)
+    assert connection.recv(1000).startswith(b"HTTP/1.1 400 ")
+    with suppress(ConnectionError):
+        while connection.recv(1000):
+            pass
+
+
+def test_headers_after_a_body_are_left_out(connection: socket.socket) -> None:
+    connection.sendall(chunked(3).removesuffix(b"\r\n") + b"x-late: yes\r\n\r\n")
+    with connection.makefile("rb") as answer:
+        assert answer.readline().startswith(b"HTTP/1.1 200 ")
+    assert (b"x-late", b"yes") not in seen["headers"]
+    assert (b"transfer-encoding", b"chunked") in seen["headers"]
+
+
+def test_headers_after_a_body_that_do_not_end_are_refused(connection: socket.socket) -> None:
+    with suppress(ConnectionError):
+        connection.sendall(chunked(3).removesuffix(b"\r\n") + b"x-late: " + b"y" * 4 * HEAD_BYTES)
+    assert connection.recv(1000).startswith((b"HTTP/1.1 400 ", b"HTTP/1.1 408 "))
+
+
+def test_the_rest_of_a_body_that_was_answered_has_to_come(connection: socket.socket) -> None:
+    connection.sendall(b"POST /early HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100\r\n\r\nabc")
+    assert b"HTTP/1.1 200 " in answer(connection)  # and it is closed
 
 
 def test_a_body_that_does_not_come_is_given_up(connection: socket.socket) -> None:
