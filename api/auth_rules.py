@@ -26,6 +26,7 @@ RULES: dict[str, Scope | None] = {
     "GET /v1/jobs/{job_id}/events": _READ,
     "GET /v1/jobs/{job_id}/artifacts": _READ,
     "GET /v1/jobs/{job_id}/artifacts/{name}": _READ,
+    "POST /v1/preview": _WRITE,
     "POST /v1/campaigns": _WRITE,
     "GET /v1/campaigns": _READ,
     "GET /v1/campaigns/{campaign_id}": _READ,

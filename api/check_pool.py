@@ -1,4 +1,4 @@
-"""A bounded pool of warm processes that check requests, in which one client's requests cannot hold up another's.
+"""A bounded pool of warm processes that check or preview requests, in which one client's cannot hold up another's.
 
 A check waits and runs for a limited time. Equal checks share one, and what was found is remembered for a while.
 """
@@ -17,9 +17,13 @@ from services.errors import InvalidRequest
 from services.jobs.child import ChildDied
 
 REMEMBERED = 1000
-"""Number of checks whose answer is remembered."""
+"""Number of checks whose answer is remembered, unless a pool says otherwise."""
 REMEMBER_SECONDS = 600.0
 """Time after which a remembered check is made again, since networks and files may have changed."""
+
+
+class NoneFree(Exception):
+    """No process was free in time."""
 
 
 class Process(Protocol):
@@ -41,10 +45,10 @@ class Request:
 
 @dataclass(frozen=True)
 class _Known:
-    """What a process said at a time; None if it was too slow, as it would be again."""
+    """What a process said at a time; TooSlow if it did not in time, as it would not again."""
 
     at: float
-    answer: dict[str, Any] | InvalidRequest | None
+    answer: dict[str, Any] | InvalidRequest | TooSlow
 
 
 @dataclass(eq=False)
@@ -53,7 +57,7 @@ class _Check:
 
     request: Request
     started: asyncio.Event = field(default_factory=asyncio.Event)
-    answer: "asyncio.Future[dict[str, Any] | InvalidRequest | Unavailable | None]" = field(
+    answer: "asyncio.Future[dict[str, Any] | InvalidRequest | Unavailable | TooSlow]" = field(
         default_factory=lambda: asyncio.get_running_loop().create_future()
     )
     waiting: int = 0
@@ -62,10 +66,13 @@ class _Check:
 class CheckPool:
     """The processes, and the checks that wait for them. A check waits for `wait_seconds` and runs for `seconds`."""
 
-    def __init__(self, processes: Sequence[Process], wait_seconds: float, seconds: float) -> None:
+    def __init__(
+        self, processes: Sequence[Process], wait_seconds: float, seconds: float, remembered: int = REMEMBERED
+    ) -> None:
         self._processes = processes
         self.wait_seconds = wait_seconds
         self.seconds = seconds
+        self.remembered = remembered
         self._idle: list[Process] = []
         self._queue: FairQueue[_Check] = FairQueue()
         self._open: dict[str, tuple[_Check, Place[_Check]]] = {}
@@ -85,8 +92,8 @@ class CheckPool:
         for process in self._processes:
             process.close()
 
-    async def check(self, request: Request, client: str) -> dict[str, Any] | None:
-        """Returns a process's answer, or None if there was none in time. Raises InvalidRequest, and Unavailable."""
+    async def check(self, request: Request, client: str) -> dict[str, Any]:
+        """Returns a process's answer. Raises InvalidRequest, NoneFree, TooSlow, and Unavailable."""
         known = self._known.get(request.key)
         if known is not None and time.monotonic() - known.at < REMEMBER_SECONDS:
             return _said(known.answer)
@@ -99,8 +106,8 @@ class CheckPool:
                 await asyncio.wait_for(check.started.wait(), self.wait_seconds)
             # A process that has to be started again first would take longer than the check may.
             return _said(await asyncio.wait_for(asyncio.shield(check.answer), self.seconds))
-        except TimeoutError:
-            return None
+        except TimeoutError as error:
+            raise TooSlow if check.started.is_set() else NoneFree from error
         finally:
             check.waiting -= 1
             if not check.waiting and self._queue.drop(place):
@@ -134,14 +141,12 @@ class CheckPool:
 
     async def _run(self, process: Process, place: Place[_Check]) -> None:
         check = place.what
-        answer: dict[str, Any] | InvalidRequest | Unavailable | None = None
+        answer: dict[str, Any] | InvalidRequest | Unavailable | TooSlow
         try:
             answer = await process.ask(check.request.message, None, self.seconds)
-        except TooSlow:
-            pass
         except ChildDied:
             answer = Unavailable("the check of this request was cut short; try again")
-        except (InvalidRequest, Unavailable) as error:
+        except (InvalidRequest, Unavailable, TooSlow) as error:
             answer = error
         if not isinstance(answer, Unavailable):
             self._remember(check.request.key, answer)
@@ -151,10 +156,10 @@ class CheckPool:
         self._idle.append(process)
         self._serve()
 
-    def _remember(self, key: str, answer: dict[str, Any] | InvalidRequest | None) -> None:
+    def _remember(self, key: str, answer: dict[str, Any] | InvalidRequest | TooSlow) -> None:
         self._known[key] = _Known(time.monotonic(), answer)
         self._known.move_to_end(key)
-        while len(self._known) > REMEMBERED:
+        while len(self._known) > self.remembered:
             self._known.popitem(last=False)
 
     def _in_background(self, work: Coroutine[Any, Any, None]) -> None:
@@ -163,9 +168,11 @@ class CheckPool:
         task.add_done_callback(self._tasks.discard)
 
 
-def _said(answer: dict[str, Any] | InvalidRequest | Unavailable | None) -> dict[str, Any] | None:
+def _said(answer: dict[str, Any] | InvalidRequest | Unavailable | TooSlow) -> dict[str, Any]:
     if isinstance(answer, InvalidRequest):  # a new one for each client: a remembered one would collect tracebacks
         raise InvalidRequest(answer.field, answer.detail)
+    if isinstance(answer, TooSlow):
+        raise TooSlow
     if isinstance(answer, Unavailable):
         raise answer
     return answer

@@ -27,12 +27,13 @@ from api.mesh_uploads import MeshUploads
 from api.metrics import Measured, RequestMetrics, ServiceMetrics
 from api.open_uploads import OpenUploads
 from api.preflight import Preflight
+from api.previewer import Previewer
 from api.problems import Answers, install
 from api.protocol import LimitedHttp
 from api.request_id import RequestId
 from api.request_rate import RequestRate
 from api.rerenderer import Rerenderer
-from api.routes import artifacts, assets, campaigns, events, health, jobs, library, rerenderings, webhooks
+from api.routes import artifacts, assets, campaigns, events, health, jobs, library, previews, rerenderings, webhooks
 from api.routes import metrics as scraping
 from api.same_site import SameSite
 from api.slow_clients import BodyPace
@@ -93,6 +94,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
         queue = Queue(redis)
         preflight = Preflight(chosen)
         preflight.start()
+        previewer = Previewer(chosen)
         rerenderer = Rerenderer(chosen)
         library = Library(chosen.cache_dir, chosen.files)
         uploads = MeshUploads(library, chosen)
@@ -111,6 +113,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
             library=library,
             preflight=preflight,
             uploads=uploads,
+            previewer=previewer,
             rerenderer=rerenderer,
             campaigns=CampaignService(Campaigns(engine), queue),
             watcher=watcher,
@@ -132,6 +135,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
             watcher.close()
             preflight.close()
             uploads.close()
+            previewer.close()
             rerenderer.close()
             redis.close()
             engine.dispose()
@@ -167,6 +171,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
         campaigns,
         events,
         artifacts,
+        previews,
         rerenderings,
         assets,
         library,

@@ -1,7 +1,7 @@
 """Checks specs in other processes, so that the API itself uses neither OpenGL nor torch."""
 
-from api.check_pool import CheckPool, Request
-from api.warm_process import WarmProcess
+from api.check_pool import CheckPool, NoneFree, Request
+from api.warm_process import TooSlow, WarmProcess
 from services.pipeline.checked import Checked
 from services.pipeline.spec import JobSpec, digest
 from services.pipeline.warning import JobWarning
@@ -28,11 +28,17 @@ class Preflight:
 
         Specs that differ in their seed alone share one check. Raises InvalidRequest if it cannot run, and Unavailable.
         """
-        height, width = spec.scene.camera.size
-        cost = height * width * (1 + len(spec.scene.objects))
-        key = digest(spec.model_copy(update={"seed": 0}))
-        found = await self.specs.check(Request(key, {"check": spec.model_dump(mode="json")}, cost), client)
-        if found is None:
+        try:
+            found = await self.specs.check(request_for("check", spec), client)
+        except (NoneFree, TooSlow):
             return None
         warnings = tuple(JobWarning.model_validate(one) for one in found["warnings"])
         return Checked(JobSpec.model_validate(found["spec"] | {"seed": spec.seed}), warnings)
+
+
+def request_for(what: str, spec: JobSpec) -> Request:
+    """The request to a process to do `what` with a spec; equal for specs that differ in their seed alone."""
+    height, width = spec.scene.camera.size
+    cost = height * width * (1 + len(spec.scene.objects))
+    key = f"{what} {digest(spec.model_copy(update={'seed': 0}))}"
+    return Request(key, {what: spec.model_dump(mode="json")}, cost)

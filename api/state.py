@@ -10,6 +10,7 @@ from fastapi import Depends, HTTPException, Request
 from api.authentication import CallerDependency
 from api.mesh_uploads import MeshUploads
 from api.preflight import Preflight
+from api.previewer import Previewer
 from api.rerenderer import Rerenderer
 from api.watcher import Watcher
 from services.access.assets import OwnedAssets
@@ -33,7 +34,7 @@ from services.scenes.library import Library
 @dataclass(frozen=True)
 class Services:
     """Keys, sessions, uploads and quotas, the record of jobs and campaigns, the queue, the files, and what checks,
-    re-renders and watches.
+    previews, re-renders and watches.
     """
 
     keys: AccessKeys
@@ -47,6 +48,7 @@ class Services:
     library: Library
     preflight: Preflight
     uploads: MeshUploads
+    previewer: Previewer
     rerenderer: Rerenderer
     campaigns: CampaignService
     watcher: Watcher

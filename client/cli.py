@@ -16,6 +16,7 @@ from client.commands import (
     jobs,
     keys,
     plan,
+    render,
     run,
     serve,
     submit,
@@ -55,6 +56,7 @@ def _root(
 run.register(app)
 analyse.register(app)
 plan.register(app)
+render.register(app)
 submit.register(app)
 app.add_typer(jobs.app, name="jobs")
 app.add_typer(campaign.app, name="campaign")

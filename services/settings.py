@@ -76,6 +76,9 @@ class Settings(BaseSettings):
         0.5, ge=0, description="longest wait for such a process; after it a job is accepted, and checked by its worker"
     )
     check_seconds: float = Field(5.0, gt=0, description="longest check before acceptance; after it likewise")
+    preview_seconds: float = Field(
+        10.0, gt=0, description="longest preview, and longest wait for one; a preview has two parts, the plan apart"
+    )
     webhook_hosts: str | None = Field(
         None,
         description="hosts and IP addresses, separated by commas, that webhooks may tell by http and though they are "

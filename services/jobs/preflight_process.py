@@ -1,5 +1,5 @@
-"""The process that checks requests before they are accepted, and one that re-renders images. Its network and OpenGL
-context stay loaded.
+"""The process that checks requests before they are accepted, one that previews them, and one that re-renders images.
+Its network and OpenGL context stay loaded.
 
 The API starts it with `python -m services.jobs.preflight_process FD`.
 """
@@ -16,6 +16,7 @@ from services.jobs.outages import outage_of
 from services.jobs.warm_up import warm_up
 from services.logs import configure, logger
 from services.pipeline.prepare import preflight
+from services.pipeline.preview import planned_cost, preview
 from services.pipeline.rerender import decode_image, rerender_image
 from services.pipeline.spec import JobSpec
 from services.scenes.library import Library
@@ -25,8 +26,9 @@ log = logger(__name__)
 
 
 def answer(message: dict[str, Any], data: bytes, library: Library) -> dict[str, Any]:
-    """Answers one request: {"check": spec} by {"spec", "warnings"}, and {"rerender": {"spec", "fit"}}, with an image
-    file as `data`, by {"rerendering", "png"}.
+    """Answers one request: {"check": spec} by {"spec", "warnings"}, {"preview": spec} by {"preview", "png"},
+    {"plan": spec} by {"plan", "cost"}, and {"rerender": {"spec", "fit"}}, with an image file as `data`, by
+    {"rerendering", "png"}.
 
     A request with a bad field is answered by {"field", "detail"}, and a check that failed by {"trouble"}.
     """
@@ -35,12 +37,17 @@ def answer(message: dict[str, Any], data: bytes, library: Library) -> dict[str, 
             found = preflight(JobSpec.model_validate(message["check"]), library)
             said = [one.model_dump(mode="json") for one in found.warnings]
             return {"spec": found.spec.model_dump(mode="json"), "warnings": said}
+        if "preview" in message:
+            shown, image = preview(JobSpec.model_validate(message["preview"]), library)
+            return {"preview": shown.model_dump(mode="json"), "png": base64.b64encode(png(image)).decode()}
+        if "plan" in message:
+            return planned_cost(JobSpec.model_validate(message["plan"]), library).model_dump(mode="json")
         return _rerender(message["rerender"], data, library)
     except InvalidRequest as error:
         return {"field": error.field, "detail": error.detail}
     except JobFailure as error:
         log.warning("preflight failed", kind=error.kind, exc_info=error)
-        if error.kind == "out-of-memory" and "check" in message:
+        if error.kind == "out-of-memory" and "rerender" not in message:
             return _too_large()
         return {"trouble": f"{error.kind}: {error.detail}"}
     except (Exception, SystemExit) as error:  # an extension's code may end the process it is run in
@@ -48,7 +55,7 @@ def answer(message: dict[str, Any], data: bytes, library: Library) -> dict[str, 
         if outage is not None:
             log.warning("request met an outage", resource=outage.resource, error=str(error))
             return {"trouble": outage.detail}
-        if out_of_memory(error) and "check" in message:
+        if out_of_memory(error) and "rerender" not in message:
             return _too_large()
         if out_of_memory(error):
             return {"trouble": "out-of-memory: it needs more memory than the process that re-renders may have"}

@@ -100,6 +100,13 @@ def plan(spec: JobSpec, library: Library) -> JobPlan:
     renderer = _renderer(spec, scene, spec.tolerance)
     start = renderer.initial()
     limits = limits_of(questions, renderer.name, {group: start[group] for group in spec.attack.groups})
+    return plan_of(spec, renderer, questions, limits)
+
+
+def plan_of(
+    spec: JobSpec, renderer: Renderer, questions: tuple[AskedQuestion, ...], limits: SceneLimits | None
+) -> JobPlan:
+    """Returns the plan of a renderer as a job's: with the cost of averaging, the questions and the search's limits."""
     found = with_cost(renderer.plan, spec.attack.expectation)
     found = found if limits is None else limits.in_plan(found)
     return JobPlan.model_validate(found.model_dump() | {"questions": [one.stated() for one in questions]})

@@ -17,6 +17,7 @@ COMMANDS = [
     [],
     ["run"],
     ["plan"],
+    ["render"],
     ["replay"],
     ["analyse"],
     ["rerender"],

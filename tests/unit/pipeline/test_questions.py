@@ -14,6 +14,7 @@ from services.analysis.answers import answer as network_answer
 from services.errors import InvalidRequest
 from services.pipeline.execute import execute
 from services.pipeline.prepare import preflight, prepare_exactly
+from services.pipeline.preview import preview
 from services.pipeline.question_record import ATTENTION
 from services.pipeline.spec import JobSpec, digest, parse
 from services.questions.answers import ANSWERS, KINDS
@@ -207,6 +208,16 @@ def test_several_questions_are_attacked_together(tmp_path: Path) -> None:
     assert {one.name for one in tmp_path.glob("attention-1-*.png")} == {
         name for one in result.questions[1].attention for name in (one.before, one.after)
     }
+
+
+def test_a_preview_answers_each_of_several_questions() -> None:
+    both = [calls(*LARGE), calls(*AGAIN)]
+    with registry.registered(INFO.model_copy(update={"name": "iep-right"}), right_of(right(LARGE), *both)):
+        data = asking(None)
+        data["target"] = {"name": "iep-right", "questions": both}
+        found, _ = preview(parse(data), LIBRARY)
+    assert [one.question for one in found.answers] == list(parse(data).target.together)
+    assert [one.answer.label for one in found.answers] == [right(LARGE)] * 2
 
 
 def test_words_are_asked_as_their_program() -> None:

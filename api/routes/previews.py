@@ -1,0 +1,57 @@
+"""The route that previews a request."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Query, Request
+from pydantic import Field
+from starlette.concurrency import run_in_threadpool
+
+from api.authentication import CallerDependency
+from api.bodies import body_of
+from api.routes.connection import while_connected
+from api.routes.jobs import client_of, json_body
+from api.state import ServicesDependency, check_meshes_of
+from services.pipeline.job_plan import JobPlan
+from services.pipeline.names_known import check_names
+from services.pipeline.preview_record import Cost, PlannedCost, Preview
+from services.pipeline.spec import JobSpec
+
+router = APIRouter(prefix="/v1/preview", tags=["jobs"])
+
+
+class PreviewView(Preview):
+    """The preview of a request."""
+
+    png: str = Field(description="the image of the scene as a PNG file in base64")
+    plan: JobPlan | None = Field(description="how the attack's images would be made; null if it was not asked for")
+    cost: Cost | None = Field(description="what the attack costs; null without the plan")
+
+
+@router.post("", dependencies=[Depends(json_body)])
+async def preview(
+    spec: Annotated[JobSpec, Depends(body_of(JobSpec))],
+    services: ServicesDependency,
+    caller: CallerDependency,
+    request: Request,
+    plan: Annotated[
+        bool, Query(description="whether to make the plan, too, which may take several times as long as the image")
+    ] = True,
+) -> PreviewView:
+    """Shows what a job would begin with: the image, the network's first five answers, the plan, its cost and warnings.
+
+    Nothing is attacked and nothing is queued. A request that cannot run gets the same answer 422 as a job. One that
+    takes longer than a preview may gets 413, and 503 says that other previews took all the time. A client that closes
+    its connection gives up its turn.
+    """
+    await run_in_threadpool(lambda: check_names(spec, check_meshes_of(services, caller)))
+    client = client_of(request, caller)
+    shown, png = await while_connected(request, services.previewer.preview(spec, client))
+    planned: PlannedCost | None = None
+    if plan:
+        planned = await while_connected(request, services.previewer.plan(spec, client))
+    return PreviewView(
+        **dict(shown),
+        png=png,
+        plan=None if planned is None else planned.plan,
+        cost=None if planned is None else planned.cost,
+    )

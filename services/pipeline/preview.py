@@ -1,0 +1,66 @@
+"""Previews a request: the image of its scene, the network's first answers, and the plan with its cost."""
+
+from collections.abc import Callable
+from time import perf_counter
+
+import torch
+from torch import Tensor
+
+from services.analysis.answers import answer
+from services.pipeline.analysis_fields import load_targets
+from services.pipeline.prepare import Prepared, plan_of, prepare, prepare_exactly
+from services.pipeline.preview_record import Cost, FirstAnswer, PlannedCost, Preview
+from services.pipeline.spec import JobSpec
+from services.questions.answers import ANSWERS
+from services.rendering.color import from_bytes
+from services.scenes.library import Library
+
+
+def preview(spec: JobSpec, library: Library) -> tuple[Preview, Tensor]:
+    """Returns what a job of this request would begin with, and the image of its scene, uint8 [H, W, 3].
+
+    Raises InvalidRequest if the request cannot run, as `preflight` does.
+    """
+    found = prepare_exactly(spec, library)
+    load_targets(spec)
+    return Preview(spec=found.spec, answers=_answers(found), warnings=found.warnings), found.original
+
+
+@torch.no_grad()
+def _answers(found: Prepared) -> tuple[FirstAnswer, ...]:
+    if found.answering is None:
+        said = answer(found.logits, found.target.labels, found.goal)
+        return (FirstAnswer(question=found.spec.target.asked, answer=said),)
+    scores = found.answering.answers(from_bytes(found.original)[None], [one.asked for one in found.questions])[0]
+    return tuple(
+        FirstAnswer(question=question.words or question.asked, answer=answer(scores[number], ANSWERS, goal))
+        for number, (question, goal) in enumerate(zip(found.questions, found.goals, strict=True))
+    )
+
+
+def planned_cost(spec: JobSpec, library: Library) -> PlannedCost:
+    """Returns the plan of a request and its cost, for which it draws an image and asks the network once more.
+
+    Raises InvalidRequest if the request cannot run, as `prepare` does.
+    """
+    found = prepare(spec, library)
+    renderer, verifier = found.renderer, found.verifier
+    start = {group: value[None] for group, value in renderer.initial().items() if group in renderer.plan.groups}
+    image = _seconds(lambda: renderer.render(start))
+    query = _seconds(lambda: verifier.logits(found.original))
+    attack = found.spec.attack
+    cost = Cost(
+        steps=attack.steps,
+        queries=attack.queries,
+        image_seconds=image,
+        query_seconds=query,
+        least_seconds=attack.steps * (image + query),
+    )
+    return PlannedCost(plan=plan_of(found.spec, renderer, found.questions, found.limits), cost=cost)
+
+
+@torch.no_grad()
+def _seconds(work: Callable[[], Tensor]) -> float:
+    began = perf_counter()
+    work().cpu()  # what runs on a graphics card has ended then
+    return perf_counter() - began

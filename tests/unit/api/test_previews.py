@@ -1,0 +1,94 @@
+"""Previews over HTTP, by the process that makes them."""
+
+import base64
+from io import BytesIO
+from typing import Any
+
+import pytest
+from fastapi import FastAPI
+from httpx import Client
+from PIL import Image
+
+from api.check_pool import NoneFree
+from api.previewer import Previewer
+from api.state import Services
+from api.warm_process import TooSlow
+from services.analysis.images import pixels
+from services.pipeline.prepare import prepare
+from tests.unit.jobs.small import LIBRARY, SPHERE, spec
+
+PATH = "/v1/preview"
+BODY: dict[str, Any] = {"scene": SPHERE, "attack": {"steps": 3}, "seed": 5}
+
+
+def test_it_shows_what_a_job_begins_with_and_queues_nothing(client: Client, services: Services) -> None:
+    before = services.repository.page(None, 200, None)
+    answer = client.post(PATH, json=BODY)
+    assert answer.status_code == 200, answer.text
+    found = answer.json()
+    job = prepare(spec(), LIBRARY)
+    with Image.open(BytesIO(base64.b64decode(found["png"]))) as image:
+        assert (pixels(image).int() - job.original.int()).abs().max() <= 1
+    [first] = found["answers"]
+    assert first["answer"]["label"] == job.target.labels[int(job.logits.argmax())]
+    assert len(first["answer"]["top"]) == 5
+    assert found["spec"]["seed"] == 5
+    assert found["plan"]["renderer"] == "torch"
+    assert found["cost"]["steps"] == 3
+    assert found["warnings"]
+    assert [job.id for job in services.repository.page(None, 200, None)] == [job.id for job in before]
+
+
+def test_the_plan_may_be_left_out(client: Client) -> None:
+    found = client.post(PATH, json=BODY, params={"plan": "false"}).json()
+    assert (found["plan"], found["cost"]) == (None, None)
+
+
+BAD: list[dict[str, Any]] = [
+    {"scene": {"objects": [{"mesh": "primitive/spere"}]}},
+    {"scene": {"objects": [{"mesh": "sha256:" + "0" * 64}]}},
+    {"scene": {"objects": [{"mesh": "primitive/sphere", "translation": [50, 0, 0]}]}},
+    {"scene": SPHERE, "attack": {"steps": "many", "groups": ["nothing"]}},
+    {"scene": SPHERE, "goal": {"leave": "grand piano"}},
+]
+
+
+@pytest.mark.parametrize("body", BAD)
+def test_a_bad_request_gets_the_answer_of_a_job(client: Client, body: dict[str, Any]) -> None:
+    answer, of_job = client.post(PATH, json=body), client.post("/v1/jobs", json=body)
+    assert (answer.status_code, answer.json()) == (422, of_job.json())
+
+
+class OutOfTime:
+    """A pool that has no time."""
+
+    seconds = 1.5
+
+    def __init__(self, error: type[Exception]) -> None:
+        self.error = error
+
+    def start(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+    async def check(self, *_: object) -> dict[str, Any]:
+        raise self.error
+
+
+@pytest.mark.parametrize(("error", "status", "said"), [(TooSlow, 413, "1.5 s"), (NoneFree, 503, "try again")])
+def test_too_little_time_is_said(
+    app: FastAPI, client: Client, monkeypatch: pytest.MonkeyPatch, error: type[Exception], status: int, said: str
+) -> None:
+    previewer = app.state.services.previewer
+    assert isinstance(previewer, Previewer)
+    monkeypatch.setattr(previewer, "_pool", OutOfTime(error))
+    answer = client.post(PATH, json=BODY)
+    assert answer.status_code == status
+    assert said in answer.json()["detail"]
+    assert ("retry-after" in answer.headers) == (status == 503)
+
+
+def test_a_form_is_not_json(client: Client) -> None:
+    assert client.post(PATH, data={"scene": "x"}).status_code == 415
