@@ -62,7 +62,7 @@ RULES: dict[str, Scope | None] = {
     "GET /campaigns/{campaign_id}": _READ,
     "GET /parts/campaigns/{campaign_id}": _READ,
     "POST /campaigns/{campaign_id}/{move}": _WRITE,
-    "GET /static/{name}": OPEN,
+    "GET /static/{path:path}": OPEN,
     "GET /sign-in": OPEN,
     "POST /sign-in": OPEN,
     "POST /sign-out": OPEN,

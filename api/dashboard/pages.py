@@ -1,8 +1,10 @@
 """Renders the dashboard's pages from its templates, with headers that let them load nothing from other sites."""
 
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from hashlib import sha256
 from importlib.resources import files
+from importlib.resources.abc import Traversable
 from typing import Any
 
 from fastapi import Response
@@ -26,8 +28,35 @@ HEADERS = {
     "Cache-Control": "no-store",
 }
 
-STATIC = {file.name: file.read_bytes() for file in files(__package__).joinpath("static").iterdir()}
-VERSION = sha256(b"".join(STATIC[name] for name in sorted(STATIC))).hexdigest()[:12]
+
+def _static(folder: Traversable, before: str = "") -> Iterator[tuple[str, bytes]]:
+    for one in folder.iterdir():
+        if one.is_dir():
+            yield from _static(one, f"{before}{one.name}/")
+        else:
+            yield before + one.name, one.read_bytes()
+
+
+AREAS = (
+    ("jobs", "/", "Jobs"),
+    ("campaigns", "/campaigns", "Campaigns"),
+    ("targets", "/v1/targets", "Targets"),
+    ("reference", "/docs", "API reference"),
+)
+"""The areas of the dashboard: name, address and title. A template sets `area` to the name of its own."""
+
+
+STATIC = dict(_static(files(__package__).joinpath("static")))
+"""The style sheets, scripts and images of pages, by path."""
+VERSION = sha256(b"".join(name.encode() + STATIC[name] for name in sorted(STATIC))).hexdigest()[:12]
+
+
+def static(name: str) -> str:
+    """The address of a file of `STATIC`. It contains the version as a folder, so that what a module imports by a
+    relative address has it too. Raises KeyError if there is no such file.
+    """
+    STATIC[name]
+    return f"/static/{VERSION}/{name}"
 
 
 def prose(text: str) -> Markup:
@@ -41,7 +70,14 @@ def prose(text: str) -> Markup:
 _templates = Environment(
     loader=PackageLoader(__package__), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
 )
-_templates.globals |= {"version": VERSION, "words": words, "group_words": group_words, "states": list(State)}
+_templates.globals |= {
+    "version": VERSION,
+    "static": static,
+    "words": words,
+    "group_words": group_words,
+    "states": list(State),
+}
+_templates.globals["areas"] = AREAS
 _templates.filters["prose"] = prose
 _templates.globals |= {"campaign_states": list(CampaignState), "changed": CHANGED}
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Query, Response
 from fastapi.responses import RedirectResponse
 
 from api.authentication import CallerDependency
@@ -19,6 +19,7 @@ PAGE = 30
 """Number of jobs on one page of the list."""
 
 _KINDS = {"css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
+"""Media types by the end of a name; anything else is text, as licences are."""
 
 router = APIRouter(include_in_schema=False)
 
@@ -66,14 +67,16 @@ def cancel(job_id: str, services: ServicesDependency, caller: CallerDependency) 
     return RedirectResponse(f"/jobs/{job_id}", 303, HEADERS)
 
 
-@router.get("/static/{name}")
-def static(name: str, request: Request) -> Response:
-    """Style, script and icon. Their address contains a version, so that browsers may cache them."""
+@router.get("/static/{path:path}")
+def static(path: str) -> Response:
+    """Style sheets, scripts and images. Their address begins with a version, so that browsers may cache them."""
+    name = path.removeprefix(f"{VERSION}/")
     data = STATIC.get(name)
     if data is None:
         raise no_such("file")
-    kept = "max-age=31536000, immutable" if request.query_params.get("v") == VERSION else "no-cache"
-    return Response(data, headers=HEADERS | {"Cache-Control": kept}, media_type=_KINDS[name.rpartition(".")[2]])
+    kept = "no-cache" if name == path else "max-age=31536000, immutable"
+    kind = _KINDS.get(name.rpartition(".")[2], "text/plain")
+    return Response(data, headers=HEADERS | {"Cache-Control": kept}, media_type=kind)
 
 
 def _list(template: str, services: Services, caller: Caller, state: State | None, cursor: str | None) -> Response:

@@ -28,7 +28,7 @@ def test_what_needs_no_key_is_listed_here() -> None:
     assert {route for route, scope in RULES.items() if scope is None} == {
         "GET /healthz",
         "GET /readyz",
-        "GET /static/{name}",
+        "GET /static/{path:path}",
         "GET /sign-in",
         "POST /sign-in",
         "POST /sign-out",

@@ -290,4 +290,5 @@ async def test_static_files_are_kept_only_under_their_version(repository: Reposi
     assert style is not None
     assert "immutable" in (await get(repository, style)).headers["cache-control"]
     assert (await get(repository, "/static/style.css")).headers["cache-control"] == "no-cache"
+    assert (await get(repository, f"/static/{'0' * 12}/style.css")).status_code == 404
     assert (await get(repository, "/static/..%2froutes.py")).status_code == 404

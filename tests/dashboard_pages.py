@@ -1,0 +1,19 @@
+"""The list of the dashboard's pages, which the accessibility test walks and a test compares with the routes."""
+
+import re
+
+PAGES: dict[str, str] = {
+    "/": "/",
+    "/jobs/{job_id}": "/jobs/{job_id}",
+    "/campaigns": "/campaigns",
+    "/campaigns/{campaign_id}": "/campaigns/{campaign_id}",
+    "/docs": "/docs",
+    "/sign-in": "/sign-in",
+}
+"""The path of each route to a page, and an address of it with something on it. The accessibility test fills in
+`job_id` and `campaign_id`, which have ended. A new page is added here.
+"""
+ELSEWHERE: dict[str, str] = {"nothing": "/nothing"}
+"""Pages that no route has: name and address."""
+NO_PAGES = re.compile(r"/(v1|parts|static|healthz|readyz|metrics|openapi\.json)(/|$)")
+"""The beginnings of paths that answer programs, or scripts of pages."""

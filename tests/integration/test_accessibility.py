@@ -1,0 +1,105 @@
+"""Every page in a real browser, light and dark, wide and narrow: axe-core finds nothing serious, nothing overflows, the
+browser has nothing to complain about, and nothing is asked of another site. `out/screenshots` then shows the pages.
+"""
+
+from collections.abc import Iterator
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+from playwright.sync_api import Browser, ConsoleMessage, Page
+
+from tests.dashboard_pages import ELSEWHERE, PAGES
+from tests.integration.browser import launched
+from tests.integration.conftest import Stack, until
+from tests.integration.specs import QUICK
+
+pytestmark = pytest.mark.integration
+
+SCREENSHOTS = Path(__file__).parents[2] / "out" / "screenshots"
+VENDORED = Path(__file__).parent / "vendor"
+AXE = (VENDORED / "axe.min.js").read_text()
+RUN = "async () => (await axe.run(document, {resultTypes: ['violations']})).violations"
+THEMES = ("light", "dark")
+WIDTHS = (1440, 390)
+CAMPAIGN: dict[str, Any] = {
+    "name": "accessible",
+    "grids": [
+        {
+            "scenes": {"meshes": ["primitive/sphere"], "views": [0.1, 0.2], "camera": QUICK["scene"]["camera"]},
+            "goal": {"reach": "tench"},
+            "attacks": [
+                {"name": "pixels", "attack": QUICK["attack"] | {"learning_rate": {"image": 1e-6}}},
+                {"name": "light", "attack": {"renderer": "pyrender", "groups": ["illumination"], "steps": 1}},
+            ],
+            "selection": {"right": False},
+        }
+    ],
+}
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with launched() as browser:
+        yield browser
+
+
+@pytest.fixture(scope="module")
+def filled(stack: Stack) -> dict[str, str]:
+    """A job and a campaign that have ended, so that the pages show something."""
+    job = stack.ended(stack.submit(QUICK))
+    assert job["state"] == "succeeded", job["failure"]
+    answer = stack.client.post("/v1/campaigns", json=CAMPAIGN)
+    assert answer.status_code == 202, answer.text
+    campaign = answer.json()["id"]
+    until(lambda: stack.client.get(f"/v1/campaigns/{campaign}").json()["state"] == "finished", "the campaign ends")
+    return {"job_id": job["id"], "campaign_id": campaign}
+
+
+def test_axe_is_the_file_that_is_listed() -> None:
+    assert sha256(AXE.encode()).hexdigest() in (VENDORED / "VENDORED.md").read_text()
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("theme", THEMES)
+@pytest.mark.parametrize("name", [*PAGES, *ELSEWHERE])
+def test_a_page_is_accessible(
+    stack: Stack, browser: Browser, filled: dict[str, str], name: str, theme: Any, width: int
+) -> None:
+    address = (PAGES | ELSEWHERE)[name].format(**filled)
+    with browser.new_context(color_scheme=theme, viewport={"width": width, "height": 900}) as context:
+        page = context.new_page()
+        complaints = watched(page, str(stack.client.base_url))
+        page.goto(f"{stack.client.base_url}{address}")
+        page.wait_for_load_state("load")
+        save(page, f"{name.strip('/').replace('/', '-') or 'jobs'}-{theme}-{width}.png")
+        page.evaluate(AXE)
+        found = [one for one in page.evaluate(RUN) if one["impact"] in ("serious", "critical")]
+        assert not found, [
+            (one["id"], one["help"], [node["target"] for node in one["nodes"]][:5], one["nodes"][0]["failureSummary"])
+            for one in found
+        ]
+        assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth"), "it scrolls sideways"
+        assert complaints == []
+
+
+def watched(page: Page, origin: str) -> list[str]:
+    """What the browser complains about, but for the status 404 of a page that is not there, and requests elsewhere."""
+    complaints: list[str] = []
+    site = urlsplit(origin).netloc
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.on("console", lambda one: complaints.append(one.text) if is_complaint(one) else None)
+    page.on("request", lambda one: complaints.append(one.url) if urlsplit(one.url).netloc != site else None)
+    return complaints
+
+
+def is_complaint(message: ConsoleMessage) -> bool:
+    missing = "404" in message.text and urlsplit(message.location["url"]).path in ELSEWHERE.values()
+    return message.type in ("error", "warning") and not missing
+
+
+def save(page: Page, name: str) -> None:
+    SCREENSHOTS.mkdir(parents=True, exist_ok=True)
+    page.screenshot(path=SCREENSHOTS / name, full_page=True)
