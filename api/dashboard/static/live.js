@@ -6,16 +6,9 @@ const connection = document.getElementById("connection");
 
 // Puts the new part in place; what the reader has opened, chosen or focused stays so.
 function replace(html) {
-  const open = [...live.querySelectorAll("details[open][id]")].map((e) => e.id);
-  const checked = [...live.querySelectorAll("input:checked")].map((e) => e.id);
-  const focused = live.contains(document.activeElement) ? document.activeElement.id : "";
-  live.innerHTML = html;
-  for (const id of open) document.getElementById(id)?.setAttribute("open", "");
-  for (const id of checked) {
-    const input = document.getElementById(id);
-    if (input) input.checked = true;
-  }
-  if (focused) document.getElementById(focused)?.focus();
+  const next = document.createElement("div");
+  next.innerHTML = html;
+  patch(live, next);
 }
 
 let last = "";
