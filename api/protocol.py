@@ -86,13 +86,16 @@ class LimitedHttp(HttpToolsProtocol):
             super().on_header(name, value)
 
     def on_headers_complete(self) -> None:
-        """The head has ended. Raises BadHead unless it names one host, as HTTP/1.1 has it."""
+        """The head has ended. Raises BadHead unless it names a path of this server and one host, as HTTP/1.1 has it."""
         self._silent_bytes = 0
         self._in_head = False
         self._forget()
         hosts = sum(name == b"host" for name, _ in self.headers)
-        if hosts > 1 or (hosts == 0 and self.parser.get_http_version() == "1.1"):
+        version = self.parser.get_http_version()
+        if hosts > 1 or (hosts == 0 and version == "1.1"):
             raise BadHead("a request names one host")
+        if version not in ("1.0", "1.1") or not self.url.startswith((b"/", b"*")):
+            raise BadHead("a request names a path, and its version is 1.0 or 1.1")
         super().on_headers_complete()
 
     def on_chunk_header(self) -> None:

@@ -6,11 +6,12 @@ from typing import Any
 
 import pytest
 from PIL import Image
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from playwright.sync_api import Browser, Page, expect
 
+from tests.integration.browser import launched
 from tests.integration.conftest import Stack
 from tests.integration.specs import ENDLESS, QUICK
-from tests.integration.test_dashboard import ARGUMENTS, LOADED, PATIENCE
+from tests.integration.test_dashboard import LOADED, PATIENCE
 
 pytestmark = pytest.mark.integration
 
@@ -27,10 +28,8 @@ COLOURS = """([[x, y], ...more]) => {
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path="/usr/bin/chromium", args=ARGUMENTS)
+    with launched() as browser:
         yield browser
-        browser.close()
 
 
 @pytest.fixture
@@ -115,7 +114,7 @@ def test_the_viewer_zooms_down_to_the_values_of_a_pixel(stack: Stack, page: Page
     left = page.locator("before-after .readout").inner_text()
     canvas.hover(position={"x": 100 + half, "y": 305})
     assert page.locator("before-after .readout").inner_text() == left  # both panes show the same part
-    page.get_by_role("button", name="Show the whole image").click()
+    page.get_by_role("button", name="Fit the whole image").click()
     assert float(canvas.get_attribute("data-scale") or 0) < 10
 
 

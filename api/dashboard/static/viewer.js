@@ -80,7 +80,7 @@ class BeforeAfter extends HTMLElement {
     const zoom = element("span", { className: "zoom" },
       button("−", "Zoom out", () => this.zoom(0.5)),
       button("+", "Zoom in", () => this.zoom(2)),
-      button("Fit", "Show the whole image", () => this.fit()),
+      button("Fit", "Fit the whole image", () => this.fit()),
       button("Flip", "Flip between original and attacked (F)", () => this.flip()));
     place.replaceChildren(
       element("div", { className: "bar" }, modes, zoom),

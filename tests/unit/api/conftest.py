@@ -11,6 +11,7 @@ import uvicorn
 from fastapi import FastAPI
 
 from api.main import create_app
+from api.protocol import LimitedHttp
 from api.state import Services
 from services.jobs.models import Artifact
 from services.pipeline.outcome import Outcome
@@ -58,7 +59,7 @@ def app(redis_url: str, tmp_path_factory: pytest.TempPathFactory) -> FastAPI:
 def serving(app: FastAPI) -> Iterator[httpx.Client]:
     """Serves an app, and gives a client of it, over HTTP."""
     listener = socket.create_server(("127.0.0.1", 0))
-    server = uvicorn.Server(uvicorn.Config(app, log_config=None, timeout_graceful_shutdown=1))
+    server = uvicorn.Server(uvicorn.Config(app, http=LimitedHttp, log_config=None, timeout_graceful_shutdown=1))
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
     thread.start()
     try:

@@ -206,6 +206,7 @@ def app(repository: Repository, campaigns: CampaignService | None = None) -> Fas
         library=none,
         preflight=none,
         uploads=none,
+        previewer=none,
         rerenderer=none,
         campaigns=cast(Any, campaigns),
         watcher=none,

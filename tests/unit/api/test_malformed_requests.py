@@ -141,7 +141,6 @@ def test_a_query_that_does_not_fit(client: Client, query: str) -> None:
 
 
 RAW = {
-    "no request": (b"\r\n\r\n", 400),
     "no host": (b"GET /healthz HTTP/1.1\r\n\r\n", 400),
     "two hosts": (b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nHost: evil\r\n\r\n", 400),
     "no version": (b"GET /healthz\r\n\r\n", 400),
@@ -149,7 +148,7 @@ RAW = {
     "a space in the path": (b"GET /health z HTTP/1.1\r\nHost: localhost\r\n\r\n", 400),
     "a NUL in a header": (b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nA: b\x00c\r\n\r\n", 400),
     "a header without a name": (b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n: b\r\n\r\n", 400),
-    "a folded header": (b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nA: b\r\n c\r\n\r\n", 200),
+    "a folded header": (b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nA: b\r\n c\r\n\r\n", 400),
     "a space before a colon": (b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nA : b\r\n\r\n", 400),
     "an endless header": (b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nA: " + b"x" * 200_000 + b"\r\n\r\n", 400),
     "a negative length": (b"POST /v1/jobs HTTP/1.1\r\nHost: localhost\r\nContent-Length: -1\r\n\r\n", 400),
@@ -164,10 +163,10 @@ RAW = {
         b"Transfer-Encoding: chunked\r\n\r\nzz\r\n{}\r\n0\r\n\r\n",
         400,
     ),
-    "a method of one's own": (b"BREW /v1/jobs HTTP/1.1\r\nHost: localhost\r\n\r\n", 405),
+    "a method of one's own": (b"BREW /v1/jobs HTTP/1.1\r\nHost: localhost\r\n\r\n", 400),
     "the whole server": (b"OPTIONS * HTTP/1.1\r\nHost: localhost\r\n\r\n", 404),
-    "a proxy's request": (b"GET http://evil.example/ HTTP/1.1\r\nHost: localhost\r\n\r\n", 404),
-    "a tunnel": (b"CONNECT localhost:22 HTTP/1.1\r\nHost: localhost\r\n\r\n", 404),
+    "a proxy's request": (b"GET http://evil.example/ HTTP/1.1\r\nHost: localhost\r\n\r\n", 400),
+    "a tunnel": (b"CONNECT localhost:22 HTTP/1.1\r\nHost: localhost\r\n\r\n", 400),
     "another protocol": (b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\nUpgrade: x\r\n\r\n", 200),
 }
 

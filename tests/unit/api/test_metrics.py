@@ -27,7 +27,7 @@ def test_requests_are_counted_by_the_template_of_their_route(client: Client, fin
         client.get(f"/v1/jobs/{finished}/artifacts")
     client.get("/v1/jobs/none/artifacts")
     client.get("/no/such/path")
-    client.request("BREW", "/no/such/path")
+    client.request("PROPFIND", "/no/such/path")
     client.get("/campaigns/none")
     after = samples(client)
     counted = {key: value - before.get(key, 0) for key, value in after.items() if key[0].endswith("requests_total")}
