@@ -12,25 +12,19 @@ from typing import Any, Self
 import httpx
 from httpx_sse import connect_sse
 
+from client import operations
+from client.reconnects import Reconnects
+from client.request import Answer, ApiError, Request, answer_of, refusal
 from services import atomic_write
 from services.errors import InvalidRequest
 
+__all__ = ["ApiClient", "ApiError", "Event"]
+
 TERMINAL = ("succeeded", "failed", "rejected", "cancelled")
-_PATIENCE = 30.0
+PATIENCE = 30.0
 """Seconds without a byte after which an event stream counts as dropped; the service sends a comment more often."""
 _CHECK = 300.0
 """Seconds that the service may take to check a request; the first request waits for a process to warm up."""
-_RECONNECTS = 8
-
-
-class ApiError(Exception):
-    """A request that the service refused, with the HTTP status and the problem document; its text is one line."""
-
-    def __init__(self, status: int, problem: Mapping[str, Any]) -> None:
-        self.status = status
-        self.problem = dict(problem)
-        said = [f"{item.get('field')}: {item.get('detail')}" for item in problem.get("errors") or []]
-        super().__init__("; ".join(said) or str(problem.get("detail") or problem.get("title") or f"HTTP {status}"))
 
 
 @dataclass(frozen=True)
@@ -42,22 +36,33 @@ class Event:
     data: dict[str, Any]
 
 
+def checked_url(url: str) -> str:
+    """The URL of a service. Raises InvalidRequest if it cannot be one."""
+    if not re.match(r"https?://[^/]", url):
+        raise InvalidRequest("--url", f"{url!r} is no address of a service, such as http://127.0.0.1:8008")
+    return url
+
+
+def authorization(key: str | None) -> dict[str, str]:
+    """The headers that send a key: this one, or the one in SCENE_ATTACK_KEY, if there is one."""
+    key = (os.environ.get("SCENE_ATTACK_KEY", "") if key is None else key).strip()
+    if not key.isascii() or not key.isprintable():
+        raise InvalidRequest("SCENE_ATTACK_KEY", "is no key of this service: those are ASCII and begin with sa_")
+    return {"Authorization": f"Bearer {key}"} if key else {}
+
+
 class ApiClient:
-    """Calls the service at a URL, with the key in SCENE_ATTACK_KEY if there is one. Redirects are not followed, so that
-    the key goes nowhere else.
+    """Calls the service at a URL, with a key, that in SCENE_ATTACK_KEY if none is given. Redirects are not followed, so
+    that the key goes nowhere else.
 
     Raises InvalidRequest if URL or key cannot be one. Methods raise ApiError if the service refuses, and
     httpx.HTTPError if it does not answer.
     """
 
-    def __init__(self, url: str, *, transport: httpx.BaseTransport | None = None) -> None:
-        key = os.environ.get("SCENE_ATTACK_KEY", "").strip()
-        if not key.isascii() or not key.isprintable():
-            raise InvalidRequest("SCENE_ATTACK_KEY", "is no key of this service: those are ASCII and begin with sa_")
-        if not re.match(r"https?://[^/]", url):
-            raise InvalidRequest("--url", f"{url!r} is no address of a service, such as http://127.0.0.1:8008")
-        headers = {"Authorization": f"Bearer {key}"} if key else {}
-        self._http = httpx.Client(base_url=url, headers=headers, timeout=_PATIENCE, transport=transport)
+    def __init__(self, url: str, *, key: str | None = None, transport: httpx.BaseTransport | None = None) -> None:
+        self._http = httpx.Client(
+            base_url=checked_url(url), headers=authorization(key), timeout=PATIENCE, transport=transport
+        )
 
     def __enter__(self) -> Self:
         return self
@@ -71,6 +76,11 @@ class ApiClient:
     def url(self) -> str:
         """The URL of the service, without a slash at the end."""
         return str(self._http.base_url).rstrip("/")
+
+    def call(self, request: Request[Answer]) -> Answer:
+        """The answer to a request of `client.operations`."""
+        found: Answer = answer_of(self._http.request(**request.arguments()))
+        return found
 
     def submit(self, spec: Mapping[str, Any], priority: str | None = None) -> dict[str, Any]:
         """Queues a job and returns it; `priority` is high, normal or low."""
@@ -92,12 +102,13 @@ class ApiClient:
         """Deletes a job that has ended."""
         response = self._http.delete(f"/v1/jobs/{job_id}")
         if response.is_error:
-            raise _refusal(response)
+            raise refusal(response)
 
     def events(self, job_id: str, after: str | None = None) -> Iterator[Event]:
         """The job's events, each once and in order, until it has ended; a dropped connection is taken up again."""
-        failures = 0
+        reconnects = Reconnects()
         while True:
+            error: Exception | None = None
             headers = {} if after is None else {"Last-Event-ID": after}
             try:
                 with connect_sse(self._http, "GET", f"/v1/jobs/{job_id}/events", headers=headers) as stream:
@@ -105,9 +116,9 @@ class ApiClient:
                         return  # the job has ended, and all its events were received
                     if stream.response.status_code != httpx.codes.OK:
                         stream.response.read()
-                        raise _refusal(stream.response)
+                        raise refusal(stream.response)
                     for event in stream.iter_sse():
-                        failures = 0
+                        reconnects.succeeded()
                         if not event.data:
                             continue  # a comment that keeps the connection alive
                         after = event.id
@@ -115,15 +126,9 @@ class ApiClient:
                         yield found
                         if found.kind == "state" and found.data["state"] in TERMINAL:
                             return
-            except (httpx.TransportError, httpx.StreamError):
-                failures += 1
-                if failures > _RECONNECTS:
-                    raise
-            else:
-                failures += 1  # the stream ended before the job did: the service is restarting
-                if failures > _RECONNECTS:
-                    raise httpx.RemoteProtocolError("the event stream keeps ending before the job does")
-            sleep(min(0.1 * 2**failures, 5.0))
+            except (httpx.TransportError, httpx.StreamError) as broken:
+                error = broken
+            sleep(reconnects.pause(error))
 
     def artifacts(self, job_id: str) -> list[dict[str, Any]]:
         """The files of a finished job: name, sha256, media type, size."""
@@ -131,10 +136,10 @@ class ApiClient:
 
     def download(self, job_id: str, name: str, to: Path) -> None:
         """Writes one artifact to the file `to`, which appears only when it is complete."""
-        with self._http.stream("GET", f"/v1/jobs/{job_id}/artifacts/{name}") as response:
+        with self._http.stream("GET", operations.artifact(job_id, name).address) as response:
             if response.status_code != httpx.codes.OK:
                 response.read()
-                raise _refusal(response)
+                raise refusal(response)
             with atomic_write.replacing(to) as part, part.open("wb") as file:
                 for chunk in response.iter_bytes():
                     file.write(chunk)
@@ -154,7 +159,7 @@ class ApiClient:
         """Deletes an uploaded mesh by its name, "sha256:" and 64 digits."""
         response = self._http.delete(f"/v1/assets/{name.removeprefix('sha256:')}")
         if response.is_error:
-            raise _refusal(response)
+            raise refusal(response)
 
     def submit_campaign(self, spec: Mapping[str, Any], priority: str | None = None) -> dict[str, Any]:
         """Starts a campaign and returns it; `priority` is that of its jobs: high, normal or low."""
@@ -190,7 +195,7 @@ class ApiClient:
 
     def _json(self, response: httpx.Response) -> dict[str, Any]:
         if response.is_error:
-            raise _refusal(response)
+            raise refusal(response)
         data = response.json()
         if not isinstance(data, dict):
             raise httpx.DecodingError(f"{response.url} answered a JSON {type(data).__name__}, not an object")
@@ -200,11 +205,3 @@ class ApiClient:
 def _given(**values: str | int | None) -> dict[str, str | int]:
     """The query parameters that were given."""
     return {name: value for name, value in values.items() if value is not None}
-
-
-def _refusal(response: httpx.Response) -> ApiError:
-    try:
-        problem = response.json()
-    except ValueError:
-        problem = {}
-    return ApiError(response.status_code, problem if isinstance(problem, dict) else {})

@@ -7,63 +7,95 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
+from services.errors import InvalidRequest
+
 if TYPE_CHECKING:
     from torch import nn
 
     from services.pipeline.execute import Progress
     from services.pipeline.result import Result
+    from services.pipeline.spec import JobSpec
+    from services.targets.preprocessing import Preprocessing
     from services.targets.protocol import Target
 
 
 def attack(
     scene: Mapping[str, Any],
-    network: nn.Module | Target,
-    labels: Sequence[str] = (),
+    model: nn.Module | Target,
+    spec: Mapping[str, Any] | None = None,
     *,
+    labels: Sequence[str] = (),
     preprocessing: Mapping[str, Any] | None = None,
-    attack: Mapping[str, Any] | None = None,
-    goal: Mapping[str, Any] | None = None,
-    seed: int = 0,
     name: str = "module",
-    out: Path | None = None,
+    out: Path | str | None = None,
     progress: Callable[[Progress], None] = lambda _: None,
 ) -> Result:
     """Runs one attack on a torch module, or on an object that implements `services.targets.protocol.Target`.
 
-    A module takes images [B, 3, H, W] and returns scores [B, K], one for each of `labels`; it is copied and not
-    changed. `preprocessing` has the fields of services.targets.preprocessing.Preprocessing: `input_size` (height and
-    width, default 224×224), `mean`, `scale`, `resize`, `channels`. `scene`, `attack`, `goal` and `seed` are those of a
-    request; docs/scene.md describes them. The files of a job are written into `out` if it is given.
+    A module takes images [B, 3, H, W] and returns scores [B, K] before the softmax; it is copied and not changed.
+    `labels` names its scores, by default "0" to "K-1". `preprocessing` has the fields of
+    services.targets.preprocessing.Preprocessing: `input_size` (height and width, default 224×224), `mean`, `scale`,
+    `resize`, `channels`. `scene` is the scene of a request and `spec` its other fields, such as `attack`, `goal` and
+    `seed`; docs/scene.md describes them. The files of a job are written into the folder `out` if it is given.
     Raises InvalidRequest, which names the field, for anything that cannot run, and JobFailure for a run that fails.
     """
-    from pydantic import ValidationError
     from torch import nn
 
-    from services.errors import InvalidRequest
     from services.pipeline.execute import execute
-    from services.pipeline.field_errors import invalid_fields
-    from services.pipeline.spec import parse
     from services.scenes.library import Library
     from services.settings import settings
     from services.targets.custom.in_process import describe, target_of
-    from services.targets.preprocessing import Preprocessing
     from services.targets.registry import registered
 
-    if isinstance(network, nn.Module):
-        if not labels:
-            raise InvalidRequest("labels", "a torch module needs the label of each of its scores, in order")
-        try:
-            chosen = Preprocessing.model_validate(dict(preprocessing or {}))
-        except ValidationError as error:
-            first = invalid_fields(error.errors(include_url=False), Preprocessing.model_json_schema())[0]
-            raise InvalidRequest(f"preprocessing.{first.field}", first.detail) from error
-        target: Target = target_of(name, network, tuple(labels), chosen)
+    if isinstance(model, nn.Module):
+        chosen = _preprocessing(preprocessing or {})
+        target: Target = target_of(name, model, tuple(labels) or _numbers(model, chosen), chosen)
     elif labels or preprocessing:
         raise InvalidRequest("labels", "a target has labels and preprocessing of its own; leave both out")
     else:
-        target = network
-    request = {"scene": scene, "goal": goal or {}, "attack": attack or {}, "seed": seed, "target": {"name": name}}
-    spec = parse({key: dict(value) if isinstance(value, Mapping) else value for key, value in request.items()})
+        target = model
+    job = _spec(scene, name, spec or {})
     library = Library(settings().cache_dir, settings().files)
     with registered(describe(name, target), target), TemporaryDirectory() as folder:
-        return execute(spec, Path(folder) if out is None else out, library, progress=progress)
+        return execute(job, Path(folder) if out is None else Path(out), library, progress=progress)
+
+
+def _spec(scene: Mapping[str, Any], name: str, spec: Mapping[str, Any]) -> JobSpec:
+    from services.pipeline.spec import parse
+
+    for field, argument in (("scene", "scene"), ("target", "model")):
+        if field in spec:
+            raise InvalidRequest(f"spec.{field}", f"is given by the argument `{argument}`; leave it out of the spec")
+    return parse({"scene": dict(scene), "target": {"name": name}, **spec})
+
+
+def _preprocessing(given: Mapping[str, Any]) -> Preprocessing:
+    from pydantic import ValidationError
+
+    from services.pipeline.field_errors import invalid_fields
+    from services.targets.preprocessing import Preprocessing
+
+    try:
+        return Preprocessing.model_validate(dict(given))
+    except ValidationError as error:
+        first = invalid_fields(error.errors(include_url=False), Preprocessing.model_json_schema())[0]
+        raise InvalidRequest(f"preprocessing.{first.field}", first.detail) from error
+
+
+def _numbers(model: nn.Module, preprocessing: Preprocessing) -> tuple[str, ...]:
+    """The numbers of the model's scores, found by showing a copy of it a black image."""
+    from copy import deepcopy
+
+    import torch
+
+    weight = next(model.parameters(), torch.zeros(1))
+    try:
+        with torch.no_grad():
+            scores = deepcopy(model).eval()(weight.new_zeros(1, 3, *preprocessing.input_size))
+    except Exception as error:
+        size = ", ".join(map(str, preprocessing.input_size))
+        said = f"it takes no images [1, 3, {size}] ({error}); preprocessing.input_size says which it takes"
+        raise InvalidRequest("model", said) from error
+    if not isinstance(scores, torch.Tensor) or scores.ndim != 2:
+        raise InvalidRequest("model", "it must return scores [B, K], one row for each image")
+    return tuple(map(str, range(scores.shape[1])))

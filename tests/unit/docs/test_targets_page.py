@@ -92,6 +92,7 @@ def test_every_folder_of_the_page_gives_the_same_answers() -> None:
 
 def test_the_ten_lines_find_an_adversary(folder: Path) -> None:
     assert len(BLOCKS["ten_lines.py"].splitlines()) == 10
+    assert BLOCKS["ten_lines.py"] in (ROOT / "README.md").read_text("utf-8")
     environ = os.environ | {"PYTHONPATH": str(ROOT)}
     done = subprocess.run(
         [sys.executable, "ten_lines.py"], cwd=folder, env=environ, capture_output=True, text=True, check=False

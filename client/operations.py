@@ -1,0 +1,243 @@
+"""The operations of the HTTP API: each function gives the request of one, with the type of its answer.
+
+A client sends them: `client.call(operations.targets())`. A parameter that is None is left out of the request.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from client.request import Request
+
+if TYPE_CHECKING:
+    from client.answers import (
+        ArtifactList,
+        AssetList,
+        CampaignJobPage,
+        CampaignPage,
+        CampaignResult,
+        CampaignSpec,
+        CampaignState,
+        CampaignView,
+        DeliveryList,
+        Entry,
+        Health,
+        JobPage,
+        JobSpec,
+        JobView,
+        NewWebhook,
+        Priority,
+        Readiness,
+        RerenderingBody,
+        RerenderingView,
+        SceneLibrary,
+        State,
+        TargetList,
+        ViewList,
+        WebhookList,
+    )
+
+CHECK_SECONDS = 300.0
+"""The service may take so long to check a request; the first request waits for a process to warm up."""
+Device = Literal["cuda", "cpu"]
+
+
+def submit(
+    spec: JobSpec | Mapping[str, Any],
+    *,
+    priority: Priority | None = None,
+    device: Device | None = None,
+    memory: int | None = None,
+    idempotency_key: str | None = None,
+    wait: float | None = None,
+) -> Request[JobView]:
+    """Queues a job. `wait` is how many seconds the answer may wait for its end, at most 30; `memory` is in bytes."""
+    return Request(
+        "POST",
+        "/v1/jobs",
+        params={"priority": priority, "device": device, "memory": memory},
+        headers={"Idempotency-Key": idempotency_key, "Prefer": None if wait is None else f"wait={wait:.0f}"},
+        json=spec,
+        seconds=CHECK_SECONDS,
+    )
+
+
+def jobs(
+    *, state: State | None = None, campaign: str | None = None, limit: int | None = None, cursor: str | None = None
+) -> Request[JobPage]:
+    """A page of the jobs, newest first."""
+    return Request("GET", "/v1/jobs", params={"state": state, "campaign": campaign, "limit": limit, "cursor": cursor})
+
+
+def job(job_id: str) -> Request[JobView]:
+    """One job, with its request and, when it has succeeded, its result."""
+    return Request("GET", "/v1/jobs/{job_id}", {"job_id": job_id})
+
+
+def delete_job(job_id: str) -> Request[None]:
+    """Deletes a job that has ended, with its files."""
+    return Request("DELETE", "/v1/jobs/{job_id}", {"job_id": job_id})
+
+
+def cancel_job(job_id: str) -> Request[JobView]:
+    """Asks a job to stop; one that has ended stays as it is."""
+    return Request("POST", "/v1/jobs/{job_id}/cancel", {"job_id": job_id})
+
+
+def events(job_id: str, *, last_event_id: str | None = None) -> Request[bytes]:
+    """A job's server-sent events after one of them; `Job.watch` reads them and takes up a dropped connection."""
+    return Request("GET", "/v1/jobs/{job_id}/events", {"job_id": job_id}, headers={"Last-Event-ID": last_event_id})
+
+
+def artifacts(job_id: str) -> Request[ArtifactList]:
+    """The list of a finished job's files."""
+    return Request("GET", "/v1/jobs/{job_id}/artifacts", {"job_id": job_id})
+
+
+def artifact(job_id: str, name: str, *, if_none_match: str | None = None) -> Request[bytes]:
+    """The bytes of one file of a job."""
+    path, headers = {"job_id": job_id, "name": name}, {"If-None-Match": if_none_match}
+    return Request("GET", "/v1/jobs/{job_id}/artifacts/{name}", path, headers=headers)
+
+
+def rerender(body: RerenderingBody) -> Request[RerenderingView]:
+    """Renders the scene of an image again and asks the network about both; takes up to five minutes."""
+    return Request("POST", "/v1/rerenderings", json=body, seconds=CHECK_SECONDS)
+
+
+def submit_campaign(
+    spec: CampaignSpec | Mapping[str, Any],
+    *,
+    priority: Priority | None = None,
+    device: Device | None = None,
+    memory: int | None = None,
+    idempotency_key: str | None = None,
+) -> Request[CampaignView]:
+    """Starts a campaign; priority, device and memory are those of its jobs."""
+    return Request(
+        "POST",
+        "/v1/campaigns",
+        params={"priority": priority, "device": device, "memory": memory},
+        headers={"Idempotency-Key": idempotency_key},
+        json=spec,
+        seconds=CHECK_SECONDS,
+    )
+
+
+def campaigns(
+    *, state: CampaignState | None = None, limit: int | None = None, cursor: str | None = None
+) -> Request[CampaignPage]:
+    """A page of the campaigns, newest first."""
+    return Request("GET", "/v1/campaigns", params={"state": state, "limit": limit, "cursor": cursor})
+
+
+def campaign(campaign_id: str) -> Request[CampaignView]:
+    """One campaign, with its request, progress and outcomes."""
+    return Request("GET", "/v1/campaigns/{campaign_id}", {"campaign_id": campaign_id})
+
+
+def pause_campaign(campaign_id: str) -> Request[CampaignView]:
+    """Holds a campaign's queued jobs back."""
+    return Request("POST", "/v1/campaigns/{campaign_id}/pause", {"campaign_id": campaign_id})
+
+
+def resume_campaign(campaign_id: str) -> Request[CampaignView]:
+    """Lets a paused campaign go on."""
+    return Request("POST", "/v1/campaigns/{campaign_id}/resume", {"campaign_id": campaign_id})
+
+
+def cancel_campaign(campaign_id: str) -> Request[CampaignView]:
+    """Ends a campaign and its jobs."""
+    return Request("POST", "/v1/campaigns/{campaign_id}/cancel", {"campaign_id": campaign_id})
+
+
+def campaign_views(campaign_id: str) -> Request[ViewList]:
+    """The views of a campaign with the networks' first answers, and why some are not attacked."""
+    return Request("GET", "/v1/campaigns/{campaign_id}/views", {"campaign_id": campaign_id})
+
+
+def campaign_jobs(campaign_id: str, *, limit: int | None = None, after: int | None = None) -> Request[CampaignJobPage]:
+    """A page of a campaign's planned jobs, with numbers above `after`."""
+    path, params = {"campaign_id": campaign_id}, {"limit": limit, "after": after}
+    return Request("GET", "/v1/campaigns/{campaign_id}/jobs", path, params)
+
+
+def campaign_table(campaign_id: str) -> Request[CampaignResult]:
+    """The table, the mean curves and the views of a campaign."""
+    return Request("GET", "/v1/campaigns/{campaign_id}/table.json", {"campaign_id": campaign_id})
+
+
+def campaign_table_csv(campaign_id: str) -> Request[str]:
+    """The table of a campaign as CSV."""
+    return Request("GET", "/v1/campaigns/{campaign_id}/table.csv", {"campaign_id": campaign_id})
+
+
+def campaign_table_latex(campaign_id: str) -> Request[str]:
+    """The table of a campaign as LaTeX."""
+    return Request("GET", "/v1/campaigns/{campaign_id}/table.tex", {"campaign_id": campaign_id})
+
+
+def assets() -> Request[AssetList]:
+    """The meshes that were uploaded."""
+    return Request("GET", "/v1/assets")
+
+
+def add_asset(path: Path, kind: str) -> Request[Entry]:
+    """Uploads the mesh in a file; `kind` is obj, ply, stl, glb or off."""
+    sent = (path.name, path.read_bytes())
+    return Request("POST", "/v1/assets", file=sent, form={"kind": kind}, seconds=CHECK_SECONDS)
+
+
+def delete_asset(name: str) -> Request[None]:
+    """Deletes an uploaded mesh by its name, "sha256:" and 64 digits."""
+    return Request("DELETE", "/v1/assets/{sha256}", {"sha256": name.removeprefix("sha256:")})
+
+
+def scenes(
+    *, category: str | None = None, creator: str | None = None, licence: str | None = None, search: str | None = None
+) -> Request[SceneLibrary]:
+    """The meshes that match, and all environment maps."""
+    params = {"category": category, "creator": creator, "licence": licence, "search": search}
+    return Request("GET", "/v1/scenes", params=params)
+
+
+def targets() -> Request[TargetList]:
+    """The networks that can be attacked."""
+    return Request("GET", "/v1/targets")
+
+
+def webhooks() -> Request[WebhookList]:
+    """The webhooks of the caller."""
+    return Request("GET", "/v1/webhooks")
+
+
+def add_webhook(url: str) -> Request[NewWebhook]:
+    """Registers a URL that is told when jobs and campaigns end. The answer's `secret` is shown this once."""
+    return Request("POST", "/v1/webhooks", json={"url": url})
+
+
+def delete_webhook(webhook_id: str) -> Request[None]:
+    """Deletes a webhook."""
+    return Request("DELETE", "/v1/webhooks/{webhook_id}", {"webhook_id": webhook_id})
+
+
+def deliveries(webhook_id: str) -> Request[DeliveryList]:
+    """The last hundred messages of a webhook."""
+    return Request("GET", "/v1/webhooks/{webhook_id}/deliveries", {"webhook_id": webhook_id})
+
+
+def health() -> Request[Health]:
+    """Whether the process answers."""
+    return Request("GET", "/healthz")
+
+
+def readiness() -> Request[Readiness]:
+    """Whether the service can take jobs and run them; ApiError with status 503 if it cannot."""
+    return Request("GET", "/readyz")
+
+
+def metrics() -> Request[str]:
+    """The metrics, in Prometheus' text format."""
+    return Request("GET", "/metrics")

@@ -1,0 +1,90 @@
+"""A request of an operation of openapi.yaml, with the type of its answer, before it is sent."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Generic, TypeVar
+from urllib.parse import quote
+
+import httpx
+
+Answer = TypeVar("Answer")
+
+
+@dataclass(frozen=True)
+class Request(Generic[Answer]):
+    """A request of an operation of openapi.yaml: `route` is its path there, whose names in braces are in `path`."""
+
+    method: str
+    route: str
+    path: Mapping[str, str] = field(default_factory=dict)
+    params: Mapping[str, Any] = field(default_factory=dict)
+    headers: Mapping[str, str | None] = field(default_factory=dict)
+    json: Any = None
+    file: tuple[str, bytes] | None = None
+    form: Mapping[str, Any] = field(default_factory=dict)
+    seconds: float | None = None
+    """Longest wait for the answer; None for the client's own."""
+
+    @property
+    def address(self) -> str:
+        """The path with its names filled in."""
+        return self.route.format_map({name: quote(value, safe="") for name, value in self.path.items()})
+
+    def arguments(self) -> dict[str, Any]:
+        """The request as the arguments of `httpx.Client.request`."""
+        found: dict[str, Any] = {"method": self.method, "url": self.address}
+        if params := given(self.params):
+            found["params"] = params
+        if headers := given(self.headers):
+            found["headers"] = headers
+        if self.json is not None:
+            found["json"] = self.json
+        if self.file is not None:
+            found |= {"files": {"file": self.file}, "data": given(self.form)}
+        if self.seconds is not None:
+            found["timeout"] = self.seconds
+        return found
+
+
+def given(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The values that are not None."""
+    return {name: value for name, value in values.items() if value is not None}
+
+
+class ApiError(Exception):
+    """A request that the service refused, with the HTTP status and the problem document; its text is one line."""
+
+    def __init__(self, status: int, problem: Mapping[str, Any]) -> None:
+        self.status = status
+        self.problem = dict(problem)
+        said = [f"{item.get('field')}: {item.get('detail')}" for item in problem.get("errors") or []]
+        super().__init__("; ".join(said) or str(problem.get("detail") or problem.get("title") or f"HTTP {status}"))
+
+
+def refusal(response: httpx.Response) -> ApiError:
+    """The error of a response that has been read."""
+    try:
+        problem = response.json()
+    except ValueError:
+        problem = {}
+    return ApiError(response.status_code, problem if isinstance(problem, dict) else {})
+
+
+def answer_of(response: httpx.Response) -> Any:
+    """The answer in a response: an object, a text, bytes, or None where there is no content.
+
+    Raises ApiError if the service refused, and httpx.DecodingError if a JSON answer is no object.
+    """
+    if response.is_error:
+        raise refusal(response)
+    if response.status_code == httpx.codes.NO_CONTENT:
+        return None
+    kind = response.headers.get("content-type", "")
+    if kind.startswith("text/"):
+        return response.text
+    if not kind.startswith("application/json"):
+        return response.content
+    data = response.json()
+    if not isinstance(data, dict):
+        raise httpx.DecodingError(f"{response.url} answered a JSON {type(data).__name__}, not an object")
+    return data
