@@ -27,6 +27,8 @@ RULES: dict[str, Scope | None] = {
     "GET /v1/jobs/{job_id}/artifacts": _READ,
     "GET /v1/jobs/{job_id}/artifacts/{name}": _READ,
     "POST /v1/preview": _WRITE,
+    "GET /v1/jobs/{job_id}/export": _READ,
+    "GET /v1/jobs/{job_id}/scene.glb": _READ,
     "POST /v1/campaigns": _WRITE,
     "GET /v1/campaigns": _READ,
     "GET /v1/campaigns/{campaign_id}": _READ,

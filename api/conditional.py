@@ -16,7 +16,9 @@ _KEPT = (b"etag", b"cache-control", b"x-content-type-options", b"content-securit
 
 
 class Compression(GZipMiddleware):
-    """Compresses answers, but for event streams, images and files of jobs: ETags and ranges are of a file's bytes."""
+    """Compresses answers, but for event streams, images, files of jobs and exports: their ETags and ranges are of the
+    bytes of a file.
+    """
 
     def __init__(self, app: ASGIApp) -> None:
         excluded = (*DEFAULT_EXCLUDED_CONTENT_TYPES, "application/octet-stream")
@@ -24,9 +26,13 @@ class Compression(GZipMiddleware):
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """ASGI."""
-        if scope["type"] == "http" and "/artifacts/" not in scope["path"]:
+        if scope["type"] == "http" and not _is_file(scope["path"]):
             return await super().__call__(scope, receive, send)
         return await self.app(scope, receive, send)
+
+
+def _is_file(path: str) -> bool:
+    return "/artifacts/" in path or path.endswith(("/export", "/scene.glb"))
 
 
 class Conditional:

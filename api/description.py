@@ -20,7 +20,7 @@ ERRORS = {
     "403": "The key's scopes do not allow this, or another web site made a browser send it.",
     "404": "The path names nothing that exists.",
     "408": "The body came too slowly.",
-    "409": "It is in use.",
+    "409": "It is in use, or has no result.",
     "413": "The body is too large.",
     "415": "The body has the wrong media type.",
     "416": "The file has no such range.",
@@ -83,6 +83,8 @@ def _possible(method: str, path: str, operation: dict[str, Any]) -> list[str]:
         found.append("422")
     if method == "delete" and "webhooks" not in operation["tags"]:
         found.append("409")
+    if path.endswith(("/export", "/scene.glb")):
+        found += ["409", "503"]
     if "206" in operation["responses"]:
         found.append("416")
     return found

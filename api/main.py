@@ -21,6 +21,7 @@ from api.authentication import Authentication
 from api.conditional import Compression, Conditional
 from api.dashboard.error_pages import ErrorPages
 from api.description import describe
+from api.exporter import Exporter
 from api.hosts import KnownHosts
 from api.limits import BodyLimit, NoNul, Utf8Forms
 from api.mesh_uploads import MeshUploads
@@ -33,7 +34,19 @@ from api.protocol import LimitedHttp
 from api.request_id import RequestId
 from api.request_rate import RequestRate
 from api.rerenderer import Rerenderer
-from api.routes import artifacts, assets, campaigns, events, health, jobs, library, previews, rerenderings, webhooks
+from api.routes import (
+    artifacts,
+    assets,
+    campaigns,
+    events,
+    exports,
+    health,
+    jobs,
+    library,
+    previews,
+    rerenderings,
+    webhooks,
+)
 from api.routes import metrics as scraping
 from api.same_site import SameSite
 from api.slow_clients import BodyPace
@@ -96,6 +109,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
         preflight.start()
         previewer = Previewer(chosen)
         rerenderer = Rerenderer(chosen)
+        exporter = Exporter(chosen)
         library = Library(chosen.cache_dir, chosen.files)
         uploads = MeshUploads(library, chosen)
         uploads.start()
@@ -115,6 +129,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
             uploads=uploads,
             previewer=previewer,
             rerenderer=rerenderer,
+            exporter=exporter,
             campaigns=CampaignService(Campaigns(engine), queue),
             watcher=watcher,
             webhooks=Webhooks(engine),
@@ -137,6 +152,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
             uploads.close()
             previewer.close()
             rerenderer.close()
+            exporter.close()
             redis.close()
             engine.dispose()
 
@@ -172,6 +188,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
         events,
         artifacts,
         previews,
+        exports,
         rerenderings,
         assets,
         library,

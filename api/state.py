@@ -8,6 +8,7 @@ from typing import Annotated
 from fastapi import Depends, HTTPException, Request
 
 from api.authentication import CallerDependency
+from api.exporter import Exporter
 from api.mesh_uploads import MeshUploads
 from api.preflight import Preflight
 from api.previewer import Previewer
@@ -34,7 +35,7 @@ from services.scenes.library import Library
 @dataclass(frozen=True)
 class Services:
     """Keys, sessions, uploads and quotas, the record of jobs and campaigns, the queue, the files, and what checks,
-    previews, re-renders and watches.
+    previews, re-renders, exports and watches.
     """
 
     keys: AccessKeys
@@ -50,6 +51,7 @@ class Services:
     uploads: MeshUploads
     previewer: Previewer
     rerenderer: Rerenderer
+    exporter: Exporter
     campaigns: CampaignService
     watcher: Watcher
     webhooks: Webhooks

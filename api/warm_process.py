@@ -34,10 +34,10 @@ class _Asked:
 
 
 class WarmProcess:
-    """A child that runs `python -m services.jobs.preflight_process` and stays warm between requests."""
+    """A child that runs a module, `services.jobs.preflight_process` by default, and stays warm between requests."""
 
-    def __init__(self, settings: Settings) -> None:
-        self._settings = settings
+    def __init__(self, settings: Settings, module: str = "services.jobs.preflight_process") -> None:
+        self._settings, self._module = settings, module
         self._child: Child | None = None
         # With one thread, requests wait for one another.
         self._thread = ThreadPoolExecutor(1, "preflight")
@@ -101,15 +101,15 @@ class WarmProcess:
             return self._child
         if self._child is not None:
             self._child.kill()
-        child = self._child = Child("services.jobs.preflight_process", self._settings)
+        child = self._child = Child(self._module, self._settings)
         try:
             ready = self._answer(child, START_SECONDS)
         except ChildDied:
             ready = None
         if ready is None:
             self._end(child)
-            raise Unavailable("the process that checks requests does not start; the service's log says why")
-        log.info("preflight process ready", pid=child.pid)
+            raise Unavailable(f"the process {self._module} does not start; the service's log says why")
+        log.info("preflight process ready", pid=child.pid, module=self._module)
         return child
 
     def _answer(self, child: Child, seconds: float) -> dict[str, Any] | None:

@@ -77,6 +77,13 @@ class ArtifactView(TypedDict):
     media_type: str
     size: int
 
+class Asked(TypedDict):
+    """A question about an image, and its right answer."""
+    question: str | None
+    program: list[dict[str, Any]]
+    kind: str
+    right: str
+
 class AssetList(TypedDict):
     """Uploaded meshes."""
     items: list[Entry]
@@ -269,6 +276,14 @@ class CoordinatesRequest(TypedDict):
     by: NotRequired[Literal['coordinate', 'object']]
     images: NotRequired[int]
 
+class Cost(TypedDict):
+    """What an attack costs, as far as it is known before. Both times were measured once, on this machine."""
+    steps: int
+    queries: int | None
+    image_seconds: float
+    query_seconds: float
+    least_seconds: float
+
 class DeliveryList(TypedDict):
     """The last messages to a webhook, newest first."""
     items: list[DeliveryView]
@@ -363,6 +378,11 @@ class Fgsm(TypedDict):
     learning_rate: NotRequired[dict[str, float]]
     momentum: NotRequired[float]
     weight_decay: NotRequired[float]
+
+class FirstAnswer(TypedDict):
+    """The network's answer to the scene before the attack."""
+    question: str | None
+    answer: Answer
 
 class Floor(TypedDict):
     """A level square under the objects. It is no object: attacks neither move nor recolour it."""
@@ -463,6 +483,19 @@ class JobPage(TypedDict):
     """A page of the list of jobs, newest first."""
     items: list[JobSummary]
     next: str | None
+
+class JobPlan(TypedDict):
+    """The renderer's plan of a job, with what limits its search, and its questions."""
+    renderer: str
+    groups: list[str]
+    size: list[int]
+    tolerance: float | Literal['exact']
+    items: list[Item]
+    stages: list[Stage]
+    error: float
+    gradients: NotRequired[list[GradientError]]
+    environment_map_error: NotRequired[float | None]
+    questions: NotRequired[list[Asked]]
 
 class JobSpec(TypedDict):
     """One attack on one scene. Every field but the scene's objects has a default; the stored spec states all
@@ -699,6 +732,15 @@ class PointLight(TypedDict):
     """A point light of the pyrender renderer; its light falls off with the square of the distance."""
     energy: NotRequired[float]
     position: NotRequired[list[float]]
+
+class PreviewView(TypedDict):
+    """The preview of a request."""
+    spec: JobSpec
+    answers: list[FirstAnswer]
+    warnings: list[JobWarning]
+    png: str
+    plan: JobPlan | None
+    cost: Cost | None
 
 Priority = Literal['high', 'normal', 'low']
 

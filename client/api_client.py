@@ -136,7 +136,14 @@ class ApiClient:
 
     def download(self, job_id: str, name: str, to: Path) -> None:
         """Writes one artifact to the file `to`, which appears only when it is complete."""
-        with self._http.stream("GET", operations.artifact(job_id, name).address) as response:
+        self._save(operations.artifact(job_id, name), to)
+
+    def export(self, job_id: str, to: Path) -> None:
+        """Writes the zip file of a finished job's export to `to`, which appears only when it is complete."""
+        self._save(operations.export(job_id), to)
+
+    def _save(self, request: Request[bytes], to: Path) -> None:
+        with self._http.stream(**request.arguments()) as response:
             if response.status_code != httpx.codes.OK:
                 response.read()
                 raise refusal(response)

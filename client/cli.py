@@ -13,6 +13,7 @@ from client.commands import (
     campaign,
     demo,
     doctor,
+    export,
     jobs,
     keys,
     plan,
@@ -55,6 +56,7 @@ def _root(
 
 run.register(app)
 analyse.register(app)
+export.register(app)
 plan.register(app)
 render.register(app)
 submit.register(app)

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         JobSpec,
         JobView,
         NewWebhook,
+        PreviewView,
         Priority,
         Readiness,
         RerenderingBody,
@@ -100,6 +101,25 @@ def artifact(job_id: str, name: str, *, if_none_match: str | None = None) -> Req
     """The bytes of one file of a job."""
     path, headers = {"job_id": job_id, "name": name}, {"If-None-Match": if_none_match}
     return Request("GET", "/v1/jobs/{job_id}/artifacts/{name}", path, headers=headers)
+
+
+def export(job_id: str, *, if_none_match: str | None = None) -> Request[bytes]:
+    """A zip file of a finished job: its scene before and after as glTF, maps, tables and a report."""
+    path, headers = {"job_id": job_id}, {"If-None-Match": if_none_match}
+    return Request("GET", "/v1/jobs/{job_id}/export", path, headers=headers, seconds=CHECK_SECONDS)
+
+
+def scene(
+    job_id: str, *, which: Literal["before", "after"] | None = None, if_none_match: str | None = None
+) -> Request[bytes]:
+    """A finished job's scene before or after the attack as a glb file."""
+    path, headers = {"job_id": job_id}, {"If-None-Match": if_none_match}
+    return Request("GET", "/v1/jobs/{job_id}/scene.glb", path, {"which": which}, headers, seconds=CHECK_SECONDS)
+
+
+def preview(spec: JobSpec | Mapping[str, Any], *, plan: bool | None = None) -> Request[PreviewView]:
+    """The picture of a request, what the network says of it, and its plan, without an attack."""
+    return Request("POST", "/v1/preview", params={"plan": plan}, json=spec, seconds=CHECK_SECONDS)
 
 
 def rerender(body: RerenderingBody) -> Request[RerenderingView]:

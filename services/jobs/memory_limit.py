@@ -14,13 +14,14 @@ LEAST, MOST = 4 * 2**30, 16 * 2**30
 
 
 def memory_limit(values: Settings) -> int:
-    """Bytes of address space of a job process, of one that checks requests, and of those that preview and re-render.
+    """Bytes of address space of a job process, of one that checks requests, and of those that preview, re-render and
+    make exports.
 
     The default is an equal share of the machine's memory, after READING_BYTES and REST_BYTES.
     """
     if values.job_memory_bytes is not None:
         return values.job_memory_bytes
-    processes = values.workers + values.check_processes + 2
+    processes = values.workers + values.check_processes + 3
     share = (machine_memory() - READING_BYTES - REST_BYTES) // processes
     return min(max(share, LEAST), MOST)
 

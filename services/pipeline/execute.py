@@ -7,7 +7,6 @@ from typing import Literal
 
 import torch
 from pydantic import BaseModel
-from safetensors.torch import save_file
 from torch import Tensor
 
 from services.analysis import images
@@ -28,6 +27,7 @@ from services.pipeline.analyse import Report, Subject, analyse
 from services.pipeline.expectations import with_cost
 from services.pipeline.extensions import ATTACKS, EXTENSIONS, TARGETS
 from services.pipeline.leaving_out import LeavingOut, leaving_out
+from services.pipeline.perturbation_file import save_perturbation
 from services.pipeline.prepare import Prepared, lit_by_map, prepare
 from services.pipeline.question_result import outcome_of, question_results
 from services.pipeline.result import Provenance, Result
@@ -213,7 +213,7 @@ def _write(
     images.save_png(original, out / "original.png")
     images.save_png(attacked, out / "attacked.png")
     images.save_png(images.magnified(original, attacked), out / "perturbation.png")
-    save_file({group: value.contiguous() for group, value in found.stored.items()}, out / PERTURBATION)
+    save_perturbation(found.stored, prepared.renderer, out / PERTURBATION)
     trace = ",\n".join(row.model_dump_json() for row in found.trace)
     (out / "trace.json").write_text(f"[{trace}]\n", "utf-8")
     (out / RESULT).write_text(result.model_dump_json(indent=1) + "\n", "utf-8")

@@ -24,10 +24,11 @@ def with_surface(mesh: Mesh, metallic: float | None, roughness: float | None) ->
     if metallic is None and roughness is None:
         return mesh
     given = METALLIC if metallic is None else metallic, ROUGHNESS if roughness is None else roughness
-    return replace(mesh, parts=tuple(_with_surface(part, *given) for part in mesh.parts))
+    return replace(mesh, parts=tuple(with_surface_of_part(part, *given) for part in mesh.parts))
 
 
-def _with_surface(part: Part, metallic: float, roughness: float) -> Part:
+def with_surface_of_part(part: Part, metallic: float, roughness: float) -> Part:
+    """`with_surface` for one part of a mesh."""
     own = part.metallic_roughness
     if own is not None:
         maps: dict[MapName, TextureMap] = {k: one for k, one in own.maps.items() if k != "metallic_roughness"}

@@ -21,6 +21,7 @@ COMMANDS = [
     ["replay"],
     ["analyse"],
     ["rerender"],
+    ["export"],
     ["submit"],
     ["serve"],
     ["api"],

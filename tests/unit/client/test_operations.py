@@ -60,6 +60,9 @@ def test_a_function_has_every_parameter_and_the_type_of_the_answer(name: str, tm
 ANSWERS = ("200", "201", "202", "204")
 
 
+BYTES = ("application/octet-stream", "application/zip", "model/gltf-binary", "text/event-stream")
+
+
 def answer(content: dict[str, Any]) -> str:
     """The type of an operation's answer."""
     if not content:
@@ -67,7 +70,7 @@ def answer(content: dict[str, Any]) -> str:
     kind, body = next(iter(content.items()))
     if kind == "application/json":
         return write_answers.type_of(body["schema"])
-    return "bytes" if kind in ("application/octet-stream", "text/event-stream") else "str"
+    return "bytes" if kind in BYTES else "str"
 
 
 def test_a_name_in_a_path_is_quoted() -> None:

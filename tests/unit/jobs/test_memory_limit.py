@@ -17,7 +17,7 @@ GIB = 2**30
 def test_the_limits_add_up_to_less_than_the_machine(monkeypatch, machine, workers, checks):
     monkeypatch.setattr(module, "machine_memory", lambda: machine * GIB)
     limit = memory_limit(Settings(workers=workers, check_processes=checks))
-    total = (workers + checks + 2) * limit + READING_BYTES + REST_BYTES
+    total = (workers + checks + 3) * limit + READING_BYTES + REST_BYTES
     assert total <= machine * GIB or limit == LEAST
     assert LEAST <= limit <= MOST
 

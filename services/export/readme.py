@@ -1,0 +1,96 @@
+"""The README of an export: what each file is, in which units, what glTF cannot say, credits, and how to cite."""
+
+from collections.abc import Sequence
+from fnmatch import fnmatch
+from importlib.metadata import version
+from importlib.resources import files
+
+import torch
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from services.pipeline.names import attack_name, job_name
+from services.pipeline.prepare import lit_by_map
+from services.pipeline.result import Result
+from services.pipeline.spec import JobSpec
+from services.rendering.pyrender_renderer.declaration import PYRENDER
+from services.rendering.pyrender_renderer.renderer import EXPOSURE
+from services.rendering.torch_renderer.environment_light import illumination
+from services.scenes.resolve import ResolvedScene
+
+CONTENTS = {
+    "original.png": "the image of the scene as it was",
+    "attacked.png": "the image of the scene under attack, rendered afresh and rounded to 8 bits",
+    "perturbation.png": "their difference times 5, plus 128",
+    "scene_before.glb": "the scene as it was: geometry, materials, camera, lights",
+    "scene_after.glb": "the scene under attack",
+    "environment_before.exr": "the environment map as it was, as the renderer used it: averaged, turned and exposed",
+    "environment_after.exr": "the environment map under attack",
+    "normals_*.npy": "the normals that the pixels are shaded by, float32 [H, W, 3]; 0 where nothing is",
+    "normals_*.png": "the same as colours: n / 2 + 1/2",
+    "parameters.json": "every attacked parameter: name, unit, value before and after",
+    "perturbation.safetensors": "the change of each attacked group; names, units and axes are in the metadata",
+    "result.json": "the result: answers, measures, tables, provenance",
+    "trace.json": "each step of the attack",
+    "request.json": "the request with every setting, as `scene-attack run` takes it",
+    "render_exported.py": "draws a `.glb` of this folder with trimesh and pyrender alone",
+    "mesh.vert": "its vertex shader",
+    "mesh.frag": "its fragment shader: the shading model in one file",
+    "report.html": "images, tables and curves on one page, which needs no other file",
+    "*.png": "what the network attends to",
+}
+"""What files are, by name or pattern; the first that fits."""
+
+_templates = Environment(
+    loader=PackageLoader(__package__), undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, autoescape=False
+)
+
+
+def readme(result: Result, spec: JobSpec, scene: ResolvedScene, names: Sequence[str], job: str | None) -> str:
+    """The text, in Markdown. `names` are those of the other files."""
+    mapped = lit_by_map(spec)
+    return _templates.get_template("README.md").render(
+        name=job_name(result.spec),
+        attack=attack_name(result.spec),
+        target=spec.target.name,
+        job=job,
+        sentence=sentence(result),
+        files=[(name, content(name)) for name in names],
+        lengths=_lengths(scene),
+        same_scene=spec.attack.renderer != PYRENDER.name,
+        why_same="the attack changes pixels" if not mapped else "see below",
+        lit_by_map=mapped,
+        exposure=illumination(torch.as_tensor(scene.environment)).exposure if mapped else EXPOSURE,
+        viewer="a distant viewer, the same for all pixels"
+        if scene.description.camera.viewer == "distant"
+        else "each pixel's own viewer direction",
+        shadows=scene.description.shadows is not None,
+        credits=result.provenance.credits,
+        bibtex=bibtex(),
+    )
+
+
+def sentence(result: Result) -> str:
+    """What came of the attack."""
+    before, after = result.original, result.attacked
+    said = f"The network said “{before.label}” ({before.confidence:.1%}) of the scene as it was, and says "
+    said += f"“{after.label}” ({after.confidence:.1%}) of the scene under attack"
+    return f"{said}: {result.outcome}{', verified' if result.verified else ', not verified'}."
+
+
+def content(name: str) -> str:
+    """What a file of the bundle is."""
+    return next((words for pattern, words in CONTENTS.items() if fnmatch(name, pattern)), "a file of the job")
+
+
+def bibtex() -> str:
+    """The paper and the software, as BibTeX."""
+    text = files("services.export").joinpath("citation.bib").read_text("utf-8")
+    return text.replace("VERSION", version("scene-attack")).strip()
+
+
+def _lengths(scene: ResolvedScene) -> list[str]:
+    return [
+        f"A scene unit on object {index} is {mesh.centimetres / placed.scale:.4g} cm of the real `{placed.mesh}`."
+        for index, (mesh, placed) in enumerate(zip(scene.meshes, scene.description.objects, strict=True))
+        if mesh.centimetres is not None
+    ]

@@ -1,0 +1,81 @@
+"""The process that makes exports and `.glb` files of finished jobs for the API.
+
+It is one of its own: drawing the normals of a scene needs OpenGL, which only one thread of a process may use, and a
+large mesh must not delay other answers.
+"""
+
+import resource
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from services.confinement.system_calls import forbid_new_privileges
+from services.errors import InvalidRequest, JobFailure, out_of_memory
+from services.export import BUNDLE
+from services.export.bundle import read_finished, write_bundle
+from services.export.destinations import zipped
+from services.jobs.artifacts import ArtifactStore, Damaged
+from services.jobs.child import connect, reply, requests
+from services.jobs.memory_limit import memory_limit
+from services.jobs.outages import outage_of
+from services.logs import configure, logger
+from services.scenes.library import Library
+from services.settings import settings
+
+log = logger(__name__)
+
+
+def answer(message: dict[str, Any], store: ArtifactStore, library: Library) -> dict[str, Any]:
+    """Makes what a message asks for: {"what": BUNDLE, "before" or "after", "job": id, "artifacts": {name: sha256},
+    "out": path}. Writes the file `out` and answers {}, {"refused": sentence} or {"failed": sentence}.
+    """
+    files = {name: partial(_read, store, sha256) for name, sha256 in message["artifacts"].items()}
+    try:
+        if message["what"] == BUNDLE:
+            with Path(message["out"]).open("wb") as out, zipped(out, f"scene-attack-{message['job'][:8]}") as write:
+                write_bundle(files, library, write, message["job"])
+        else:
+            Path(message["out"]).write_bytes(read_finished(files, library).glb(message["what"]))
+    except InvalidRequest as error:
+        return {"refused": f"{error.field}: {error.detail}"}
+    except JobFailure as error:
+        return {"refused": error.detail}
+    except (FileNotFoundError, Damaged) as error:
+        return {"refused": f"a file of the job is gone from the artifact store: {error}"}
+    except Exception as error:
+        outage = outage_of(error)
+        if outage is not None:
+            return {"failed": outage.detail}
+        if out_of_memory(error):
+            return {"failed": "it needs more memory than the process that makes exports may have"}
+        log.error("export failed", exc_info=error)
+        return {"failed": "the service's log says why"}
+    return {}
+
+
+def _read(store: ArtifactStore, sha256: str) -> bytes:
+    with store.open(sha256) as file:
+        return file.read()
+
+
+def main() -> None:
+    """Answers requests until its parent ends."""
+    configure("export")
+    values = settings()
+    connection = connect()
+    inbox = requests(connection)
+    limit = memory_limit(values)
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    forbid_new_privileges()
+    torch.set_num_threads(values.threads)
+    store, library = ArtifactStore(values.files), Library(values.cache_dir, values.files)
+    reply(connection, {"ready": True})
+    for message, _ in inbox:
+        reply(connection, answer(message, store, library))
+
+
+if __name__ == "__main__":
+    main()

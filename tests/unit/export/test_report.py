@@ -1,0 +1,51 @@
+"""The report, parsed as a browser would."""
+
+from html.parser import HTMLParser
+
+import pytest
+
+from services.export.parameters import ParameterTable
+from services.export.report import curves, report
+from services.pipeline.result import Result
+from tests.unit.api.dashboard_records import result, row
+
+HOSTILE = "<script>alert(1)</script>\"'&"
+NO_PARAMETERS = ParameterTable(renderer="torch", parameters=[], large=[])
+
+
+class Elements(HTMLParser):
+    """All start tags with their attributes."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.found: list[tuple[str, dict[str, str | None]]] = []
+        self.feed(html)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.found.append((tag, dict(attrs)))
+
+
+def test_the_report_has_its_images_in_it_and_asks_for_nothing_else() -> None:
+    files = {"original.png": lambda: b"one", "attacked.png": lambda: b"two"}
+    page = Elements(report(Result.model_validate(result()), NO_PARAMETERS, files, "0f3c"))
+    images = [attributes for tag, attributes in page.found if tag == "img"]
+    assert [one["src"] for one in images] == ["data:image/png;base64,b25l", "data:image/png;base64,dHdv"]
+    assert [one["alt"] for one in images] == ["Original", "Attacked"]
+    assert not [tag for tag, attributes in page.found if tag in ("script", "link", "iframe") or "href" in attributes]
+
+
+def test_words_of_others_are_text() -> None:
+    given = result()
+    given["attacked"]["label"] = HOSTILE
+    text = report(Result.model_validate(given), NO_PARAMETERS, {}, HOSTILE)
+    assert HOSTILE not in text
+    assert "script" not in {tag for tag, _ in Elements(text).found}
+
+
+def test_a_curve_begins_left_and_its_highest_value_is_on_top() -> None:
+    trace = Result.model_validate(result(trace=[row(0, loss=0.5), row(1, loss=0.9), row(4, loss=0.1)])).trace
+    loss = curves(trace)[0]
+    points = [tuple(float(x) for x in point.split(",")) for point in loss.points.split()]
+    assert points == [(0, pytest.approx(80)), (105, 0), (420, 160)]
+    assert (loss.first, loss.last, loss.lowest, loss.highest) == (0.5, 0.1, 0.1, 0.9)
+    assert curves(trace[:1]) == []
