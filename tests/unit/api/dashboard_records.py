@@ -207,6 +207,7 @@ def app(repository: Repository, campaigns: CampaignService | None = None) -> Fas
         preflight=none,
         uploads=none,
         previewer=none,
+        exporter=none,
         rerenderer=none,
         campaigns=cast(Any, campaigns),
         watcher=none,
