@@ -64,6 +64,7 @@ RULES: dict[str, Scope | None] = {
     "GET /campaigns/{campaign_id}": _READ,
     "GET /parts/campaigns/{campaign_id}": _READ,
     "POST /campaigns/{campaign_id}/{move}": _WRITE,
+    "GET /targets": _READ,
     "GET /static/{path:path}": OPEN,
     "GET /sign-in": OPEN,
     "POST /sign-in": OPEN,
@@ -79,6 +80,7 @@ PAGES = frozenset(
         "POST /jobs/{job_id}/cancel",
         "GET /campaigns",
         "GET /campaigns/{campaign_id}",
+        "GET /targets",
         "GET /docs",
         "POST /campaigns/{campaign_id}/{move}",
     }

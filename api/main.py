@@ -74,6 +74,7 @@ from services.jobs.queue import connect as connect_redis
 from services.jobs.repository import Repository
 from services.jobs.service import Submissions
 from services.jobs.storage import Storage
+from services.jobs.target_record import TargetRecords
 from services.jobs.webhooks import Webhooks
 from services.logs import configure, logger
 from services.pipeline.extensions import log_extensions
@@ -131,6 +132,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
             rerenderer=rerenderer,
             exporter=exporter,
             campaigns=CampaignService(Campaigns(engine), queue),
+            target_records=TargetRecords(engine),
             watcher=watcher,
             webhooks=Webhooks(engine),
             webhook_hosts=chosen.allowed_webhook_hosts,

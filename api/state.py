@@ -28,6 +28,7 @@ from services.jobs.queue import Queue
 from services.jobs.repository import Repository
 from services.jobs.service import Submissions
 from services.jobs.storage import Storage
+from services.jobs.target_record import TargetRecords
 from services.jobs.webhooks import Webhooks
 from services.scenes.library import Library
 
@@ -53,6 +54,7 @@ class Services:
     rerenderer: Rerenderer
     exporter: Exporter
     campaigns: CampaignService
+    target_records: TargetRecords
     watcher: Watcher
     webhooks: Webhooks
     webhook_hosts: frozenset[str]

@@ -7,6 +7,7 @@ PAGES: dict[str, str] = {
     "/jobs/{job_id}": "/jobs/{job_id}",
     "/campaigns": "/campaigns",
     "/campaigns/{campaign_id}": "/campaigns/{campaign_id}",
+    "/targets": "/targets",
     "/docs": "/docs",
     "/sign-in": "/sign-in",
 }
@@ -15,5 +16,5 @@ PAGES: dict[str, str] = {
 """
 ELSEWHERE: dict[str, str] = {"nothing": "/nothing"}
 """Pages that no route has: name and address."""
-NO_PAGES = re.compile(r"/(v1|parts|static|healthz|readyz|metrics|openapi\.json)(/|$)")
+NO_PAGES = re.compile(r"/(v1|parts|static|healthz|readyz|metrics|assets/pictures|openapi\.json)(/|$)")
 """The beginnings of paths that answer programs, or scripts of pages."""

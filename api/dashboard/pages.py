@@ -40,7 +40,7 @@ def _static(folder: Traversable, before: str = "") -> Iterator[tuple[str, bytes]
 AREAS = (
     ("jobs", "/", "Jobs"),
     ("campaigns", "/campaigns", "Campaigns"),
-    ("targets", "/v1/targets", "Targets"),
+    ("targets", "/targets", "Targets"),
     ("reference", "/docs", "API reference"),
 )
 """The areas of the dashboard: name, address and title. A template sets `area` to the name of its own."""

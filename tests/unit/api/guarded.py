@@ -50,7 +50,10 @@ class Guarded:
         method, path = route.split(" ")
         names = {"job_id": self.job, "campaign_id": self.campaign, "webhook_id": self.webhook, "sha256": MESH}
         names = names if exists else dict.fromkeys(names, "x")
-        return method, path.format(name="original.png", move="pause", **names)
+        path = path.replace(":path}", "}")
+        return method, path.format(
+            name="original.png", path="style.css", move="pause", **names
+        )
 
     def untouched(self) -> bool:
         """Whether alice's job, campaign, webhook and upload are as they were."""

@@ -43,8 +43,12 @@ def test_a_key_without_the_scope_is_refused(guarded: Guarded, route: str) -> Non
     assert CLOSED[route].value in answer.json()["detail"]
 
 
-ENDLESS = ("GET /v1/jobs/{job_id}/events", "GET /v1/jobs/{job_id}/artifacts/{name}")
-"""A stream of a job that does not end, and a file that it does not have yet."""
+ENDLESS = (
+    "GET /v1/jobs/{job_id}/events",
+    "GET /v1/jobs/{job_id}/artifacts/{name}",
+    "GET /assets/pictures/{asset:path}",
+)
+"""A stream of a job that does not end, a file that it does not have yet, and the picture of a mesh without one."""
 
 
 @pytest.mark.parametrize("route", [route for route in CLOSED if route.startswith("GET") and route not in ENDLESS])
