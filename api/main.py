@@ -62,6 +62,7 @@ from services.access.sessions import Sessions
 from services.device import check_device
 from services.jobs import watchdog
 from services.jobs.artifacts import ArtifactStore
+from services.jobs.asset_record import AssetRecords
 from services.jobs.asset_removal import DeletedAssets
 from services.jobs.campaign_service import CampaignService
 from services.jobs.campaigns import Campaigns
@@ -132,6 +133,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
             rerenderer=rerenderer,
             exporter=exporter,
             campaigns=CampaignService(Campaigns(engine), queue),
+            asset_records=AssetRecords(engine),
             target_records=TargetRecords(engine),
             watcher=watcher,
             webhooks=Webhooks(engine),

@@ -20,6 +20,7 @@ from services.access.keys import AccessKeys
 from services.access.quotas import Quotas
 from services.access.sessions import Sessions
 from services.jobs.artifacts import ArtifactStore
+from services.jobs.asset_record import AssetRecords
 from services.jobs.asset_removal import DeletedAssets
 from services.jobs.campaign_service import CampaignService
 from services.jobs.housekeeping import Housekeeping
@@ -54,6 +55,7 @@ class Services:
     rerenderer: Rerenderer
     exporter: Exporter
     campaigns: CampaignService
+    asset_records: AssetRecords
     target_records: TargetRecords
     watcher: Watcher
     webhooks: Webhooks

@@ -7,6 +7,8 @@ PAGES: dict[str, str] = {
     "/jobs/{job_id}": "/jobs/{job_id}",
     "/campaigns": "/campaigns",
     "/campaigns/{campaign_id}": "/campaigns/{campaign_id}",
+    "/assets": "/assets",
+    "/assets/{asset:path}": "/assets/primitive/sphere",
     "/targets": "/targets",
     "/docs": "/docs",
     "/sign-in": "/sign-in",

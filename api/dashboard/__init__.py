@@ -2,13 +2,14 @@
 
 from fastapi import APIRouter
 
-from api.dashboard import campaigns, reference, routes, sign_in, targets
+from api.dashboard import assets, campaigns, reference, routes, sign_in, targets
 
 __all__ = ["router"]
 
 router = APIRouter()
 router.include_router(routes.router)
 router.include_router(campaigns.router)
+router.include_router(assets.router)
 router.include_router(targets.router)
 router.include_router(reference.router)
 router.include_router(sign_in.router)

@@ -40,6 +40,7 @@ def _static(folder: Traversable, before: str = "") -> Iterator[tuple[str, bytes]
 AREAS = (
     ("jobs", "/", "Jobs"),
     ("campaigns", "/campaigns", "Campaigns"),
+    ("assets", "/assets", "Assets"),
     ("targets", "/targets", "Targets"),
     ("reference", "/docs", "API reference"),
 )

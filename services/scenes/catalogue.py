@@ -18,14 +18,15 @@ from services.scenes.properties import parse_properties
 
 CATALOGUE = "PluginFurnitureCatalog.properties"
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
-INDEX_VERSION = 1
+INDEX_VERSION = 2
 
 
 class Model(BaseModel):
     """A model of a furniture library.
 
     `size` is width (x), depth (z), height (y) in centimetres. `rotation` is the 3×3 matrix, row by row,
-    that turns the model upright and its front towards +z. `path` is the OBJ file inside the archive.
+    that turns the model upright and its front towards +z. `path` is the OBJ file inside the archive, `icon` the PNG
+    file of its picture, if it has one.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -41,6 +42,7 @@ class Model(BaseModel):
     path: str
     size: tuple[float, float, float]
     rotation: tuple[float, ...]
+    icon: str | None = None
 
     @property
     def credit(self) -> str:
@@ -85,6 +87,7 @@ def read_archive(path: Path) -> list[Model]:
         size = tuple(_number(values.get(f"{side}#{number}", "")) for side in ("width", "depth", "height"))
         if not title or model not in files or not model.lower().endswith(".obj") or min(size) <= 0:
             continue
+        icon = values.get(f"icon#{number}", "").strip().lstrip("/")
         identity = values.get(f"id#{number}", title)
         models.append(
             Model(
@@ -99,6 +102,7 @@ def read_archive(path: Path) -> list[Model]:
                 path=model,
                 size=(size[0], size[1], size[2]),
                 rotation=_rotation(values.get(f"modelRotation#{number}", "")),
+                icon=icon if icon in files and icon.lower().endswith(".png") else None,
             )
         )
     return models

@@ -42,6 +42,18 @@ def load_model(model: Model, furniture: Path, cache: Path) -> Mesh:
     return Mesh(parts=parts, sha256=digest, credit=model.credit, centimetres=_centimetres(model, parts))
 
 
+def read_icon(model: Model, furniture: Path) -> bytes | None:
+    """Returns the PNG file of the picture that the archive has of the model; None if it has none that can be read."""
+    if model.icon is None:
+        return None
+    try:
+        with zipfile.ZipFile(furniture / model.archive) as archive:
+            data = archive.read(model.icon)
+    except (OSError, KeyError, zipfile.BadZipFile):
+        return None
+    return data if data.startswith(b"\x89PNG\r\n\x1a\n") else None
+
+
 def upright(model: Model, surfaces: "list[Surface]") -> "list[Surface]":
     """Returns the surfaces turned by the model's rotation and scaled to its width, height and depth, in centimetres.
 

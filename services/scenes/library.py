@@ -13,7 +13,7 @@ from services.blobs import blobs
 from services.errors import InvalidRequest
 from services.scenes.catalogue import Model, read_catalogue
 from services.scenes.environment import EnvironmentMap, read_exr, uniform
-from services.scenes.furniture import load_model
+from services.scenes.furniture import load_model, read_icon
 from services.scenes.mesh import Mesh
 from services.scenes.primitives import PRIMITIVES, primitive
 from services.scenes.uploads import Upload, Uploads
@@ -134,6 +134,12 @@ class Library:
 
         uploads = self._uploads.all(lambda sha256: may_see(f"sha256:{sha256}"))
         return [entry for entry in (*self._shipped(), *map(_uploaded, uploads)) if matches(entry)]
+
+    def picture(self, name: str) -> bytes | None:
+        """Returns the PNG file of the picture that a furniture library has of a mesh, `furniture/<slug>`; else None."""
+        kind, _, slug = name.partition("/")
+        model = self._catalogue().get(slug) if kind == "furniture" else None
+        return None if model is None else read_icon(model, self._furniture)
 
     def add_mesh(self, data: bytes, kind: str, limits: Settings | None = None) -> Entry:
         """Validates an uploaded file (obj, ply, stl, glb or off), stores it by its SHA-256 and returns its entry.

@@ -210,6 +210,7 @@ def app(repository: Repository, campaigns: CampaignService | None = None) -> Fas
         exporter=none,
         rerenderer=none,
         campaigns=cast(Any, campaigns),
+        asset_records=none,
         target_records=none,
         watcher=none,
         webhooks=none,

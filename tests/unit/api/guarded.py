@@ -52,7 +52,7 @@ class Guarded:
         names = names if exists else dict.fromkeys(names, "x")
         path = path.replace(":path}", "}")
         return method, path.format(
-            name="original.png", path="style.css", move="pause", **names
+            name="original.png", path="style.css", asset="primitive/sphere", move="pause", **names
         )
 
     def untouched(self) -> bool:

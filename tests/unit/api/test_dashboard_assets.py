@@ -1,0 +1,51 @@
+"""The pages of assets, on the real app."""
+
+import pytest
+from fastapi import FastAPI
+from httpx import Client
+
+from api.auth_rules import RULES
+from tests.unit.api.guarded import MESH, Guarded
+from tests.unit.api.test_dashboard_pages import Tags
+
+
+def test_the_grid_shows_what_matches_and_the_first_answers(client: Client, finished: str) -> None:  # noqa: ARG001
+    page = Tags(client.get("/assets", params={"kind": "primitive", "q": "sphere"}).text)
+    assert "1 – 1 of 1 asset" in page.text
+    assert "efficientnet-lite0 says balloon , which is right" in page.text
+    links = {a["href"] for a in page.all("a")}
+    assert "/assets/primitive/sphere" in links
+    assert ("/new?mesh=primitive/sphere" in links) == ("GET /new" in RULES)
+    [chosen] = [one for one in page.all("option") if "selected" in one]
+    assert chosen is not None
+    assert "No asset has all of this" in client.get("/assets", params={"q": "no such thing"}).text
+
+
+def test_an_asset_s_page_shows_its_jobs(client: Client, finished: str) -> None:
+    page = Tags(client.get("/assets/primitive/sphere").text)
+    assert "balloon" in page.text
+    assert f"/jobs/{finished}" in {a["href"] for a in page.all("a")}
+    assert f"/v1/jobs/{finished}/artifacts/original.png" in {image["src"] for image in page.all("img")}
+    assert client.get("/assets/uniform").status_code == 200
+    assert client.get("/assets/primitive/nothing").status_code == 404
+
+
+def test_a_furniture_library_s_picture_is_shown(client: Client, app: FastAPI) -> None:
+    names = [entry.name for entry in app.state.services.library.entries() if entry.kind == "furniture"]
+    if not names:
+        pytest.skip("there is no furniture library here")
+    shown = client.get(f"/assets/pictures/{names[0]}")
+    assert (shown.status_code, shown.headers["content-type"]) == (200, "image/png")
+    assert shown.content.startswith(b"\x89PNG")
+    assert "default-src 'none'" in shown.headers["content-security-policy"]
+    assert f"/assets/pictures/{names[0]}" in client.get("/assets").text
+
+
+@pytest.mark.parametrize("name", ["furniture/nothing", "primitive/sphere", "nothing", "furniture/..%2f..%2fsecret"])
+def test_what_has_no_picture_is_404(client: Client, name: str) -> None:
+    assert client.get(f"/assets/pictures/{name}").status_code == 404
+
+
+def test_an_upload_of_another_owner_is_not_shown(guarded: Guarded) -> None:
+    answer = guarded.client.get(f"/assets/sha256:{MESH}", headers=guarded.headers["bob"])
+    assert answer.status_code == 404

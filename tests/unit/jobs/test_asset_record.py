@@ -1,0 +1,56 @@
+"""What the record knows of a mesh, on both databases."""
+
+from typing import Any
+
+from sqlalchemy import Engine
+
+from services.jobs.asset_record import AssetRecords, FirstAnswer
+from services.jobs.repository import Repository
+from services.pipeline.outcome import outcome
+from services.pipeline.result import Result
+from services.pipeline.spec import parse
+from tests.unit.api.dashboard_records import SPEC, result
+
+LITE = "efficientnet-lite0"
+
+
+def ended(repository: Repository, *meshes: str, label: str = "grand piano", **changed: Any) -> str:
+    """A job on these meshes that ran to its end; the network called the original image `label`."""
+    scene = {"objects": [{"mesh": mesh} for mesh in meshes]}
+    spec = parse({"scene": scene, "attack": {"renderer": "torch"}, "goal": {"leave": "grand piano"}})
+    job, _ = repository.create(spec, 99, None, lambda _: {}, owner=changed.pop("owner", ""))
+    assert job is not None
+    attempt = repository.lease(job.id, "test", 60)
+    assert attempt is not None
+    found = result(**changed)
+    found["original"]["label"] = label
+    repository.succeed(attempt, found, outcome(Result.model_validate(found)), [])
+    return job.id
+
+
+def test_answers_are_those_to_scenes_of_the_mesh_alone(repository: Repository, engine: Engine) -> None:
+    ended(repository, "primitive/cone")
+    ended(repository, "primitive/cone")
+    ended(repository, "primitive/cone", label="lampshade", right_before=None)
+    ended(repository, "furniture/cone", label="traffic cone")  # the same short name
+    ended(repository, "primitive/cone", "primitive/cube", label="crate")
+    ended(repository, "primitive/cone", label="bell", owner="other")
+    repository.create(SPEC, 99, None, lambda _: {})  # not ended
+    records = AssetRecords(engine)
+    found = records.first_answers(["primitive/cone", "primitive/cube", "furniture/cone"], "")
+    assert found == {
+        "primitive/cone": [FirstAnswer(LITE, "grand piano", True, 2), FirstAnswer(LITE, "lampshade", None, 1)],
+        "furniture/cone": [FirstAnswer(LITE, "traffic cone", True, 1)],
+    }
+    assert {one.label for one in records.first_answers(["primitive/cone"], None)["primitive/cone"]} >= {"bell"}
+
+
+def test_the_jobs_on_a_mesh_are_listed_newest_first(repository: Repository, engine: Engine, clock: Any) -> None:
+    ids = []
+    for _ in range(3):
+        ids.append(ended(repository, "primitive/cone"))
+        clock.advance(1)
+    ended(repository, "furniture/cone")
+    found = AssetRecords(engine).jobs("primitive/cone", 2, "")
+    assert [job.id for job in found] == ids[:0:-1]
+    assert found[0].spec["scene"]["objects"][0]["mesh"] == "primitive/cone"
