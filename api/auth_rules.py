@@ -40,6 +40,7 @@ RULES: dict[str, Scope | None] = {
     "GET /v1/campaigns/{campaign_id}/table.json": _READ,
     "GET /v1/campaigns/{campaign_id}/table.csv": _READ,
     "GET /v1/campaigns/{campaign_id}/table.tex": _READ,
+    "GET /v1/campaigns/{campaign_id}/cases.csv": _READ,
     "POST /v1/rerenderings": _WRITE,
     "POST /v1/assets": _UPLOAD,
     "GET /v1/assets": _READ,

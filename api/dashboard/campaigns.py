@@ -7,6 +7,7 @@ from fastapi import APIRouter, Query, Response
 from fastapi.responses import RedirectResponse
 
 from api.authentication import CallerDependency
+from api.dashboard.campaign_cases import Choice, cases, steps
 from api.dashboard.charts import Chart, chart
 from api.dashboard.pages import HEADERS, html
 from api.schemas import cursor_after, read_cursor
@@ -21,10 +22,24 @@ from services.pipeline.campaign_select import ChosenView
 
 PAGE = 30
 """Number of campaigns on one page of the list."""
+ALONG = {"queries": "queries", "seconds": "seconds", "p": "p ×10⁻³"}
+"""What the curves of successes are drawn against, and the words for it."""
 SHOWN = 200
 """Largest number of views that a page lists."""
 
+Field = Annotated[str, Query(max_length=300)]
+
 router = APIRouter(include_in_schema=False)
+
+
+@dataclass(frozen=True)
+class CurveRows:
+    """The step curves of one cell against one kind of work as a table: work, successes, and their share."""
+
+    target: str
+    attack: str
+    along: str
+    rows: list[tuple[float, int, float]]
 
 
 @dataclass(frozen=True)
@@ -37,6 +52,8 @@ class Page:
     table: Table
     by_queries: list[Chart]
     by_seconds: list[Chart]
+    by_p: list[Chart]
+    corners: list[CurveRows]
     views: list[ChosenView]
     chosen: int
 
@@ -64,9 +81,18 @@ def campaigns_part(
 
 
 @router.get("/campaigns/{campaign_id}")
-def campaign(campaign_id: str, services: ServicesDependency, caller: CallerDependency) -> Response:
-    """The page of one campaign."""
-    return _campaign("campaign.html", campaign_id, services, caller)
+def campaign(
+    campaign_id: str,
+    services: ServicesDependency,
+    caller: CallerDependency,
+    rows: Field = "scene",
+    columns: Field = "attack",
+    measure: Field = "success",
+    row: Field | None = None,
+    column: Field | None = None,
+) -> Response:
+    """The page of one campaign, with a heat map of two fields; `row` and `column` open a cell of it."""
+    return _campaign("campaign.html", campaign_id, services, caller, Choice(rows, columns, measure, row, column))
 
 
 @router.get("/parts/campaigns/{campaign_id}")
@@ -101,7 +127,9 @@ def _list(
     return html(template, caller=caller, lines=lines, state=state, cursor=cursor, older=older)
 
 
-def _campaign(template: str, campaign_id: str, services: Services, caller: Caller) -> Response:
+def _campaign(
+    template: str, campaign_id: str, services: Services, caller: Caller, choice: Choice | None = None
+) -> Response:
     found = caller.visible(services.campaigns.record.get(campaign_id, whole=True))
     if found is None:
         raise no_such("campaign")
@@ -114,16 +142,34 @@ def _campaign(template: str, campaign_id: str, services: Services, caller: Calle
         table=result.table,
         by_queries=_charts(result.table, "queries"),
         by_seconds=_charts(result.table, "seconds"),
+        by_p=_charts(result.table, "p"),
+        corners=[_rows(cell, along) for along in ALONG for cell in result.table.cells if cell.success.of],
         views=attacked[:SHOWN],
         chosen=sum(view.chosen for view in result.views),
     )
-    return html(template, caller=caller, page=page)
+    if choice is None:
+        return html(template, caller=caller, page=page)
+    return html(template, caller=caller, page=page, cases=cases(services.campaigns, found, choice))
 
 
 def _charts(table: Table, along: str) -> list[Chart]:
     """The step curves of the verified successes of each cell that has cases, all as far as any case went."""
-    most = max((getattr(cell, f"most_{along}") or 0.0 for cell in table.cells), default=0.0) or 1.0
-    return [_chart(cell, along, getattr(cell, f"by_{along}"), 1.05 * most) for cell in table.cells if cell.success.of]
+    most = max((_end(cell, along) for cell in table.cells), default=0.0) or 1.0
+    return [_chart(cell, along, _corners(cell, along), 1.05 * most) for cell in table.cells if cell.success.of]
+
+
+def _rows(cell: Cell, along: str) -> CurveRows:
+    return CurveRows(cell.target, cell.attack, ALONG[along], steps(_corners(cell, along), cell.success.of))
+
+
+def _corners(cell: Cell, along: str) -> Corners:
+    in_thousandths = [(1000 * p, count) for p, count in cell.by_p]
+    return {"queries": cell.by_queries, "seconds": cell.by_seconds, "p": in_thousandths}[along]
+
+
+def _end(cell: Cell, along: str) -> float:
+    most_p = 1000 * cell.by_p[-1][0] if cell.by_p else None
+    return {"queries": cell.most_queries, "seconds": cell.most_seconds, "p": most_p}[along] or 0.0
 
 
 def _chart(cell: Cell, along: str, corners: Corners, end: float) -> Chart:
@@ -134,4 +180,4 @@ def _chart(cell: Cell, along: str, corners: Corners, end: float) -> Chart:
         share = 100 * count / cell.success.of
         points.append((at, share))
     title = f"{cell.attack}, {cell.target}: verified successes, % of {cell.success.of}"
-    return chart(title, along, [*points, (end, share)], low=0, high=100)
+    return chart(title, ALONG[along], [*points, (end, share)], low=0, high=100)

@@ -22,6 +22,7 @@ from api.schemas import cursor_after, read_cursor
 from api.state import Services, ServicesDependency, check_meshes_of, no_such
 from services.access.caller import Caller
 from services.analysis.campaign_text import to_csv, to_latex
+from services.analysis.case_rows import to_csv as cases_to_csv
 from services.errors import InvalidRequest
 from services.jobs.campaign_service import request_digest
 from services.jobs.models import Campaign, CampaignState
@@ -173,6 +174,12 @@ def table_csv(campaign: WholeCampaign, services: ServicesDependency) -> Response
 def table_tex(campaign: WholeCampaign, services: ServicesDependency) -> Response:
     """Returns the table as LaTeX, in the paper's layout, for the package booktabs."""
     return Response(to_latex(services.campaigns.result(campaign, curves=False).table), media_type="text/x-tex")
+
+
+@router.get("/{campaign_id}/cases.csv", response_class=Response, responses={200: {"content": {"text/csv": {}}}})
+def cases_csv(campaign: WholeCampaign, services: ServicesDependency) -> Response:
+    """Returns the jobs that have ended as CSV, one line for each, with scene, seed, outcome, p, queries and seconds."""
+    return Response(cases_to_csv(services.campaigns.cases(campaign)), media_type="text/csv")
 
 
 def _again(campaign: Campaign, services: Services) -> Campaign:

@@ -85,6 +85,7 @@ class Cell(_Record):
     truncated: float | None = Field(description="mean number of pixels truncated in at least one step, over all cases")
     by_queries: Corners = Field(description="successes against queries, among `success.of` cases")
     by_seconds: Corners = Field(description="successes against seconds, among `success.of` cases")
+    by_p: Corners = Field([], description="successes against p of the exact image, among `success.of` cases")
     most_queries: float | None = Field(None, description="most queries of any case: as far as `by_queries` is known")
     most_seconds: float | None = Field(None, description="most seconds of any case: as far as `by_seconds` is known")
 
@@ -139,6 +140,7 @@ def _cell(target: str, attack: str, jobs: int, own: Sequence[Case]) -> Cell:
         truncated=mean([case.truncated for case in counted]),
         by_queries=corners([case.queries for case in won]),
         by_seconds=corners([case.seconds for case in won]),
+        by_p=corners([case.perceptibility for case in won]),
         most_queries=max((case.queries for case in counted if case.queries is not None), default=None),
         most_seconds=max((case.seconds for case in counted if case.seconds is not None), default=None),
     )

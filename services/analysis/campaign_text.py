@@ -25,7 +25,7 @@ def to_csv(table: Table) -> str:
     means = ("perceptibility", "loop_perceptibility", "truncated")
     lines.writerow(["campaign", "target", "attack", *FIELDS, *OUTCOMES, *rates, *means])
     for cell in table.cells:
-        lines.writerow([_plain(value) for value in _values(table, cell)])
+        lines.writerow([plain(value) for value in _values(table, cell)])
     return out.getvalue()
 
 
@@ -39,7 +39,7 @@ def _values(table: Table, cell: Cell) -> Iterator[object]:
     yield from (cell.perceptibility, cell.loop_perceptibility, cell.truncated)
 
 
-def _plain(value: object) -> object:
+def plain(value: object) -> object:
     """The value; a text that a spreadsheet would take for a formula is preceded by an apostrophe."""
     return f"'{value}" if isinstance(value, str) and value[:1] in ("=", "+", "-", "@", "\t", "\r") else value
 

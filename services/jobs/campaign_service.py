@@ -3,13 +3,16 @@
 from collections import Counter
 from dataclasses import dataclass
 from hashlib import sha256
+from math import degrees
 
 from redis.exceptions import RedisError
 from sqlalchemy.exc import IntegrityError
 
 from services.analysis.campaign_curves import mean_curves
 from services.analysis.campaign_table import table
+from services.analysis.case_rows import CaseRow
 from services.analysis.time_left import time_left
+from services.jobs.campaign_cases import EndedJob
 from services.jobs.campaigns import Campaigns, Progress
 from services.jobs.models import Campaign
 from services.jobs.placement import CAMPAIGNS, Demand
@@ -79,9 +82,26 @@ class CampaignService:
             views=[ChosenView.model_validate(view) for view in campaign.views or []],
         )
 
+    def cases(self, campaign: Campaign) -> list[CaseRow]:
+        """The jobs that have ended, with what they are about; the campaign must have been read whole."""
+        views = [ChosenView.model_validate(view) for view in campaign.views or []]
+        by_number = {view.number: view for view in views}
+        return [_case_row(one, by_number.get(one.view)) for one in self.record.ended(campaign.id)]
+
     def progress(self, campaign: Campaign) -> Progress:
         """How far the campaign is."""
         return self.record.progress([campaign.id])[campaign.id]
+
+
+def _case_row(one: EndedJob, view: ChosenView | None) -> CaseRow:
+    fields = {"target": one.case.target, "attack": one.case.attack, "seed": str(one.seed)}
+    about = {
+        "scene": view.scene if view else "",
+        "azimuth": f"{degrees(view.azimuth):.0f}°" if view else "",
+        "truth": ", ".join(view.truth) if view else "",
+        "first answer": (view.label or "") if view else "",
+    }
+    return CaseRow(one.number, one.job, fields | about, one.case)
 
 
 def request_digest(spec: CampaignSpec) -> str:

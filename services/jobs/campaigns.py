@@ -15,10 +15,10 @@ from services.analysis.campaign_table import Case
 from services.errors import QuotaExceeded
 from services.jobs import outbox
 from services.jobs.asset_uses import check_held, refer_from_campaign, uploads_among
+from services.jobs.campaign_cases import CampaignCases
 from services.jobs.models import Campaign, CampaignJob, CampaignState, Job, JobKind, State
 from services.jobs.placement import CAMPAIGNS, Demand
 from services.jobs.repository import Key, KeyReused
-from services.jobs.transactions import Transactions
 from services.jobs.utc_time import place
 from services.pipeline.campaign_check import check_meshes, meshes_of
 from services.pipeline.campaign_spec import CampaignSpec
@@ -38,7 +38,7 @@ class Progress:
     running: int
 
 
-class Campaigns(Transactions):
+class Campaigns(CampaignCases):
     """The record of campaigns, as clients see and change it."""
 
     def create(

@@ -52,12 +52,12 @@ async def test_a_finished_campaign_shows_its_table_curves_and_views(stage: Stage
     # Wilson's interval of 3 in 3
     assert "100.0 % 43.9 % – 100.0 %" in page.text
     assert "normals, efficientnet-lite0: verified successes, % of 3" in page.text
-    assert len(page.all("svg")) == 2  # against queries and against seconds
+    assert len(page.all("svg")) == 3  # against queries, seconds and p
     assert page.text.count("attacked") >= 3
     assert {one["href"] for one in page.all("a") if one["href"]} >= {
         f"/v1/campaigns/{campaign}/table.{kind}" for kind in ("json", "csv", "tex")
     }
-    assert not page.all("form")  # nothing to pause or cancel any more
+    assert not [one for one in page.all("form") if one["method"] == "post"]  # nothing to pause or cancel any more
     assert "data-poll" not in {key for one in page.all("div") for key in one}
     listed = await get(stage, "/campaigns")
     assert "finished" in listed.text
@@ -73,8 +73,35 @@ async def test_a_campaign_in_the_middle_shows_its_progress_and_is_reloaded(stage
     page = await get(stage, f"/campaigns/{campaign}")
     assert "1 of 3 jobs ended" in page.text
     assert "left" in page.text
-    assert {one.get("action") for one in page.all("form")} == {
+    assert {one.get("action") for one in page.all("form") if one["method"] == "post"} == {
         f"/campaigns/{campaign}/pause",
         f"/campaigns/{campaign}/cancel",
     }
     assert any("data-poll" in one for one in page.all("div"))
+
+
+async def test_the_heat_map_opens_a_cell_and_says_what_mattered(stage: Stage) -> None:
+    campaign = stage.begin(spec(3))
+    stage.finish(campaign)
+    page = await get(stage, f"/campaigns/{campaign}?rows=azimuth&columns=target&measure=queries")
+    squares = [one["href"] or "" for one in page.all("a") if "#opened" in (one["href"] or "")]
+    assert len(squares) == 2  # azimuths of 0°, 0.6° and 1.1°
+    assert "1,234 1/1" in page.text
+    assert page.text.count("by azimuth and target") == 1
+    opened = await get(stage, squares[1].partition("#")[0])
+    assert "1°, efficientnet-lite0: 2 cases" in opened.text
+    assert len([one for one in opened.all("a") if one.get("aria-current") == "true"]) == 1
+    # Of the three jobs, the same attribution: normals moved the log-odds by -2.25
+    assert "normals -2.250 ± 0.000" in page.text
+    assert "Best cases" in page.text
+    # an unknown choice is the default one
+    assert "by scene and attack" in (await get(stage, f"/campaigns/{campaign}?rows=nonsense&measure=x")).text
+
+
+async def test_every_curve_has_a_table(stage: Stage) -> None:
+    campaign = stage.begin(spec(3))
+    stage.finish(campaign)
+    page = await get(stage, f"/campaigns/{campaign}")
+    assert "normals queries 1234 3 100.0 %" in page.text
+    assert "normals seconds 1.25 3 100.0 %" in page.text
+    assert "normals p ×10⁻³ 11.7 3 100.0 %" in page.text
