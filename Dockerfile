@@ -41,6 +41,7 @@ COPY services services
 COPY api api
 COPY worker worker
 COPY client client
+COPY docs/accuracy/*.json docs/accuracy/
 
 ENV PATH=/app/.venv/bin:$PATH \
     PYTHONDONTWRITEBYTECODE=1 \

@@ -69,6 +69,7 @@ RULES: dict[str, Scope | None] = {
     "GET /assets/pictures/{asset:path}": _READ,
     "GET /assets/{asset:path}": _READ,
     "GET /targets": _READ,
+    "GET /accuracy": _READ,
     "GET /static/{path:path}": OPEN,
     "GET /sign-in": OPEN,
     "POST /sign-in": OPEN,
@@ -87,6 +88,7 @@ PAGES = frozenset(
         "GET /assets",
         "GET /assets/{asset:path}",
         "GET /targets",
+        "GET /accuracy",
         "GET /docs",
         "POST /campaigns/{campaign_id}/{move}",
     }

@@ -2,7 +2,7 @@
 
 from fastapi import APIRouter
 
-from api.dashboard import assets, campaigns, reference, routes, sign_in, targets
+from api.dashboard import accuracy, assets, campaigns, reference, routes, sign_in, targets
 
 __all__ = ["router"]
 
@@ -11,5 +11,6 @@ router.include_router(routes.router)
 router.include_router(campaigns.router)
 router.include_router(assets.router)
 router.include_router(targets.router)
+router.include_router(accuracy.router)
 router.include_router(reference.router)
 router.include_router(sign_in.router)

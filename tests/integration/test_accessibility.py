@@ -29,12 +29,11 @@ CAMPAIGN: dict[str, Any] = {
     "grids": [
         {
             "scenes": {"meshes": ["primitive/sphere"], "views": [0.1, 0.2], "camera": QUICK["scene"]["camera"]},
-            "goal": {"reach": "tench"},
+            "goal": {"truth": "ping-pong ball"},
             "attacks": [
-                {"name": "pixels", "attack": QUICK["attack"] | {"learning_rate": {"image": 1e-6}}},
+                {"name": "pixels", "attack": QUICK["attack"]},
                 {"name": "light", "attack": {"renderer": "pyrender", "groups": ["illumination"], "steps": 1}},
             ],
-            "selection": {"right": False},
         }
     ],
 }

@@ -1,0 +1,98 @@
+"""The pages about campaigns, assets, targets and accuracy, in a real browser on the real stack."""
+
+from collections.abc import Iterator
+
+import pytest
+from playwright.sync_api import Browser, Page, expect
+
+from tests.integration.browser import launched
+from tests.integration.conftest import Stack
+from tests.integration.test_accessibility import filled, watched
+
+pytestmark = pytest.mark.integration
+__all__ = ["filled"]
+LOADED = "images => images.every(image => image.complete && image.naturalWidth > 0)"
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with launched() as browser:
+        yield browser
+
+
+@pytest.fixture(params=[True, False], ids=["script", "no script"])
+def page(request: pytest.FixtureRequest, stack: Stack, browser: Browser) -> Iterator[Page]:
+    """A page with and without JavaScript; whatever the browser complains about fails the test."""
+    context = browser.new_context(base_url=str(stack.client.base_url), java_script_enabled=request.param)
+    page = context.new_page()
+    page.set_default_timeout(60_000)
+    complaints = watched(page, str(stack.client.base_url))
+    yield page
+    context.close()
+    assert complaints == []
+
+
+def test_a_campaign_s_cell_opens_its_images(page: Page, filled: dict[str, str]) -> None:
+    page.goto(f"/campaigns/{filled['campaign_id']}")
+    page.get_by_label("Rows").select_option("azimuth")
+    page.locator("section[aria-labelledby=heat]").get_by_role("button", name="Show").click()
+    table = page.get_by_role("table", name="by azimuth and attack")
+    expect(table.locator("tbody tr")).to_have_count(2)
+    table.get_by_role("link").first.click()
+    images = page.locator("#opened + .pairs img")
+    expect(images).to_have_count(2)
+    page.wait_for_load_state("networkidle")
+    assert images.evaluate_all(LOADED)
+    page.get_by_role("radio", name="p", exact=True).check()
+    expect(page.locator(".charts.by-p")).to_be_visible()
+    expect(page.locator(".charts.by-step")).to_be_hidden()
+
+
+def test_assets_are_narrowed_and_one_is_looked_at(page: Page, filled: dict[str, str]) -> None:
+    page.goto("/assets")
+    page.get_by_label("Words of the name").fill("sphere")
+    page.get_by_label("Kind").select_option("primitive")
+    page.get_by_role("button", name="Show").click()
+    page.get_by_role("link", name="Sphere", exact=True).click()
+    expect(page.get_by_role("heading", level=1)).to_have_text("Sphere")
+    expect(page.get_by_role("table").first).to_contain_text("efficientnet-lite0")
+    expect(page.locator(f'.strip a[href="/jobs/{filled["job_id"]}"] img')).to_be_visible()
+
+
+def test_targets_show_a_card_for_each_network(page: Page, stack: Stack) -> None:
+    page.goto("/")
+    page.get_by_role("link", name="Targets").click()
+    names = [one["name"] for one in stack.client.get("/v1/targets").json()["items"]]
+    expect(page.locator(".card")).to_have_count(len(names))
+    expect(page.locator("nav [aria-current=page]")).to_have_text("Targets")
+
+
+def test_another_plot_is_chosen(page: Page) -> None:
+    page.goto("/accuracy")
+    section = page.locator("section[aria-labelledby=shading]")
+    marks = section.locator(".scatter .mark title")
+    before = marks.count()
+    section.get_by_label("Groups").select_option("normals")
+    section.get_by_role("button", name="Show").click()
+    expect(section.get_by_label("Groups")).to_have_value("normals")
+    assert 0 < marks.count() < before
+    section.get_by_text("The plot as a table").click()
+    expect(section.get_by_role("row").nth(1)).to_be_visible()
+
+
+def test_a_key_hides_its_series_and_a_point_is_read_out(stack: Stack, browser: Browser) -> None:
+    with browser.new_context(base_url=str(stack.client.base_url)) as context:
+        page = context.new_page()
+        page.goto("/accuracy")
+        plot = page.locator('[data-plot="shading"]')
+        points = plot.locator("[data-points]").first
+        points.locator(".mark").first.scroll_into_view_if_needed()
+        box = points.locator(".mark").first.bounding_box()
+        assert box is not None
+        page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+        expect(plot.locator(".read")).to_contain_text("error")
+        expect(plot.locator(".near")).to_have_count(1)
+        plot.get_by_role("checkbox").first.uncheck()
+        expect(points).to_be_hidden()
+        plot.get_by_role("checkbox").first.check()
+        expect(points).to_be_visible()
