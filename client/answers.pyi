@@ -226,6 +226,7 @@ class Cell(TypedDict):
     truncated: float | None
     by_queries: list[list[float | int]]
     by_seconds: list[list[float | int]]
+    by_p: NotRequired[list[list[float | int]]]
     most_queries: NotRequired[float | None]
     most_seconds: NotRequired[float | None]
 

@@ -122,6 +122,11 @@ def preview(spec: JobSpec | Mapping[str, Any], *, plan: bool | None = None) -> R
     return Request("POST", "/v1/preview", params={"plan": plan}, json=spec, seconds=CHECK_SECONDS)
 
 
+def cases_csv(campaign_id: str) -> Request[str]:
+    """The jobs of a campaign that have ended, as CSV."""
+    return Request("GET", "/v1/campaigns/{campaign_id}/cases.csv", {"campaign_id": campaign_id})
+
+
 def rerender(body: RerenderingBody) -> Request[RerenderingView]:
     """Renders the scene of an image again and asks the network about both; takes up to five minutes."""
     return Request("POST", "/v1/rerenderings", json=body, seconds=CHECK_SECONDS)

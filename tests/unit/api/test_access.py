@@ -46,9 +46,11 @@ def test_a_key_without_the_scope_is_refused(guarded: Guarded, route: str) -> Non
 ENDLESS = (
     "GET /v1/jobs/{job_id}/events",
     "GET /v1/jobs/{job_id}/artifacts/{name}",
+    "GET /v1/jobs/{job_id}/export",
+    "GET /v1/jobs/{job_id}/scene.glb",
     "GET /assets/pictures/{asset:path}",
 )
-"""A stream of a job that does not end, a file that it does not have yet, and the picture of a mesh without one."""
+"""A stream of a job that does not end, what it does not have yet, and the picture of a mesh without one."""
 
 
 @pytest.mark.parametrize("route", [route for route in CLOSED if route.startswith("GET") and route not in ENDLESS])
