@@ -42,7 +42,8 @@ def test_what_another_owner_has_is_not_found_like_what_nobody_has(guarded: Guard
 
 @pytest.mark.parametrize("route", [one for one in OWNED if one.startswith("GET") and not one.endswith(("events", "}"))])
 def test_the_owner_and_an_administrator_find_it(guarded: Guarded, route: str) -> None:
-    assert guarded.ask(route, "alice").status_code == guarded.ask(route, "admin").status_code == 200
+    found = 409 if route.endswith(("/export", "/scene.glb")) else 200  # the job has no result to export yet
+    assert guarded.ask(route, "alice").status_code == guarded.ask(route, "admin").status_code == found
 
 
 @pytest.mark.parametrize(("path", "what"), [("/v1/jobs", "job"), ("/v1/campaigns", "campaign")])
