@@ -18,6 +18,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from api.accept import asks_for_html
 from api.auth_rules import OPEN, Rule, rule_of
 from api.problems import problem
+from api.reading import Reading
 from api.request_rate import RequestRate
 from services.access.caller import KEYLESS, Caller
 from services.access.caller import Scope as AccessScope
@@ -38,6 +39,7 @@ class Doors(Protocol):
 
     keys: AccessKeys
     sessions: Sessions
+    reading: Reading
 
 
 class Authentication:
@@ -59,8 +61,11 @@ class Authentication:
         refusal = None
         scope.setdefault("state", {})["caller"] = None
         try:
-            caller = await run_in_threadpool(_caller, scope["app"].state.services, scope)
+            services: Doors = scope["app"].state.services
+            caller = await services.reading(_caller, services, scope)
             scope["state"]["caller"] = caller
+            if caller is not None and caller.key and services.keys.use_is_due(caller.key):
+                await run_in_threadpool(services.keys.record_use, caller.key)  # a write, which may wait for others
             refusal = None if is_open else _refusal(rule, caller, scope) or self._too_many(caller)
         except SQLAlchemyError as error:
             if not is_open:

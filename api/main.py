@@ -31,6 +31,7 @@ from api.preflight import Preflight
 from api.previewer import Previewer
 from api.problems import Answers, install
 from api.protocol import LimitedHttp
+from api.reading import Reading
 from api.request_id import RequestId
 from api.request_rate import RequestRate
 from api.rerenderer import Rerenderer
@@ -123,6 +124,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
             assets=owned,
             quotas=Quotas(owned, chosen.owner_queued, chosen.owner_campaigns, chosen.owner_upload_bytes),
             repository=repository,
+            reading=Reading(engine),
             queue=queue,
             submissions=Submissions(repository, queue, chosen.max_queued),
             store=store,

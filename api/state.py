@@ -12,6 +12,7 @@ from api.exporter import Exporter
 from api.mesh_uploads import MeshUploads
 from api.preflight import Preflight
 from api.previewer import Previewer
+from api.reading import Reading
 from api.rerenderer import Rerenderer
 from api.watcher import Watcher
 from services.access.assets import OwnedAssets
@@ -45,6 +46,7 @@ class Services:
     assets: OwnedAssets
     quotas: Quotas
     repository: Repository
+    reading: Reading
     queue: Queue
     submissions: Submissions
     store: ArtifactStore
@@ -76,9 +78,9 @@ async def services(request: Request) -> Services:  # a function that is not asyn
 ServicesDependency = Annotated[Services, Depends(services)]
 
 
-def known_job(job_id: str, services: ServicesDependency, caller: CallerDependency) -> Job:
+async def known_job(job_id: str, services: ServicesDependency, caller: CallerDependency) -> Job:
     """The job with the id in the path, without request and result. Answers 404 if there is none for the caller."""
-    job = caller.visible(services.repository.line(job_id))
+    job = caller.visible(await services.reading(services.repository.line, job_id))
     if job is None:
         raise no_such("job")
     return job

@@ -37,6 +37,7 @@ def sign_in(
     found = services.keys.find(key.strip())
     if found is None:
         return html("sign_in.html", 401, next=_own(next), wrong="No such key, or it is revoked or has expired.")
+    services.keys.record_use(found.prefix)
     caller = Caller.of(found.owner, found.scopes, found.prefix)
     request.state.caller = caller  # for the audit log
     if not caller.may(Scope.JOBS_READ):

@@ -98,7 +98,7 @@ def _answer(job: Job) -> dict[str, Any]:
 
 
 @router.get("", response_model=JobPage)
-def page(
+async def page(
     services: ServicesDependency,
     caller: CallerDependency,
     state: State | None = None,
@@ -108,19 +108,32 @@ def page(
 ) -> Response:
     """Lists jobs, newest first."""
     before = None if cursor is None else read_cursor(cursor)
-    jobs = services.repository.page(state, limit + 1, before, campaign, caller.only)
-    more = cursor_after(jobs[limit - 1]) if len(jobs) > limit else None
-    found = JobPage(items=[JobSummary.of_row(job) for job in jobs[:limit]], next=more)
-    return Response(found.model_dump_json(), media_type="application/json")  # the framework would validate it again
+
+    def read() -> str:
+        jobs = services.repository.page(state, limit + 1, before, campaign, caller.only)
+        more = cursor_after(jobs[limit - 1]) if len(jobs) > limit else None
+        return JobPage(items=[JobSummary.of_row(job) for job in jobs[:limit]], next=more).model_dump_json()
+
+    return _json(await services.reading(read))
 
 
 @router.get("/{job_id}", response_model=JobView)
-def get(job_id: str, services: ServicesDependency, caller: CallerDependency) -> Response:
+async def get(job_id: str, services: ServicesDependency, caller: CallerDependency) -> Response:
     """Returns one job, with its result once it succeeded."""
-    job = caller.visible(services.repository.get(job_id, with_result=True))
-    if job is None:
+
+    def read() -> str | None:
+        job = caller.visible(services.repository.get(job_id, with_result=True))
+        return None if job is None else JobView.of(job, with_result=True).model_dump_json()
+
+    found = await services.reading(read)
+    if found is None:
         raise no_such("job")
-    return Response(JobView.of(job, with_result=True).model_dump_json(), media_type="application/json")
+    return _json(found)
+
+
+def _json(text: str) -> Response:
+    """An answer that the framework does not validate again."""
+    return Response(text, media_type="application/json")
 
 
 @router.delete("/{job_id}", status_code=204)

@@ -1,12 +1,13 @@
 """The record of keys."""
 
 import secrets
-from collections.abc import Collection
+import time
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from datetime import datetime, timedelta
 from hashlib import sha256
 
-from sqlalchemy import or_, select, update
+from sqlalchemy import Engine, or_, select, update
 from sqlalchemy.exc import SQLAlchemyError
 
 from services.access.caller import Scope
@@ -21,6 +22,16 @@ USE_SECONDS = 60.0
 
 class AccessKeys(Transactions):
     """Makes, lists, revokes and finds keys."""
+
+    def __init__(
+        self,
+        engine: Engine,
+        clock: Callable[[], datetime] | None = None,
+        elapsed: Callable[[], float] = time.monotonic,
+    ) -> None:
+        super().__init__(engine, clock)
+        self._elapsed = elapsed
+        self._recorded: dict[str, float] = {}
 
     def create(
         self, name: str, owner: str, scopes: Collection[Scope], seconds: float | None = None
@@ -61,19 +72,30 @@ class AccessKeys(Transactions):
             return key
 
     def find(self, text: str) -> AccessKey | None:
-        """The key with this text, and records its use; None if it is unknown, revoked or expired."""
+        """The key with this text; None if it is unknown, revoked or expired."""
         if len(text) > LONGEST:
             return None
         with self._read() as session:
             key = session.scalars(select(AccessKey).where(AccessKey.digest == _digest(text))).one_or_none()
             now = self._now(session)
-        return None if key is None or not self._is_valid(key, now) else key
+        return key if key is not None and _is_valid(key, now) else None
 
     def of_prefix(self, prefix: str) -> AccessKey | None:
-        """The key of a session, by its prefix, and records its use; None if it is revoked or expired."""
+        """The key of a session, by its prefix; None if it is revoked or expired."""
         with self._read() as session:
             key, now = session.get(AccessKey, prefix), self._now(session)
-        return None if key is None or not self._is_valid(key, now) else key
+        return key if key is not None and _is_valid(key, now) else None
+
+    def use_is_due(self, prefix: str) -> bool:
+        """Whether the use of a key should be recorded: this process has not done so within `USE_SECONDS`."""
+        return self._elapsed() - self._recorded.get(prefix, float("-inf")) >= USE_SECONDS
+
+    def record_use(self, prefix: str) -> None:
+        """Records that a key is used now. A failure is no error: a disk that is full refuses no reader."""
+        self._recorded[prefix] = self._elapsed()
+        with suppress(SQLAlchemyError), self._write() as session:
+            change = update(AccessKey).where(AccessKey.prefix == prefix)
+            session.execute(change.values(last_used_at=self._now(session)))
 
     def ended(self, prefixes: Collection[str]) -> set[str]:
         """Those of some keys, by their prefixes, that are revoked, expired or unknown. The prefix "" is that of callers
@@ -89,13 +111,9 @@ class AccessKeys(Transactions):
             ended.remove("")
         return ended
 
-    def _is_valid(self, key: AccessKey, now: datetime) -> bool:
-        if key.revoked_at is not None or (key.expires_at is not None and key.expires_at <= now):
-            return False
-        if key.last_used_at is None or now - key.last_used_at > timedelta(seconds=USE_SECONDS):
-            with suppress(SQLAlchemyError), self._write() as session:  # a disk that is full refuses no reader
-                session.execute(update(AccessKey).where(AccessKey.prefix == key.prefix).values(last_used_at=now))
-        return True
+
+def _is_valid(key: AccessKey, now: datetime) -> bool:
+    return key.revoked_at is None and (key.expires_at is None or key.expires_at > now)
 
 
 def _digest(text: str) -> str:

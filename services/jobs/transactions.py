@@ -18,7 +18,7 @@ from services.jobs.models import Campaign, CampaignState, Event, Job, JobKind, S
 from services.jobs.placement import NO_DEMAND, Demand, targets_of
 from services.pipeline.warning import JobWarning
 
-_READS_SQLITE = Lock()
+READS_SQLITE = Lock()
 """SQLite hands Python's lock back and forth at every row. Threads that read at the same time spend more on that than on
 reading: eight lists at once take a quarter less of the processor one after another.
 """
@@ -30,7 +30,7 @@ class Transactions:
     def __init__(self, engine: Engine, clock: Callable[[], datetime] | None = None) -> None:
         self._reads = engine
         is_sqlite = engine.dialect.name == "sqlite"
-        self._reading: AbstractContextManager[Any] = _READS_SQLITE if is_sqlite else nullcontext()
+        self._reading: AbstractContextManager[Any] = READS_SQLITE if is_sqlite else nullcontext()
         self._writes = engine.execution_options(writes=True)
         self._lasting = engine.execution_options(writes=True, durable=True)
         self._clock = clock

@@ -57,24 +57,30 @@ def test_a_key_expires(keys: AccessKeys, clock: Clock) -> None:
     assert keys.find(text) is None
 
 
-def test_a_use_is_recorded_to_the_minute(keys: AccessKeys, clock: Clock) -> None:
-    _, text = keys.create("ci", "alice", READ)
-    assert keys.all()[0].last_used_at is None
-    first = clock.now
-    for seconds in (0, USE_SECONDS, 1):
-        clock.advance(seconds)
-        keys.find(text)
-        assert keys.all()[0].last_used_at == (first if seconds != 1 else clock.now)
+def test_a_use_is_recorded_once_a_minute(engine: Engine, clock: Clock) -> None:
+    elapsed = 1000.0
+    keys = AccessKeys(engine, clock, lambda: elapsed)
+    made, _ = keys.create("ci", "alice", READ)
+    other, _ = keys.create("ci", "bob", READ)
+    assert keys.use_is_due(made.prefix)
+    keys.record_use(made.prefix)
+    assert [key.last_used_at for key in sorted(keys.all(), key=lambda key: key.owner)] == [clock.now, None]
+    assert not keys.use_is_due(made.prefix)
+    assert keys.use_is_due(other.prefix)
+    elapsed += USE_SECONDS - 0.5
+    assert not keys.use_is_due(made.prefix)
+    elapsed += 0.5
+    assert keys.use_is_due(made.prefix)
 
 
 def test_a_use_that_cannot_be_recorded_is_allowed(keys: AccessKeys, engine: Engine) -> None:
-    _, text = keys.create("ci", "alice", READ)
+    made, _ = keys.create("ci", "alice", READ)
 
     def refuse(*_: object) -> None:
         raise OperationalError("UPDATE", {}, Exception("the disk is full"))
 
     event.listen(engine, "before_cursor_execute", lambda *given: refuse() if given[2].startswith("UPDATE") else None)
-    assert keys.find(text) is not None
+    keys.record_use(made.prefix)
     assert keys.all()[0].last_used_at is None
 
 

@@ -208,6 +208,7 @@ def app(repository: Repository, campaigns: CampaignService | None = None) -> Fas
         uploads=none,
         previewer=none,
         exporter=none,
+        reading=none,
         rerenderer=none,
         campaigns=cast(Any, campaigns),
         asset_records=none,
