@@ -2,24 +2,47 @@
 
 import asyncio
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from typing import BinaryIO
 
 from api.fair_queue import FairQueue
 from api.warm_process import Unavailable
 from services.errors import JobFailure
 from services.logs import logger
+from services.scenes.about import About
+from services.scenes.bundle import Bundle
+from services.scenes.entries import Entry
 from services.scenes.isolated_reading import AT_ONCE, reader
-from services.scenes.library import Entry, Library
-from services.scenes.uploads import name_of
+from services.scenes.library import Library
+from services.scenes.sent_files import to_bundle
+from services.scenes.uploads import max_unpacked
 from services.settings import Settings
 
-Adding = Callable[[str], AbstractContextManager[None]]
-"""Takes the name of a mesh; what it gives is entered while the mesh is read and stored."""
+Adding = Callable[[str, int], AbstractContextManager[None]]
+"""Takes the name of a mesh and its size, bytes; what it gives is entered while the mesh is read and stored."""
 
 log = logger(__name__)
+
+
+@dataclass(frozen=True)
+class Sent:
+    """Files that a client sent, each with its name: a mesh and what it names, or one zip file of them.
+
+    kind: the format of the mesh, or None to take it from its name. mesh: the name of the mesh among several, or None.
+    about: what the client says of it.
+    """
+
+    files: Sequence[tuple[str, BinaryIO]]
+    kind: str | None
+    mesh: str | None
+    about: About
+
+    def size(self) -> int:
+        """Bytes of all files as they were sent."""
+        return sum(file.seek(0, os.SEEK_END) for _, file in self.files)
 
 
 class MeshUploads:
@@ -41,18 +64,18 @@ class MeshUploads:
         self._threads.shutdown(wait=False, cancel_futures=True)
         reader().close()
 
-    async def add(self, file: BinaryIO, kind: str, client: str, adding: Adding) -> Entry:
-        """Checks and stores a mesh of format `kind`, while `adding` is entered with its name.
+    async def add(self, sent: Sent, client: str, adding: Adding) -> Entry:
+        """Checks and stores a mesh, while `adding` is entered with its name and size.
 
-        Raises InvalidRequest("file" or "kind"), and Unavailable.
+        Raises InvalidRequest("file", "kind" or "mesh"), and Unavailable.
         """
         loop = asyncio.get_running_loop()
         turn = loop.create_future()
-        place = self._waiting.add(turn, client, file.seek(0, os.SEEK_END))
+        place = self._waiting.add(turn, client, sent.size())
         self._admit()
         try:
             await turn
-            return await loop.run_in_executor(self._threads, self._add, file, kind, adding)
+            return await loop.run_in_executor(self._threads, self._add, sent, adding)
         except JobFailure as error:
             raise Unavailable(f"the file could not be read: {error.detail}") from error
         finally:
@@ -68,12 +91,18 @@ class MeshUploads:
             if not turn.done():  # its client may have gone
                 turn.set_result(None)
 
-    def _add(self, file: BinaryIO, kind: str, adding: Adding) -> Entry:
+    def _add(self, sent: Sent, adding: Adding) -> Entry:
         # Waiting uploads stay on the disk; only those whose turn it is are in memory.
-        file.seek(0)
-        data = file.read()
-        with adding(f"sha256:{name_of(data, kind)}"):
-            return self._library.add_mesh(data, kind, self._limits)
+        bundle = self._bundle(sent)
+        with adding(f"sha256:{bundle.sha256}", bundle.size):
+            return self._library.add(bundle, self._limits)
+
+    def _bundle(self, sent: Sent) -> Bundle:
+        read = []
+        for name, file in sent.files:
+            file.seek(0)
+            read.append((name, file.read()))
+        return to_bundle(read, sent.kind, sent.mesh, sent.about, max_unpacked(self._limits))
 
 
 def _start() -> None:

@@ -113,8 +113,13 @@ class BadField(TypedDict):
     detail: str
 
 class Body_upload_v1_assets_post(TypedDict):
-    file: str
-    kind: str
+    file: list[str]
+    kind: NotRequired[str | None]
+    mesh: NotRequired[str | None]
+    name: NotRequired[str | None]
+    up: NotRequired[Literal['y', 'z'] | None]
+    licence: NotRequired[str | None]
+    credit: NotRequired[str | None]
 
 class Call(TypedDict):
     """A function of a question's program, as in CLEVR's question files; its generator's words for the fields count."""
@@ -315,6 +320,7 @@ class Entry(TypedDict):
     credit: str | None
     size: NotRequired[list[float] | None]
     triangles: NotRequired[int | None]
+    used: NotRequired[list[str]]
     notes: NotRequired[list[str]]
 
 class Environment(TypedDict):

@@ -2,7 +2,8 @@
 
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from time import sleep
@@ -151,12 +152,19 @@ class ApiClient:
                 for chunk in response.iter_bytes():
                     file.write(chunk)
 
-    def add_asset(self, path: Path, kind: str) -> dict[str, Any]:
-        """Uploads a mesh and returns its library entry; `kind` is obj, ply, stl, glb or off."""
-        with path.open("rb") as file:
-            return self._json(
-                self._http.post("/v1/assets", files={"file": (path.name, file)}, data={"kind": kind}, timeout=_CHECK)
-            )
+    def add_asset(
+        self, files: Sequence[tuple[str, Path]], kind: str | None = None, mesh: str | None = None, **about: str | None
+    ) -> dict[str, Any]:
+        """Uploads a mesh and returns its library entry.
+
+        `files` are the mesh and the files that it names, each with its relative path, or one zip file; `mesh` is the
+        name of the mesh among several, and `kind` its format, by default the ending of its name. `about` has what is
+        said of it: name, up, licence and credit.
+        """
+        with ExitStack() as stack:
+            parts = [("file", (name, stack.enter_context(path.open("rb")))) for name, path in files]
+            data = _given(kind=kind, mesh=mesh, **about)
+            return self._json(self._http.post("/v1/assets", files=parts, data=data, timeout=_CHECK))
 
     def assets(self) -> list[dict[str, Any]]:
         """The library entries of the meshes that were uploaded."""

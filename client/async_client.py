@@ -173,10 +173,13 @@ class AsyncClient:
             if cursor is None:
                 return
 
-    async def add_asset(self, path: Path | str, kind: str | None = None) -> Entry:
-        """Uploads a mesh, whose `name` then goes into scenes; `kind` is its format, by default the file's ending."""
-        path = Path(path)
-        return await self.call(operations.add_asset(path, kind or path.suffix.removeprefix(".").lower()))
+    async def add_asset(self, path: Path | str, kind: str | None = None, **about: str | None) -> Entry:
+        """Uploads a mesh with the files beside it that it names, or an environment map, whose `name` goes into scenes.
+
+        `kind` is its format, by default the file's ending; `about` has `mesh`, its name among several in a zip file,
+        and what is said of it: `name`, `up`, `licence` and `credit`.
+        """
+        return await self.call(operations.add_asset(Path(path), kind, **about))
 
     async def assets(self) -> list[Entry]:
         """The meshes that were uploaded."""

@@ -209,10 +209,31 @@ def assets() -> Request[AssetList]:
     return Request("GET", "/v1/assets")
 
 
-def add_asset(path: Path, kind: str) -> Request[Entry]:
-    """Uploads the mesh in a file; `kind` is obj, ply, stl, glb or off."""
-    sent = (path.name, path.read_bytes())
-    return Request("POST", "/v1/assets", file=sent, form={"kind": kind}, seconds=CHECK_SECONDS)
+def asset(name: str) -> Request[Entry]:
+    """An uploaded mesh or environment map by its name, "sha256:" and 64 digits."""
+    return Request("GET", "/v1/assets/{sha256}", {"sha256": name.removeprefix("sha256:")})
+
+
+def add_asset(
+    path: Path,
+    kind: str | None = None,
+    *,
+    mesh: str | None = None,
+    name: str | None = None,
+    up: str | None = None,
+    licence: str | None = None,
+    credit: str | None = None,
+) -> Request[Entry]:
+    """Uploads a mesh with the files beside it that it names, a zip file of them, or an environment map.
+
+    `kind` is the format, by default the file's ending; `mesh` names the mesh among several in a zip file. Raises
+    InvalidRequest if there is no such file.
+    """
+    from client.mesh_files import with_files_beside
+
+    files = [(sent, one.read_bytes()) for sent, one in with_files_beside([path])]
+    form = {"kind": kind, "mesh": mesh, "name": name, "up": up, "licence": licence, "credit": credit}
+    return Request("POST", "/v1/assets", files=files, form=form, seconds=CHECK_SECONDS)
 
 
 def delete_asset(name: str) -> Request[None]:

@@ -1,6 +1,6 @@
 """A request of an operation of openapi.yaml, with the type of its answer, before it is sent."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 from urllib.parse import quote
@@ -20,7 +20,7 @@ class Request(Generic[Answer]):
     params: Mapping[str, Any] = field(default_factory=dict)
     headers: Mapping[str, str | None] = field(default_factory=dict)
     json: Any = None
-    file: tuple[str, bytes] | None = None
+    files: Sequence[tuple[str, bytes]] = ()
     form: Mapping[str, Any] = field(default_factory=dict)
     seconds: float | None = None
     """Longest wait for the answer; None for the client's own."""
@@ -39,8 +39,8 @@ class Request(Generic[Answer]):
             found["headers"] = headers
         if self.json is not None:
             found["json"] = self.json
-        if self.file is not None:
-            found |= {"files": {"file": self.file}, "data": given(self.form)}
+        if self.files:
+            found |= {"files": [("file", one) for one in self.files], "data": given(self.form)}
         if self.seconds is not None:
             found["timeout"] = self.seconds
         return found

@@ -13,7 +13,7 @@ from api.dashboard.pages import HEADERS, html
 from api.state import ServicesDependency, no_such
 from services.jobs.asset_record import FirstAnswer
 from services.jobs.models import Job
-from services.scenes.library import Entry
+from services.scenes.entries import Entry
 
 PAGE = 60
 """Number of assets on one page."""

@@ -1,4 +1,4 @@
-"""Routes for meshes that users upload."""
+"""Routes for meshes and environment maps that users upload."""
 
 from functools import partial
 from typing import Annotated
@@ -7,13 +7,17 @@ from fastapi import APIRouter, Depends, File, Form, HTTPException, Path, Request
 from starlette.concurrency import run_in_threadpool
 
 from api.authentication import CallerDependency
+from api.mesh_uploads import Sent
 from api.routes.jobs import client_of
 from api.schemas import AssetList
 from api.state import ServicesDependency, no_such
 from services.logs import logger
-from services.scenes.library import Entry
+from services.scenes.about import About, Credit, Licence, Title, Up
+from services.scenes.bundle import MAX_FILES, MAX_NAME
+from services.scenes.entries import Entry
 
 PATH = "/v1/assets"
+Digest = Annotated[str, Path(description="the 64 digits after `sha256:` in the upload's name")]
 router = APIRouter(prefix=PATH, tags=["scenes"])
 log = logger(__name__)
 
@@ -21,7 +25,7 @@ log = logger(__name__)
 def form_body(request: Request) -> None:
     """Answers 415 unless the body is a multipart form."""
     if not request.headers.get("content-type", "").lower().startswith("multipart/form-data"):
-        raise HTTPException(415, "send the mesh as multipart/form-data with the parts `file` and `kind`")
+        raise HTTPException(415, "send the mesh as multipart/form-data, as the part `file`")
 
 
 @router.post("", status_code=201, dependencies=[Depends(form_body)])
@@ -29,25 +33,72 @@ async def upload(
     services: ServicesDependency,
     caller: CallerDependency,
     request: Request,
-    file: Annotated[UploadFile, File(description="the mesh; files that it refers to are not read")],
-    kind: Annotated[str, Form(max_length=16, description="obj, ply, stl, glb or off")],
+    file: Annotated[
+        list[UploadFile],
+        File(
+            min_length=1,
+            max_length=MAX_FILES,
+            description="the mesh, and the material libraries and textures that it names, each a part with its path "
+            "as file name; or one zip file of them",
+        ),
+    ],
+    kind: Annotated[
+        str | None,
+        Form(
+            max_length=16,
+            description="obj, ply, stl, glb, off, gltf, dae or 3mf, or of an environment map hdr or exr; by default "
+            "the ending of its name",
+        ),
+    ] = None,
+    mesh: Annotated[
+        str | None, Form(max_length=MAX_NAME, description="which file is the mesh, if there are several meshes")
+    ] = None,
+    name: Annotated[Title | None, Form()] = None,
+    up: Annotated[
+        Up | None, Form(description="the axis of the file that points up; by default its format says it")
+    ] = None,
+    licence: Annotated[Licence | None, Form()] = None,
+    credit: Annotated[Credit | None, Form()] = None,
 ) -> Entry:
-    """Checks a mesh and stores it under a hash of its bytes and kind. Scenes name it by the `name` in the answer."""
-    await run_in_threadpool(services.quotas.check_upload, caller.owner, file.size or 0)
-    adding = partial(services.assets.adding, caller.owner, size=file.size or 0)
-    return await services.uploads.add(file.file, kind, client_of(request, caller), adding)
+    """Checks a mesh or an environment map and stores it, with the files that a mesh names, under a hash of all of it.
+    Scenes name it by the `name` in the answer, which also says what of the files is `used`, and in `notes` what is not.
+    """
+    await run_in_threadpool(services.quotas.check_upload, caller.owner, sum(one.size or 0 for one in file))
+    about = About(title=name, up=up, licence=licence, credit=credit)
+    sent = Sent([(one.filename or "", one.file) for one in file], kind, mesh, about)
+    return await services.uploads.add(sent, client_of(request, caller), partial(services.assets.adding, caller.owner))
 
 
 @router.get("")
 def listing(services: ServicesDependency, caller: CallerDependency) -> AssetList:
-    """Lists the uploaded meshes."""
+    """Lists the uploaded meshes and environment maps."""
     may_see = services.assets.visible(caller)
     return AssetList(items=services.library.entries(category="upload", may_see=may_see))
 
 
+def known_upload(sha256: Digest, services: ServicesDependency, caller: CallerDependency) -> str:
+    """The name of the upload with the digest in the path. Answers 404 if there is none for the caller."""
+    name = f"sha256:{sha256}"
+    if not (services.assets.visible(caller)(name) and services.library.has_upload(name)):
+        raise no_such("upload")
+    return name
+
+
+KnownUpload = Annotated[str, Depends(known_upload)]
+
+
+@router.get("/{sha256}")
+def read(name: KnownUpload, services: ServicesDependency) -> Entry:
+    """Returns an upload's name, licence and credit, and what is shown of its files."""
+    entry = services.library.entry(name)
+    if entry is None:  # it was deleted meanwhile
+        raise no_such("upload")
+    return entry
+
+
 @router.delete("/{sha256}", status_code=204)
 def delete(
-    sha256: Annotated[str, Path(description="the 64 digits after `sha256:` in the mesh's name")],
+    sha256: Digest,
     services: ServicesDependency,
     caller: CallerDependency,
 ) -> None:

@@ -30,12 +30,16 @@ def scenes(
     licence: Filter = None,
     search: Filter = None,
 ) -> Response:
-    """Lists the meshes that match all given filters, the environment maps, and their credits."""
-    meshes = services.library.entries(category, creator, licence, search, services.assets.visible(caller))
-    environments = services.library.environments()
+    """Lists the meshes that match all given filters, the environment maps, of uploads those that match, and their
+    credits.
+    """
+    found = services.library.entries(category, creator, licence, search, services.assets.visible(caller))
+    meshes = [entry for entry in found if entry.kind != "environment"]
+    uploaded_maps = [entry for entry in found if entry.kind == "environment"]
+    environments = [*services.library.environments(), *uploaded_maps]
     credits_ = {entry.credit for entry in [*meshes, *environments] if entry.credit is not None}
-    found = SceneLibrary(meshes=meshes, environments=environments, credits=sorted(credits_))
-    return Response(found.model_dump_json(), media_type="application/json")  # the framework would validate it again
+    listed = SceneLibrary(meshes=meshes, environments=environments, credits=sorted(credits_))
+    return Response(listed.model_dump_json(), media_type="application/json")  # the framework would validate it again
 
 
 @router.get("/targets")

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 
 app = typer.Typer(help="The meshes and environment maps that scenes are made of.", no_args_is_help=True)
 
-FORMATS = ("obj", "ply", "stl", "glb", "off")
-
 
 @app.command(
     "list",
@@ -31,7 +29,8 @@ def list_assets(
     """List the meshes of this machine, with their creators and licences."""
     from client.console import err, out, print_json, table
 
-    entries = _library().entries(category=category, creator=creator, licence=licence, search=search)
+    found = _library().entries(category=category, creator=creator, licence=licence, search=search)
+    entries = [entry for entry in found if entry.kind != "environment"]
     if as_json:
         print_json([entry.model_dump(mode="json") for entry in entries])
         return
@@ -45,9 +44,12 @@ def show(mesh: Annotated[str, typer.Argument(help="A name from `assets list`.")]
     """Show one mesh: its parts, size, hash and creator."""
     from client.console import out, print_json, table
 
-    loaded = _library().mesh(mesh)
+    library = _library()
+    loaded, entry = library.mesh(mesh), library.entry(mesh)
     facts: dict[str, Any] = {
         "mesh": mesh,
+        "title": None if entry is None else entry.title,
+        "licence": None if entry is None else entry.licence,
         "sha256": loaded.sha256,
         "parts": len(loaded.parts),
         "faces": sum(len(part.faces) for part in loaded.parts),
@@ -56,39 +58,65 @@ def show(mesh: Annotated[str, typer.Argument(help="A name from `assets list`.")]
         "metallic-roughness parts": sum(part.metallic_roughness is not None for part in loaded.parts),
         "credit": loaded.credit,
     }
+    if entry is not None and entry.kind == "upload":
+        facts |= {"used": ", ".join(entry.used), "not shown": ", ".join(entry.notes)}
     if as_json:
         print_json(facts)
     else:
         out().print(table(("", ""), [[name, "" if value is None else str(value)] for name, value in facts.items()]))
 
 
-@app.command(epilog="Example: [bold]scene-attack assets add teapot.obj[/bold]")
+@app.command(
+    epilog="Examples: [bold]scene-attack assets add chair.obj[/bold], which also sends chair.mtl and the textures that "
+    "it names\n\n[bold]scene-attack assets add models.zip --mesh chair.obj --licence 'CC BY 4.0'[/bold]\n\n"
+    "[bold]scene-attack assets add garden.hdr[/bold], an environment map"
+)
 def add(
-    file: Annotated[Path, typer.Argument(help="An obj, ply, stl, glb or off file.")],
-    kind: Annotated[str | None, typer.Option(help="The format, if the file's name does not end in it.")] = None,
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            help="A mesh (obj, ply, stl, glb, off, gltf, dae, 3mf), a zip file of one, or a map (hdr, exr)."
+        ),
+    ],
+    kind: Annotated[str | None, typer.Option(help="The format, if the mesh's name does not end in it.")] = None,
+    mesh: Annotated[str | None, typer.Option(help="Which file is the mesh, if there are several.")] = None,
+    name: Annotated[str | None, typer.Option(help="The name that people see; by default the file's.")] = None,
+    up: Annotated[
+        str | None, typer.Option(help="The file's axis that points up, y or z; by default its format says.")
+    ] = None,
+    licence: Annotated[str | None, typer.Option(help="The licence that the mesh may be used under.")] = None,
+    credit: Annotated[str | None, typer.Option(help="Whom to name wherever the mesh is shown.")] = None,
     url: UrlOption = DEFAULT_URL,
     as_json: JsonOption = False,
 ) -> None:
-    """Upload a mesh to a running service; prints the name to use in a scene."""
+    """Upload a mesh, with the materials and textures beside it that it names, or an environment map.
+
+    Prints the name to use in a scene, what of the files is used, and what is not.
+    """
     from client.api_client import ApiClient
     from client.console import err, out, print_json
+    from client.mesh_files import with_files_beside
     from services.errors import InvalidRequest
+    from services.scenes.bundle import MAP_KINDS, MESH_KINDS
 
-    form = (kind or file.suffix.removeprefix(".")).lower()
-    if form not in FORMATS:
+    forms = {(kind or file.suffix.removeprefix(".")).lower() for file in files}
+    if not forms & {*MESH_KINDS, *MAP_KINDS, "zip", "zae"}:
+        known = ", ".join((*MESH_KINDS, *MAP_KINDS))
         raise InvalidRequest(
-            "--kind", f"{form or 'no ending'!r} is not a mesh format; it is one of {', '.join(FORMATS)}"
+            "--kind", f"{min(forms) or 'no ending'!r} is not a mesh format; it is one of {known}, or a zip file"
         )
-    if not file.is_file():
-        raise InvalidRequest("FILE", f"there is no file {file}")
+    sent = with_files_beside(files)
     with ApiClient(url) as client:
-        entry = client.add_asset(file, form)
+        title = name or Path(mesh or files[0]).stem
+        entry = client.add_asset(sent, kind, mesh, name=title, up=up, licence=licence, credit=credit)
     if as_json:
         print_json(entry)
     else:
         out().print(entry["name"], markup=False, highlight=False)
-        for note in entry.get("notes", ()):
-            err().print(note, markup=False, highlight=False)
+        for heading in ("used", "notes"):
+            for said in entry.get(heading, ()):
+                word = "used" if heading == "used" else "not shown"
+                err().print(f"{word}: {said}", markup=False, highlight=False)
 
 
 @app.command(epilog="Example: [bold]scene-attack assets uploads[/bold]")
@@ -102,8 +130,8 @@ def uploads(url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
     if as_json:
         print_json(entries)
     else:
-        rows = [[entry["name"], entry["title"], str(entry["triangles"])] for entry in entries]
-        out().print(table(("mesh", "title", "triangles"), rows))
+        rows = [[entry["title"], entry["licence"], str(entry["triangles"]), entry["name"]] for entry in entries]
+        out().print(table(("title", "licence", "triangles", "mesh"), rows))
 
 
 @app.command(epilog="Example: [bold]scene-attack assets delete sha256:0f3c…[/bold]")
@@ -126,11 +154,14 @@ def environments(as_json: JsonOption = False) -> None:
     """List the environment maps."""
     from client.console import out, print_json
 
-    names = [getattr(found, "name", found) for found in _library().environments()]
+    library = _library()
+    uploaded = [entry for entry in library.entries(category="upload") if entry.kind == "environment"]
+    entries = [*library.environments(), *uploaded]
     if as_json:
-        print_json(names)
+        print_json([entry.name for entry in entries])
     else:
-        out().print("\n".join(map(str, names)), markup=False, highlight=False)
+        lines = [f"{entry.name}  {entry.title}" if entry in uploaded else entry.name for entry in entries]
+        out().print("\n".join(lines), markup=False, highlight=False)
 
 
 def _library() -> "Library":

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from services.pipeline.execute import Progress
     from services.pipeline.result import Result
     from services.pipeline.spec import JobSpec
+    from services.scenes.bundle import Bundle
+    from services.scenes.entries import Entry
     from services.scenes.library import Library
 
 
@@ -42,6 +44,7 @@ def run(
     from client.console import err, print_json, report_extensions, table
     from client.console import out as stdout
     from client.live import JobLine
+    from client.local_meshes import with_meshes_added
     from client.outcomes import COLUMNS, cells, goal_line
     from client.question_tables import print_answered
     from services.device import check_device
@@ -51,7 +54,7 @@ def run(
     check_device()
     keep_memory()
     report_extensions()
-    data = spec_input.read(spec, seed)
+    data = with_meshes_added(spec_input.read(spec, seed), spec, _added)
     job = parse(data)
     prepare_folder(out)
     words = job.model_dump(mode="json")
@@ -111,6 +114,13 @@ def replay(
         stdout().print(table(columns, [row]))
     if not same:
         raise typer.Exit(1)
+
+
+def _added(bundle: "Bundle") -> "Entry":
+    from services.scenes.library import Library
+    from services.settings import settings
+
+    return Library(settings().cache_dir, settings().files).add(bundle)
 
 
 def keep_memory() -> None:

@@ -1,4 +1,4 @@
-"""Which jobs and campaigns refer to which uploaded meshes.
+"""Which jobs and campaigns refer to which uploads.
 
 A transaction that refers to a mesh holds the mesh's row until it ends, and so does one that deletes the mesh. Whichever
 comes second therefore sees what the first one did: a job that names a deleted mesh is refused, and so is the deletion
@@ -26,8 +26,10 @@ def uploads_among(meshes: Iterable[str]) -> list[str]:
 
 
 def uploads_of(spec: Mapping[str, Any]) -> list[str]:
-    """The names of the uploads to which a job's spec refers."""
-    return uploads_among(thing["mesh"] for thing in spec["scene"]["objects"])
+    """The names of the uploads to which a job's spec refers: meshes, and an environment map."""
+    scene = spec["scene"]
+    environment = ((scene.get("lights") or {}).get("environment") or {}).get("map") or ""
+    return uploads_among([*(thing["mesh"] for thing in scene["objects"]), environment])
 
 
 def hold(session: Session, names: Iterable[str], *, to_change: bool = False) -> frozenset[str]:
@@ -52,7 +54,7 @@ def check_held(session: Session, names: Iterable[str], check_meshes: Callable[[C
 
     def check(name: str) -> None:
         if name in deleted:
-            raise InvalidRequest("mesh", f"there is no mesh {name!r} any more")
+            raise InvalidRequest("mesh", f"there is no upload {name!r} any more")
 
     if deleted:
         check_meshes(check)
@@ -80,6 +82,6 @@ def check_unused(session: Session, name: str, owner: str | None, *, by_others: b
     users = [f"job {one}" for one in session.scalars(own_jobs.limit(NAMED))]
     users += [f"campaign {one}" for one in session.scalars(own_campaigns.limit(NAMED))]
     if users:
-        raise InUse(f"the mesh is in use by {', '.join(users)}")
+        raise InUse(f"it is in use by {', '.join(users)}")
     if by_others and (session.scalar(jobs.limit(1)) or session.scalar(campaigns.limit(1))):
-        raise InUse("the mesh is in use by a job or campaign of another owner")
+        raise InUse("it is in use by a job or campaign of another owner")

@@ -14,7 +14,7 @@ from sqlalchemy import Row, Select, func, select, text, tuple_
 from sqlalchemy.orm import Session, defer, undefer
 
 from services.errors import QuotaExceeded
-from services.jobs.asset_uses import check_held, uploads_among
+from services.jobs.asset_uses import check_held, uploads_of
 from services.jobs.models import Artifact, Event, IdempotencyKey, Job, JobKind, State
 from services.jobs.placement import NO_DEMAND, Demand
 from services.jobs.turns import Turns
@@ -103,11 +103,11 @@ class Repository(Turns):
                 own = select(func.count()).select_from(Job).where(*single, Job.owner == owner)
                 if (session.scalar(own) or 0) >= owner_queued:
                     raise QuotaExceeded(f"an owner may have {owner_queued:,} jobs queued", QUEUED_SECONDS)
-            uploads = uploads_among(thing.mesh for thing in spec.scene.objects)
-            check_held(session, uploads, partial(check_meshes, spec))
+            request = spec.model_dump(mode="json")
+            check_held(session, uploads_of(request), partial(check_meshes, spec))
             job = self._add_job(
                 session,
-                spec.model_dump(mode="json"),
+                request,
                 seed=spec.seed,
                 digest=digest(spec),
                 warnings=warnings,

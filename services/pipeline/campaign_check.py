@@ -8,6 +8,7 @@ from services.pipeline.campaign_questions import Member
 from services.pipeline.campaign_scenes import SceneGrid
 from services.pipeline.campaign_spec import CampaignSpec, Grid
 from services.pipeline.spec import JobSpec
+from services.scenes.description import Lights
 
 Places = Mapping[str, str]
 """The path in the campaign of each part of a job, e.g. {"attack": "grids.0.attacks.2.attack"}; "" is the rest."""
@@ -73,13 +74,22 @@ def _meshes(campaign: CampaignSpec) -> Iterator[tuple[str, str]]:
             listed = {name: f"meshes.{m}" for m, name in reversed(list(enumerate(grid.scenes.meshes)))}
             for name in grid.scenes.mesh_names():
                 yield name, f"grids.{g}.scenes.{listed.get(name, 'kinds')}"
+            yield from _map(grid.scenes.lights, f"grids.{g}.scenes")
             continue
         for s, scene in enumerate(grid.scenes or ()):
+            yield from _map(scene.lights, f"grids.{g}.scenes.{s}")
             for k, thing in enumerate(scene.objects):
                 yield thing.mesh, f"grids.{g}.scenes.{s}.objects.{k}.mesh"
     for j, job in enumerate(campaign.jobs):
+        yield from _map(job.scene.lights, f"jobs.{j}.scene")
         for k, thing in enumerate(job.scene.objects):
             yield thing.mesh, f"jobs.{j}.scene.objects.{k}.mesh"
+
+
+def _map(lights: Lights, place: str) -> Iterator[tuple[str, str]]:
+    """The environment map of a scene if it is an upload, and its place."""
+    if lights.environment.map.startswith("sha256:"):
+        yield lights.environment.map, f"{place}.lights.environment.map"
 
 
 def samples(campaign: CampaignSpec) -> Iterator[tuple[JobSpec, Places]]:

@@ -16,11 +16,18 @@ def check_names(spec: JobSpec, check_mesh: Callable[[str], None]) -> None:
 
 
 def check_meshes(spec: JobSpec, check: Callable[[str], None]) -> None:
-    """Calls `check` with the name of every mesh. It raises InvalidRequest("mesh") for one that may not be named,
-    which is raised again with the path of the mesh in the request.
+    """Calls `check` with the name of every mesh, and of an environment map that is an upload. It raises
+    InvalidRequest("mesh") for one that may not be named, which is raised again with its path in the request.
     """
     for index, thing in enumerate(spec.scene.objects):
         try:
             check(thing.mesh)
         except InvalidRequest as error:
             raise InvalidRequest(f"scene.objects.{index}.mesh", error.detail) from error
+    environment = spec.scene.lights.environment.map
+    if environment.startswith("sha256:"):
+        try:
+            check(environment)
+        except InvalidRequest as error:
+            detail = f"there is no environment map {environment!r}, or it is no upload of yours"
+            raise InvalidRequest("scene.lights.environment.map", detail) from error

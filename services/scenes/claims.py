@@ -1,10 +1,14 @@
 """Validates a mesh file's format and declared sizes against its bytes before a parser allocates memory for it."""
 
+import json
 import re
 import struct
 from collections.abc import Callable
 
+from services.errors import InvalidRequest
+from services.scenes.archive import SIGNATURE, unpack_archive
 from services.scenes.gltf_file import GltfFile, elements, size
+from services.scenes.xml_file import check_xml
 
 _SIZES = {
     **dict.fromkeys(("char", "uchar", "int8", "uint8"), 1),
@@ -29,6 +33,10 @@ _MAX_PRIMITIVES = 10_000
 """Of all meshes of a glTF file."""
 _MAX_PIECES = 2_000
 """Materials of an obj file, solids of an stl file. The parser's time is their number times that of the rest."""
+MAX_3MF = 2**27
+"""Bytes of all files in a 3mf file, unpacked."""
+_COUNT = rb"<(?:triangles|polylist|polygons|trifans|tristrips)\b[^>]*?\bcount\s*=\s*[\"'](\d{1,18})"
+"""How many triangles or polygons an element of COLLADA says that it has."""
 _MAX_BLANK_LINES = 1_000
 """Lines at the end of a ply file in text, beyond those that its header declares."""
 
@@ -138,7 +146,7 @@ def _off(data: bytes, max_faces: int) -> None:
         raise ValueError(f"it declares {vertices:,} vertices and {faces:,} faces, but {len(rest) - 1:,} lines follow")
 
 
-def _glb(data: bytes, max_faces: int) -> None:
+def _glb(data: bytes, _: int) -> None:
     if len(data) < 20 or data[:4] != b"glTF":
         raise ValueError("it does not begin with glTF")
     version, length, chunk, kind = struct.unpack_from("<IIII", data, 4)
@@ -148,14 +156,57 @@ def _glb(data: bytes, max_faces: int) -> None:
         raise ValueError(f"its header says that it has {length:,} bytes, but it has {len(data):,}; is it complete?")
     if kind != 0x4E4F534A or 20 + chunk > len(data):
         raise ValueError("it does not begin with a whole chunk of JSON")
-    file = GltfFile(data)
+
+
+def _gltf(data: bytes, _: int) -> None:
+    text = data.removeprefix(b"\xef\xbb\xbf").lstrip()
+    if not text.startswith(b"{"):
+        raise ValueError("it does not begin with an object of JSON")
+    asset = json.loads(text.decode()).get("asset")
+    version = asset.get("version") if isinstance(asset, dict) else None
+    if not str(version).startswith("2"):
+        raise ValueError(f"it is a file of glTF {version!r}; files of glTF 2 are read")
+
+
+def _dae(data: bytes, max_faces: int) -> None:
+    check_xml(data)
+    if not re.match(rb"[\xef\xbb\xbf\s]*<(?:\?xml|COLLADA|!--)", data) or b"<COLLADA" not in data:
+        raise ValueError("it is no COLLADA file")
+    for array in re.finditer(rb"<float_array\b[^>]*>([^<]*)", data):
+        if re.search(rb"nan|inf", array[1], re.IGNORECASE):  # the parser would make 0 of them
+            raise ValueError("it has numbers that are not finite")
+    counts = re.findall(_COUNT, data)
+    _check_triangle_count(sum(map(int, counts)), max_faces)
+
+
+def _3mf(data: bytes, max_faces: int) -> None:
+    if not data.startswith(SIGNATURE):
+        raise ValueError("it is no zip file")
+    try:
+        files = unpack_archive(data, MAX_3MF)
+    except InvalidRequest as error:
+        raise ValueError(error.detail) from error
+    models = [one for name, one in files.items() if name.lower().endswith(".model")]
+    if not models:
+        raise ValueError("there is no 3D model in it")
+    for model in models:
+        check_xml(model)
+    _check_triangle_count(sum(model.count(b"<triangle ") for model in models), max_faces)
+    _check_vertex_count(sum(model.count(b"<vertex ") for model in models), max_faces)
+
+
+def check_elements(file: GltfFile, held: int, max_faces: int) -> None:
+    """Counts what a glTF file declares. `held` is the number of bytes of the file and those beside it.
+
+    Raises ValueError, which names the element, for more than the limits, and for nodes that are no tree.
+    """
     for name, most in _MAX_ELEMENTS.items():
         if len(file.array(name)) > most:
             raise ValueError(f"it has {len(file.array(name)):,} {name}; at most {most:,} are taken")
     if any("bufferView" not in accessor for accessor in file.items("accessors")):
         raise ValueError("it has accessors without data (compressed geometry is not read)")
     views = enumerate(file.items("bufferViews"))
-    if sum(size(view.get("byteLength"), f"bufferViews[{k}].byteLength") for k, view in views) > 4 * len(data):
+    if sum(size(view.get("byteLength"), f"bufferViews[{k}].byteLength") for k, view in views) > 4 * held:
         raise ValueError("its buffer views declare more than the file holds")
     nodes = file.items("nodes")
     children = [
@@ -199,6 +250,15 @@ def _check_vertex_count(vertices: int, max_faces: int) -> None:
         raise ValueError(f"it declares {vertices:,} vertices; at most {3 * max_faces:,} are taken")
 
 
-CHECKS: dict[str, Callable[[bytes, int], None]] = {"obj": _obj, "ply": _ply, "stl": _stl, "glb": _glb, "off": _off}
+CHECKS: dict[str, Callable[[bytes, int], None]] = {
+    "obj": _obj,
+    "ply": _ply,
+    "stl": _stl,
+    "glb": _glb,
+    "off": _off,
+    "gltf": _gltf,
+    "dae": _dae,
+    "3mf": _3mf,
+}
 """Validators by file kind. Each takes the bytes and the largest number of triangles, and raises ValueError (or another
 exception of its parsing) if the file cannot be valid."""

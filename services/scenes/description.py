@@ -191,7 +191,8 @@ class Environment(Model):
         "studio",
         min_length=1,
         max_length=200,
-        description="name of a built-in map; `lights`: the scene's own lights as the origin sees them",
+        description="name of a built-in map, or the id of an uploaded one (`sha256:<hex>`); `lights`: the scene's own "
+        "lights as the origin sees them",
     )
     size: tuple[Annotated[int, Field(ge=1, le=64)], Annotated[int, Field(ge=1, le=128)]] | Literal["auto"] = Field(
         (16, 32),

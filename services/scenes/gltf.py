@@ -1,4 +1,4 @@
-"""Reads a binary glTF file as the parts of a mesh: every triangle of its scene, transformed, with its material.
+"""Reads a glTF file as the parts of a mesh: every triangle of its scene, transformed, with its material.
 
 Vertices are not smoothed or welded and faces are not flipped: glTF states normals, winding and tangents, and
 defines the defaults where they are left out (flat normals; tangents along the texture). Khronos, glTF 2.0
@@ -25,13 +25,12 @@ _MIN_HEIGHT = 1e-6
 """Ratio of a triangle's height to its longest edge below which a normal from float32 coordinates is noise."""
 
 
-def read_gltf(data: bytes, max_faces: int) -> tuple[Part, ...]:
-    """Returns the parts of a GLB file's scene, fitted to the frame; alpha-blended parts come last.
+def read_gltf(file: GltfFile, max_faces: int) -> tuple[Part, ...]:
+    """Returns the parts of a file's scene, fitted to the frame; alpha-blended parts come last.
 
     Raises ValueError, which names the element of the file, for invalid elements (`GltfFile`, `read_material`), for
     vertices that are not finite or beyond MAX_COORDINATE, and for more than `max_faces` triangles or none with an area.
     """
-    file = GltfFile(data)
     placed = list(_instances(file))
     primitives: dict[int, list[_Primitive]] = {}
     textures = Textures()

@@ -1,4 +1,4 @@
-"""Reads a binary glTF 2.0 file (GLB): its JSON, its accessors as arrays, its images (Khronos, glTF 2.0, 3.6)."""
+"""Reads a glTF 2.0 file, binary or not: its JSON, its accessors as arrays, its images (Khronos, glTF 2.0, 3.6)."""
 
 import base64
 import binascii
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from services.scenes.beside import Beside
 from services.scenes.image_file import open_image
 from services.scenes.mesh import Doubles, Longs
 
@@ -27,14 +28,22 @@ _JSON, _BINARY = 0x4E4F534A, 0x004E4942
 _BASE64 = ";base64,"
 
 
-class GltfFile:
-    """The elements of a GLB file. Every method raises ValueError, which names the element, if it is invalid."""
+class MissingFile(ValueError):
+    """A buffer or image is in a file that was not sent with the glTF file."""
 
-    def __init__(self, data: bytes) -> None:
-        """Raises ValueError if `data` is not in the chunks of a glTF 2 file or requires an unsupported extension."""
+
+class GltfFile:
+    """The elements of a glTF file. Every method raises ValueError, which names the element, if it is invalid."""
+
+    def __init__(self, data: bytes, beside: Beside | None = None) -> None:
+        """Reads a GLB, or JSON whose buffers and images may be in files of `beside`.
+
+        Raises ValueError if `data` is not in the chunks of a glTF 2 file or requires an unsupported extension.
+        """
         self._binary = b""
-        tree: Any = None
-        position = 12
+        self._beside = beside or Beside({})
+        tree: Any = None if data.startswith(b"glTF") else json.loads(data.decode())
+        position = 12 if tree is None else len(data)
         while position + 8 <= len(data):
             length, kind = struct.unpack_from("<II", data, position)
             chunk = data[position + 8 : position + 8 + length]
@@ -117,17 +126,19 @@ class GltfFile:
     def image(self, index: Any) -> Image.Image:
         """Returns an image, not yet decoded; images of the same bytes in the file are one object."""
         entry = self.item("images", index)
+        uri = str(entry.get("uri", ""))
         view = entry.get("bufferView")
         key = ("images", index) if view is None else ("bufferViews", size(view, f"images[{index}].bufferView"))
         if key not in self._images:
             if view is None:
-                data = _embedded(entry.get("uri"), f"images[{index}]")
+                data = self._at(entry.get("uri"), f"images[{index}]")
             else:
                 data = self._view(self.item("bufferViews", view), view)
             try:
                 self._images[key] = open_image(data)
             except ValueError as error:
-                raise ValueError(f"images[{index}] is not a readable image: {error}") from error
+                name = "" if view is not None or uri.startswith("data:") else f" ({uri[:100]})"
+                raise ValueError(f"images[{index}]{name} is not a readable image: {error}") from error
         return self._images[key]
 
     def _array(self, index: Any, columns: tuple[int, ...]) -> NDArray[Any]:
@@ -163,26 +174,29 @@ class GltfFile:
         entry = self.item("buffers", index)
         if index not in self._buffers:
             chunk = index == 0 and "uri" not in entry
-            found = self._binary if chunk else _embedded(entry.get("uri"), f"buffers[{index}]")
+            found = self._binary if chunk else self._at(entry.get("uri"), f"buffers[{index}]")
             length = size(entry.get("byteLength"), f"buffers[{index}].byteLength")
             if length > len(found):
                 raise ValueError(f"buffers[{index}].byteLength is {length:,}, which is more than the file holds")
             self._buffers[index] = found[:length]
         return self._buffers[index]
 
+    def _at(self, uri: Any, where: str) -> bytes:
+        """Returns the bytes of a data URI, or of a file that came with this one. Nothing is fetched."""
+        if not isinstance(uri, str):
+            raise ValueError(f"{where} has neither data nor the name of a file")
+        if uri.startswith("data:") and _BASE64 in uri:
+            try:
+                return base64.b64decode(uri.split(_BASE64, 1)[1], validate=True)
+            except binascii.Error as error:
+                raise ValueError(f"{where} is not base64") from error
+        if (path := self._beside.find(uri)) is None:
+            raise MissingFile(f"{where} is in the file {uri[:100]!r}, which was not sent")
+        return self._beside.data(path)
+
     @cached_property
     def _buffers(self) -> dict[int, bytes]:
         return {}
-
-
-def _embedded(uri: Any, where: str) -> bytes:
-    """Returns the bytes of a data URI. Other URIs are never fetched: they raise ValueError."""
-    if not isinstance(uri, str) or not uri.startswith("data:") or _BASE64 not in uri:
-        raise ValueError(f"{where} is not in the file; only what is in the file is read")
-    try:
-        return base64.b64decode(uri.split(_BASE64, 1)[1], validate=True)
-    except binascii.Error as error:
-        raise ValueError(f"{where} is not base64") from error
 
 
 def _width(accessor: dict[str, Any]) -> int | None:

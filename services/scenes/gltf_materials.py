@@ -1,12 +1,13 @@
 """Reads and validates the metallic-roughness materials of a glTF file (Khronos, glTF 2.0 specification, 3.9)."""
 
+from contextlib import suppress
 from dataclasses import dataclass
 from math import inf
 from typing import Any
 
 import numpy as np
 
-from services.scenes.gltf_file import GltfFile, number, numbers
+from services.scenes.gltf_file import GltfFile, MissingFile, number, numbers
 from services.scenes.image_file import FORMATS
 from services.scenes.mesh import AlphaMode, Floats, MapName, MaterialSettings, TextureMap
 from services.scenes.surfaces import Textures
@@ -54,7 +55,8 @@ def read_material(file: GltfFile, index: Any, textures: Textures) -> Material:
     )
     for name, owner, key in places:
         if key in owner:
-            maps[name] = _map(file, owner[key], textures, f"{inner if owner is surface else where}.{key}")
+            with suppress(MissingFile):  # it is drawn without, and the upload's answer says so
+                maps[name] = _map(file, owner[key], textures, f"{inner if owner is surface else where}.{key}")
     return Material(
         color=color,
         metallic=number(surface, "metallicFactor", 1.0, 0, 1, inner),

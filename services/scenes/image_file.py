@@ -29,6 +29,10 @@ def open_image(data: bytes) -> Image.Image:
     kind = next((name for name, mark in _SIGNATURES.items() if re.match(mark, data, re.DOTALL)), None)
     if kind is None:
         raise ValueError(f"it is no {FORMATS} image")
+    return _opened(data, kind)
+
+
+def _opened(data: bytes, kind: str) -> Image.Image:
     try:
         if kind == "WEBP":  # Pillow's plug-in allocates the canvas while it opens the file
             _check_size(*_webp_size(data))
@@ -41,6 +45,21 @@ def open_image(data: bytes) -> Image.Image:
         raise ValueError(f"it has more than {MAX_PIXELS:,} pixels") from error
     _check_size(image.width, image.height)
     return image
+
+
+def open_texture(data: bytes, name: str) -> Image.Image:
+    """Returns a texture that a mesh names, not yet decoded: of `open_image`'s formats, or BMP, GIF or TGA.
+
+    A TGA file has no signature and is known by its name alone. Raises ValueError.
+    """
+    kind = next((kind for kind, mark in (("BMP", b"BM"), ("GIF", b"GIF8")) if data.startswith(mark)), None)
+    kind = "TGA" if name.lower().endswith(".tga") else kind
+    if kind is None:
+        try:
+            return open_image(data)
+        except ValueError as error:
+            raise ValueError(str(error).replace(FORMATS, "PNG, JPEG, WebP, BMP, GIF or TGA")) from error
+    return _opened(data, kind)
 
 
 def read_image(data: bytes, size: tuple[int, int]) -> Bytes:

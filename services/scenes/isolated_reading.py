@@ -7,8 +7,10 @@ import socket
 import subprocess
 import sys
 import threading
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -16,8 +18,11 @@ import numpy as np
 import services
 from services.errors import InvalidRequest, JobFailure
 from services.logs import logger
-from services.scenes.mesh import Bytes, Part
+from services.scenes.about import Up
+from services.scenes.bundle import MAX_FILES, clean_name
+from services.scenes.mesh import Bytes, Floats, Part
 from services.scenes.part_arrays import unpack
+from services.scenes.phrases import Report
 
 START_SECONDS = 120.0
 ANSWER_SECONDS = 100.0
@@ -43,16 +48,52 @@ class IsolatedReader:
         self._server: subprocess.Popen[bytes] | None = None
         self._control: socket.socket | None = None
 
-    def read_mesh(self, data: bytes, kind: str, max_faces: int) -> tuple[tuple[Part, ...], tuple[str, ...]]:
-        """Returns the parts of a mesh file, as `reading.read_mesh` does, and what it lacks, in sentences.
+    def read_mesh(
+        self,
+        data: bytes,
+        kind: str,
+        max_faces: int,
+        others: Mapping[str, bytes] = MappingProxyType({}),
+        up: Up | None = None,
+    ) -> tuple[tuple[Part, ...], Report]:
+        """Returns the parts of a mesh file, as `reading.read_mesh` does, and what became of it and the `others`.
 
         Raises InvalidRequest("kind" or "file", …), and JobFailure("internal") if no process can be started.
         """
-        payload = self._ask({"mesh": kind, "max_faces": max_faces}, data)
+        files = [[name, len(other)] for name, other in others.items()]
+        request = {"mesh": kind, "max_faces": max_faces, "up": up, "files": files}
+        _, payload = self._ask(request, *others.values(), data)
         try:
             return unpack(payload, max_faces)
         except ValueError as error:
             log.error("a reading process gave an answer that is no mesh", error=str(error))
+            raise InvalidRequest("file", _GONE) from error
+
+    def read_map(self, data: bytes, kind: str) -> Floats:
+        """Returns the texels of an environment map, as `map_file.read_map` does: float32 [h,w,3], finite and ≥ 0.
+
+        Raises InvalidRequest("file", …), and JobFailure("internal") if no process can be started.
+        """
+        said, payload = self._ask({"map": kind}, data)
+        try:
+            height, width = said["size"]
+            texels = np.frombuffer(payload, np.float32).reshape(height, width, 3)
+        except (ValueError, TypeError, KeyError) as error:
+            raise InvalidRequest("file", _GONE) from error
+        if not (np.isfinite(texels).all() and (texels >= 0).all()):
+            raise InvalidRequest("file", _GONE)
+        return texels
+
+    def unpack(self, data: bytes, most: int) -> dict[str, bytes]:
+        """Returns the files of a zip file, as `archive.unpack_archive` does: relative paths, and at most `most` bytes.
+
+        Raises InvalidRequest("file", …), and JobFailure("internal") if no process can be started.
+        """
+        said, payload = self._ask({"archive": most}, data)
+        try:
+            return split(said["files"], payload, most)
+        except (ValueError, TypeError, KeyError) as error:
+            log.error("a reading process gave an answer that is no list of files", error=str(error))
             raise InvalidRequest("file", _GONE) from error
 
     def read_image(self, data: bytes, size: tuple[int, int]) -> Bytes:
@@ -60,7 +101,7 @@ class IsolatedReader:
 
         Raises InvalidRequest("image", …), and JobFailure("internal") if no process can be started.
         """
-        payload = self._ask({"image": size}, data)
+        _, payload = self._ask({"image": size}, data)
         if len(payload) != size[0] * size[1] * 3:
             raise InvalidRequest("image", _GONE)
         return np.frombuffer(payload, np.uint8).reshape(*size, 3)
@@ -75,8 +116,8 @@ class IsolatedReader:
         with self._lock:
             self._end()
 
-    def _ask(self, request: dict[str, Any], data: bytes) -> bytes:
-        """Returns the bytes that a child answers a request with. Raises InvalidRequest as the child does."""
+    def _ask(self, request: dict[str, Any], *data: bytes) -> tuple[dict[str, Any], bytes]:
+        """Returns the object and the bytes that a child answers a request with. Raises InvalidRequest as it does."""
         ours, theirs = socket.socketpair()
         with ours:
             ours.settimeout(ANSWER_SECONDS)
@@ -84,7 +125,8 @@ class IsolatedReader:
                 self._hand_over(theirs)
             try:
                 ours.sendall(json.dumps(request).encode() + b"\n")
-                ours.sendall(data)
+                for one in data:
+                    ours.sendall(one)
                 ours.shutdown(socket.SHUT_WR)
                 answer = _received(ours)
             except (OSError, ValueError) as error:  # the child was killed, or says more than it may
@@ -97,7 +139,7 @@ class IsolatedReader:
             raise InvalidRequest(_field(request), _GONE) from error
         if refused is not None:
             raise InvalidRequest(*refused)
-        return payload
+        return said, payload
 
     def _hand_over(self, end: socket.socket) -> None:
         """Gives the server the child's end of a connection; a server that has died is started again."""
@@ -153,6 +195,22 @@ def reader() -> IsolatedReader:
     """This process's reader. It ends with this process."""
     found = IsolatedReader()
     atexit.register(found.close)
+    return found
+
+
+def split(files: list[Any], payload: bytes, most: int) -> dict[str, bytes]:
+    """Returns the files of names and lengths that follow each other in `payload`. Raises ValueError or TypeError."""
+    found: dict[str, bytes] = {}
+    start = 0
+    if len(files) > MAX_FILES or len(payload) > most:
+        raise ValueError("there is more than was asked for")
+    for name, length in files:
+        if not isinstance(length, int) or length < 0 or name in found or clean_name(name) != name:
+            raise ValueError(f"{name!r} of {length!r} bytes is no file")
+        found[name] = payload[start : start + length]
+        start += length
+    if start != len(payload):
+        raise ValueError("the files are not as long as they are said to be")
     return found
 
 

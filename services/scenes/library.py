@@ -5,18 +5,25 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Literal
-
-from pydantic import BaseModel, ConfigDict, Field
 
 from services.blobs import blobs
 from services.errors import InvalidRequest
+from services.scenes.bundle import Bundle
 from services.scenes.catalogue import Model, read_catalogue
+from services.scenes.entries import (
+    UNIFORM,
+    Entry,
+    environment_entry,
+    furniture_entry,
+    has_words,
+    solid_entry,
+    upload_entry,
+)
 from services.scenes.environment import EnvironmentMap, read_exr, uniform
 from services.scenes.furniture import load_model, read_icon
 from services.scenes.mesh import Mesh
 from services.scenes.primitives import PRIMITIVES, primitive
-from services.scenes.uploads import Upload, Uploads
+from services.scenes.uploads import Uploads, is_map
 from services.settings import Settings
 from services.suggestions import did_you_mean
 
@@ -24,23 +31,6 @@ KEPT_MESHES = 32
 """Number of recently used meshes kept in memory; a large mesh takes about 30 MB."""
 _UPLOAD = re.compile(r"sha256:([0-9a-f]{64})")
 SETUP = "run scripts/setup to fetch the furniture library and the environment maps"
-
-
-class Entry(BaseModel):
-    """An asset that a scene can name, with its attribution. `size` is width, depth and height in centimetres."""
-
-    model_config = ConfigDict(frozen=True)
-
-    name: str
-    title: str
-    kind: Literal["furniture", "primitive", "upload", "environment"]
-    category: str
-    creator: str
-    licence: str
-    credit: str | None
-    size: tuple[float, float, float] | None = None
-    triangles: int | None = None
-    notes: tuple[str, ...] = Field((), description="what an uploaded file refers to and the mesh therefore lacks")
 
 
 class Library:
@@ -129,11 +119,18 @@ class Library:
                 (category is None or entry.category.lower() == category.lower())
                 and (creator is None or entry.creator.lower() == creator.lower())
                 and (licence is None or entry.licence.lower() == licence.lower())
-                and (not words or _has(entry, words))
+                and (not words or has_words(entry, words))
             )
 
         uploads = self._uploads.all(lambda sha256: may_see(f"sha256:{sha256}"))
-        return [entry for entry in (*self._shipped(), *map(_uploaded, uploads)) if matches(entry)]
+        return [entry for entry in (*self._shipped(), *map(upload_entry, uploads)) if matches(entry)]
+
+    def entry(self, name: str) -> Entry | None:
+        """Returns the entry of a mesh; None if there is none of that name."""
+        if upload := _UPLOAD.fullmatch(name):
+            record = self._uploads.record(upload[1])
+            return None if record is None else upload_entry(record)
+        return next((one for one in self._shipped() if one.name == name), None)
 
     def picture(self, name: str) -> bytes | None:
         """Returns the PNG file of the picture that a furniture library has of a mesh, `furniture/<slug>`; else None."""
@@ -142,15 +139,27 @@ class Library:
         return None if model is None else read_icon(model, self._furniture)
 
     def add_mesh(self, data: bytes, kind: str, limits: Settings | None = None) -> Entry:
-        """Validates an uploaded file (obj, ply, stl, glb or off), stores it by its SHA-256 and returns its entry.
+        """Adds a mesh that is a single file, as `add`."""
+        return self.add(Bundle(kind, data, {}), limits)
+
+    def add(self, bundle: Bundle, limits: Settings | None = None) -> Entry:
+        """Validates an uploaded mesh and its files, stores them by their SHA-256 and returns the mesh's entry.
 
         The same bytes give the same entry. `limits` are those of this process's settings by default. Raises
         InvalidRequest("file" or "kind", …), and JobFailure("internal") if the file cannot be read now.
         """
-        return _uploaded(self._uploads.add(data, kind, limits))
+        return upload_entry(self._uploads.add(bundle, limits))
 
     def environment(self, name: str) -> EnvironmentMap:
-        """Returns the environment map of that name. Raises InvalidRequest("environment", …) with close matches."""
+        """Returns the environment map of that name, which may be that of an upload.
+
+        Raises InvalidRequest("environment", …) with close matches.
+        """
+        if upload := _UPLOAD.fullmatch(name):
+            record = self._uploads.record(upload[1])
+            if record is None or not is_map(record.kind):
+                raise InvalidRequest("environment", f"there is no environment map {name!r}")
+            return self._uploads.load_map(record)
         with self._lock:
             if name not in self._maps:
                 known = {entry.name: entry for entry in self.environments()}
@@ -163,17 +172,8 @@ class Library:
 
     def environments(self) -> list[Entry]:
         """Lists the environment maps by name; `uniform`, radiance 1 in every direction, is always among them."""
-        maps = [_environment(path.stem) for path in self._environments.glob("*.exr")]
-        even = Entry(
-            name="uniform",
-            title="Uniform",
-            kind="environment",
-            category="environment",
-            creator="scene-attack",
-            licence="CC0 1.0",
-            credit=None,
-        )
-        return sorted([*(entry for entry in maps if entry.name != "uniform"), even], key=lambda entry: entry.name)
+        maps = [environment_entry(path.stem) for path in self._environments.glob("*.exr")]
+        return sorted([*(entry for entry in maps if entry.name != "uniform"), UNIFORM], key=lambda entry: entry.name)
 
     def _load(self, name: str) -> Mesh:
         kind, _, rest = name.partition("/")
@@ -181,6 +181,8 @@ class Library:
             return primitive(rest)
         if found := _UPLOAD.fullmatch(name):
             upload = self._uploads.record(found[1])
+            if upload is not None and is_map(upload.kind):
+                raise InvalidRequest("mesh", f"{name!r} is an environment map, for lights.environment.map")
             if upload is not None:
                 return self._uploads.load(upload)
         models = self._catalogue()
@@ -206,65 +208,10 @@ class Library:
         models = self._catalogue()
         with self._lock:
             if not models or not self._shipped_entries:
-                furniture = sorted(map(_furniture, models.values()), key=lambda entry: entry.name)
-                self._shipped_entries = [*furniture, *sorted(map(_solid, PRIMITIVES), key=lambda entry: entry.name)]
+                furniture = sorted(map(furniture_entry, models.values()), key=lambda entry: entry.name)
+                solids = sorted(map(solid_entry, PRIMITIVES), key=lambda entry: entry.name)
+                self._shipped_entries = [*furniture, *solids]
             return self._shipped_entries
-
-
-def _has(entry: Entry, words: Iterable[str]) -> bool:
-    text = f"{entry.name} {entry.title} {entry.category} {entry.creator}".lower()
-    return all(word in text for word in words)
-
-
-def _furniture(model: Model) -> Entry:
-    return Entry(
-        name=f"furniture/{model.slug}",
-        title=model.title,
-        kind="furniture",
-        category=model.category,
-        creator=model.creator,
-        licence=model.licence,
-        credit=model.credit,
-        size=model.size,
-    )
-
-
-def _solid(name: str) -> Entry:
-    return Entry(
-        name=f"primitive/{name}",
-        title=name.capitalize(),
-        kind="primitive",
-        category="primitive",
-        creator="scene-attack",
-        licence="CC0 1.0",
-        credit=None,
-    )
-
-
-def _uploaded(record: Upload) -> Entry:
-    return Entry(
-        name=f"sha256:{record.sha256}",
-        title=f"Uploaded {record.kind} mesh {record.sha256[:8]}",
-        kind="upload",
-        category="upload",
-        creator="uploader",
-        licence="unknown",
-        credit=None,
-        triangles=record.triangles,
-        notes=record.notes,
-    )
-
-
-def _environment(name: str) -> Entry:
-    return Entry(
-        name=name,
-        title=name.capitalize(),
-        kind="environment",
-        category="environment",
-        creator="Greg Zaal",
-        licence="CC0 1.0",
-        credit=f"Environment map “{name}” by Greg Zaal, CC0 1.0, HDRI Haven (hdrihaven.com), as shipped with Blender",
-    )
 
 
 def _unknown(what: str, name: str, known: Iterable[str]) -> str:

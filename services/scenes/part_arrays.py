@@ -14,11 +14,13 @@ from safetensors.numpy import load, save
 
 from services.scenes.image_file import MAX_PIXELS
 from services.scenes.mesh import FIT_RADIUS, AlphaMode, MapName, MetallicRoughness, Part, TextureMap
+from services.scenes.phrases import LENGTH, MOST, Report
 
 Arrays = Mapping[str, NDArray[Any]]
 Unit = Annotated[float, Field(ge=0, le=1)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Index = Annotated[int, Field(ge=0)]
+Phrase = Annotated[str, Field(max_length=LENGTH)]
 _ATTRIBUTES = {"tangents": 4, "second_uv": 2, "vertex_colors": 4}
 _ROUNDING = 1.001
 
@@ -53,11 +55,12 @@ class _Part(_Record):
 
 class _Document(_Record):
     parts: Annotated[list[_Part], Field(min_length=1)]
-    notes: list[Annotated[str, Field(max_length=500)]]
+    used: Annotated[list[Phrase], Field(max_length=MOST)]
+    dropped: Annotated[list[Phrase], Field(max_length=MOST)]
 
 
-def pack(parts: tuple[Part, ...], notes: tuple[str, ...]) -> bytes:
-    """Returns the parts of a mesh and sentences about it as bytes for `unpack`."""
+def pack(parts: tuple[Part, ...], report: Report) -> bytes:
+    """Returns the parts of a mesh and what became of its files as bytes for `unpack`."""
     arrays: dict[str, NDArray[Any]] = {}
     textures: dict[int, int] = {}
 
@@ -75,12 +78,12 @@ def pack(parts: tuple[Part, ...], notes: tuple[str, ...]) -> bytes:
         texture = None if part.texture is None else texels(part.texture)
         material = None if own is None else _material_record(own, texels)
         records.append(_Part(uv=part.uv is not None, texels=texture, material=material))
-    document = _Document(parts=records, notes=list(notes)).model_dump_json().encode()
+    document = _Document(parts=records, used=list(report.used), dropped=list(report.dropped)).model_dump_json().encode()
     arrays["document"] = np.frombuffer(document, np.uint8)
     return save({name: np.ascontiguousarray(array) for name, array in arrays.items()})
 
 
-def unpack(data: bytes, max_faces: int) -> tuple[tuple[Part, ...], tuple[str, ...]]:
+def unpack(data: bytes, max_faces: int) -> tuple[tuple[Part, ...], Report]:
     """Returns what `pack` was given. The sender is not trusted.
 
     Raises ValueError if an array or a setting is missing, has another shape or type than `Part` says, has numbers that
@@ -96,7 +99,7 @@ def unpack(data: bytes, max_faces: int) -> tuple[tuple[Part, ...], tuple[str, ..
     parts = tuple(_part(arrays, k, record, textures) for k, record in enumerate(document.parts))
     if sum(len(part.faces) for part in parts) > max_faces:
         raise ValueError(f"it has more than {max_faces:,} triangles")
-    return parts, tuple(document.notes)
+    return parts, Report(tuple(document.used), tuple(document.dropped))
 
 
 def _load(data: bytes) -> Arrays:

@@ -1,48 +1,41 @@
 """Reads untrusted mesh files."""
 
-from collections.abc import Iterable
 from io import BytesIO
-from typing import Any
 
 import numpy as np
 import trimesh
 
 from services.errors import InvalidRequest, shortened
-from services.scenes.claims import CHECKS
+from services.scenes.about import Up
+from services.scenes.beside import Beside
+from services.scenes.claims import CHECKS, check_elements
 from services.scenes.gltf import read_gltf
+from services.scenes.gltf_file import GltfFile
 from services.scenes.mesh import Part
 from services.scenes.surfaces import read_surfaces, to_parts
+from services.scenes.text import decoded
+from services.scenes.up_axis import is_z_up, upright
+from services.scenes.wavefront import read_opacity
 
 KINDS = tuple(CHECKS)
 """The file kinds that are read."""
 
 
-class _NoFiles(trimesh.resolvers.Resolver):  # type: ignore[misc]  # trimesh has no types
-    """Refuses every file or address that a mesh names: only the uploaded bytes are read."""
-
-    def __init__(self) -> None:
-        pass
-
-    def get(self, key: str) -> bytes:
-        raise FileNotFoundError(key)
-
-    def keys(self) -> Iterable[str]:
-        return ()
-
-    def write(self, name: str, data: Any) -> None:
-        raise NotImplementedError
-
-    def namespaced(self, namespace: str) -> "_NoFiles":
-        raise FileNotFoundError(namespace)
-
-
-def read_mesh(data: bytes, kind: str, max_faces: int) -> tuple[Part, ...]:
-    """Returns the parts of a mesh file, fitted to the frame. `kind` is an element of KINDS.
+def read_mesh(
+    data: bytes, kind: str, max_faces: int, beside: Beside | None = None, up: Up | None = None
+) -> tuple[Part, ...]:
+    """Returns the parts of a mesh file, fitted to the frame. `kind` is an element of KINDS; `beside` has the materials
+    and textures that it may name. `up` is the file's axis that points up; None: as its format says.
 
     Raises InvalidRequest("kind", …) for an unknown kind, and InvalidRequest("file", …) if the bytes are not of that
     kind, declare more data than they hold, cannot be parsed, have no triangles or more than `max_faces`, have vertices
-    that are not finite, or have no area.
+    that are not finite, or have no area, or if a texture is no image.
     """
+    parts = _parts(data, kind, max_faces, beside or Beside({}))
+    return upright(parts) if up == "z" or (up is None and is_z_up(data, kind)) else parts
+
+
+def _parts(data: bytes, kind: str, max_faces: int, beside: Beside) -> tuple[Part, ...]:
     if kind not in CHECKS:
         raise InvalidRequest("kind", f"{kind!r} meshes are not read; one of {', '.join(KINDS)} is")
     if not data.strip():
@@ -51,11 +44,14 @@ def read_mesh(data: bytes, kind: str, max_faces: int) -> tuple[Part, ...]:
         CHECKS[kind](data, max_faces)
         # Suppress numpy's warnings: numbers that are not finite are reported by name.
         with np.errstate(all="ignore"):
-            if kind == "glb":
-                return read_gltf(data, max_faces)
-            text = _utf8(data) if kind in ("obj", "off") else data
-            scene = trimesh.load_scene(BytesIO(text), file_type=kind, resolver=_NoFiles(), process=False)
-    except MemoryError:
+            if kind in ("glb", "gltf"):
+                file = GltfFile(data.removeprefix(b"\xef\xbb\xbf"), beside)
+                check_elements(file, len(data) + beside.size, max_faces)
+                return read_gltf(file, max_faces)
+            beside.check()
+            text = decoded(data).encode() if kind in ("obj", "off") else data
+            scene = trimesh.load_scene(BytesIO(text), file_type=kind, resolver=beside, process=False)
+    except (MemoryError, InvalidRequest):
         raise
     except ValueError as error:
         raise InvalidRequest("file", f"it is not a readable {kind} mesh: {shortened(error)}") from error
@@ -65,18 +61,11 @@ def read_mesh(data: bytes, kind: str, max_faces: int) -> tuple[Part, ...]:
     if count > max_faces:
         raise InvalidRequest("file", f"it has {count:,} triangles; at most {max_faces:,} are taken")
     try:
-        return to_parts(read_surfaces(scene))
+        # Nobody sends what cannot be seen: an opacity of 0 is a writer's mistake, of `Tr` above all.
+        opacity = {name: value or 1.0 for name, value in read_opacity(beside.libraries()).items()}
+        return to_parts(read_surfaces(scene, opacity))
     except (ValueError, OSError, SyntaxError) as error:  # a damaged texture is an OSError or a SyntaxError of Pillow
         raise InvalidRequest("file", f"it cannot be shown: {shortened(error)}") from error
-
-
-def _utf8(data: bytes) -> bytes:
-    """Returns text as UTF-8. Other text is taken as Latin-1: names of materials and comments may be in any encoding."""
-    try:
-        data.decode()
-    except UnicodeDecodeError:
-        return data.decode("latin-1").encode()
-    return data
 
 
 def triangles(scene: trimesh.Scene) -> int:

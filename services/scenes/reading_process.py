@@ -6,6 +6,7 @@ writes the answer: a line of JSON, and bytes after it. The server itself reads n
 that a child needs, so that a child begins within milliseconds and needs no file.
 """
 
+import base64
 import gc
 import json
 import os
@@ -24,15 +25,28 @@ from PIL import Image
 
 from services.confinement.confine import Limits, address_space, confine, drop_privileges
 from services.errors import InvalidRequest
+from services.scenes.archive import unpack_archive
+from services.scenes.beside import Beside
+from services.scenes.bundle import Bundle
 from services.scenes.image_file import read_image
 from services.scenes.isolated_reading import FILE_BYTES
-from services.scenes.notes import missing_files
+from services.scenes.map_file import read_map
 from services.scenes.part_arrays import pack
 from services.scenes.reading import KINDS, read_mesh
+from services.scenes.report import report
 
 LIMITS = Limits(memory_bytes=FILE_BYTES, cpu_seconds=25)
 WALL_SECONDS = 90.0
 """Longest life of a child, after which the server kills it. A busy machine may give it a third of a processor."""
+
+SMALL_EXR = (
+    "di8xAQIAAABjaGFubmVscwBjaGxpc3QANwAAAEIAAgAAAAAAAAABAAAAAQAAAEcAAgAAAAAAAAABAAAAAQAAAFIAAgAAAAAAAAABAAAAAQAA"
+    "AABjb21wcmVzc2lvbgBjb21wcmVzc2lvbgABAAAAA2RhdGFXaW5kb3cAYm94MmkAEAAAAAAAAAAAAAAAAQAAAAAAAABkaXNwbGF5V2luZG93"
+    "AGJveDJpABAAAAAAAAAAAAAAAAEAAAAAAAAAbGluZU9yZGVyAGxpbmVPcmRlcgABAAAAAHBpeGVsQXNwZWN0UmF0aW8AZmxvYXQABAAAAAAA"
+    "gD9zY3JlZW5XaW5kb3dDZW50ZXIAdjJmAAgAAAAAAAAAAAAAAHNjcmVlbldpbmRvd1dpZHRoAGZsb2F0AAQAAAAAAIA/dHlwZQBzdHJpbmcA"
+    "DQAAAHNjYW5saW5laW1hZ2UAXgEAAAAAAAAAAAAAGAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAA=="
+)
+"""A black map of two texels."""
 
 
 def main() -> None:
@@ -108,13 +122,28 @@ def answer(descriptor: int) -> None:
 
 
 def read(request: dict[str, Any], data: bytes) -> tuple[dict[str, Any], bytes]:
-    """Answers {"mesh": kind, "max_faces": n} by the packed parts, and {"image": [height, width]} by its RGB bytes.
+    """Answers {"mesh": kind, "max_faces": n, "up": axis, "files": [[name, length], …]} by the packed parts,
+    {"map": kind} by its texels, {"archive": most} by the files of a zip file, and {"image": [height, width]} by its RGB
+    bytes.
 
-    Raises InvalidRequest.
+    The bytes of a mesh follow those of its files. Raises InvalidRequest.
     """
     if "mesh" in request:
-        parts = read_mesh(data, request["mesh"], request["max_faces"])
-        return {}, pack(parts, missing_files(data, request["mesh"]))
+        kind, start = request["mesh"], 0
+        others: dict[str, bytes] = {}
+        for name, length in request["files"]:
+            others[name] = data[start : start + length]
+            start += length
+        data = data[start:]
+        files = Beside(others, kind, data)
+        parts = read_mesh(data, kind, request["max_faces"], files, request["up"])
+        return {}, pack(parts, report(data, kind, files, parts))
+    if "map" in request:
+        texels = read_map(data, request["map"])
+        return {"size": texels.shape[:2]}, texels.tobytes()
+    if "archive" in request:
+        files_of = unpack_archive(data, request["archive"])
+        return {"files": [[name, len(one)] for name, one in files_of.items()]}, b"".join(files_of.values())
     if "image" in request:
         height, width = request["image"]
         return {}, read_image(data, (height, width)).tobytes()
@@ -125,12 +154,24 @@ def _warm_up() -> None:
     """Reads a file of every kind once: parsers import modules when they are first needed."""
     box = trimesh.creation.box()
     for kind in KINDS:
-        data = box.export(file_type=kind)
-        read({"mesh": kind, "max_faces": 12}, data.encode() if isinstance(data, str) else data)
+        data = exported(box, kind)
+        read({"mesh": kind, "max_faces": 12, "files": [], "up": None}, data)
     for kind in ("PNG", "JPEG", "WEBP"):
         file = BytesIO()
         Image.fromarray(np.zeros((2, 2, 3), np.uint8)).save(file, kind)
         read({"image": (2, 2)}, file.getvalue())
+    read({"map": "hdr"}, b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 1 +X 1\n" + bytes(4))
+    read({"map": "exr"}, base64.b64decode(SMALL_EXR))
+    read({"archive": 2**20}, Bundle("obj", b"", {"a.mtl": b""}).stored())
+
+
+def exported(mesh: trimesh.Trimesh, kind: str) -> bytes:
+    """Returns a mesh as a file of a kind; a gltf holds its buffers."""
+    if kind == "gltf":
+        files = trimesh.exchange.gltf.export_gltf(trimesh.Scene(mesh), embed_buffers=True)
+        return bytes(files["model.gltf"])
+    data = mesh.export(file_type=kind)
+    return data.encode() if isinstance(data, str) else bytes(data)
 
 
 def _trial(base: int) -> list[str]:

@@ -112,12 +112,13 @@ def _surface(
         return _coloured(vertices, faces, visual)
     # Where the file of a material or texture is missing, trimesh puts a grey image of its own. One from a file has a
     # format.
-    image: Image.Image | None = getattr(material, "image", None)
+    pbr = isinstance(material, trimesh.visual.material.PBRMaterial)  # that of a dae file
+    image: Image.Image | None = getattr(material, "baseColorTexture" if pbr else "image", None)
     if image is not None and image.format is None:
         image = None
     uv = getattr(visual, "uv", None)
     textured = uv is not None and image is not None and len(uv) == len(vertices)
-    color = _diffuse(material, textured, opacity)
+    color = _factor(material) if pbr else _diffuse(material, textured, opacity)
     if image is None or not textured:
         return Surface(vertices, faces, None, color.astype(np.float32), None)
     uv = np.nan_to_num(np.asarray(uv, np.float32), nan=0.0, posinf=0.0, neginf=0.0)
@@ -178,6 +179,12 @@ def _diffuse(material: Any, textured: bool, opacity: Mapping[str, float]) -> Dou
         # Exporters write no Kd, or Kd 0, with a texture that should be visible.
         color[:3] = 1.0
     return color
+
+
+def _factor(material: Any) -> Doubles:
+    """Returns the linear RGBA of a COLLADA material, whose colours are displayed sRGB values, as an MTL file's are."""
+    rgba = np.asarray(PLAIN if material.baseColorFactor is None else material.baseColorFactor, np.float64) / 255
+    return np.append(to_linear(rgba[:3]), rgba[3])
 
 
 def _display_color(rgba: Any) -> Floats:

@@ -6,27 +6,30 @@ ever. What was parsed is kept with the bytes: a later parser reads only what is 
 
 import hashlib
 from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from services import atomic_write
 from services.blobs import Blobs
 from services.errors import InvalidRequest, JobFailure
+from services.scenes.about import NOTHING_SAID, About
+from services.scenes.bundle import MAP_KINDS, PARSER, Bundle
+from services.scenes.environment import EnvironmentMap, radiance_of
 from services.scenes.isolated_reading import reader
 from services.scenes.mesh import Mesh, Part
+from services.scenes.phrases import Report
 from services.scenes.store import load_parts, mesh_path, save_parts
 from services.settings import Settings, settings
-
-PARSER = 1
-"""Version of what reads uploads. Increase it with any change to the mesh that some file gives."""
 
 
 class Upload(BaseModel):
     """Metadata of an uploaded mesh, stored beside it as JSON. `size` is in bytes.
 
-    sha256: the name, see `name_of`. Uploads of scene-attack 0.1 have no parser and no mesh_sha256; their name is the
-    SHA-256 of the bytes alone. mesh_sha256: the SHA-256 of the parsed mesh's file.
+    sha256: the name, see `Bundle.sha256`. Uploads of scene-attack 0.1 have no parser and no mesh_sha256; their name is
+    the SHA-256 of the bytes alone. mesh_sha256: the SHA-256 of the parsed mesh's file.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -37,57 +40,83 @@ class Upload(BaseModel):
     mesh_sha256: str | None = None
     size: int
     triangles: int
+    about: About = NOTHING_SAID
+    used: tuple[str, ...] = ()
+    """What the mesh shows of the files."""
     notes: tuple[str, ...] = ()
-    """What the file refers to and the mesh therefore lacks, in sentences."""
+    """What it does not show, or what is missing."""
 
 
-def name_of(data: bytes, kind: str) -> str:
-    """Returns the name, 64 hexadecimal digits, of a file that is read as `kind`."""
-    digest = hashlib.sha256(f"{kind} {PARSER}\n".encode())
-    digest.update(data)
-    return digest.hexdigest()
+def max_unpacked(limits: Settings) -> int:
+    """Bytes of all files of an upload together, unpacked; what is sent is limited by itself."""
+    return 4 * limits.max_upload_bytes
+
+
+def is_map(kind: str) -> bool:
+    """Whether an upload of a kind is an environment map, and no mesh."""
+    return kind in MAP_KINDS
+
+
+def _read_mesh(bundle: Bundle, kept: Path, limits: Settings) -> tuple[int, Report]:
+    """Parses a mesh into the file `kept`. Returns its number of triangles, and what became of its files."""
+    parts, report = reader().read_mesh(bundle.data, bundle.kind, limits.max_faces, bundle.others, bundle.about.up)
+    save_parts(kept, parts)
+    return sum(len(part.faces) for part in parts), report
+
+
+def _read_map(bundle: Bundle, kept: Path) -> tuple[int, Report]:
+    """Parses an environment map into the file `kept`; as `_read_mesh`."""
+    texels = reader().read_map(bundle.data, bundle.kind)
+    height, width = texels.shape[:2]
+    with atomic_write.replacing(kept) as part, part.open("wb") as file:
+        np.savez(file, allow_pickle=False, texels=texels)
+    odd = () if width == 2 * height else (f"it has {width}×{height} texels, and is shown as if it were twice as wide",)
+    return 0, Report((f"{width}×{height} texels",), odd)
 
 
 class Uploads:
     """The uploaded meshes in one place.
 
-    `<sha256>` has the bytes, `<sha256>.npz` the parsed mesh, `<sha256>.json` an `Upload`. `processed` is a cache of the
-    parsed meshes, which may be deleted at any time.
+    `<sha256>` has the bytes (`Bundle.stored`), `<sha256>.npz` what was parsed, `<sha256>.json` an `Upload`.
+    `processed` is a cache of the parsed meshes, which may be deleted at any time.
     """
 
     def __init__(self, files: Blobs, processed: Path) -> None:
         self._files = files
         self._processed = processed
 
-    def add(self, data: bytes, kind: str, limits: Settings | None = None) -> Upload:
-        """Validates and stores a file, and returns its metadata; a file that is stored already is not validated again.
+    def add(self, bundle: Bundle, limits: Settings | None = None) -> Upload:
+        """Validates and stores a mesh with its files, and returns its metadata; what is stored already is not
+        validated again.
 
         Raises InvalidRequest("kind", …) for a kind that is not read, InvalidRequest("file", …) for invalid or too many
         bytes.
         """
         limits = limits or settings()
-        if len(data) > limits.max_upload_bytes:
-            raise InvalidRequest("file", f"it has {len(data):,} bytes; at most {limits.max_upload_bytes:,} are taken")
-        sha256 = name_of(data, kind)
+        most = limits.max_upload_bytes if not bundle.others else max_unpacked(limits)
+        if bundle.size > most:
+            raise InvalidRequest("file", f"it has {bundle.size:,} bytes; at most {most:,} are taken")
+        sha256 = bundle.sha256
         known = self.record(sha256)
         if known is not None:
             return known
-        parts, notes = reader().read_mesh(data, kind, limits.max_faces)
         kept = self._kept(sha256)
-        save_parts(kept, parts)
-        mesh = kept.read_bytes()
+        triangles, report = _read_map(bundle, kept) if is_map(bundle.kind) else _read_mesh(bundle, kept, limits)
+        parsed = kept.read_bytes()
         record = Upload(
             sha256=sha256,
-            kind=kind,
+            kind=bundle.kind,
             parser=PARSER,
-            mesh_sha256=hashlib.sha256(mesh).hexdigest(),
-            size=len(data),
-            triangles=sum(len(part.faces) for part in parts),
-            notes=notes,
+            mesh_sha256=hashlib.sha256(parsed).hexdigest(),
+            size=bundle.size,
+            triangles=triangles,
+            about=bundle.about,
+            used=report.used,
+            notes=report.dropped,
         )
         # The metadata is written last, so that every listed upload is complete.
-        self._files.write(sha256, data)
-        self._files.write(f"{sha256}.npz", mesh)
+        self._files.write(sha256, bundle.stored())
+        self._files.write(f"{sha256}.npz", parsed)
         self._files.write(f"{sha256}.json", record.model_dump_json().encode())
         return record
 
@@ -122,7 +151,14 @@ class Uploads:
             parts = load_parts(kept)
         if parts is None:
             raise JobFailure("asset-missing", f"the parsed mesh of the upload {upload.sha256} cannot be read any more")
-        return Mesh(parts=parts, sha256=upload.sha256, credit=None)
+        return Mesh(parts=parts, sha256=upload.sha256, credit=upload.about.credit)
+
+    def load_map(self, upload: Upload) -> EnvironmentMap:
+        """Returns an uploaded environment map. Raises JobFailure("asset-missing") if its file is missing or changed."""
+        name = f"{upload.sha256}.npz"
+        with np.load(BytesIO(self._read(name, upload.mesh_sha256 or "", upload)), allow_pickle=False) as arrays:
+            radiance = radiance_of(arrays["texels"])
+        return EnvironmentMap(f"sha256:{upload.sha256}", radiance, upload.sha256, upload.about.credit)
 
     def _parsed_again(self, upload: Upload) -> tuple[Part, ...]:
         """Parses an upload whose mesh was not kept, which scene-attack 0.1 read as PARSER 1 does."""

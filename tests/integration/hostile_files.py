@@ -116,7 +116,7 @@ TEXTS: dict[str, tuple[str, Callable[[], bytes]]] = {
     "OFF of 8 MB of comments": ("off", lambda: b"OFF\n" + b"#\n" * (4 * MILLION)),
 }
 
-KIND_NAMES = ("", "OBJ", "fbx", "gltf", "../obj", "obj\0", "zip", "stl_ascii", "x" * 100, "ply\r\nx: y", "dae", "пли")
+KIND_NAMES = ("", "OBJ", "fbx", "blend", "../obj", "obj\0", "zip", "stl_ascii", "x" * 100, "ply\r\nx: y", "usd", "пли")
 
 ODD: dict[str, tuple[str, bytes]] = {
     "an OBJ that names files": ("obj", b"mtllib /etc/passwd\nusemtl a\n" + BOXES["obj"]),

@@ -105,6 +105,10 @@ def test_a_deleted_mesh_is_refused_by_the_name_of_its_field(assets: OwnedAssets,
     with pytest.raises(InvalidRequest, match="any more") as error:
         Campaigns(engine).create(campaign_with(MESH), 1, "00", None, "alice")
     assert error.value.field == "grids.0.scenes.meshes.1"
+    lit = parse({"scene": {"objects": [{"mesh": "primitive/sphere"}], "lights": {"environment": {"map": MESH}}}})
+    with pytest.raises(InvalidRequest) as error:
+        Repository(engine).create(lit, 1000, None, lambda _: {}, owner="alice")
+    assert error.value.field == "scene.lights.environment.map"
     assert Repository(engine).page(None, 9, None) == []
     assert Campaigns(engine).page(None, 9, None) == []
 

@@ -82,3 +82,12 @@ def test_what_is_not_given_is_not_sent() -> None:
     sent = operations.submit({}, wait=2.0).arguments()
     assert sent["headers"] == {"Prefer": "wait=2"}
     assert "params" not in sent
+
+
+def test_a_mesh_is_sent_with_the_files_that_it_names(tmp_path: Path) -> None:
+    (tmp_path / "chair.obj").write_text("mtllib chair.mtl\n")
+    (tmp_path / "chair.mtl").write_text("newmtl a\n")
+    (tmp_path / "other.mtl").write_text("newmtl b\n")
+    sent = operations.add_asset(tmp_path / "chair.obj", name="Chair", up="z").arguments()
+    assert sent["files"] == [("file", ("chair.obj", b"mtllib chair.mtl\n")), ("file", ("chair.mtl", b"newmtl a\n"))]
+    assert sent["data"] == {"name": "Chair", "up": "z"}

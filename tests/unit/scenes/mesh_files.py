@@ -1,7 +1,10 @@
 """Mesh files of every kind, as bytes, and what reading them gives or refuses."""
 
+import base64
+import io
 import json
 import struct
+import zipfile
 
 import numpy as np
 import pytest
@@ -9,6 +12,7 @@ import trimesh
 
 from services.errors import InvalidRequest
 from services.scenes.reading import KINDS, read_mesh
+from services.scenes.reading_process import exported
 
 MAX_FACES = 300_000
 RIGHT_TRIANGLE = ["0", "0", "0", "1", "0", "0", "0", "1", "0"]
@@ -17,11 +21,26 @@ PLY_HEADER = (
     "element face {faces}\nproperty list {count} int vertex_indices\nend_header\n"
 )
 
+DAE_TRIANGLE = (
+    '<?xml version="1.0"?><COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">'
+    '<library_geometries><geometry id="g"><mesh><source id="p"><float_array id="a" count="9">{points}</float_array>'
+    '<technique_common><accessor source="#a" count="3" stride="3"><param name="X" type="float"/>'
+    '<param name="Y" type="float"/><param name="Z" type="float"/></accessor></technique_common></source>'
+    '<vertices id="v"><input semantic="POSITION" source="#p"/></vertices><triangles count="1">'
+    '<input semantic="VERTEX" source="#v" offset="0"/><p>0 1 2</p></triangles></mesh></geometry></library_geometries>'
+    '<library_visual_scenes><visual_scene id="w"><node id="n"><instance_geometry url="#g"/></node></visual_scene>'
+    '</library_visual_scenes><scene><instance_visual_scene url="#w"/></scene></COLLADA>'
+)
+MODEL_TRIANGLE = (
+    '<?xml version="1.0"?><model xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02"><resources>'
+    '<object id="1" type="model"><mesh><vertices>{vertices}</vertices><triangles><triangle v1="0" v2="1" v3="2"/>'
+    '</triangles></mesh></object></resources><build><item objectid="1"/></build></model>'
+)
+
 
 def box(kind):
     """A box of 1 x 2 x 3 as a file of `kind`."""
-    data = trimesh.creation.box((1, 2, 3)).export(file_type=kind)
-    return data.encode() if isinstance(data, str) else data
+    return exported(trimesh.creation.box((1, 2, 3)), kind)
 
 
 ASCII_STL = trimesh.creation.box((1, 2, 3)).export(file_type="stl_ascii").encode()
@@ -63,6 +82,14 @@ def triangle(kind, points):
         return f"OFF\n3 1 0\n{a}\n{b}\n{c}\n3 0 1 2\n".encode()
     if kind == "stl":
         return b"\0" * 80 + struct.pack("<I", 1) + struct.pack("<12fH", 0, 0, 1, *numbers, 0)
+    if kind == "dae":
+        return DAE_TRIANGLE.format(points=" ".join(points)).encode()
+    if kind == "3mf":
+        vertices = "".join(f'<vertex x="{points[k]}" y="{points[k + 1]}" z="{points[k + 2]}"/>' for k in (0, 3, 6))
+        buffer = io.BytesIO()
+        with zipfile.ZipFile(buffer, "w") as archive:
+            archive.writestr("3D/3dmodel.model", MODEL_TRIANGLE.format(vertices=vertices))
+        return buffer.getvalue()
     if kind == "ply":
         head = (
             "ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
@@ -79,7 +106,11 @@ def triangle(kind, points):
         "bufferViews": [{"buffer": 0, "byteLength": 36}],
         "buffers": [{"byteLength": 36}],
     }
-    return glb(tree, struct.pack("<9f", *numbers))
+    body = struct.pack("<9f", *numbers)
+    if kind == "gltf":
+        tree["buffers"][0]["uri"] = "data:application/octet-stream;base64," + base64.b64encode(body).decode()
+        return json.dumps(tree).encode()
+    return glb(tree, body)
 
 
 def assert_refused(data, kind, word, field="file", max_faces=MAX_FACES):

@@ -15,6 +15,7 @@ from services.scenes import reading_process
 from services.scenes.isolated_reading import IsolatedReader, reader
 from services.scenes.mesh import Part
 from services.scenes.part_arrays import pack, unpack
+from services.scenes.phrases import Report
 from services.scenes.reading import read_mesh
 from tests.unit.scenes.mesh_files import ASCII_PLY, BOXES, MAX_FACES
 from tests.unit.scenes.test_image_file import POSTSCRIPT, stored
@@ -73,8 +74,8 @@ def test_an_image_is_read_and_its_size_is_checked():
 
 def test_what_other_files_hold_is_said():
     ply = ASCII_PLY.replace(b"element vertex", b"comment TextureFile wood.png\nelement vertex", 1)
-    _, (note,) = reader().read_mesh(ply, "ply", MAX_FACES)
-    assert "wood.png" in note
+    _, said = reader().read_mesh(ply, "ply", MAX_FACES)
+    assert said == Report((), ("texture wood.png missing",))
 
 
 def test_no_child_is_left_and_files_are_read_at_the_same_time():
@@ -118,7 +119,7 @@ def test_a_file_that_needs_too_much_memory_is_refused(monkeypatch):
     monkeypatch.setattr(reading_process, "read_mesh", lambda *_: bytearray(2**40))
     ours, theirs = socket.socketpair()
     with ours, theirs:
-        ours.sendall(b'{"mesh": "obj", "max_faces": 1}\nv')
+        ours.sendall(b'{"mesh": "obj", "max_faces": 1, "files": [], "up": null}\nv')
         ours.shutdown(socket.SHUT_WR)
         reading_process.answer(theirs.fileno())
         assert b'"field": "file", "detail": "it needs more memory' in ours.recv(1000)
@@ -168,7 +169,7 @@ def test_a_child_over_its_time_is_killed(monkeypatch):
 
 def damaged(change):
     """A packed mesh after `change` has edited its arrays."""
-    arrays = load(pack(read_mesh(MODELS["two UV sets"](), "glb", MAX_FACES), ()))
+    arrays = load(pack(read_mesh(MODELS["two UV sets"](), "glb", MAX_FACES), Report()))
     change(arrays)
     return save(arrays)
 
@@ -213,7 +214,7 @@ LIES = {
 def test_what_is_packed_is_unpacked():
     parts = read_mesh(MODELS["two UV sets"](), "glb", MAX_FACES)
     found, notes = unpack(damaged(lambda _: None), MAX_FACES)
-    assert notes == ()
+    assert notes == Report()
     assert all(isinstance(one, Part) and same(one, other) for one, other in zip(found, parts, strict=True))
 
 
@@ -224,7 +225,7 @@ def test_an_answer_that_is_no_mesh_is_not_believed(lie):
 
 
 def test_an_answer_with_too_many_triangles_is_not_believed():
-    data = pack(read_mesh(BOXES["obj"], "obj", MAX_FACES), ())
+    data = pack(read_mesh(BOXES["obj"], "obj", MAX_FACES), Report())
     unpack(data, 12)
     with pytest.raises(ValueError, match="more than 11 triangles"):
         unpack(data, 11)
@@ -238,9 +239,9 @@ def test_bytes_that_are_no_arrays_are_not_believed(data):
 
 def test_a_texture_of_several_parts_is_sent_once():
     (part,) = read_mesh(MODELS["two UV sets"](), "glb", MAX_FACES)
-    one, three = len(pack((part,), ())), len(pack((part,) * 3, ()))
+    one, three = len(pack((part,), Report())), len(pack((part,) * 3, Report()))
     texels = sum(texture.texels.nbytes for texture in part.metallic_roughness.maps.values())
     assert three < 3 * one - texels
-    found, _ = unpack(pack((part,) * 3, ()), MAX_FACES)
+    found, _ = unpack(pack((part,) * 3, Report()), MAX_FACES)
     name = next(iter(part.metallic_roughness.maps))
     assert found[0].metallic_roughness.maps[name].texels is found[2].metallic_roughness.maps[name].texels

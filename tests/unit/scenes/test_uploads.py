@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from services.errors import InvalidRequest, JobFailure
-from services.scenes import uploads
+from services.scenes import bundle, uploads
 from services.scenes.library import Library
 from services.settings import Settings
 from tests.unit.scenes.mesh_files import ASCII_PLY, ASCII_STL, BOXES
@@ -41,6 +41,8 @@ def test_an_upload_is_stored_once_under_the_hash_of_kind_parser_and_bytes(tmp_pa
         "mesh_sha256": hashlib.sha256((assets / f"{digest}.npz").read_bytes()).hexdigest(),
         "size": len(BOXES["stl"]),
         "triangles": 12,
+        "about": {"title": None, "up": None, "licence": None, "credit": None},
+        "used": [],
         "notes": [],
     }
     assert library.mesh(first.name).sha256 == digest
@@ -63,14 +65,16 @@ def test_the_same_bytes_as_two_kinds_are_two_meshes(tmp_path):
 def test_a_later_parser_makes_other_names_and_leaves_the_meshes_of_old_ones(tmp_path, monkeypatch):
     library = Library(tmp_path / "cache", tmp_path / "data")
     first = library.add_mesh(BOXES["obj"], "obj")
-    monkeypatch.setattr(uploads, "PARSER", 2)
+    for module in (bundle, uploads):
+        monkeypatch.setattr(module, "PARSER", 2)
     for path in (tmp_path / "cache" / "meshes").glob("*.npz"):
         path.unlink()
     monkeypatch.setattr(uploads, "reader", lambda: pytest.fail("it was parsed again"))
     later = Library(tmp_path / "cache", tmp_path / "data")
     assert later.mesh(first.name).triangles == 12
     monkeypatch.undo()
-    monkeypatch.setattr(uploads, "PARSER", 2)
+    for module in (bundle, uploads):
+        monkeypatch.setattr(module, "PARSER", 2)
     second = later.add_mesh(BOXES["obj"], "obj")
     assert second.name != first.name
     assert {entry.name for entry in later.entries(category="upload")} == {first.name, second.name}
@@ -84,7 +88,8 @@ def test_the_names_of_old_uploads_go_on_meaning_their_meshes(tmp_path, monkeypat
     assert [entry.name for entry in library.entries(category="upload")] == sorted([name, new.name])
     assert library.mesh(name).sha256 == name.removeprefix("sha256:")
     assert np.array_equal(library.mesh(name).parts[0].vertices, library.mesh(new.name).parts[0].vertices)
-    monkeypatch.setattr(uploads, "PARSER", 2)
+    for module in (bundle, uploads):
+        monkeypatch.setattr(module, "PARSER", 2)
     for path in (tmp_path / "cache" / "meshes").glob("*.npz"):
         path.unlink()
     with pytest.raises(JobFailure, match=r"asset-missing.*upload its file again"):
@@ -94,16 +99,20 @@ def test_the_names_of_old_uploads_go_on_meaning_their_meshes(tmp_path, monkeypat
 @pytest.mark.parametrize(
     ("data", "kind", "named"),
     [
-        (b"# by hand\nmtllib my torus.mtl \r\n" + BOXES["obj"], "obj", ["my torus.mtl"]),
+        (b"# by hand\nmtllib my torus.mtl \r\n" + BOXES["obj"], "obj", ["material library my torus.mtl"]),
         (BOXES["obj"], "obj", []),
-        (ASCII_PLY.replace(b"element vertex", b"comment TextureFile wood.png\nelement vertex", 1), "ply", ["wood.png"]),
+        (
+            ASCII_PLY.replace(b"element vertex", b"comment TextureFile wood.png\nelement vertex", 1),
+            "ply",
+            ["texture wood.png"],
+        ),
         (BOXES["glb"], "glb", []),
     ],
 )
 def test_a_file_that_names_others_is_taken_and_said_to_lack_them(tmp_path, data, kind, named):
     library = Library(tmp_path / "cache", tmp_path / "data")
     entry = library.add_mesh(data, kind)
-    assert [note.split(",")[0] for note in entry.notes] == [f"Its materials and textures are in {one}" for one in named]
+    assert entry.notes == tuple(f"{what} missing" for what in named)
     assert library.entries(category="upload") == [entry]
 
 

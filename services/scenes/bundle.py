@@ -1,0 +1,151 @@
+"""A mesh file with the files that it was sent with: how they are named, and which of them is the mesh."""
+
+import hashlib
+import json
+import posixpath
+import re
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from io import BytesIO
+
+from services.errors import InvalidRequest
+from services.scenes.about import NOTHING_SAID, About
+
+MESH_KINDS = ("obj", "ply", "stl", "glb", "off", "gltf", "dae", "3mf")
+"""The kinds of mesh files, which are also the endings of their names."""
+MAP_KINDS = ("hdr", "exr")
+"""The kinds of environment maps."""
+_IMAGES = ("png", "jpg", "jpeg", "webp")
+_TEXTURES = (*_IMAGES, "bmp", "gif", "tga")
+BESIDE: Mapping[str, tuple[str, ...]] = {
+    "obj": ("mtl", *_TEXTURES),
+    "ply": _TEXTURES,
+    "dae": _TEXTURES,
+    "gltf": ("bin", *_IMAGES),
+    "glb": ("bin", *_IMAGES),
+}
+"""The endings of files that a mesh of a kind may name. The other kinds hold all that they need."""
+MAX_FILES = 500
+"""Files of one upload."""
+MAX_NAME = 255
+PARSER = 1
+"""Version of what reads uploads. Increase it with any change to the mesh that some file gives."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bundle:
+    """A mesh file of a kind, and the files that it may name, each by its path relative to the mesh's folder.
+
+    about: what its sender says of it.
+    """
+
+    kind: str
+    data: bytes
+    others: Mapping[str, bytes]
+    about: About = NOTHING_SAID
+
+    @property
+    def size(self) -> int:
+        """Bytes of all files."""
+        return len(self.data) + sum(map(len, self.others.values()))
+
+    @cached_property
+    def sha256(self) -> str:
+        """The upload's name, 64 hexadecimal digits: a hash of the kind, the parser, what is said of it, and all names
+        and bytes."""
+        digest = hashlib.sha256(f"{self.kind} {PARSER}{self.about.digest_part()}\n".encode())
+        if self.others:
+            digest.update(f"{len(self.others)} files beside {len(self.data)} bytes\n".encode())
+        digest.update(self.data)
+        for name, data in sorted(self.others.items()):
+            digest.update(f"\n{json.dumps(name)} {len(data)}\n".encode())
+            digest.update(data)
+        return digest.hexdigest()
+
+    def stored(self) -> bytes:
+        """The bytes that are kept: the mesh file itself, or a zip file of it and the others, always the same."""
+        if not self.others:
+            return self.data
+        above = max(name.split("/").count("..") for name in self.others)
+        folder = "mesh/" * above  # deep enough that no path leaves the archive
+        buffer = BytesIO()
+        with zipfile.ZipFile(buffer, "w") as archive:
+            for name, data in ((f"mesh.{self.kind}", self.data), *sorted(self.others.items())):
+                archive.writestr(zipfile.ZipInfo(posixpath.normpath(folder + name)), data)
+        return buffer.getvalue()
+
+
+def bundle_of(
+    files: Mapping[str, bytes], kind: str | None = None, mesh: str | None = None, about: About = NOTHING_SAID
+) -> Bundle:
+    """Returns the bundle of files by name (`clean_name`). `mesh` names the mesh among several, `kind` its format.
+
+    Raises InvalidRequest("mesh", …) if there are several meshes and none is named, or the named one is not there, and
+    InvalidRequest("file" or "kind", …) if there is none.
+    """
+    if kind is not None and kind not in (*MESH_KINDS, *MAP_KINDS):
+        raise InvalidRequest("kind", f"{kind!r} is not read; one of {', '.join((*MESH_KINDS, *MAP_KINDS))} is")
+    if kind is None and len(files) == 1 and _ending(only := next(iter(files))) in MAP_KINDS:
+        return Bundle(_ending(only), files[only], {}, about)
+    main = _main(list(files), kind, mesh)
+    folder = posixpath.dirname(main)
+    form = kind or _ending(main)
+    wanted = BESIDE.get(form, ())
+    others = {
+        posixpath.relpath(name, folder or "."): data
+        for name, data in files.items()
+        if name != main and _ending(name) in wanted
+    }
+    return Bundle(form, files[main], others, about)
+
+
+def clean_name(name: str) -> str:
+    """Returns a file's name as a relative path with forward slashes.
+
+    Raises InvalidRequest("file", …) for a name that points outside, is no text, or is too long.
+    """
+    path = name.replace("\\", "/")
+    if not path.isprintable() or not path.strip("/. ") or len(path) > MAX_NAME:
+        raise InvalidRequest("file", f"{name[:60]!r} is no name of a file: it is empty, too long or no text")
+    if path.startswith("/") or re.match(r"[A-Za-z]:", path) or ".." in path.split("/"):
+        raise InvalidRequest("file", f"{name!r} points outside; the names of files are relative and without `..`")
+    return posixpath.normpath(path)
+
+
+def _main(names: Sequence[str], kind: str | None, mesh: str | None) -> str:
+    meshes = [name for name in names if _ending(name) in ((kind,) if kind else MESH_KINDS)]
+    if mesh is not None:
+        wanted = mesh.replace("\\", "/")
+        found = [name for name in names if name == wanted] or [
+            name for name in names if posixpath.basename(name) == wanted
+        ]
+        if len(found) == 1 and (kind or found[0] in meshes):
+            return found[0]
+        if len(found) > 1:
+            raise InvalidRequest("mesh", f"there are {_listed(found)}; say which by its whole path")
+        raise InvalidRequest("mesh", f"there is no mesh {mesh!r} among the files{_there_are(meshes)}")
+    if not meshes:
+        endings = ", ".join(f".{one}" for one in ((kind,) if kind else MESH_KINDS))
+        if len(names) == 1:
+            raise InvalidRequest("kind", f"the name {names[0]!r} does not say it; a mesh ends in {endings}")
+        raise InvalidRequest("file", f"there is no mesh among the {len(names):,} files; a mesh ends in {endings}")
+    if len(meshes) > 1:
+        raise InvalidRequest(
+            "mesh", f"there are {len(meshes)} meshes, {_listed(meshes)}: name one in the field `mesh` (--mesh)"
+        )
+    return meshes[0]
+
+
+def _listed(names: Sequence[str]) -> str:
+    shown = ", ".join(repr(name) for name in names[:5])
+    return shown if len(names) <= 5 else f"{shown} and {len(names) - 5} more"
+
+
+def _there_are(meshes: Sequence[str]) -> str:
+    return f"; the meshes are {_listed(meshes)}" if meshes else ""
+
+
+def _ending(name: str) -> str:
+    return posixpath.splitext(name)[1].lower().removeprefix(".")

@@ -1,0 +1,80 @@
+"""Says what of an uploaded mesh and its files is shown, and what is not, in short phrases for people."""
+
+import re
+from collections.abc import Sequence
+
+from services.scenes.archive import unpack_archive
+from services.scenes.beside import Beside
+from services.scenes.claims import MAX_3MF
+from services.scenes.gltf_file import GltfFile
+from services.scenes.mesh import Part
+from services.scenes.phrases import Report, shortened
+from services.scenes.references import texture_name
+from services.scenes.wavefront import read_opacity
+
+_3MF = {b"<basematerials": "materials", b":colorgroup": "colours", b":texture2d": "textures"}
+"""What a model in a 3mf file may have, and the parser passes over."""
+_NOT_DRAWN = {"animations": "animations", "skins": "skins", "cameras": "cameras"}
+
+
+def report(data: bytes, kind: str, beside: Beside, parts: Sequence[Part]) -> Report:
+    """Returns what became of what a mesh file holds and names. `parts` are those that were read from it."""
+    used, dropped = _files(beside, any(part.textured for part in parts))
+    if kind == "obj" and re.search(rb"(?m)^[ \t]*v(?:[ \t]+[-+.\deE]+){6}", data):
+        hidden = beside.libraries() or re.search(rb"(?m)^[ \t]*f[ \t]+-?\d+/-?\d", data)
+        (dropped if hidden else used).append("vertex colours")
+    if kind == "off" and data.startswith(b"COFF"):
+        dropped.append("vertex colours")
+    if kind == "ply" and re.search(rb"(?m)^property \w+ red\b", data[: data.find(b"end_header")]):
+        (dropped if any(one.startswith("texture ") for one in used) else used).append("vertex colours")
+    if kind in ("glb", "gltf"):
+        more, less = _gltf(data, parts)
+        used, dropped = used + more, dropped + less
+    if kind == "dae" and b'semantic="COLOR"' in data:
+        (dropped if b"<instance_material" in data else used).append("vertex colours")
+    if kind == "3mf":
+        models = b"".join(one for name, one in unpack_archive(data, MAX_3MF).items() if name.lower().endswith(".model"))
+        dropped += [word for mark, word in _3MF.items() if mark in models]
+    return Report(shortened(used), shortened(dropped))
+
+
+def _files(beside: Beside, textured: bool) -> tuple[list[str], list[str]]:
+    used: list[str] = []
+    dropped: list[str] = []
+    found: set[str | None] = set()
+    for one in beside.named:
+        path = beside.find(one.name)
+        said = f"{one.what} {path or one.name}"
+        found.add(path)
+        if path is None:
+            dropped.append(f"{said} missing")
+        elif not one.is_shown:
+            dropped.append(f"{said} not used")
+        elif one.what == "texture" and not textured:
+            dropped.append(f"{said} not used: the mesh has no texture coordinates")
+        else:
+            used.append(said)
+    for options in re.findall(r"(?mi)^\s*map_Kd\s+(-\S.*)$", beside.libraries()):
+        words, name = texture_name(options)
+        dropped.append(f"options {words} of the texture {name}")
+    dropped += [
+        f"opacity 0 of the material {name}" for name, value in read_opacity(beside.libraries()).items() if not value
+    ]
+    dropped += [f"{path} not used: the mesh does not name it" for path in beside.paths if path not in found]
+    return used, dropped
+
+
+def _gltf(data: bytes, parts: Sequence[Part]) -> tuple[list[str], list[str]]:
+    materials = [part.metallic_roughness for part in parts if part.metallic_roughness is not None]
+    names = dict.fromkeys(name for material in materials for name in material.maps)
+    used = [f"{name.replace('_', ' ')} map" for name in names]
+    if any((material.vertex_colors != 1).any() for material in materials):
+        used.append("vertex colours")
+    file = GltfFile(data.removeprefix(b"\xef\xbb\xbf"))
+    tree = file.tree
+    dropped = [word for key, word in _NOT_DRAWN.items() if tree.get(key)]
+    if any(primitive.get("targets") for mesh in tree.get("meshes", []) for primitive in mesh.get("primitives", [])):
+        dropped.append("morph targets")
+    read = ("KHR_mesh_quantization", "EXT_texture_webp")
+    dropped += [f"extension {name}" for name in file.array("extensionsUsed") if name not in read]
+    return used, dropped

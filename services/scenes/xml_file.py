@@ -1,0 +1,65 @@
+"""What an XML file that is not trusted may not have, and the names in it, found without parsing it."""
+
+import re
+
+from services.scenes.named import Named
+
+_ENCODINGS = (b"utf-8", b"us-ascii", b"ascii", b"iso-8859-1", b"windows-1252")
+_SLOTS = {
+    "diffuse": "texture",
+    "emission": "emission map",
+    "ambient": "ambient map",
+    "specular": "specular map",
+    "reflective": "reflection map",
+    "transparent": "opacity map",
+    "bump": "bump map",
+    "normal": "normal map",
+}
+"""What an image is to an effect of COLLADA that has it in a slot. Only the first is shown."""
+
+_IMAGE = re.compile(
+    r"<image\b[^>]*?\bid=\"([^\"]+)\"[^>]*>(?:(?!</image>).)*?<init_from>\s*(?:<ref>)?\s*([^<]+?)\s*<", re.DOTALL
+)
+_PARAM = re.compile(
+    r"<newparam\b[^>]*?\bsid=\"([^\"]+)\"[^>]*>(?:(?!</newparam>).)*?"
+    r"<(?:source|init_from|instance_image\s+url=\"#)>?\s*([^<\"]+?)\s*[<\"]",
+    re.DOTALL,
+)
+
+
+def check_xml(data: bytes) -> None:
+    """Raises ValueError for a document type, which is where entities are declared, or an unusual encoding.
+
+    Entities can name files and addresses, and a few of them stand for gigabytes; another encoding would hide them.
+    """
+    if b"\0" in data or data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        raise ValueError("its text is not UTF-8")
+    declared = re.match(rb"[\xef\xbb\xbf\s]*<\?xml[^>]*?encoding\s*=\s*[\"']([^\"']*)", data)
+    if declared and declared[1].lower() not in _ENCODINGS:
+        raise ValueError(f"its encoding is {declared[1][:40].decode('latin-1')!r}; UTF-8 is read")
+    if re.search(rb"<!\s*(?:DOCTYPE|ENTITY)", data, re.IGNORECASE):
+        raise ValueError("it declares a document type or entities, which are not read")
+
+
+def collada_images(data: bytes) -> list[Named]:
+    """Returns the image files that a COLLADA file names: those that effects use, and then the others."""
+    text = data.decode("utf-8", "replace")
+    files = {one[1]: _unescaped(one[2]) for one in _IMAGE.finditer(text)}
+    found = []
+    for effect in re.findall(r"<effect\b.*?</effect>", text, re.DOTALL):
+        params = {one[1]: one[2] for one in _PARAM.finditer(effect)}
+        for slot, what in _SLOTS.items():
+            for used in re.findall(rf"<{slot}\b[^>]*>\s*<texture\b[^>]*?\btexture=\"([^\"]+)\"", effect):
+                image = used
+                for _ in range(3):
+                    image = params.get(image, image)
+                if image in files:
+                    found.append(Named(files[image], what))
+    named = {one.name for one in found}
+    return [*found, *(Named(name, "image") for name in files.values() if name not in named)]
+
+
+def _unescaped(text: str) -> str:
+    for written, meant in (("&lt;", "<"), ("&gt;", ">"), ("&quot;", '"'), ("&apos;", "'"), ("&amp;", "&")):
+        text = text.replace(written, meant)
+    return text.removeprefix("file:///").removeprefix("file://")

@@ -1,0 +1,83 @@
+"""Meshes that come with other files: their names, which of them is the mesh, and the hash of all."""
+
+import io
+import zipfile
+
+import pytest
+
+from services.errors import InvalidRequest
+from services.scenes.bundle import Bundle, bundle_of, clean_name
+from tests.unit.scenes.mesh_files import BOXES
+
+OBJ = BOXES["obj"]
+
+
+@pytest.mark.parametrize(
+    ("name", "clean"), [("a.obj", "a.obj"), ("m\\tex\\a.png", "m/tex/a.png"), ("./m//a b.mtl", "m/a b.mtl")]
+)
+def test_a_name_is_a_relative_path(name, clean):
+    assert clean_name(name) == clean
+
+
+@pytest.mark.parametrize(
+    "name", ["", ".", "../a.obj", "m/../../a.obj", "/etc/passwd", "C:\\a.obj", "a\0b", "a\nb", "x" * 256, "\\\\host\\a"]
+)
+def test_a_name_that_points_outside_or_is_none_is_refused(name):
+    with pytest.raises(InvalidRequest) as error:
+        clean_name(name)
+    assert error.value.field == "file"
+    assert name == "" or repr(name[:5])[1:-1] in error.value.detail
+
+
+def test_the_only_mesh_is_the_mesh_and_its_files_are_named_from_its_folder():
+    files = {"m/a.obj": OBJ, "m/a.mtl": b"newmtl x", "tex/w.png": b"png", "m/readme.txt": b"hello"}
+    bundle = bundle_of(files)
+    assert (bundle.kind, bundle.data) == ("obj", OBJ)
+    assert bundle.others == {"a.mtl": b"newmtl x", "../tex/w.png": b"png"}
+    assert bundle.size == len(OBJ) + 8 + 3
+
+
+def test_of_several_meshes_one_must_be_named():
+    files = {"a.obj": OBJ, "b/c.glb": BOXES["glb"]}
+    with pytest.raises(InvalidRequest, match=r"mesh: there are 2 meshes, 'a.obj', 'b/c.glb': name one .*--mesh"):
+        bundle_of(files)
+    assert bundle_of(files, mesh="c.glb").kind == "glb"
+    assert bundle_of(files, mesh="b/c.glb").kind == "glb"
+    assert bundle_of(files, kind="obj").data == OBJ
+    with pytest.raises(InvalidRequest, match=r"mesh: there is no mesh 'd.obj' among the files; the meshes are 'a.obj'"):
+        bundle_of(files, mesh="d.obj")
+    with pytest.raises(InvalidRequest, match="whole path"):
+        bundle_of({"x/a.obj": OBJ, "y/a.obj": OBJ}, mesh="a.obj")
+
+
+def test_files_without_a_mesh_are_refused():
+    with pytest.raises(InvalidRequest, match=r"file: there is no mesh among the 2 files; a mesh ends in .obj, "):
+        bundle_of({"a.png": b"", "b.mtl": b""})
+    with pytest.raises(InvalidRequest, match="kind: the name 'mesh'"):
+        bundle_of({"mesh": b""})
+    with pytest.raises(InvalidRequest, match="kind: 'fbx' is not read; one of obj"):
+        bundle_of({"a.fbx": b""}, kind="fbx")
+
+
+def test_the_hash_covers_kind_names_and_bytes_of_all_files():
+    files = {"a.mtl": b"1", "b.png": b"2"}
+    known = Bundle("obj", OBJ, files).sha256
+    for other in (
+        Bundle("obj", OBJ, {}),
+        Bundle("ply", OBJ, files),
+        Bundle("obj", OBJ + b"\n", files),
+        Bundle("obj", OBJ, {"a.mtl": b"1", "b.png": b"3"}),
+        Bundle("obj", OBJ, {"a.mtl": b"1", "c.png": b"2"}),
+        Bundle("obj", OBJ, {"a.mtl": b'1\n"b.png" 1\n2'}),
+    ):
+        assert other.sha256 != known
+    assert Bundle("obj", OBJ, {"b.png": b"2", "a.mtl": b"1"}).sha256 == known
+
+
+def test_what_is_kept_holds_every_byte_and_is_always_the_same():
+    bundle = Bundle("obj", OBJ, {"b.png": b"2", "../a.mtl": b"1"})
+    assert bundle.stored() == Bundle("obj", OBJ, {"../a.mtl": b"1", "b.png": b"2"}).stored()
+    with zipfile.ZipFile(io.BytesIO(bundle.stored())) as archive:
+        assert [archive.read(name) for name in archive.namelist()] == [OBJ, b"1", b"2"]
+        assert archive.namelist() == ["mesh/mesh.obj", "a.mtl", "mesh/b.png"]
+    assert Bundle("obj", OBJ, {}).stored() == OBJ
