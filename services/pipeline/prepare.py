@@ -17,6 +17,7 @@ from services.pipeline.expectations import check_range, moving_groups, with_cost
 from services.pipeline.extensions import ATTACKS
 from services.pipeline.job_plan import JobPlan
 from services.pipeline.questions import AskedQuestion, asked_questions, check_scene, goal_of
+from services.pipeline.recall import recall
 from services.pipeline.scene_limits import SceneLimits, limits_of
 from services.pipeline.spec import JobSpec
 from services.pipeline.surrogates import check_surrogate, surrogate
@@ -166,7 +167,7 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
         spec.attack.epsilon,
     )
     verifier = Verifier(renderer, target, spec.target.asked)
-    exact = verifier.render({})
+    exact = _exact_image(spec, scene, verifier)
     original = to_bytes(exact).cpu()
     logits = verifier.logits(original)
     table = goals.table_truth((thing.mesh for thing in spec.scene.objects), card, labels)
@@ -195,6 +196,15 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
     )
 
 
+def _exact_image(spec: JobSpec, scene: ResolvedScene, verifier: Verifier) -> Tensor:
+    """The exact image of the scene. It counts as rendered also if it was recalled: a result is the same either way."""
+    attack, renders = spec.attack, verifier.renders
+    drawn_by = attack.renderer, attack.base_renderer, tuple(moving_groups(attack)), spec.tolerance
+    image = scene.once(("exact image", *drawn_by), lambda: verifier.render({}))
+    verifier.renders = renders + 1
+    return image
+
+
 def resolved_scene(spec: JobSpec, library: Library) -> ResolvedScene:
     """The scene of a spec with its assets. Raises InvalidRequest for an unknown material, and as `resolve` does."""
     for index, thing in enumerate(spec.scene.objects):
@@ -202,12 +212,17 @@ def resolved_scene(spec: JobSpec, library: Library) -> ResolvedScene:
     if spec.scene.floor is not None:
         preset(spec.scene.floor.material, "scene.floor.material")
     scene = resolve(spec.scene, library)
-    return scene if spec.scene.lights.environment.size != "auto" else _with_chosen_map(spec, scene, library)
+    if spec.scene.lights.environment.size == "auto":
+        recall(scene)  # the size that is chosen for it is measured
+        scene = _with_chosen_map(spec, scene, library)
+    return recall(scene)
 
 
 def _with_chosen_map(spec: JobSpec, scene: ResolvedScene, library: Library) -> ResolvedScene:
     """The scene with the smallest map that the job's tolerance allows, or the default size if no renderer uses one."""
-    size = smallest_map(scene, spec.tolerance) if lit_by_map(spec) else Environment().size
+    size = Environment().size
+    if lit_by_map(spec):
+        size = scene.once(("smallest map", spec.tolerance), lambda: smallest_map(scene, spec.tolerance))
     lights = spec.scene.lights
     chosen = lights.model_copy(update={"environment": lights.environment.model_copy(update={"size": size})})
     return resolve(spec.scene.model_copy(update={"lights": chosen}), library)

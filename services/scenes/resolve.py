@@ -2,11 +2,11 @@
 
 import hashlib
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from math import sin
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from pydantic import BaseModel
@@ -21,6 +21,7 @@ from services.scenes.mesh import FIT_RADIUS, Doubles, Floats, Mesh
 from services.scenes.metallic_roughness import with_surface
 from services.scenes.view import camera_to_world, model_matrix, projection, visible_area
 
+T = TypeVar("T")
 VISIBLE = 1.0
 """Smallest area of an object's triangles in the frame, pixels, hidden ones included, for it to count as visible."""
 
@@ -66,6 +67,15 @@ class ResolvedScene:
     map_credit: str | None
     sha256: str
     source_map: Floats | None = None
+    measured: dict[Hashable, Any] = field(init=False, repr=False, default_factory=dict)
+    """What `once` found. A changed copy of the scene begins without."""
+
+    def once(self, what: Hashable, measure: Callable[[], T]) -> T:
+        """What `measure` returns, measured once for this scene. `what` names it and all else that it depends on."""
+        if what not in self.measured:
+            self.measured[what] = measure()
+        found: T = self.measured[what]
+        return found
 
     @cached_property
     def placed(self) -> tuple[PlacedMesh, ...]:

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
-from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -90,12 +89,17 @@ class PyrenderRenderer(DeclaredRenderer):
         self._rasterised: Rasterised | None = None
         self._rasterises = False
         self._sampled: ImageError | None = None
-        self._watertight = self._is_watertight_at_start()
+        self._once = scene.once
+        self._watertight = scene.once("backfaces show nowhere", self._is_watertight_at_start)
         self._twin: PyrenderRenderer = self
         if tolerance != "exact":
             self._twin = copy(self)
             self._twin._twin, self._tolerance = self._twin, tolerance
-            self._rasterised = self._try_rasteriser(self._attacked, tolerance)
+            what = "rasterised", self._attacked, tolerance
+            self._rasterised = scene.once(what, lambda: self._try_rasteriser(self._attacked, tolerance))
+            self._rasterises = self._rasterised.refusal is None
+            if self._rasterises and any(piece.texture is not None for piece in self.drawing.pieces):
+                self._twin.render({})  # uploads the textures, whose mipmaps the rasteriser takes
 
     @classmethod
     def build(cls, request: BuildRequest) -> "PyrenderRenderer":
@@ -105,9 +109,12 @@ class PyrenderRenderer(DeclaredRenderer):
         gbuffer.check_in_view(request.scene)
         return cls(request.scene, request.groups, request.tolerance)
 
-    @cached_property
+    @property
     def plan(self) -> Plan:
         """The plan, compiled when first asked for: to state the error of shadows, finer ones are drawn."""
+        return self._once(("plan", self._attacked, self._tolerance), self._compiled_plan)
+
+    def _compiled_plan(self) -> Plan:
         plan = compile_plan(
             self,
             self.drawing,
@@ -136,7 +143,7 @@ class PyrenderRenderer(DeclaredRenderer):
             why = "nothing is in the image at the start, so that its error cannot be measured"
         if why is not None:
             return Rasterised(refusal=why)
-        self._twin.render({})  # uploads the textures, whose mipmaps the rasteriser takes
+        self._twin.render({})  # uploads the textures, as above
         [drawn] = self._by_rasteriser([start])
         if drawn is None:
             return Rasterised(refusal="a face reaches to the camera or far beyond the frame, or is seen from its edge")

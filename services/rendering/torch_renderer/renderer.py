@@ -36,7 +36,7 @@ from services.rendering.torch_renderer.plan_items import ignored_items, surface_
 from services.rendering.torch_renderer.planner import compile_plan
 from services.rendering.torch_renderer.presets import preset
 from services.rendering.torch_renderer.regions import regions
-from services.rendering.torch_renderer.shader import Shader, Sky, Surface
+from services.rendering.torch_renderer.shader import Recipe, Shader, Sky, Surface
 from services.rendering.torch_renderer.shading import Directions
 from services.rendering.torch_renderer.units import MATERIAL_UNIT
 from services.rendering.torch_renderer.visibility import visibility
@@ -62,12 +62,12 @@ class TorchRenderer(DeclaredRenderer):
     def __init__(
         self,
         scene: ResolvedScene,
-        gbuffer: GBuffer,
+        gbuffer: GBuffer | None = None,
         groups: Sequence[str] = TORCH.default_groups,
         tolerance: Tolerance = DEFAULT_TOLERANCE,
         seen: Tensor | None = None,
     ) -> None:
-        """Plans the rendering of `scene`, rasterised in `gbuffer`, for attacks on `groups`.
+        """Plans the rendering of `scene` for attacks on `groups`. `gbuffer`: None rasterises it here.
 
         Only these groups may then be rendered with other values than the scene's own, unless `tolerance` is "exact".
         "exact" computes in float64 throughout; with a number images are float32. `seen` is the visibility of a renderer
@@ -79,6 +79,8 @@ class TorchRenderer(DeclaredRenderer):
         self._attacked, self._dtype, self._device = tuple(groups), dtype, device()
         where = describe(self._device)
         shaded_by = compiled.backend() if self._device.type == "cpu" else "torch"
+        is_own = gbuffer is None
+        gbuffer = rasterise(scene) if gbuffer is None else gbuffer
         height, width = gbuffer.coverage.shape
         self.size = (height, width)
         self.backend = (
@@ -153,9 +155,13 @@ class TorchRenderer(DeclaredRenderer):
         ]
         intensity = rounded["illumination"].flatten()
         items = [*ignored_items(scene), *surface_items(visible)]
-        recipes, plan = compile_plan(
-            surfaces, sky, intensity, groups, tolerance, self.size, items, self._canvas.n_pixels
-        )
+
+        def compiled_plan() -> tuple[list[Recipe], Plan]:
+            n_pixels = self._canvas.n_pixels
+            return compile_plan(surfaces, sky, intensity, groups, tolerance, self.size, items, n_pixels)
+
+        what = "recipes", self._attacked, tolerance
+        recipes, plan = scene.once(what, compiled_plan) if is_own else compiled_plan()
         self.shaders = [
             Shader(recipe, sky, surface, intensity) for recipe, surface in zip(recipes, surfaces, strict=True)
         ]
@@ -166,12 +172,13 @@ class TorchRenderer(DeclaredRenderer):
     @classmethod
     def build(cls, request: BuildRequest) -> "TorchRenderer":
         """Rasterises the request's scene and makes its renderer."""
-        return cls(request.scene, rasterise(request.scene), request.groups, request.tolerance)
+        return cls(request.scene, None, request.groups, request.tolerance)
 
     @cached_property
     def plan(self) -> Plan:
         """The plan. The error of the map's size is measured when it is first asked for: who only draws never asks."""
-        return self._plan.model_copy(update={"environment_map_error": self._map_error()})
+        error = self._made_of[0].once("error of the map's size", self._map_error)
+        return self._plan.model_copy(update={"environment_map_error": error})
 
     def initial(self) -> Parameters:
         """Returns the scene's own values, {group: tensor}, in the renderer's dtype, rounded to float32."""
