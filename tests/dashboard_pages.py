@@ -5,6 +5,7 @@ import re
 PAGES: dict[str, str] = {
     "/": "/",
     "/jobs/{job_id}": "/jobs/{job_id}",
+    "/new": "/new",
     "/campaigns": "/campaigns",
     "/campaigns/{campaign_id}": "/campaigns/{campaign_id}",
     "/assets": "/assets",
@@ -19,5 +20,5 @@ PAGES: dict[str, str] = {
 """
 ELSEWHERE: dict[str, str] = {"nothing": "/nothing"}
 """Pages that no route has: name and address."""
-NO_PAGES = re.compile(r"/(v1|parts|static|healthz|readyz|metrics|assets/pictures|openapi\.json)(/|$)")
+NO_PAGES = re.compile(r"/(v1|parts|static|new/choices\.json|healthz|readyz|metrics|assets/pictures|openapi\.json)(/|$)")
 """The beginnings of paths that answer programs, or scripts of pages."""

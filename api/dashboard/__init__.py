@@ -2,12 +2,13 @@
 
 from fastapi import APIRouter
 
-from api.dashboard import accuracy, assets, campaigns, reference, routes, sign_in, targets
+from api.dashboard import accuracy, assets, campaigns, new_job, reference, routes, sign_in, targets
 
 __all__ = ["router"]
 
 router = APIRouter()
 router.include_router(routes.router)
+router.include_router(new_job.router)
 router.include_router(campaigns.router)
 router.include_router(assets.router)
 router.include_router(targets.router)

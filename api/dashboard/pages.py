@@ -39,6 +39,7 @@ def _static(folder: Traversable, before: str = "") -> Iterator[tuple[str, bytes]
 
 AREAS = (
     ("jobs", "/", "Jobs"),
+    ("new", "/new", "New job"),
     ("campaigns", "/campaigns", "Campaigns"),
     ("assets", "/assets", "Assets"),
     ("targets", "/targets", "Targets"),

@@ -106,6 +106,7 @@ def serving(data: Path, **environ: str) -> Iterator[Stack]:
         "SCENE_ATTACK_THREADS": "1",
         "SCENE_ATTACK_CHECK_WAIT_SECONDS": "60",
         "SCENE_ATTACK_CHECK_SECONDS": "120",
+        "SCENE_ATTACK_PREVIEW_SECONDS": "120",
         **environ,
     }
     with (

@@ -51,6 +51,7 @@ def app(redis_url: str, tmp_path_factory: pytest.TempPathFactory) -> FastAPI:
         max_faces=5000,
         check_wait_seconds=60,
         check_seconds=120,
+        preview_seconds=120,
     )
     return create_app(settings)
 

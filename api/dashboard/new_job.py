@@ -1,0 +1,145 @@
+"""The page "New job": a form beside a live preview. Without its script it is a form with the request as JSON."""
+
+import json
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib.resources import files
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Form, Query, Request, Response
+from fastapi.responses import RedirectResponse
+from pydantic import ValidationError
+from starlette.concurrency import run_in_threadpool
+
+from api.authentication import CallerDependency
+from api.dashboard.pages import HEADERS, html
+from api.routes import jobs
+from api.state import Services, ServicesDependency, no_such
+from services.access.caller import Caller
+from services.errors import InvalidRequest
+from services.jobs.placement import Demand, Priority
+from services.pipeline.extensions import ATTACKS, RENDERERS
+from services.pipeline.spec import JobSpec, problems
+from services.strict import MOST_NESTED, is_nested_deeper
+from services.targets.info import available
+
+FIRST = ("furniture/grand-piano", "furniture/soccer-ball", "primitive/sphere")
+"""Meshes of the first scene: the first one that is installed."""
+
+router = APIRouter(include_in_schema=False)
+
+
+@router.get("/new")
+async def page(
+    services: ServicesDependency,
+    caller: CallerDependency,
+    origin: Annotated[str | None, Query(alias="from", max_length=100, description="id of a job to clone")] = None,
+    mesh: Annotated[str | None, Query(max_length=200, description="mesh of the first scene")] = None,
+) -> Response:
+    """The form, filled with a small request, that of another job (`from`), or one of a mesh (`mesh`)."""
+    services.previewer.start()  # so that it is warm when the script asks
+    return await run_in_threadpool(_form, services, caller, origin, mesh)
+
+
+def _form(services: Services, caller: Caller, origin: str | None, mesh: str | None) -> Response:
+    if origin is not None:
+        job = caller.visible(services.repository.get(origin))
+        if job is None:
+            raise no_such("job")
+        return _page(caller, _written(job.spec), origin=origin)
+    return _page(caller, _written(_first(services, caller, mesh)))
+
+
+@router.post("/new")
+async def submit(
+    services: ServicesDependency, caller: CallerDependency, request: Request, spec: Annotated[str, Form()] = ""
+) -> Response:
+    """Queues the job whose JSON the form has, and goes to its page. Errors are shown with the form."""
+    try:
+        parsed = await run_in_threadpool(_parsed, spec)
+        priority = Demand(Priority.NORMAL)
+        body = await jobs.submit(parsed, services, caller, request, Response(), None, priority, None)
+    except Refused as refused:
+        return _page(caller, spec, refused.errors, 422)
+    except InvalidRequest as error:
+        return _page(caller, spec, [error], 422)
+    return RedirectResponse(f"/jobs/{body['id']}", 303, HEADERS)
+
+
+@router.get("/new/choices.json")
+def choices(services: ServicesDependency, caller: CallerDependency) -> Any:
+    """What the form is made from: the schema of a request, and the names that its fields may have."""
+    meshes = services.library.entries(may_see=services.assets.visible(caller))
+    return {
+        "schema": _schema(),
+        "meshes": [[one.name, one.title] for one in meshes],
+        "environments": [[one.name, one.title] for one in services.library.environments()] + [["lights", "own lights"]],
+        "targets": [[one.name, one.title] for one in available()],
+        "materials": [[name, ""] for name in _materials()],
+        "methods": list(ATTACKS),
+        "renderers": {
+            name: {
+                "groups": [[one.name, one.words, one.by_default] for one in declared.groups],
+                "method": declared.method,
+            }
+            for name, declared in RENDERERS.items()
+        },
+    }
+
+
+class Refused(Exception):
+    """A request that cannot be read."""
+
+    def __init__(self, errors: Sequence[InvalidRequest]) -> None:
+        super().__init__()
+        self.errors = errors
+
+
+def _parsed(text: str) -> JobSpec:
+    """The request that a text is. Raises Refused with every wrong field."""
+    try:
+        data = json.loads(text)
+        deep = is_nested_deeper(data)
+    except ValueError as error:
+        raise Refused([InvalidRequest("body", f"it is not JSON: {error}")]) from error
+    except RecursionError:
+        deep = True
+    if deep:
+        raise Refused([InvalidRequest("body", f"it is nested deeper than {MOST_NESTED} lists and objects")])
+    try:
+        return JobSpec.model_validate(data)
+    except ValidationError as error:
+        raise Refused(problems(error)) from error
+
+
+def _page(
+    caller: Caller, spec: str, errors: Sequence[InvalidRequest] = (), status: int = 200, origin: str | None = None
+) -> Response:
+    return html("new.html", status, caller, spec=spec, errors=errors, origin=origin)
+
+
+def _written(spec: Mapping[str, Any]) -> str:
+    return json.dumps(spec, indent=1, ensure_ascii=False)
+
+
+def _first(services: Services, caller: Caller, mesh: str | None) -> dict[str, Any]:
+    for name in FIRST if mesh is None else ():
+        try:
+            services.library.check_mesh(name, services.assets.visible(caller))
+        except InvalidRequest:
+            continue
+        mesh = name
+        break
+    return {"scene": {"objects": [{"mesh": mesh}]}, "attack": {"renderer": "torch"}}
+
+
+@cache
+def _schema() -> dict[str, Any]:
+    return JobSpec.model_json_schema()
+
+
+@cache
+def _materials() -> tuple[str, ...]:
+    # The renderer's own module would import torch.
+    text = files("services.rendering").joinpath("torch_renderer", "presets.json").read_text("utf-8")
+    return tuple(json.loads(text)["presets"])

@@ -1,0 +1,120 @@
+// The page "New job": fields and JSON show the same request; whichever is changed changes the other.
+import { Fields } from "./form.js";
+import { ask, plan, preview } from "./preview.js";
+import { parsed } from "./schema.js";
+
+const form = document.getElementById("new");
+const text = document.getElementById("spec");
+const wrongText = document.getElementById("spec-error");
+const problems = document.getElementById("problems");
+const root = document.getElementById("fields");
+
+const known = await (await fetch("/new/choices.json")).json();
+const fields = new Fields(root, known, fromFields);
+document.getElementById("raw").classList.add("with-fields");
+
+function fromFields() {
+  text.value = JSON.stringify(fields.spec, null, 1);
+  wrongText.hidden = true;
+  look();
+}
+
+function fromText() {
+  let spec;
+  try {
+    spec = parsed(text.value);
+    if (spec === null || typeof spec !== "object" || Array.isArray(spec)) throw new Error("a request is an object: { … }");
+  } catch (error) {
+    wrongText.textContent = `This is not the JSON of a request: ${error.message}`;
+    wrongText.hidden = false;
+    text.setAttribute("aria-invalid", "true");
+    return;
+  }
+  wrongText.hidden = true;
+  text.removeAttribute("aria-invalid");
+  fields.show(spec);
+  root.hidden = false;
+  look();
+}
+
+function look() {
+  problems.hidden = true;
+  preview(text.value, (answer, ok) => {
+    clear();
+    if (ok) fields.fill(answer.spec);
+    else point(answer.errors ?? []);
+  });
+}
+
+function clear() {
+  for (const one of root.querySelectorAll(".error")) one.hidden = true;
+  for (const one of root.querySelectorAll("[aria-invalid]")) one.removeAttribute("aria-invalid");
+}
+
+// Shows each error at its field, or at the nearest one around it; returns those that have none, and the fields.
+function point(errors) {
+  const placed = [];
+  for (const error of errors) {
+    const parts = error.field.split(".");
+    while (parts.length && !document.getElementById(`f-${parts.join(".")}`)) parts.pop();
+    const field = parts.length ? document.getElementById(`f-${parts.join(".")}`) : null;
+    const message = nearest(parts);
+    if (!message) continue;
+    const said = message.id === `f-${error.field}-error` ? error.detail : `${error.field}: ${error.detail}`;
+    message.textContent = message.hidden ? said : `${message.textContent}; ${said}`;
+    message.hidden = false;
+    if (field.matches("input, select")) {
+      field.setAttribute("aria-invalid", "true");
+      field.setAttribute("aria-describedby", `${message.id.replace(/-error$/, "-hint")} ${message.id}`);
+    }
+    for (let fold = field.closest("details"); fold; fold = fold.parentElement.closest("details")) fold.open = true;
+    placed.push({ error, field });
+  }
+  return placed;
+}
+
+// The place of the message of a field: a number of a vector has that of the vector.
+function nearest(parts) {
+  for (let length = parts.length; length; length--) {
+    const found = document.getElementById(`f-${parts.slice(0, length).join(".")}-error`);
+    if (found) return found;
+  }
+  return null;
+}
+
+// Lists all errors above the form, each with a link to its field.
+function summarise(answer) {
+  const errors = answer.errors?.length ? answer.errors : [{ field: "", detail: answer.detail }];
+  const placed = new Map(point(errors).map((one) => [one.error, one.field]));
+  const lines = errors.map((error) => {
+    const line = document.createElement("li");
+    const field = placed.get(error);
+    const name = document.createElement(field ? "a" : "code");
+    name.textContent = error.field;
+    if (field) name.href = `#${field.id}`;
+    line.append(name, error.field ? ": " : "", error.detail);
+    return line;
+  });
+  problems.querySelector("ul").replaceChildren(...lines);
+  problems.hidden = false;
+  problems.focus();
+  return placed;
+}
+
+form.addEventListener("submit", async (event) => {
+  event.preventDefault();
+  const buttons = [...form.elements].filter((one) => one.type === "submit");
+  for (const button of buttons) button.disabled = true;
+  try {
+    const { ok, answer } = await ask("/v1/jobs", text.value);
+    if (ok) return location.assign(`/jobs/${answer.id}`);
+    clear();
+    summarise(answer);
+  } catch {
+    summarise({ detail: "The service does not answer; nothing was submitted." });
+  }
+  for (const button of buttons) button.disabled = false;
+});
+text.addEventListener("input", fromText);
+document.getElementById("plan").addEventListener("click", () => plan(text.value));
+fromText();

@@ -1,0 +1,103 @@
+// Shows the image of a request's scene, the network's first answers, the warnings, and on demand the plan and its cost.
+const PAUSE = 350; // milliseconds without a change before the service is asked
+const shown = document.getElementById("preview");
+const state = document.getElementById("preview-state");
+const picture = document.getElementById("picture");
+
+let waiting = 0;
+let asking = new AbortController();
+
+export async function ask(url, body, signal) {
+  const headers = { "Content-Type": "application/json", Accept: "application/json" };
+  const response = await fetch(url, { method: "POST", headers, body, signal });
+  return { ok: response.ok, answer: await response.json() };
+}
+
+// Asks for the preview of a request some time after its last change. Calls `found` with the answer or the errors.
+export function preview(text, found) {
+  clearTimeout(waiting);
+  asking.abort();
+  shown.hidden = false;
+  shown.setAttribute("aria-busy", "true");
+  waiting = setTimeout(async () => {
+    asking = new AbortController();
+    const { signal } = asking;
+    state.textContent = "Rendering …";
+    document.getElementById("cost").replaceChildren();
+    try {
+      const { ok, answer } = await ask("/v1/preview?plan=false", text, signal);
+      if (ok) await show(answer);
+      else state.textContent = answer.errors?.length ? "This request cannot run; the last image and answers stay." : answer.detail;
+      shown.classList.toggle("stale", !ok);
+      found(answer, ok);
+    } catch (error) {
+      if (error.name !== "AbortError") state.textContent = "The service does not answer.";
+    }
+    if (!signal.aborted) shown.removeAttribute("aria-busy");
+  }, PAUSE);
+}
+
+async function show(found) {
+  const bytes = Uint8Array.from(atob(found.png), (one) => one.charCodeAt(0));
+  const image = await createImageBitmap(new Blob([bytes], { type: "image/png" }));
+  picture.width = image.width;
+  picture.height = image.height;
+  picture.getContext("2d").drawImage(image, 0, 0);
+  const [first] = found.answers;
+  picture.setAttribute("aria-label", `The image of the scene, ${image.width}×${image.height} pixels; the network says ${first.answer.label}`);
+  state.textContent = `The network says “${first.answer.label}” before the attack.`;
+  document.getElementById("answers").replaceChildren(...found.answers.map(table));
+  const warnings = document.getElementById("warnings");
+  warnings.replaceChildren(...found.warnings.map((one) => made("li", one.text)));
+  warnings.hidden = !found.warnings.length;
+}
+
+function made(tag, text) {
+  const element = document.createElement(tag);
+  element.textContent = text;
+  return element;
+}
+
+function table({ question, answer }) {
+  const found = document.createElement("table");
+  found.className = "answers";
+  const caption = made("caption", question ?? "The five most probable labels");
+  if (!question) caption.className = "sr";
+  found.append(caption);
+  for (const [label, probability] of answer.top) {
+    const row = found.insertRow();
+    const head = made("th", label);
+    head.scope = "row";
+    const meter = document.createElement("meter");
+    meter.value = probability;
+    meter.setAttribute("aria-label", label);
+    const cell = document.createElement("td");
+    cell.append(meter, " ", made("span", `${(100 * probability).toFixed(1)} %`));
+    row.append(head, cell);
+  }
+  return found;
+}
+
+// Asks for the plan of a request, and shows it with its cost.
+export async function plan(text) {
+  const cost = document.getElementById("cost");
+  cost.replaceChildren(made("p", "Planning …"));
+  try {
+    const { ok, answer } = await ask("/v1/preview", text);
+    cost.replaceChildren(...(ok ? costs(answer) : [made("p", answer.detail)]));
+  } catch {
+    cost.replaceChildren(made("p", "The service does not answer."));
+  }
+}
+
+function costs({ plan, cost }) {
+  const limit = cost.queries === null ? "" : `, at most ${cost.queries} queries`;
+  const seconds = (value) => (value < 1 ? `${(1000 * value).toPrecision(2)} ms` : `${value.toPrecision(2)} s`);
+  const list = document.createElement("ul");
+  for (const stage of plan.stages) list.append(made("li", `${stage.part} ${stage.name}: ${stage.method}, ${stage.when}`.trim()));
+  return [
+    made("p", `Up to ${cost.steps} steps${limit}. An image takes ${seconds(cost.image_seconds)}, a query ${seconds(cost.query_seconds)}: at least ${seconds(cost.least_seconds)} in all, and gradients besides.`),
+    made("p", `${plan.renderer}: ${plan.groups.join(", ")}; estimated error ${plan.error.toExponential(1)} of a displayed value.`),
+    list,
+  ];
+}

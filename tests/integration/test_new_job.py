@@ -1,0 +1,143 @@
+"""The page "New job" in a real browser, on the real stack."""
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from playwright.sync_api import Browser, Page, expect
+
+from tests.integration.browser import launched
+from tests.integration.conftest import Stack
+from tests.integration.test_accessibility import AXE, RUN, THEMES, WIDTHS, save, watched
+
+pytestmark = pytest.mark.integration
+
+PATIENCE = 120_000
+LIGHT = "canvas => [...canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data].join()"
+"""The pixels of the preview."""
+UNFOLD = "one => { while ((one = one.parentElement.closest('details'))) one.open = true }"
+"""Opens the folds around a field."""
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with launched() as browser:
+        yield browser
+
+
+@pytest.fixture
+def page(browser: Browser) -> Iterator[Page]:
+    """A page of a fresh profile. Refused requests are what is tested; any other complaint fails the test."""
+    context = browser.new_context(viewport={"width": 1440, "height": 1000})
+    page = context.new_page()
+    page.set_default_timeout(PATIENCE)
+    expect.set_options(timeout=PATIENCE)
+    complaints: list[str] = []
+    page.on(
+        "console", lambda one: complaints.append(one.text) if one.type == "error" and "422" not in one.text else None
+    )
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    yield page
+    context.close()
+    assert complaints == []
+
+
+def spec(page: Page) -> Any:
+    return json.loads(page.locator("#spec").input_value())
+
+
+def wait_for_answer(page: Page) -> None:
+    expect(page.locator("#preview")).not_to_have_attribute("aria-busy", "true")
+    expect(page.locator("#preview-state")).to_contain_text("The network says")
+
+
+def test_a_job_is_made_with_the_form_beside_its_preview(stack: Stack, page: Page) -> None:
+    page.goto(f"{stack.client.base_url}/new?mesh=primitive/sphere")
+    wait_for_answer(page)
+    expect(page.locator("#answers tr")).to_have_count(5)
+    before = page.locator("#picture").evaluate(LIGHT)
+
+    page.locator("#f-scene\\.objects\\.0\\.mesh").fill("primitive/torus")
+    assert spec(page)["scene"]["objects"][0]["mesh"] == "primitive/torus"
+    wait_for_answer(page)
+    assert page.locator("#picture").evaluate(LIGHT) != before
+
+    steps = page.locator("#f-attack\\.steps")
+    steps.fill("many")
+    error = page.locator("#f-attack\\.steps-error")
+    expect(error).to_contain_text("integer")
+    expect(steps).to_have_attribute("aria-invalid", "true")
+    page.locator("#submit").click()  # the service refuses it, and the errors are listed
+    expect(page.locator("#problems a")).to_have_text("attack.steps")
+    steps.fill("2")
+    expect(error).to_be_hidden()
+
+    # both ways: what is changed in the JSON is in the fields
+    page.locator("#spec").fill(json.dumps(spec(page) | {"seed": 11}))
+    expect(page.locator("#f-seed")).to_have_value("11")
+    page.locator("#spec").fill(page.locator("#spec").input_value().replace("11", str(2**60 + 1)))
+    expect(page.locator("#f-seed")).to_have_value(str(2**60 + 1))
+    page.locator("#f-scene\\.objects\\.0\\.mesh").fill("primitive/torus")
+    assert spec(page)["seed"] == 2**60 + 1  # a number of JavaScript would be rounded
+    page.locator("#f-seed").fill("11")
+    page.locator("#f-attack\\.renderer").select_option("pyrender")
+    expect(page.locator("#f-attack\\.groups-color")).to_be_visible()
+    page.locator("#f-attack\\.groups-color").uncheck()
+    assert "color" not in spec(page)["attack"]["groups"]
+    wait_for_answer(page)
+
+    page.locator("#plan").click()
+    expect(page.locator("#cost")).to_contain_text("Up to 2 steps")
+    page.locator("#submit").click()
+    page.wait_for_url("**/jobs/*")
+    job = stack.client.get(f"/v1/jobs/{page.url.rsplit('/', 1)[1]}").json()
+    assert job["seed"] == 11
+    assert job["spec"]["scene"]["objects"][0]["mesh"] == "primitive/torus"
+    assert (job["renderer"], job["spec"]["attack"]["steps"]) == ("pyrender", 2)
+
+    page.goto(f"{stack.client.base_url}/new?from={job['id']}")
+    expect(page.locator("#f-attack\\.steps")).to_have_value("2")
+    assert spec(page) == job["spec"]
+
+
+def test_without_a_script_the_json_is_a_form(stack: Stack, browser: Browser) -> None:
+    context = browser.new_context(java_script_enabled=False)
+    page = context.new_page()
+    page.set_default_timeout(PATIENCE)
+    page.goto(f"{stack.client.base_url}/new?mesh=primitive/sphere")
+    page.locator("#spec").fill("{}")
+    page.locator("#submit").click()
+    expect(page.locator("#problems")).to_contain_text("scene")
+    page.locator("#spec").fill('{"scene": {"objects": [{"mesh": "primitive/sphere"}]}, "attack": {"steps": 1}}')
+    page.locator("#submit").click()
+    page.wait_for_url("**/jobs/*")
+    context.close()
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("theme", THEMES)
+def test_the_whole_form_is_accessible(stack: Stack, browser: Browser, theme: Any, width: int) -> None:
+    """With its preview, every fold open, a list of errors, and messages at fields of all kinds."""
+    with browser.new_context(color_scheme=theme, viewport={"width": width, "height": 900}) as context:
+        page = context.new_page()
+        page.set_default_timeout(PATIENCE)
+        expect.set_options(timeout=PATIENCE)
+        complaints = watched(page, str(stack.client.base_url))
+        page.goto(f"{stack.client.base_url}/new?mesh=primitive/sphere")
+        wait_for_answer(page)
+        save(page, f"new-preview-{theme}-{width}.png")
+        for field in ("scene.objects.0.scale", "seed", "scene.camera.size.0", "attack.steps"):
+            page.locator(f"[id='f-{field}']").evaluate(UNFOLD)
+            page.locator(f"[id='f-{field}']").fill("-1")
+        page.locator("#submit").click()
+        expect(page.locator("#problems a")).to_have_count(4)
+        for field in ("scene.objects.0.scale", "seed", "scene.camera.size", "attack.steps"):
+            expect(page.locator(f"[id='f-{field}-error']")).not_to_be_empty()
+        page.evaluate("for (const one of document.querySelectorAll('details')) one.open = true")
+        save(page, f"new-errors-{theme}-{width}.png")
+        page.evaluate(AXE)
+        found = [one for one in page.evaluate(RUN) if one["impact"] in ("serious", "critical")]
+        assert not found, [(one["id"], one["help"], [node["target"] for node in one["nodes"]][:5]) for one in found]
+        assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth"), "it scrolls sideways"
+        assert [one for one in complaints if "422" not in one] == []

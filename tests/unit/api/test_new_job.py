@@ -1,0 +1,84 @@
+"""The page "New job" as its form works without a script, and what the script is given."""
+
+import json
+import re
+from html import unescape
+from typing import Any
+
+import pytest
+from httpx import Client
+
+from api.state import Services
+from services.pipeline.spec import JobSpec, parse
+from tests.unit.api.conftest import SPHERE
+
+HTML = {"accept": "text/html"}
+
+
+def request_on(page: str) -> Any:
+    found = re.search(r"<textarea[^>]*>(.*)</textarea>", page, re.DOTALL)
+    assert found is not None
+    return json.loads(unescape(found[1]))
+
+
+def test_the_first_request_can_be_submitted(client: Client) -> None:
+    parse(request_on(client.get("/new", headers=HTML).text))
+
+
+def test_a_mesh_may_be_named_in_the_address(client: Client) -> None:
+    page = client.get("/new", headers=HTML, params={"mesh": "primitive/sphere"}).text
+    assert request_on(page)["scene"]["objects"] == [{"mesh": "primitive/sphere"}]
+
+
+def test_a_job_is_cloned(client: Client, services: Services) -> None:
+    spec = parse(SPHERE | {"seed": 7})
+    job, _ = services.repository.create(spec, 1000, None, lambda _: {})
+    assert job is not None
+    page = client.get("/new", headers=HTML, params={"from": job.id}).text
+    assert parse(request_on(page)) == spec
+    assert f'href="/jobs/{job.id}"' in page
+
+
+def test_a_clone_of_no_job_is_not_found(client: Client) -> None:
+    assert client.get("/new", headers=HTML, params={"from": "none"}).status_code == 404
+
+
+def test_the_form_queues_a_job_and_leads_to_its_page(client: Client, services: Services) -> None:
+    answer = client.post("/new", data={"spec": json.dumps(SPHERE)}, headers=HTML)
+    assert answer.status_code == 303, answer.text
+    found = re.fullmatch(r"/jobs/(\w+)", answer.headers["location"])
+    assert found is not None
+    job = services.repository.get(found[1])
+    assert job is not None
+    assert JobSpec.model_validate(job.spec).attack.steps == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("{", "body</code>: it is not JSON"),
+        ("[" * 80 + "]" * 80, "body</code>: it is nested deeper"),
+        (json.dumps(SPHERE | {"seed": -1, "attack": {"steps": 0}}), "seed</code>"),
+        (json.dumps(SPHERE | {"seed": -1, "attack": {"steps": 0}}), "attack.steps</code>"),
+        (json.dumps({"scene": {"objects": [{"mesh": "primitive/spere"}]}}), "scene.objects.0.mesh</code>"),
+    ],
+)
+def test_a_wrong_request_is_shown_again_with_its_errors(
+    client: Client, services: Services, text: str, said: str
+) -> None:
+    before = len(services.repository.page(None, 200, None))
+    answer = client.post("/new", data={"spec": text}, headers=HTML)
+    assert answer.status_code == 422
+    assert said in answer.text
+    assert unescape(answer.text[answer.text.index("<textarea") :]).count(text) == 1
+    assert len(services.repository.page(None, 200, None)) == before
+
+
+def test_the_script_gets_every_name_that_a_field_may_have(client: Client) -> None:
+    found = client.get("/new/choices.json").json()
+    assert found["schema"] == JobSpec.model_json_schema()
+    for kind, name in (("meshes", "primitive/sphere"), ("materials", "rubber"), ("targets", "efficientnet-lite0")):
+        assert name in [one for one, _ in found[kind]]
+    groups = {name: by_default for name, _, by_default in found["renderers"]["torch"]["groups"]}
+    assert groups["normals"]
+    assert not groups["illumination_rgb"]
