@@ -20,8 +20,12 @@ RULES: dict[str, Scope | None] = {
     # The API
     "POST /v1/jobs": _WRITE,
     "GET /v1/jobs": _READ,
+    "GET /v1/jobs.csv": _READ,
+    "GET /v1/jobs.json": _READ,
     "GET /v1/jobs/{job_id}": _READ,
+    "PATCH /v1/jobs/{job_id}": _WRITE,
     "POST /v1/jobs/{job_id}/cancel": _WRITE,
+    "POST /v1/jobs/{job_id}/retry": _WRITE,
     "DELETE /v1/jobs/{job_id}": _WRITE,
     "GET /v1/jobs/{job_id}/events": _READ,
     "GET /v1/jobs/{job_id}/artifacts": _READ,
@@ -58,6 +62,9 @@ RULES: dict[str, Scope | None] = {
     # The dashboard
     "GET /": _READ,
     "GET /parts/jobs": _READ,
+    "GET /parts/jobs/changes": _READ,
+    "POST /jobs/selected": _WRITE,
+    "GET /compare": _READ,
     "GET /jobs/{job_id}": _READ,
     "GET /parts/jobs/{job_id}": _READ,
     "POST /jobs/{job_id}/cancel": _WRITE,
@@ -85,6 +92,8 @@ RULES: dict[str, Scope | None] = {
 PAGES = frozenset(
     {
         "GET /",
+        "POST /jobs/selected",
+        "GET /compare",
         "GET /jobs/{job_id}",
         "POST /jobs/{job_id}/cancel",
         "GET /new",

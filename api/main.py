@@ -24,6 +24,7 @@ from api.description import describe
 from api.exporter import Exporter
 from api.hosts import KnownHosts
 from api.limits import BodyLimit, NoNul, Utf8Forms
+from api.list_watcher import ListWatcher
 from api.mesh_uploads import MeshUploads
 from api.metrics import Measured, RequestMetrics, ServiceMetrics
 from api.open_uploads import OpenUploads
@@ -42,6 +43,7 @@ from api.routes import (
     events,
     exports,
     health,
+    job_exports,
     jobs,
     library,
     previews,
@@ -71,6 +73,7 @@ from services.jobs.database import connect as connect_database
 from services.jobs.database import migrate
 from services.jobs.figures import Figures
 from services.jobs.housekeeping import Housekeeping
+from services.jobs.lists import JobLists
 from services.jobs.queue import Queue
 from services.jobs.queue import connect as connect_redis
 from services.jobs.repository import Repository
@@ -116,7 +119,8 @@ def create_app(values: Settings | None = None) -> FastAPI:
         library = Library(chosen.cache_dir, chosen.files)
         uploads = MeshUploads(library, chosen)
         uploads.start()
-        watcher = Watcher(repository, keys)
+        watcher, lists = Watcher(repository, keys), JobLists(engine)
+        list_watcher = ListWatcher(lists, keys)
         store = ArtifactStore(chosen.files)
         app.state.services = Services(
             keys=keys,
@@ -125,6 +129,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
             quotas=Quotas(owned, chosen.owner_queued, chosen.owner_campaigns, chosen.owner_upload_bytes),
             repository=repository,
             reading=Reading(engine),
+            lists=lists,
             queue=queue,
             submissions=Submissions(repository, queue, chosen.max_queued),
             store=store,
@@ -138,6 +143,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
             asset_records=AssetRecords(engine),
             target_records=TargetRecords(engine),
             watcher=watcher,
+            list_watcher=list_watcher,
             webhooks=Webhooks(engine),
             webhook_hosts=chosen.allowed_webhook_hosts,
             storage=Storage(chosen.data_dir, store),
@@ -154,6 +160,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
             for task in tasks:
                 task.cancel()
             watcher.close()
+            list_watcher.close()
             preflight.close()
             uploads.close()
             previewer.close()
@@ -189,6 +196,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
         ],
     )
     for part in (
+        job_exports,
         jobs,
         campaigns,
         events,

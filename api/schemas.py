@@ -59,6 +59,9 @@ class JobSummary(BaseModel):
     )
     seed: int
     progress: ProgressView | None
+    title: str | None = Field(None, description="the name that a person gave the job; null if nobody has")
+    tags: list[str] = Field(default_factory=list, description="the tags that people gave the job, sorted")
+    retry_of: str | None = Field(None, description="id of the job whose request this one repeats; null if none")
     name: str = Field(description="the question, or the meshes of a job without one; of several questions their number")
     scene: str = Field(description="the meshes without their folders")
     attack: str = Field(description="renderer, parameter groups and method in short")
@@ -91,12 +94,13 @@ class JobView(JobSummary):
         description="the request with the values of all fields filled in; as it was stored, if its attack or renderer "
         "is not installed any more"
     )
+    note: str | None = Field(None, description="what a person wrote about the job; null if nobody has")
     result: Result | None = Field(description="the result, once the job succeeded")
 
     @classmethod
     def of(cls, job: Job, with_result: bool = False) -> Self:
         """The view of a job in the database; `with_result` requires that the job was read with its result."""
-        return cls(**_fields(job), spec=job.spec, result=job.result if with_result else None)
+        return cls(**_fields(job), spec=job.spec, note=job.note, result=job.result if with_result else None)
 
 
 def _fields(job: Job | Row[Any]) -> dict:  # type: ignore[type-arg]
@@ -115,6 +119,9 @@ def _fields(job: Job | Row[Any]) -> dict:  # type: ignore[type-arg]
         "waiting": job.waiting if job.state is State.QUEUED else None,
         "seed": job.seed,
         "progress": progress,
+        "title": job.title,
+        "tags": job.tags or [],
+        "retry_of": job.retry_of,
         "name": job.name,
         "scene": job.scene,
         "attack": job.attack,
@@ -131,10 +138,11 @@ def _fields(job: Job | Row[Any]) -> dict:  # type: ignore[type-arg]
 
 
 class JobPage(BaseModel):
-    """A page of the list of jobs, newest first."""
+    """A page of the list of jobs."""
 
     items: list[JobSummary]
     next: str | None = Field(description="`cursor` of the page after this one; null on the last")
+    previous: str | None = Field(None, description="`cursor` of the page before this one; null on the first")
 
 
 class ArtifactView(BaseModel):

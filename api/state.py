@@ -9,6 +9,7 @@ from fastapi import Depends, HTTPException, Request
 
 from api.authentication import CallerDependency
 from api.exporter import Exporter
+from api.list_watcher import ListWatcher
 from api.mesh_uploads import MeshUploads
 from api.preflight import Preflight
 from api.previewer import Previewer
@@ -25,6 +26,7 @@ from services.jobs.asset_record import AssetRecords
 from services.jobs.asset_removal import DeletedAssets
 from services.jobs.campaign_service import CampaignService
 from services.jobs.housekeeping import Housekeeping
+from services.jobs.lists import JobLists
 from services.jobs.models import Job
 from services.jobs.queue import Queue
 from services.jobs.repository import Repository
@@ -47,6 +49,7 @@ class Services:
     quotas: Quotas
     repository: Repository
     reading: Reading
+    lists: JobLists
     queue: Queue
     submissions: Submissions
     store: ArtifactStore
@@ -60,6 +63,7 @@ class Services:
     asset_records: AssetRecords
     target_records: TargetRecords
     watcher: Watcher
+    list_watcher: ListWatcher
     webhooks: Webhooks
     webhook_hosts: frozenset[str]
     storage: Storage

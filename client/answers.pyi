@@ -487,9 +487,10 @@ class Item(TypedDict):
     error: NotRequired[float]
 
 class JobPage(TypedDict):
-    """A page of the list of jobs, newest first."""
+    """A page of the list of jobs."""
     items: list[JobSummary]
     next: str | None
+    previous: NotRequired[str | None]
 
 class JobPlan(TypedDict):
     """The renderer's plan of a job, with what limits its search, and its questions."""
@@ -503,6 +504,31 @@ class JobPlan(TypedDict):
     gradients: NotRequired[list[GradientError]]
     environment_map_error: NotRequired[float | None]
     questions: NotRequired[list[Asked]]
+
+class JobRow(TypedDict):
+    """A line of the table of jobs. The fields from `outcome` to `seconds` are null until the job has succeeded."""
+    id: str
+    title: str | None
+    name: str
+    scene: str
+    renderer: str
+    method: str
+    target: str
+    question: str | None
+    state: State
+    outcome: str | None
+    verified: bool | None
+    before: str | None
+    after: str | None
+    p: float | None
+    queries: int | None
+    seconds: float | None
+    seed: int
+    tags: list[str]
+    retry_of: str | None
+    campaign: str | None
+    created: str
+    ended: str | None
 
 class JobSpec(TypedDict):
     """One attack on one scene. Every field but the scene's objects has a default; the stored spec states all
@@ -531,6 +557,9 @@ class JobSummary(TypedDict):
     waiting: NotRequired[str | None]
     seed: int
     progress: ProgressView | None
+    title: NotRequired[str | None]
+    tags: NotRequired[list[str]]
+    retry_of: NotRequired[str | None]
     name: str
     scene: str
     attack: str
@@ -544,6 +573,10 @@ class JobSummary(TypedDict):
     failure: FailureView | None
     errors: NotRequired[list[BadField]]
 
+class JobTable(TypedDict):
+    """Every job that meets a query."""
+    items: list[JobRow]
+
 class JobView(TypedDict):
     """A job with its request and its result."""
     id: str
@@ -555,6 +588,9 @@ class JobView(TypedDict):
     waiting: NotRequired[str | None]
     seed: int
     progress: ProgressView | None
+    title: NotRequired[str | None]
+    tags: NotRequired[list[str]]
+    retry_of: NotRequired[str | None]
     name: str
     scene: str
     attack: str
@@ -568,6 +604,7 @@ class JobView(TypedDict):
     failure: FailureView | None
     errors: NotRequired[list[BadField]]
     spec: JobSpec | dict[str, Any]
+    note: NotRequired[str | None]
     result: Result | None
 
 class JobWarning(TypedDict):

@@ -91,9 +91,17 @@ class ApiClient:
         """One job, with its spec, state and, when it has succeeded, its result."""
         return self._json(self._http.get(f"/v1/jobs/{job_id}"))
 
-    def jobs(self, limit: int = 20, state: str | None = None, cursor: str | None = None) -> dict[str, Any]:
-        """A page of jobs, newest first: {"items": […], "next": cursor or null}."""
-        return self._json(self._http.get("/v1/jobs", params=_given(limit=limit, state=state, cursor=cursor)))
+    def jobs(
+        self,
+        limit: int = 20,
+        state: str | None = None,
+        cursor: str | None = None,
+        q: str | None = None,
+        sort: str | None = None,
+    ) -> dict[str, Any]:
+        """A page of the jobs that meet a query: {"items": […], "next": cursor or null, "previous": likewise}."""
+        given = _given(limit=limit, state=state, cursor=cursor, q=q, sort=sort)
+        return self._json(self._http.get("/v1/jobs", params=given))
 
     def cancel(self, job_id: str) -> dict[str, Any]:
         """Asks a job to stop and returns it; has no effect on a job that has ended."""

@@ -143,11 +143,20 @@ class AsyncClient:
         """One job by its id."""
         return AsyncJob(await self.call(operations.job(job_id)), self)
 
-    async def jobs(self, *, state: State | None = None, campaign: str | None = None) -> AsyncIterator[JobSummary]:
-        """All jobs, newest first, without requests and results; asks for one page after the other."""
+    async def jobs(
+        self,
+        *,
+        q: str | None = None,
+        sort: str | None = None,
+        state: State | None = None,
+        campaign: str | None = None,
+    ) -> AsyncIterator[JobSummary]:
+        """All jobs that meet a query such as "renderer:torch verified", newest first or sorted ("p", "-queries"), but
+        without requests and results; asks for one page after the other.
+        """
         cursor = None
         while True:
-            page = await self.call(operations.jobs(state=state, campaign=campaign, cursor=cursor))
+            page = await self.call(operations.jobs(q=q, sort=sort, state=state, campaign=campaign, cursor=cursor))
             for one in page["items"]:
                 yield one
             cursor = page["next"]

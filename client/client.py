@@ -58,11 +58,20 @@ class Client:
         """One job by its id."""
         return Job(self.call(operations.job(job_id)), self._api)
 
-    def jobs(self, *, state: State | None = None, campaign: str | None = None) -> Iterator[JobSummary]:
-        """All jobs, newest first, without requests and results; asks for one page after the other."""
+    def jobs(
+        self,
+        *,
+        q: str | None = None,
+        sort: str | None = None,
+        state: State | None = None,
+        campaign: str | None = None,
+    ) -> Iterator[JobSummary]:
+        """All jobs that meet a query such as "renderer:torch verified", newest first or sorted ("p", "-queries"), but
+        without requests and results; asks for one page after the other.
+        """
         cursor = None
         while True:
-            page = self.call(operations.jobs(state=state, campaign=campaign, cursor=cursor))
+            page = self.call(operations.jobs(q=q, sort=sort, state=state, campaign=campaign, cursor=cursor))
             yield from page["items"]
             cursor = page["next"]
             if cursor is None:

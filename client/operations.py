@@ -26,6 +26,7 @@ if TYPE_CHECKING:
         Health,
         JobPage,
         JobSpec,
+        JobTable,
         JobView,
         NewWebhook,
         PreviewView,
@@ -66,15 +67,42 @@ def submit(
 
 
 def jobs(
-    *, state: State | None = None, campaign: str | None = None, limit: int | None = None, cursor: str | None = None
+    *,
+    q: str | None = None,
+    sort: str | None = None,
+    state: State | None = None,
+    campaign: str | None = None,
+    limit: int | None = None,
+    cursor: str | None = None,
 ) -> Request[JobPage]:
-    """A page of the jobs, newest first."""
-    return Request("GET", "/v1/jobs", params={"state": state, "campaign": campaign, "limit": limit, "cursor": cursor})
+    """A page of the jobs that meet a query such as "renderer:torch verified", newest first or in another order."""
+    params = {"q": q, "sort": sort, "state": state, "campaign": campaign, "limit": limit, "cursor": cursor}
+    return Request("GET", "/v1/jobs", params=params)
+
+
+def jobs_json(*, q: str | None = None, sort: str | None = None, job: list[str] | None = None) -> Request[JobTable]:
+    """Every job that meets a query, or those of the ids in `job`, as lines of a table."""
+    return Request("GET", "/v1/jobs.json", params={"q": q, "sort": sort, "job": job})
+
+
+def jobs_csv(*, q: str | None = None, sort: str | None = None, job: list[str] | None = None) -> Request[str]:
+    """The table of `jobs_json` as CSV."""
+    return Request("GET", "/v1/jobs.csv", params={"q": q, "sort": sort, "job": job})
 
 
 def job(job_id: str) -> Request[JobView]:
     """One job, with its request and, when it has succeeded, its result."""
     return Request("GET", "/v1/jobs/{job_id}", {"job_id": job_id})
+
+
+def edit_job(job_id: str, body: Mapping[str, Any]) -> Request[JobView]:
+    """Changes a job's `title`, `tags` and `note`, those that `body` has."""
+    return Request("PATCH", "/v1/jobs/{job_id}", {"job_id": job_id}, json=body)
+
+
+def retry_job(job_id: str) -> Request[JobView]:
+    """Queues a job's request again, as a new job."""
+    return Request("POST", "/v1/jobs/{job_id}/retry", {"job_id": job_id})
 
 
 def delete_job(job_id: str) -> Request[None]:

@@ -2,11 +2,24 @@
 
 from fastapi import APIRouter
 
-from api.dashboard import accuracy, assets, campaigns, new_job, reference, routes, sign_in, targets
+from api.dashboard import (
+    accuracy,
+    assets,
+    campaigns,
+    comparison,
+    job_list,
+    new_job,
+    reference,
+    routes,
+    sign_in,
+    targets,
+)
 
 __all__ = ["router"]
 
 router = APIRouter()
+router.include_router(job_list.router)
+router.include_router(comparison.router)
 router.include_router(routes.router)
 router.include_router(new_job.router)
 router.include_router(campaigns.router)

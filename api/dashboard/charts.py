@@ -69,6 +69,41 @@ def chart(
     )
 
 
+@dataclass(frozen=True)
+class Overlay:
+    """A chart with several curves; positions are in SVG units."""
+
+    title: str
+    x_label: str
+    summary: str
+    paths: list[str | None]
+    """The curve of each name, in their order; None where there are no finite points."""
+    x_ticks: list[Tick]
+    y_ticks: list[Tick]
+
+
+def overlay(title: str, x_label: str, curves: Sequence[tuple[str, Sequence[tuple[float, float]]]]) -> Overlay | None:
+    """Lays out curves, each a name and points (x, y), over common axes; None if no point is finite."""
+    finite = [[point for point in points if isfinite(point[0]) and isfinite(point[1])] for _, points in curves]
+    shown = [point for points in finite for point in points]
+    if not shown:
+        return None
+    x_axis = _Axis([x for x, _ in shown], LEFT, WIDTH - RIGHT)
+    y_axis = _Axis([y for _, y in shown], HEIGHT - BOTTOM, TOP)
+    ends = [f"{name} {points[-1][1]:.3g}" for (name, _), points in zip(curves, finite, strict=True) if points]
+    return Overlay(
+        title=title,
+        x_label=x_label,
+        summary=f"{title} against {x_label}; at the end: {', '.join(ends)}",
+        paths=[
+            "M" + " L".join(f"{x_axis.at(x):.1f} {y_axis.at(y):.1f}" for x, y in _thinned(points)) if points else None
+            for points in finite
+        ],
+        x_ticks=x_axis.ticks(6),
+        y_ticks=y_axis.ticks(5),
+    )
+
+
 class _Axis:
     """A linear map from values to positions between `start` and `end`, in SVG units."""
 

@@ -1,49 +1,21 @@
-"""Routes of the dashboard's pages. A script keeps the pages up to date; they also work without it."""
+"""Routes of the pages of jobs. A script keeps the pages up to date; they also work without it."""
 
 from collections.abc import Iterator
-from typing import Annotated
 
-from fastapi import APIRouter, Query, Response
+from fastapi import APIRouter, Response
 from fastapi.responses import RedirectResponse
 
 from api.authentication import CallerDependency
 from api.dashboard import views
 from api.dashboard.pages import HEADERS, STATIC, VERSION, html
-from api.schemas import cursor_after, read_cursor
 from api.state import Services, ServicesDependency, no_such
 from services.access.caller import Caller
-from services.errors import InvalidRequest
-from services.jobs.models import Event, State
-
-PAGE = 30
-"""Number of jobs on one page of the list."""
+from services.jobs.models import Event
 
 _KINDS = {"css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
 """Media types by the end of a name; anything else is text, as licences are."""
 
 router = APIRouter(include_in_schema=False)
-
-
-@router.get("/")
-def jobs(
-    services: ServicesDependency,
-    caller: CallerDependency,
-    state: State | None = None,
-    cursor: Annotated[str | None, Query(max_length=200)] = None,
-) -> Response:
-    """The list of jobs, newest first."""
-    return _list("jobs.html", services, caller, state, cursor)
-
-
-@router.get("/parts/jobs")
-def jobs_part(
-    services: ServicesDependency,
-    caller: CallerDependency,
-    state: State | None = None,
-    cursor: Annotated[str | None, Query(max_length=200)] = None,
-) -> Response:
-    """The part of the list that the script reloads."""
-    return _list("_jobs.html", services, caller, state, cursor)
 
 
 @router.get("/jobs/{job_id}")
@@ -77,17 +49,6 @@ def static(path: str) -> Response:
     kept = "no-cache" if name == path else "max-age=31536000, immutable"
     kind = _KINDS.get(name.rpartition(".")[2], "text/plain")
     return Response(data, headers=HEADERS | {"Cache-Control": kept}, media_type=kind)
-
-
-def _list(template: str, services: Services, caller: Caller, state: State | None, cursor: str | None) -> Response:
-    try:
-        before = None if cursor is None else read_cursor(cursor)
-    except InvalidRequest:
-        before = None
-    found = services.repository.page(state, PAGE + 1, before, owner=caller.only)
-    older = cursor_after(found[PAGE - 1]) if len(found) > PAGE else None
-    lines = [views.line(one) for one in found[:PAGE]]
-    return html(template, caller=caller, lines=lines, state=state, cursor=cursor, older=older)
 
 
 def _job(template: str, job_id: str, services: Services, caller: Caller) -> Response:

@@ -10,11 +10,15 @@ from starlette.concurrency import run_in_threadpool
 from api.authentication import CallerDependency
 from api.bodies import body_of
 from api.demands import demand
+from api.job_edit import JobEdit
+from api.job_places import SORT_PATTERN, read_cursor, write_cursor
+from api.retries import retry
 from api.routes.connection import while_connected
-from api.schemas import JobPage, JobSummary, JobView, cursor_after, read_cursor
+from api.schemas import JobPage, JobSummary, JobView
 from api.state import KnownJob, ServicesDependency, check_meshes_of, no_such
 from services import tracing
 from services.access.caller import Caller
+from services.jobs.job_query import EXAMPLE, LONGEST, Term, parse_query
 from services.jobs.models import Job, State
 from services.jobs.placement import Demand, Priority
 from services.jobs.repository import Key
@@ -23,6 +27,15 @@ from services.pipeline.spec import JobSpec, digest
 
 LONGEST_WAIT = 30.0
 """Largest N of `Prefer: wait=N`, in seconds; larger values are reduced to it."""
+
+QueryText = Annotated[
+    str | None,
+    Query(max_length=LONGEST, description=f"which jobs to list, such as `{EXAMPLE}`; docs/api.md has the fields"),
+]
+Sort = Annotated[
+    str, Query(pattern=SORT_PATTERN, description='what to sort by; with "-" before it the greatest or newest first')
+]
+NEWEST = "-created"
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
@@ -101,20 +114,28 @@ def _answer(job: Job) -> dict[str, Any]:
 async def page(
     services: ServicesDependency,
     caller: CallerDependency,
+    q: QueryText = None,
+    sort: Sort = NEWEST,
     state: State | None = None,
     campaign: Annotated[str | None, Query(max_length=32, description="id of the campaign that queued the jobs")] = None,
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
-    cursor: Annotated[str | None, Query(max_length=200, description="`next` of the page before")] = None,
+    cursor: Annotated[str | None, Query(max_length=2000, description="`next` or `previous` of another page")] = None,
 ) -> Response:
-    """Lists jobs, newest first."""
-    before = None if cursor is None else read_cursor(cursor)
+    """Lists the jobs that meet a query, newest first or in another order."""
+    terms = [*parse_query(q or "")]
+    terms += [Term(name, "=", (one,)) for name, one in (("state", state), ("campaign", campaign)) if one is not None]
+    place = read_cursor(cursor, sort)
 
     def read() -> str:
-        jobs = services.repository.page(state, limit + 1, before, campaign, caller.only)
-        more = cursor_after(jobs[limit - 1]) if len(jobs) > limit else None
-        return JobPage(items=[JobSummary.of_row(job) for job in jobs[:limit]], next=more).model_dump_json()
+        about: dict[str, Any] = {"sort": sort, "after": place.after, "before": place.before, "owner": caller.only}
+        shown = services.lists.page(terms, limit, **about)
+        after = write_cursor(sort, shown.last, backwards=False) if shown.last and shown.more_after else None
+        before = write_cursor(sort, shown.first, backwards=True) if shown.first and shown.more_before else None
+        items = [JobSummary.of_row(job) for job in shown.jobs]
+        return JobPage(items=items, next=after, previous=before).model_dump_json()
 
-    return _json(await services.reading(read))
+    is_short = not q and sort in ("created", NEWEST)  # others look at every job
+    return _json(await (services.reading(read) if is_short else run_in_threadpool(read)))
 
 
 @router.get("/{job_id}", response_model=JobView)
@@ -134,6 +155,32 @@ async def get(job_id: str, services: ServicesDependency, caller: CallerDependenc
 def _json(text: str) -> Response:
     """An answer that the framework does not validate again."""
     return Response(text, media_type="application/json")
+
+
+@router.patch("/{job_id}")
+def edit(
+    job: KnownJob,
+    _: Annotated[None, Depends(json_body)],
+    changes: Annotated[JobEdit, Depends(body_of(JobEdit))],
+    services: ServicesDependency,
+) -> JobView:
+    """Changes what people have said about a job: its title, tags and note. It changes no result."""
+    services.lists.edit(job.id, changes.changes())
+    edited = services.repository.get(job.id)
+    if edited is None:
+        raise no_such("job")
+    return JobView.of(edited)
+
+
+@router.post("/{job_id}/retry", status_code=202, response_model=JobView)
+def retry_job(job: KnownJob, services: ServicesDependency, caller: CallerDependency, response: Response) -> Any:
+    """Queues the job's request again: a new job, whose `retry_of` is this one. A worker checks it before it runs."""
+    first = services.repository.get(job.id)
+    if first is None:
+        raise no_such("job")
+    body = retry(services, caller, first, _answer)
+    response.headers["Location"] = f"/v1/jobs/{body['id']}"
+    return body
 
 
 @router.delete("/{job_id}", status_code=204)

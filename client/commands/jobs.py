@@ -13,7 +13,9 @@ JobId = Annotated[str, typer.Argument(metavar="ID", help="The id that `submit` p
 
 
 @app.command(
-    "list", epilog="Examples: [bold]scene-attack jobs list[/bold]; [bold]scene-attack jobs list --state failed[/bold]"
+    "list",
+    epilog="Examples: [bold]scene-attack jobs list[/bold]; [bold]scene-attack jobs list --state failed[/bold]; "
+    "[bold]scene-attack jobs list -q 'verified p<5e-3' --sort p[/bold]",
 )
 def list_jobs(
     url: UrlOption = DEFAULT_URL,
@@ -23,16 +25,32 @@ def list_jobs(
             help="List only jobs in this state: queued, running, cancelling, succeeded, failed, rejected or cancelled."
         ),
     ] = None,
+    query: Annotated[
+        str | None,
+        typer.Option(
+            "--query", "-q", help="List only jobs that meet a query: scene:piano renderer:torch verified p<5e-3."
+        ),
+    ] = None,
+    sort: Annotated[
+        str,
+        typer.Option(
+            help="Sort by created, ended, name, scene, renderer, method, target, state, outcome, verified, p, queries "
+            "or seconds; with - before it the greatest first."
+        ),
+    ] = "-created",
     limit: Annotated[int, typer.Option(min=1, max=100, help="Largest number of jobs to list.")] = 20,
     as_json: JsonOption = False,
 ) -> None:
-    """List jobs, newest first. A queued job that no live worker can run says why it waits."""
+    """List the jobs that meet a query, newest first or in another order.
+
+    A queued job that no live worker can run says why it waits.
+    """
     from client.api_client import ApiClient
     from client.console import out, print_json, state_text, table
     from client.outcomes import answer_cell, verdict, verified
 
     with ApiClient(url) as client:
-        page = client.jobs(limit, state)
+        page = client.jobs(limit, state, q=query, sort=sort)
     if as_json:
         print_json(page)
         return

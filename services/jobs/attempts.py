@@ -16,7 +16,7 @@ from sqlalchemy.sql.elements import ColumnElement
 
 from services.errors import InvalidRequest, without_folders
 from services.jobs import totals
-from services.jobs.listed import listed
+from services.jobs.listed import listed, listed_outcome
 from services.jobs.models import Artifact, Event, Job, State
 from services.jobs.transactions import Transactions, not_held
 from services.pipeline.warning import JobWarning
@@ -109,6 +109,7 @@ class Attempts(Transactions):
     ) -> bool:
         """Records the result; the artifacts' bytes must be in the store already. Returns False if fenced off."""
         reached = _reached(outcome["steps"], outcome["queries"]) if "queries" in outcome else {}
+        reached |= listed_outcome(outcome)
         with self._write() as session:
             ended = self._end(session, attempt, State.SUCCEEDED, result=result, outcome=outcome, **reached)
             if ended:

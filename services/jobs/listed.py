@@ -1,8 +1,9 @@
-"""What lists show of a request. It is kept in columns of the job, so that no list reads a whole request."""
+"""What lists show of a request and of its outcome, in columns of the job, so that no list reads a whole request."""
 
 from collections.abc import Mapping
 from typing import Any
 
+from services.attacks.verdict import SUCCESS, with_outcome
 from services.pipeline.names import attack_name, job_name, question_names, scene_name
 
 LONGEST = 300
@@ -22,6 +23,21 @@ def listed(spec: Mapping[str, Any]) -> dict[str, str | None]:
         "question": questions[0] if questions else None,
     }
     return {column: _cut(text) for column, text in columns.items()}
+
+
+def listed_outcome(outcome: Mapping[str, Any]) -> dict[str, Any]:
+    """The columns of an outcome (services.pipeline.outcome) that lists sort and filter by; p is the paper's, or that of
+    the saved image in results of version 0.1.
+    """
+    record = with_outcome(outcome)
+    paper = record.get("float_perceptibility")
+    return {
+        "verdict": record["outcome"],
+        "verified": record["outcome"] == SUCCESS and bool(record.get("verified")),
+        "p": record.get("perceptibility") if paper is None else paper,
+        "queries": record.get("queries"),
+        "seconds": record.get("seconds"),
+    }
 
 
 def _cut(text: str | None) -> str | None:

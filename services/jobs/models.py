@@ -20,52 +20,12 @@ from sqlalchemy import (
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 from services.jobs.placement import Priority
+from services.jobs.states import CampaignState as CampaignState
+from services.jobs.states import JobKind as JobKind
+from services.jobs.states import State as State
 from services.jobs.utc_time import UtcTime
 
-
-class State(StrEnum):
-    """The state of a job. Succeeded means that it ran to its end, not that the network was fooled. Rejected means that
-    its request turned out to be one that cannot run: it was accepted before its check had ended.
-    """
-
-    QUEUED = "queued"
-    RUNNING = "running"
-    CANCELLING = "cancelling"
-    SUCCEEDED = "succeeded"
-    FAILED = "failed"
-    REJECTED = "rejected"
-    CANCELLED = "cancelled"
-
-    @property
-    def terminal(self) -> bool:
-        """Whether the job has ended, so that its state cannot change any more."""
-        return self in (State.SUCCEEDED, State.FAILED, State.REJECTED, State.CANCELLED)
-
-
 _TIMES = [(state.value, f"{state.value}_at") for state in State]
-
-
-class CampaignState(StrEnum):
-    """The state of a campaign. Finished means that all its jobs have ended, however they did."""
-
-    SELECTING = "selecting"
-    RUNNING = "running"
-    PAUSED = "paused"
-    FINISHED = "finished"
-    FAILED = "failed"
-    CANCELLED = "cancelled"
-
-    @property
-    def terminal(self) -> bool:
-        """Whether the campaign has ended, so that its state cannot change any more."""
-        return self in (CampaignState.FINISHED, CampaignState.FAILED, CampaignState.CANCELLED)
-
-
-class JobKind(StrEnum):
-    """The work that a job is. Lists of jobs show attacks only."""
-
-    ATTACK = "attack"
-    SELECTION = "selection"
 
 
 def _words(kind: type[StrEnum]) -> Enum:
@@ -87,6 +47,15 @@ class Base(DeclarativeBase):
     }
 
 
+LISTED_BY = (
+    *("kind", "created_at", "id", "state", "owner", "campaign_id", "title", "scene", "renderer", "method", "target"),
+    *("verdict", "verified", "p", "queries", "seconds", "ended_at", "priority"),
+)
+"""What lists filter, sort and count by, in one index: they need not read the rows, whose requests and results are long.
+Together the texts stay below the 2.7 kB that PostgreSQL allows an entry.
+"""
+
+
 class Job(Base):
     """One attack on one scene, from request to result."""
 
@@ -100,6 +69,8 @@ class Job(Base):
         Index("jobs_by_start", "owner", "priority", "running_at"),
         Index("jobs_by_digest", "digest"),
         Index("jobs_by_campaign", "campaign_id", "created_at", "id"),
+        Index("jobs_by_list", *LISTED_BY),
+        Index("jobs_by_retry", "retry_of"),
     )
 
     id: Mapped[str] = mapped_column(String(32), primary_key=True)
@@ -129,6 +100,24 @@ class Job(Base):
     method: Mapped[str | None] = mapped_column(String(300))
     target: Mapped[str | None] = mapped_column(String(300))
     question: Mapped[str | None] = mapped_column(String(300))
+
+    # What a person has said about the job (services.jobs.lists).
+    title: Mapped[str | None] = mapped_column(String(100))
+    note: Mapped[str | None] = mapped_column(Text)
+    tags: Mapped[list[Any] | None]
+    """Sorted; the table `job_tags` has the same for lists that filter by them."""
+    retry_of: Mapped[str | None] = mapped_column(String(32))
+    """The job whose request this one repeats."""
+
+    # What lists show and sort by of `outcome` (services.jobs.listed); None until the job succeeded.
+    verdict: Mapped[str | None] = mapped_column(String(16))
+    verified: Mapped[bool | None]
+    """Whether the attack succeeded: the network was fooled, and still is when the adversary is rendered afresh."""
+    p: Mapped[float | None] = mapped_column(Float(53))
+    queries: Mapped[int | None] = mapped_column(BigInteger)
+    seconds: Mapped[float | None] = mapped_column(Float(53))
+    ended_at: Mapped[datetime | None]
+    """The time at which the job entered a state that is the last."""
 
     queued_at: Mapped[datetime | None]
     running_at: Mapped[datetime | None]
@@ -183,6 +172,16 @@ class Job(Base):
 def times_of(job: "Job | Row[Any]") -> dict[str, datetime]:
     """The last time at which a job entered each state, in the order of the states."""
     return {state: time for state, column in _TIMES if (time := getattr(job, column)) is not None}
+
+
+class JobTag(Base):
+    """A tag of a job, by which lists find it."""
+
+    __tablename__ = "job_tags"
+    __table_args__ = (Index("job_tags_by_tag", "tag", "job_id"),)
+
+    job_id: Mapped[str] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True)
+    tag: Mapped[str] = mapped_column(String(50), primary_key=True)
 
 
 class Event(Base):

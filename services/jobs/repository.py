@@ -60,8 +60,20 @@ class News:
 _AT_ONCE = 500
 """Rows that one query reads at most of what may be long."""
 _AS_LISTED = (defer(Job.spec), defer(Job.result))
-_UNLISTED = {"spec", "result", "needs", "digest", "traceparent", "sent_at", "phase_at", "lease_owner", "lease_until"}
-_LISTED = tuple(one for one in Job.__table__.columns if one.name not in _UNLISTED)
+_UNLISTED = [
+    "spec",
+    "result",
+    "note",
+    "needs",
+    "digest",
+    "traceparent",
+    "sent_at",
+    "phase_at",
+    "lease_owner",
+    "lease_until",
+]
+LISTED = tuple(one for one in Job.__table__.columns if one.name not in _UNLISTED)
+"""The columns of a job that lists read."""
 
 
 class Repository(Turns):
@@ -87,6 +99,7 @@ class Repository(Turns):
         owner_queued: int | None = None,
         demand: Demand = NO_DEMAND,
         traceparent: str | None = None,
+        retry_of: str | None = None,
     ) -> tuple[Job | None, dict[str, Any]]:
         """Records a new queued job. Returns it and `answer(job)`, or None and the key's first answer if it was used.
 
@@ -115,6 +128,7 @@ class Repository(Turns):
                 owner=owner,
                 demand=demand,
                 traceparent=traceparent,
+                retry_of=retry_of,
             )
             said = answer(job)
             if key is not None:
@@ -157,7 +171,7 @@ class Repository(Turns):
 
         A row has the attributes of a job that are columns. Reading rows takes a third of the time of making jobs.
         """
-        query = select(*_LISTED).where(Job.kind == JobKind.ATTACK)
+        query = select(*LISTED).where(Job.kind == JobKind.ATTACK)
         query = query.order_by(Job.created_at.desc(), Job.id.desc()).limit(limit)
         if campaign is not None:
             query = query.where(Job.campaign_id == campaign)

@@ -39,17 +39,18 @@ class Submissions:
         owner: str = "",
         owner_queued: int | None = None,
         demand: Demand = NO_DEMAND,
+        retry_of: str | None = None,
     ) -> dict[str, Any]:
         """Records the job, then sends its id. Returns `answer(job)`, or the first answer if the key was used before.
 
-        A worker checks first whether a spec that was not `checked` can run.
+        A worker checks first whether a spec that was not `checked` can run. `retry_of` is the job that it repeats.
 
         Raises QueueFull, QuotaExceeded if the owner has `owner_queued` jobs queued, and KeyReused if the key came with
         another request.
         """
         given = (spec, self.max_queued, key, answer, warnings)
         about: dict[str, Any] = {"checked": checked, "owner": owner, "owner_queued": owner_queued, "demand": demand}
-        about["traceparent"] = tracing.context()
+        about |= {"traceparent": tracing.context(), "retry_of": retry_of}
         create = partial(self.repository.create, *given, **about)
         with tracing.span("record"):
             try:

@@ -78,6 +78,7 @@ class Transactions:
         owner: str = "",
         demand: Demand = NO_DEMAND,
         traceparent: str | None = None,
+        retry_of: str | None = None,
     ) -> Job:
         """Records a new queued job and its first event."""
         now = self._now(session)
@@ -100,6 +101,7 @@ class Transactions:
             warnings=[one.model_dump(mode="json") for one in warnings],
             events=1,
             traceparent=traceparent,
+            retry_of=retry_of,
             **(listed(spec) if kind is JobKind.ATTACK else {}),
         )
         session.add(job)
@@ -116,10 +118,11 @@ class Transactions:
         """Changes a job's state if it meets the conditions `where`, and records the event; otherwise returns None."""
         self._lock(session, job_id)
         now = self._now(session)
+        ended = {"ended_at": now} if to.terminal else {}
         changed = (
             update(Job)
             .where(Job.id == job_id, *where)
-            .values({"state": to, f"{to.value}_at": now, "events": Job.events + 1, **values})
+            .values({"state": to, f"{to.value}_at": now, "events": Job.events + 1, **ended, **values})
             .returning(Job)
             .execution_options(synchronize_session=False, populate_existing=True)
         )

@@ -14,6 +14,7 @@ from services.access.caller import KEYLESS
 from services.jobs.attempts import Attempt
 from services.jobs.campaign_service import CampaignService
 from services.jobs.database import connect, migrate
+from services.jobs.lists import JobLists
 from services.jobs.models import Artifact, Job
 from services.jobs.repository import Repository
 from services.pipeline.outcome import outcome
@@ -200,6 +201,7 @@ def app(repository: Repository, campaigns: CampaignService | None = None) -> Fas
         assets=none,
         quotas=none,
         repository=repository,
+        lists=JobLists(repository._reads),  # noqa: SLF001 - the record's database
         queue=none,
         submissions=none,
         store=none,
@@ -214,6 +216,7 @@ def app(repository: Repository, campaigns: CampaignService | None = None) -> Fas
         asset_records=none,
         target_records=none,
         watcher=none,
+        list_watcher=none,
         webhooks=none,
         webhook_hosts=frozenset(),
         storage=none,

@@ -49,8 +49,10 @@ ENDLESS = (
     "GET /v1/jobs/{job_id}/export",
     "GET /v1/jobs/{job_id}/scene.glb",
     "GET /assets/pictures/{asset:path}",
+    "GET /parts/jobs/changes",
+    "GET /compare",
 )
-"""A stream of a job that does not end, what it does not have yet, and the picture of a mesh without one."""
+"""Streams that do not end, what a job does not have yet, the picture of a mesh without one, and no jobs to compare."""
 
 
 @pytest.mark.parametrize("route", [route for route in CLOSED if route.startswith("GET") and route not in ENDLESS])

@@ -85,7 +85,7 @@ async def test_list_shows_state_and_outcome_newest_first(repository: Repository)
 
 
 async def test_list_is_paged_and_filtered(repository: Repository) -> None:
-    for _ in range(31):
+    for _ in range(51):
         add(repository)
     repository.fail(start(repository, add(repository)), "internal", "x")
     first = Tags((await get(repository, "/")).text)
@@ -94,10 +94,10 @@ async def test_list_is_paged_and_filtered(repository: Repository) -> None:
     assert older is not None
     second = Tags((await get(repository, older)).text)
     rest = [a for a in second.all("a") if (a["href"] or "").startswith("/jobs/")]
-    assert len(rows) == 30
+    assert len(rows) == 50
     assert len(rest) == 2
     assert not {a["href"] for a in rows} & {a["href"] for a in rest}
-    failed = Tags((await get(repository, "/?state=failed")).text)
+    failed = Tags((await get(repository, "/?q=state:failed")).text)
     assert len([a for a in failed.all("a") if (a["href"] or "").startswith("/jobs/")]) == 1
 
 

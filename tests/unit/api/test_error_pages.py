@@ -55,7 +55,7 @@ def test_the_api_answers_a_browser_as_it_answers_programs(guarded: Guarded, path
 
 
 ELSE = {
-    "/?state=sleeping": ("alice", 422),
+    "/?sort=sleeping": ("alice", 422),
     "/nothing": ("alice", 404),
     "/static/nothing": ("none", 404),
     "/parts/jobs/nothing": ("alice", 404),

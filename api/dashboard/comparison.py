@@ -1,0 +1,119 @@
+"""The page that compares jobs: what differs in their requests, their results, images and curves."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import zip_longest
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, HTTPException, Query, Response
+
+from api.authentication import CallerDependency
+from api.dashboard.charts import Overlay, overlay
+from api.dashboard.pages import html
+from api.dashboard.words import setting
+from api.state import ServicesDependency, no_such
+from services.attacks.verdict import with_outcome
+from services.jobs.models import Job
+
+MOST = 8
+"""Jobs that are compared at most: as many colours can be told apart."""
+CURVES = {
+    "loss": "Probability to lower",
+    "advantage": "Log-probability advantage",
+    "perceptibility": "Perceptibility p",
+    "distance": "Distance ‖ΔY‖₂",
+}
+Against = Literal["step", "queries", "seconds"]
+ABSENT = "–"
+"""What the table shows of a job whose request has no such field, or null there."""
+
+router = APIRouter(include_in_schema=False)
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A job of the comparison."""
+
+    job: Job
+    letter: str
+    outcome: dict[str, Any] | None
+
+    @property
+    def trace(self) -> Sequence[Mapping[str, Any]]:
+        """The rows of the result's trace, empty without a result."""
+        found: Sequence[Mapping[str, Any]] = self.job.result["trace"] if self.job.result else ()
+        return found
+
+
+@router.get("/compare")
+def compare(
+    services: ServicesDependency,
+    caller: CallerDependency,
+    jobs: Annotated[str, Query(max_length=1000, description="ids, separated by commas")] = "",
+    job: Annotated[list[str], Query(max_length=200)] = [],  # noqa: B006 - the framework copies it
+    against: Against = "queries",
+) -> Response:
+    """Compares two to eight jobs, named by `jobs` or, as a form sends ticked boxes, by several `job`."""
+    ids = [*(one.strip() for one in jobs.split(",") if one.strip()), *job]
+    if not 2 <= len(ids) <= MOST:
+        raise HTTPException(422, f"name 2 to {MOST} jobs, as in /compare?jobs=a,b; {len(ids)} are named")
+    compared = []
+    for number, job_id in enumerate(ids):
+        found = caller.visible(services.repository.get(job_id, with_result=True))
+        if found is None:
+            raise no_such(f"job as {job_id}")
+        compared.append(Compared(found, "ABCDEFGH"[number], with_outcome(found.outcome)))
+    charts = [(name, curve) for name, title in CURVES.items() if (curve := _curve(compared, name, title, against))]
+    return html(
+        "compare.html",
+        caller=caller,
+        compared=compared,
+        ids=",".join(ids),
+        against=against,
+        differing=differences([one.job.spec for one in compared]),
+        charts=charts,
+        rows=_table(compared, against),
+    )
+
+
+def differences(specs: Sequence[Mapping[str, Any]]) -> list[tuple[str, list[str]]]:
+    """The dotted path of each field whose values differ, and the value of each request in words."""
+    flat = [dict(_fields(spec)) for spec in specs]
+    paths = list(dict.fromkeys(path for one in flat for path in one))
+    return [
+        (path, [ABSENT if one.get(path) is None else setting(one[path]) for one in flat])
+        for path in paths
+        if any(path not in one or one[path] != flat[0].get(path) for one in flat)
+    ]
+
+
+def _fields(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    parts = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    if not parts or (isinstance(value, list) and not any(isinstance(one, dict | list) for one in value)):
+        yield path, value
+        return
+    for name, one in parts:
+        yield from _fields(one, f"{path}.{name}" if path else str(name))
+
+
+def _curve(compared: Sequence[Compared], name: str, title: str, against: str) -> Overlay | None:
+    curves = [
+        (one.letter, [(row[against], row[name]) for row in one.trace if name in row and against in row])
+        for one in compared
+    ]
+    return overlay(title, against, curves)
+
+
+ROWS = 40
+"""Rows of the table behind the curves at most; the trace in the result has every one."""
+
+
+def _table(compared: Sequence[Compared], against: str) -> list[list[tuple[float, float, float] | None]]:
+    """For each job (x, advantage, p) of some of its rows, first and last among them."""
+    columns = []
+    for one in compared:
+        trace = [row for row in one.trace if against in row]  # results of version 0.1 count no queries
+        every = -(-len(trace) // ROWS) or 1
+        kept = [row for number, row in enumerate(trace) if number % every == 0 or number == len(trace) - 1]
+        columns.append([(row[against], row["advantage"], row["perceptibility"]) for row in kept])
+    return [list(row) for row in zip_longest(*columns)]

@@ -1,0 +1,182 @@
+"""The page of the jobs: one query box that is the address, sortable columns, and what is done with the ticked jobs."""
+
+from collections.abc import AsyncIterator
+from contextlib import aclosing
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+from urllib.parse import urlencode
+
+from fastapi import APIRouter, Form, Query, Response
+from fastapi.responses import RedirectResponse
+from fastapi.sse import EventSourceResponse, ServerSentEvent
+from sqlalchemy import Row
+
+from api.authentication import CallerDependency
+from api.dashboard.pages import HEADERS, html
+from api.job_edit import TAG_PATTERN
+from api.job_places import SORT_PATTERN, read_cursor, write_cursor
+from api.retries import retry
+from api.state import Services, ServicesDependency
+from services.access.caller import Caller
+from services.attacks.verdict import with_outcome
+from services.errors import InUse, InvalidRequest, QuotaExceeded
+from services.jobs.job_query import EXAMPLE, parse_query
+from services.jobs.lists import ListTotals
+from services.jobs.models import State
+from services.jobs.repository import QueueFull
+
+PAGE = 50
+"""Number of jobs on one page of the list."""
+NEWEST = "-created"
+MOST = 200
+"""Jobs that one request acts upon at most."""
+
+router = APIRouter(include_in_schema=False)
+Text = Annotated[str, Query(max_length=8000)]
+Sort = Annotated[str, Query(pattern=SORT_PATTERN)]
+Place = Annotated[str | None, Query(max_length=2000)]
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of the table: its name in sorts and styles, its heading, and how it begins."""
+
+    name: str
+    title: str
+    first: str = ""
+    """The sort of a first click; "" for a column by which nothing is sorted."""
+    number: bool = False
+    shown: bool = True
+    """Whether it is shown to a reader who has not chosen columns."""
+
+
+COLUMNS = (
+    Column("images", "Images"),
+    Column("name", "Scene and attack", "name"),
+    Column("state", "State", "state"),
+    Column("answer", "The network said"),
+    Column("outcome", "Outcome", "-verified"),
+    Column("p", "p ×10⁻³", "p", number=True),
+    Column("queries", "Queries", "queries", number=True),
+    Column("seconds", "Run time", "seconds", number=True),
+    Column("created", "Posted", "-created"),
+    Column("ended", "Ended", "-ended", shown=False),
+    Column("renderer", "Renderer", "renderer", shown=False),
+    Column("method", "Method", "method", shown=False),
+    Column("target", "Target", "target", shown=False),
+)
+
+
+@dataclass(frozen=True)
+class Strip:
+    """What there is to see of all jobs at once."""
+
+    totals: ListTotals
+    seconds_left: float | None
+    """Until the jobs that have not ended will have, at the mean run time; None if there are none, or no run times."""
+
+    @classmethod
+    def of(cls, totals: ListTotals) -> "Strip":
+        """The strip of the sums over all jobs of a caller."""
+        running = totals.states.get(State.RUNNING, 0) + totals.states.get(State.CANCELLING, 0)
+        left = running + totals.states.get(State.QUEUED, 0)
+        known = bool(left and totals.decided)
+        return cls(totals, totals.seconds / totals.decided * left / max(running, 1) if known else None)
+
+
+@router.get("/")
+def jobs(
+    services: ServicesDependency, caller: CallerDependency, q: Text = "", sort: Sort = NEWEST, cursor: Place = None
+) -> Response:
+    """The list of jobs that meet a query."""
+    return shown("jobs.html", services, caller, q, sort, cursor)
+
+
+@router.get("/parts/jobs")
+def jobs_part(
+    services: ServicesDependency, caller: CallerDependency, q: Text = "", sort: Sort = NEWEST, cursor: Place = None
+) -> Response:
+    """The part of the list that the script reads when something has changed."""
+    return shown("_jobs.html", services, caller, q, sort, cursor)
+
+
+@router.get("/parts/jobs/changes", response_class=EventSourceResponse)
+async def changes(services: ServicesDependency, caller: CallerDependency) -> AsyncIterator[ServerSentEvent]:
+    """Says at first, and then whenever a job of the caller has changed, that the list may have."""
+    async with aclosing(services.list_watcher.changes(caller)) as marks:
+        async for _ in marks:
+            yield ServerSentEvent(data={}, event="changed")
+
+
+@router.post("/jobs/selected")
+def act(
+    services: ServicesDependency,
+    caller: CallerDependency,
+    action: Annotated[Literal["cancel", "retry", "delete", "tag"], Form()],
+    job: Annotated[list[str], Form(max_length=MOST)] = [],  # noqa: B006 - the framework copies it
+    tag: Annotated[str, Form(max_length=50)] = "",
+    q: Annotated[str, Form(max_length=8000)] = "",
+    sort: Annotated[str, Form(pattern=SORT_PATTERN)] = NEWEST,
+    cursor: Annotated[str, Form(max_length=2000)] = "",
+) -> Response:
+    """Does something with the ticked jobs and redirects to the list; where some refuse, it shows the list and why."""
+    refused = [] if job else ["no job is ticked"]
+    if action == "tag" and not TAG_PATTERN.fullmatch(tag):
+        refused.append("a tag has 1 to 50 characters without spaces, commas, colons and quotation marks")
+    for job_id in dict.fromkeys(job) if not refused else ():
+        try:
+            _act(services, caller, action, job_id, tag)
+        except (InvalidRequest, InUse, QuotaExceeded) as error:
+            refused.append(f"{job_id[:8]}: {error}")
+        except QueueFull:
+            refused.append(f"{job_id[:8]}: the queue is full")
+    if refused:
+        return shown("jobs.html", services, caller, q, sort, cursor or None, refused)
+    return RedirectResponse(address(q, sort, cursor or None), 303, HEADERS)
+
+
+def _act(services: Services, caller: Caller, action: str, job_id: str, tag: str) -> None:
+    found = caller.visible(services.repository.get(job_id))
+    if found is None:
+        raise InUse("there is no such job")
+    if action == "cancel":
+        services.repository.request_cancel(job_id)
+    elif action == "delete":
+        services.housekeeping.delete(job_id)
+    elif action == "tag":
+        services.lists.edit(job_id, {"tags": [*(found.tags or []), tag][-20:]})
+    else:
+        retry(services, caller, found, lambda job: {"id": job.id})
+
+
+def address(q: str, sort: str, cursor: str | None = None) -> str:
+    """The address of a list."""
+    given = {"q": q, "sort": "" if sort == NEWEST else sort, "cursor": cursor or ""}
+    chosen = urlencode({name: value for name, value in given.items() if value})
+    return f"/?{chosen}" if chosen else "/"
+
+
+def shown(
+    template: str,
+    services: Services,
+    caller: Caller,
+    q: str,
+    sort: str,
+    cursor: str | None,
+    refused: list[str] | None = None,
+) -> Response:
+    """The list, or with status 422 an empty one that says where the query cannot be read."""
+    about: dict[str, Any] = {"q": q, "sort": sort, "cursor": cursor, "caller": caller, "refused": refused or []}
+    about |= {"columns": COLUMNS, "address": address, "example": EXAMPLE}
+    strip = Strip.of(services.lists.totals((), caller.only))
+    try:
+        terms, place = parse_query(q), read_cursor(cursor, sort)
+    except InvalidRequest as error:
+        none: dict[str, Any] = {"lines": [], "totals": None, "older": None, "newer": None}
+        return html(template, 422, strip=strip, error=error.detail, **none, **about)
+    page = services.lists.page(terms, PAGE, sort=sort, after=place.after, before=place.before, owner=caller.only)
+    older = write_cursor(sort, page.last, backwards=False) if page.last and page.more_after else None
+    newer = write_cursor(sort, page.first, backwards=True) if page.first and page.more_before else None
+    lines: list[tuple[Row[Any], Any]] = [(job, with_outcome(job.outcome)) for job in page.jobs]
+    totals = services.lists.totals(terms, caller.only) if terms else strip.totals
+    return html(template, strip=strip, error=None, lines=lines, totals=totals, older=older, newer=newer, **about)

@@ -1,0 +1,30 @@
+"""What a person says about a job: a title, tags and a note."""
+
+import re
+from typing import Annotated
+
+from pydantic import ConfigDict, Field
+
+from services.strict import Strict
+
+TAG_PATTERN = re.compile(r'[^\s,:"]{1,50}')
+Tag = Annotated[str, Field(pattern=f"^{TAG_PATTERN.pattern}$")]
+
+
+class JobEdit(Strict):
+    """Changes of what people have said about a job. Fields that are left out stay as they are."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    title: Annotated[str, Field(max_length=100)] | None = Field(
+        None, description='a name that a person gives the job; "" or null for none'
+    )
+    tags: Annotated[list[Tag], Field(max_length=20)] | None = Field(
+        None, description="all tags of the job, each without spaces, commas, colons and quotation marks; null for none"
+    )
+    note: Annotated[str, Field(max_length=10_000)] | None = Field(None, description='a text; "" or null for none')
+
+    def changes(self) -> dict[str, object]:
+        """The columns to write."""
+        found = {name: getattr(self, name) for name in self.model_fields_set}
+        return {name: (value or []) if name == "tags" else value or None for name, value in found.items()}

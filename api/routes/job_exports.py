@@ -1,0 +1,154 @@
+"""Routes that give out a whole list of jobs as a file."""
+
+import csv
+import io
+import json
+from collections.abc import Iterator
+from datetime import datetime
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query
+from fastapi.responses import StreamingResponse
+from pydantic import BaseModel, Field
+from sqlalchemy import Row
+
+from api.authentication import CallerDependency
+from api.routes.jobs import NEWEST, QueryText, Sort
+from api.state import Services, ServicesDependency
+from services.access.caller import Caller
+from services.jobs.job_query import Term, parse_query
+from services.jobs.models import State
+
+AT_ONCE = 500
+"""Jobs that are read from the database at once."""
+Ticked = Annotated[list[str] | None, Query(max_length=200, description="ids of jobs, if only these are wanted")]
+
+router = APIRouter(prefix="/v1", tags=["jobs"])
+
+
+class JobRow(BaseModel):
+    """A line of the table of jobs. The fields from `outcome` to `seconds` are null until the job has succeeded."""
+
+    id: str
+    title: str | None = Field(description="the name that a person gave the job")
+    name: str
+    scene: str
+    renderer: str
+    method: str
+    target: str
+    question: str | None
+    state: State
+    outcome: str | None
+    verified: bool | None = Field(description="whether the adversary is a success: verified on the exact image")
+    before: str | None = Field(description="what the network said before the attack")
+    after: str | None = Field(description="what the network said after the attack")
+    p: float | None = Field(description="perceptibility as a number, not in thousandths")
+    queries: int | None
+    seconds: float | None = Field(description="run time")
+    seed: int
+    tags: list[str]
+    retry_of: str | None
+    campaign: str | None
+    created: datetime
+    ended: datetime | None
+
+
+class JobTable(BaseModel):
+    """Every job that meets a query."""
+
+    items: list[JobRow]
+
+
+COLUMNS = tuple(JobRow.model_fields)
+
+
+@router.get("/jobs.csv", response_class=StreamingResponse, responses={200: {"content": {"text/csv": {}}}})
+def as_csv(
+    services: ServicesDependency,
+    caller: CallerDependency,
+    q: QueryText = None,
+    sort: Sort = NEWEST,
+    job: Ticked = None,
+) -> StreamingResponse:
+    """Every job that meets a query, as a table with one line each. p is a number, not in thousandths."""
+    found = _jobs(services, caller, _terms(q, job), sort)
+    return _file(_csv_lines(found), "text/csv; charset=utf-8", "jobs.csv")
+
+
+@router.get("/jobs.json", response_class=StreamingResponse, responses={200: {"model": JobTable}})
+def as_json(
+    services: ServicesDependency,
+    caller: CallerDependency,
+    q: QueryText = None,
+    sort: Sort = NEWEST,
+    job: Ticked = None,
+) -> StreamingResponse:
+    """Every job that meets a query, with the columns of the table."""
+    found = _jobs(services, caller, _terms(q, job), sort)
+    return _file(_json_lines(found), "application/json", "jobs.json")
+
+
+def _terms(q: str | None, ticked: list[str] | None) -> list[Term]:
+    return [*parse_query(q or ""), *([Term("id", "=", tuple(ticked))] if ticked else [])]
+
+
+def _file(lines: Iterator[str], media_type: str, name: str) -> StreamingResponse:
+    headers = {"Content-Disposition": f'attachment; filename="{name}"', "Cache-Control": "no-store"}
+    return StreamingResponse(lines, headers=headers, media_type=media_type)
+
+
+def _jobs(services: Services, caller: Caller, terms: list[Term], sort: str) -> Iterator[dict[str, Any]]:
+    after = None
+    while True:
+        page = services.lists.page(terms, AT_ONCE, sort=sort, after=after, owner=caller.only)
+        yield from map(_flat, page.jobs)
+        if not page.more_after:
+            return
+        after = page.last
+
+
+def _flat(job: Row[Any]) -> dict[str, Any]:
+    outcome = job.outcome or {}
+    values = {
+        "outcome": job.verdict,
+        "before": outcome.get("before"),
+        "after": outcome.get("after"),
+        "state": job.state.value,
+        "tags": job.tags or [],
+        "campaign": job.campaign_id,
+        "created": job.created_at.isoformat(),
+        "ended": None if job.ended_at is None else job.ended_at.isoformat(),
+    }
+    return {name: values[name] if name in values else getattr(job, name) for name in COLUMNS}
+
+
+def _csv_lines(jobs: Iterator[dict[str, Any]]) -> Iterator[str]:
+    buffer = io.StringIO()
+    writer = csv.writer(buffer)
+    writer.writerow(COLUMNS)
+    for job in jobs:
+        writer.writerow(_cell(job[name]) for name in COLUMNS)
+        if buffer.tell() > 2**16:
+            yield _taken(buffer)
+    yield _taken(buffer)
+
+
+def _cell(value: Any) -> Any:
+    if isinstance(value, list):
+        return " ".join(value)
+    # A spreadsheet would run a text that begins so as a formula.
+    return f"'{value}" if isinstance(value, str) and value[:1] in ("=", "+", "-", "@", "\t") else value
+
+
+def _json_lines(jobs: Iterator[dict[str, Any]]) -> Iterator[str]:
+    yield '{"items": ['
+    for number, job in enumerate(jobs):
+        yield (",\n" if number else "\n") + json.dumps(job, ensure_ascii=False)
+    yield "\n]}\n"
+
+
+def _taken(buffer: io.StringIO) -> str:
+    text = buffer.getvalue()
+    buffer.seek(0)
+    buffer.truncate()
+    return text

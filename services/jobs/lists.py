@@ -1,0 +1,240 @@
+"""Lists of jobs, filtered and sorted, and what people say about single jobs: a title, tags and a note.
+
+Which jobs a page has is found in one index that has all that lists filter and sort by (`models.LISTED_BY`). Only the
+rows of that page are read, and of them neither requests nor results.
+"""
+
+import operator
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import ColumnElement, Float, Row, Select, and_, case, func, literal, or_, select, tuple_, update
+from sqlalchemy import delete as deletion
+from sqlalchemy.orm import InstrumentedAttribute
+
+from services.jobs.job_query import Term
+from services.jobs.models import Job, JobKind, JobTag, State
+from services.jobs.repository import LISTED
+from services.jobs.transactions import Transactions
+from services.jobs.utc_time import UtcTime
+
+SORTS: dict[str, Any] = {
+    "created": Job.created_at,
+    "ended": Job.ended_at,
+    "name": func.coalesce(Job.title, Job.scene),
+    "scene": Job.scene,
+    "renderer": Job.renderer,
+    "method": Job.method,
+    "target": Job.target,
+    "state": Job.state,
+    "outcome": Job.verdict,
+    "verified": Job.verified,
+    "p": Job.p,
+    "queries": Job.queries,
+    "seconds": Job.seconds,
+}
+"""What a list may be sorted by, and the column. A job without a value comes last, in both directions."""
+_COLUMNS: dict[str, InstrumentedAttribute[Any]] = {
+    "created": Job.created_at,
+    "ended": Job.ended_at,
+    "state": Job.state,
+    "outcome": Job.verdict,
+    "campaign": Job.campaign_id,
+    **{name: getattr(Job, name) for name in ("scene", "target", "question", "renderer", "method", "owner")},
+    **{name: getattr(Job, name) for name in ("p", "queries", "seconds")},
+}
+_COMPARE: dict[str, Callable[[Any, Any], ColumnElement[bool]]] = {
+    "=": operator.eq,
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+}
+_ANYWHERE = (Job.title, Job.scene, Job.renderer, Job.method, Job.target)
+"""The texts in which words without a field are looked for."""
+OPEN = (State.QUEUED, State.RUNNING, State.CANCELLING)
+
+
+@dataclass(frozen=True)
+class Place:
+    """A job's place in a sorted list: its value there, None if it has none, and when it was submitted."""
+
+    value: Any
+    created_at: datetime
+    job_id: str
+
+
+@dataclass(frozen=True)
+class ListPage:
+    """A part of a list."""
+
+    jobs: list[Row[Any]]
+    """Rows with the columns of a job, but for its request and result."""
+    first: Place | None
+    last: Place | None
+    """Where the page begins and ends; None for an empty one."""
+    more_before: bool
+    more_after: bool
+    """Whether the list has jobs before and after the page."""
+
+
+@dataclass(frozen=True)
+class ListTotals:
+    """Sums over a whole list. Those of an outcome are over the jobs that have one."""
+
+    jobs: int
+    states: dict[State, int]
+    verified: int
+    decided: int
+    """Jobs that have an outcome, of which `verified` are successes."""
+    queries: int
+    seconds: float
+
+
+class JobLists(Transactions):
+    """Reads lists of attacks, and writes what people say about them."""
+
+    def page(
+        self,
+        terms: Sequence[Term],
+        limit: int,
+        *,
+        sort: str = "-created",
+        after: Place | None = None,
+        before: Place | None = None,
+        owner: str | None = None,
+    ) -> ListPage:
+        """At most `limit` attacks that meet the terms: those after or before a place, or the first ones.
+
+        `sort` is one of `SORTS`, with "-" before it for the greatest first. Jobs with equal values are in the order of
+        their submission, in the same direction. If `owner` is given, only the owner's.
+        """
+        column, descending = SORTS[sort.removeprefix("-")], sort.startswith("-")
+        query = self._matching(select(Job.id, column, Job.created_at), terms, owner)
+        place = after or before
+        backwards = after is None and before is not None
+        if place is not None:
+            query = query.where(_beyond(column, place, descending=descending, backwards=backwards))
+        query = query.order_by(*_order(column, descending=descending, backwards=backwards)).limit(limit + 1)
+        with self._read() as session:
+            found = session.execute(query).all()
+            more, found = len(found) > limit, list(found[:limit])
+            if backwards:
+                found.reverse()
+            ids = [one[0] for one in found]
+            rows = {row.id: row for row in session.execute(select(*LISTED).where(Job.id.in_(ids)))}
+        places = [Place(value, created_at, job_id) for job_id, value, created_at in found]
+        return ListPage(
+            jobs=[rows[job_id] for job_id in ids if job_id in rows],
+            first=places[0] if places else None,
+            last=places[-1] if places else None,
+            more_before=more if backwards else after is not None,
+            more_after=before is not None if backwards else more,
+        )
+
+    def totals(self, terms: Sequence[Term], owner: str | None = None) -> ListTotals:
+        """Sums over all attacks that meet the terms."""
+        decided, verified = func.count(Job.verdict), func.sum(case((Job.verified.is_(True), 1), else_=0))
+        sums = (func.count(), verified, decided, func.sum(Job.queries), func.sum(Job.seconds))
+        query = self._matching(select(Job.state, *sums), terms, owner).group_by(Job.state)
+        with self._read() as session:
+            rows = session.execute(query).all()
+        return ListTotals(
+            jobs=sum(row[1] for row in rows),
+            states={row[0]: row[1] for row in rows},
+            verified=sum(int(row[2] or 0) for row in rows),
+            decided=sum(row[3] for row in rows),
+            queries=sum(int(row[4] or 0) for row in rows),
+            seconds=float(sum(row[5] or 0 for row in rows)),
+        )
+
+    def marks(self) -> dict[str, str]:
+        """By owner a text that changes when a job of the owner is submitted, moves or gets further, or ends."""
+        sums = (func.count(), func.sum(Job.events), func.max(Job.created_at))
+        query = select(Job.owner, *sums).where(Job.state.in_(OPEN), Job.kind == JobKind.ATTACK).group_by(Job.owner)
+        with self._read() as session:
+            return {owner: f"{jobs} {events} {newest}" for owner, jobs, events, newest in session.execute(query)}
+
+    def edit(self, job_id: str, changes: Mapping[str, Any]) -> None:
+        """Writes a job's `title`, `note` and `tags`, those that are given. Does nothing if there is no such job."""
+        values = dict(changes)
+        if "tags" in values:
+            values["tags"] = sorted(set(values["tags"]))
+        with self._write() as session:
+            self._lock(session, job_id)
+            changed = update(Job).where(Job.id == job_id).values(values).returning(Job.id)
+            if values and session.scalar(changed) is not None and "tags" in values:
+                session.execute(deletion(JobTag).where(JobTag.job_id == job_id))
+                session.add_all(JobTag(job_id=job_id, tag=tag) for tag in values["tags"])
+
+    def retries(self, job_id: str) -> list[str]:
+        """The ids of the jobs that repeat a job, the first one first."""
+        with self._read() as session:
+            query = select(Job.id).where(Job.retry_of == job_id).order_by(Job.created_at, Job.id)
+            return list(session.scalars(query))
+
+    def _matching(self, query: Select[*tuple[Any, ...]], terms: Collection[Term], owner: str | None) -> Any:
+        query = query.where(Job.kind == JobKind.ATTACK, *map(_condition, terms))
+        if owner is not None:
+            query = query.where(Job.owner == owner)
+        return query
+
+
+def _condition(term: Term) -> ColumnElement[bool]:
+    met = _met(term)
+    return met if term.wanted else ~func.coalesce(met, False)
+
+
+def _met(term: Term) -> ColumnElement[bool]:
+    if term.field == "verified":
+        return Job.verified.is_(True)
+    if term.field == "noted":
+        return Job.note.is_not(None)
+    if term.field == "tag":
+        return Job.id.in_(select(JobTag.job_id).where(JobTag.tag.in_(term.values)))
+    if term.field in ("campaign", "state", "outcome", "renderer", "method", "owner"):
+        return _COLUMNS[term.field].in_(term.values)
+    return or_(*(_one(term, value) for value in term.values))
+
+
+def _one(term: Term, value: Any) -> ColumnElement[bool]:
+    if term.field == "":
+        columns = (column.icontains(value, autoescape=True) for column in _ANYWHERE)
+        return or_(Job.id.startswith(value, autoescape=True), *(func.coalesce(one, False) for one in columns))
+    if term.field == "id":
+        return Job.id.startswith(value, autoescape=True)
+    if term.field == "name":
+        return or_(*(func.coalesce(one.icontains(value, autoescape=True), False) for one in (Job.title, Job.name)))
+    column = _COLUMNS[term.field]
+    if isinstance(value, str):
+        return column.icontains(value, autoescape=True)
+    if isinstance(value, float):
+        value = literal(value, Float(53))  # in the type of `queries` PostgreSQL would round it, or refuse a large one
+    return _COMPARE[term.sign](column, value)
+
+
+def _order(column: Any, *, descending: bool, backwards: bool) -> list[Any]:
+    keys = [Job.created_at, Job.id]
+    down = descending != backwards
+    directed = [key.desc() if down else key.asc() for key in ([] if column is Job.created_at else [column]) + keys]
+    if column is Job.created_at:
+        return directed
+    empty = column.is_(None)
+    return [empty.desc() if backwards else empty.asc(), *directed]
+
+
+def _beyond(column: Any, place: Place, *, descending: bool, backwards: bool) -> ColumnElement[bool]:
+    """The condition of the jobs that come after a place, in the order of `_order`."""
+    down = descending != backwards
+    tie = tuple_(literal(place.created_at, UtcTime()), literal(place.job_id))
+    beside = tuple_(Job.created_at, Job.id) < tie if down else tuple_(Job.created_at, Job.id) > tie
+    if column is Job.created_at:
+        return beside
+    if place.value is None:
+        same = and_(column.is_(None), beside)
+        return or_(same, column.is_not(None)) if backwards else same
+    value = literal(place.value, column.type)
+    further = or_(column < value if down else column > value, and_(column == value, beside))
+    return further if backwards else or_(further, column.is_(None))

@@ -1,0 +1,45 @@
+"""The states of jobs and campaigns, and the kinds of jobs."""
+
+from enum import StrEnum
+
+
+class State(StrEnum):
+    """The state of a job. Succeeded means that it ran to its end, not that the network was fooled. Rejected means that
+    its request turned out to be one that cannot run: it was accepted before its check had ended.
+    """
+
+    QUEUED = "queued"
+    RUNNING = "running"
+    CANCELLING = "cancelling"
+    SUCCEEDED = "succeeded"
+    FAILED = "failed"
+    REJECTED = "rejected"
+    CANCELLED = "cancelled"
+
+    @property
+    def terminal(self) -> bool:
+        """Whether the job has ended, so that its state cannot change any more."""
+        return self in (State.SUCCEEDED, State.FAILED, State.REJECTED, State.CANCELLED)
+
+
+class CampaignState(StrEnum):
+    """The state of a campaign. Finished means that all its jobs have ended, however they did."""
+
+    SELECTING = "selecting"
+    RUNNING = "running"
+    PAUSED = "paused"
+    FINISHED = "finished"
+    FAILED = "failed"
+    CANCELLED = "cancelled"
+
+    @property
+    def terminal(self) -> bool:
+        """Whether the campaign has ended, so that its state cannot change any more."""
+        return self in (CampaignState.FINISHED, CampaignState.FAILED, CampaignState.CANCELLED)
+
+
+class JobKind(StrEnum):
+    """The work that a job is. Lists of jobs show attacks only."""
+
+    ATTACK = "attack"
+    SELECTION = "selection"

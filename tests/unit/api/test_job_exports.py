@@ -1,0 +1,19 @@
+import csv
+import io
+
+import httpx
+
+from api.state import Services
+
+
+def test_a_list_as_csv_and_json(client: httpx.Client, services: Services, finished: str) -> None:
+    services.lists.edit(finished, {"title": "=cmd()", "tags": ["b", "a"]})
+    answer = client.get("/v1/jobs.csv", params={"q": f"id:{finished}"})
+    assert answer.headers["content-disposition"] == 'attachment; filename="jobs.csv"'
+    [row] = csv.DictReader(io.StringIO(answer.text))
+    columns = ("id", "title", "tags", "p", "verified")
+    assert [row[name] for name in columns] == [finished, "'=cmd()", "a b", "0.003", "True"]
+    [job] = client.get("/v1/jobs.json", params={"job": finished}).json()["items"]
+    assert (job["title"], job["tags"], job["p"], job["outcome"]) == ("=cmd()", ["a", "b"], 0.003, "fooled")
+    assert client.get("/v1/jobs.json", params={"job": "f" * 32}).json() == {"items": []}
+    assert client.get("/v1/jobs.csv", params={"q": "rendrer:x"}).status_code == 422

@@ -1,0 +1,87 @@
+"""The list of jobs over HTTP: queries, cursors, what people say about jobs, and retries."""
+
+from typing import Any
+
+import httpx
+import pytest
+
+from api.state import Services
+from services.jobs.models import Job
+from services.pipeline.spec import parse
+from tests.unit.api.conftest import SPHERE
+
+
+@pytest.fixture
+def three(services: Services) -> list[str]:
+    """Three queued jobs with a tag of their own."""
+    jobs = []
+    for seed in range(3):
+        job, _ = services.repository.create(parse(SPHERE | {"seed": seed}), 1000, None, lambda _: {})
+        assert isinstance(job, Job)
+        services.lists.edit(job.id, {"tags": [f"three-{id(jobs)}"]})
+        jobs.append(job.id)
+    return jobs
+
+
+def tag_of(client: httpx.Client, job: str) -> str:
+    tag: str = client.get(f"/v1/jobs/{job}").json()["tags"][0]
+    return tag
+
+
+def test_pages_of_a_query_both_ways(client: httpx.Client, three: list[str]) -> None:
+    asked = {"q": f"tag:{tag_of(client, three[0])} state:queued", "limit": 2, "sort": "created"}
+    first = client.get("/v1/jobs", params=asked).json()
+    assert [job["id"] for job in first["items"]] == three[:2]
+    assert first["previous"] is None
+    second = client.get("/v1/jobs", params=asked | {"cursor": first["next"]}).json()
+    assert [job["id"] for job in second["items"]] == three[2:]
+    assert second["next"] is None
+    back = client.get("/v1/jobs", params=asked | {"cursor": second["previous"]}).json()
+    assert back["items"] == first["items"]
+    other = client.get("/v1/jobs", params=asked | {"cursor": first["next"], "sort": "p"})
+    assert (other.status_code, other.json()["errors"][0]["field"]) == (422, "cursor")
+
+
+def test_a_query_that_cannot_be_read_says_where(client: httpx.Client) -> None:
+    answer = client.get("/v1/jobs", params={"q": "scene:a rendrer:torch"})
+    assert answer.status_code == 422
+    [error] = answer.json()["errors"]
+    assert error["field"] == "q"
+    assert error["detail"].startswith("at character 9: there is no field 'rendrer'")
+
+
+@pytest.mark.parametrize("cursor", ["x", "bnVsbA", "W10", "WyItY3JlYXRlZCIsZmFsc2UsMSwyLDNd"])
+def test_a_bad_cursor_is_refused(client: httpx.Client, cursor: str) -> None:
+    answer = client.get("/v1/jobs", params={"cursor": cursor})
+    assert (answer.status_code, answer.json()["errors"][0]["field"]) == (422, "cursor")
+
+
+def test_title_tags_and_note(client: httpx.Client, three: list[str]) -> None:
+    said = {"title": "The piano", "tags": ["paper", "a"], "note": "see figure 3"}
+    job = client.patch(f"/v1/jobs/{three[0]}", json=said).json()
+    assert {key: job[key] for key in said} == said | {"tags": ["a", "paper"]}
+    job = client.patch(f"/v1/jobs/{three[0]}", json={"note": None, "title": ""}).json()
+    assert (job["title"], job["tags"], job["note"]) == (None, ["a", "paper"], None)
+    assert client.get(f"/v1/jobs/{three[0]}").json() == job
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"tags": ["a b"]}, {"tags": ["a"] * 21}, {"tags": [""]}, {"title": "a" * 101}, {"name": "x"}, {"note": 1}],
+)
+def test_bad_edits_are_refused(client: httpx.Client, three: list[str], wrong: dict[str, Any]) -> None:
+    before = client.get(f"/v1/jobs/{three[0]}").json()
+    assert client.patch(f"/v1/jobs/{three[0]}", json=wrong).status_code == 422
+    assert client.get(f"/v1/jobs/{three[0]}").json() == before
+
+
+def test_a_retry_is_a_new_job_of_the_same_request(client: httpx.Client, services: Services, three: list[str]) -> None:
+    answer = client.post(f"/v1/jobs/{three[1]}/retry")
+    job = answer.json()
+    assert answer.status_code == 202
+    assert answer.headers["location"] == f"/v1/jobs/{job['id']}"
+    assert (job["retry_of"], job["state"], job["checked"]) == (three[1], "queued", False)
+    assert job["spec"] == client.get(f"/v1/jobs/{three[1]}").json()["spec"]
+    assert services.lists.retries(three[1]) == [job["id"]]
+    assert client.post("/v1/jobs/unknown/retry").status_code == 404
+    assert client.patch("/v1/jobs/unknown", json={}).status_code == 404
