@@ -7,6 +7,7 @@ from api.dashboard import (
     assets,
     campaigns,
     comparison,
+    job_about,
     job_list,
     new_job,
     reference,
@@ -22,6 +23,7 @@ router.include_router(job_list.router)
 router.include_router(comparison.router)
 router.include_router(routes.router)
 router.include_router(new_job.router)
+router.include_router(job_about.router)
 router.include_router(campaigns.router)
 router.include_router(assets.router)
 router.include_router(targets.router)

@@ -7,6 +7,7 @@ from fastapi.responses import RedirectResponse
 
 from api.authentication import CallerDependency
 from api.dashboard import views
+from api.dashboard.job_about import about
 from api.dashboard.pages import HEADERS, STATIC, VERSION, html
 from api.state import Services, ServicesDependency, no_such
 from services.access.caller import Caller
@@ -56,7 +57,9 @@ def _job(template: str, job_id: str, services: Services, caller: Caller) -> Resp
     if found is None:
         raise no_such("job")
     events = [] if found.result else _all_events(services, job_id)
-    return html(template, caller=caller, page=views.page(found, events, services.repository.artifacts(job_id)))
+    page = views.page(found, events, services.repository.artifacts(job_id))
+    said = about(found, services.lists.retries(job_id, caller.only))
+    return html(template, caller=caller, page=page, about=said)
 
 
 def _all_events(services: Services, job_id: str) -> Iterator[Event]:

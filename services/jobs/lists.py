@@ -169,11 +169,11 @@ class JobLists(Transactions):
                 session.execute(deletion(JobTag).where(JobTag.job_id == job_id))
                 session.add_all(JobTag(job_id=job_id, tag=tag) for tag in values["tags"])
 
-    def retries(self, job_id: str) -> list[str]:
-        """The ids of the jobs that repeat a job, the first one first."""
+    def retries(self, job_id: str, owner: str | None = None) -> list[str]:
+        """The ids of the jobs that repeat a job, the first one first. If `owner` is given, only the owner's."""
+        query = select(Job.id).where(Job.retry_of == job_id).order_by(Job.created_at, Job.id)
         with self._read() as session:
-            query = select(Job.id).where(Job.retry_of == job_id).order_by(Job.created_at, Job.id)
-            return list(session.scalars(query))
+            return list(session.scalars(query if owner is None else query.where(Job.owner == owner)))
 
     def _matching(self, query: Select[*tuple[Any, ...]], terms: Collection[Term], owner: str | None) -> Any:
         query = query.where(Job.kind == JobKind.ATTACK, *map(_condition, terms))

@@ -1,0 +1,83 @@
+"""What people say about a job on its page (title, tags, note), and what they do with it: repeat or delete it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Form, Response
+from fastapi.responses import RedirectResponse
+from pydantic import ValidationError
+
+from api.auth_rules import RULES
+from api.authentication import CallerDependency
+from api.dashboard.pages import HEADERS
+from api.job_edit import JobEdit
+from api.retries import retry
+from api.state import KnownJob, ServicesDependency, no_such
+from services.errors import InvalidRequest
+from services.jobs.models import Job
+
+HAS_FORM = "GET /new" in RULES
+"""Whether there is a page that makes a new job of this one's request."""
+
+router = APIRouter(include_in_schema=False)
+
+
+@dataclass(frozen=True)
+class About:
+    """What a job's page shows of what people have said and done."""
+
+    title: str | None
+    tags: list[str]
+    note: str | None
+    retry_of: str | None
+    retries: Sequence[str]
+    """Ids of the jobs that repeat this one."""
+    deletable: bool
+    has_form: bool = HAS_FORM
+
+
+def about(job: Job, retries: Sequence[str]) -> About:
+    """What people have said about a job, and the jobs that repeat it."""
+    deletable = job.state.terminal and job.campaign_id is None
+    return About(job.title, job.tags or [], job.note, job.retry_of, retries, deletable)
+
+
+@router.post("/jobs/{job_id}/about")
+def edit(
+    job: KnownJob,
+    services: ServicesDependency,
+    title: Annotated[str, Form()] = "",
+    tags: Annotated[str, Form()] = "",
+    note: Annotated[str, Form()] = "",
+) -> Response:
+    """Writes what the form on the page says; the tags have spaces or commas between them."""
+    said = {"title": title.strip(), "tags": tags.replace(",", " ").split(), "note": note.replace("\r\n", "\n").strip()}
+    try:
+        changes = JobEdit.model_validate(said)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise InvalidRequest(str(first["loc"][0]), first["msg"]) from error
+    services.lists.edit(job.id, changes.changes())
+    return _to(f"/jobs/{job.id}")
+
+
+@router.post("/jobs/{job_id}/retry")
+def again(job: KnownJob, services: ServicesDependency, caller: CallerDependency) -> Response:
+    """Queues the job's request again, and goes to the new job's page."""
+    found = services.repository.get(job.id)
+    if found is None:
+        raise no_such("job")
+    new: dict[str, Any] = retry(services, caller, found, lambda made: {"id": made.id})
+    return _to(f"/jobs/{new['id']}")
+
+
+@router.post("/jobs/{job_id}/delete")
+def delete(job: KnownJob, services: ServicesDependency) -> Response:
+    """Deletes a job that has ended, with its files, and goes to the list."""
+    services.housekeeping.delete(job.id)
+    return _to("/")
+
+
+def _to(address: str) -> Response:
+    return RedirectResponse(address, 303, HEADERS)
