@@ -7,7 +7,6 @@ from urllib.parse import urlencode
 
 from fastapi import APIRouter, Query, Response
 
-from api.auth_rules import RULES
 from api.authentication import CallerDependency
 from api.dashboard.pages import HEADERS, html
 from api.state import ServicesDependency, no_such
@@ -23,8 +22,6 @@ JOBS = 24
 Kind = Literal["furniture", "primitive", "upload", "environment"]
 Text = Annotated[str, Query(max_length=200)]
 
-HAS_FORM = "GET /new" in RULES
-"""Whether there is a page on which a job is put together, to which an asset can link."""
 
 router = APIRouter(include_in_schema=False)
 
@@ -76,7 +73,6 @@ def assets(
         "assets.html",
         caller=caller,
         shown=[Shown(entry, picture(entry), answers.get(entry.name, [])) for entry in entries],
-        has_form=HAS_FORM,
         count=len(found),
         begin=begin,
         chosen=chosen,
@@ -108,7 +104,7 @@ def one_asset(asset: str, services: ServicesDependency, caller: CallerDependency
     answers = services.asset_records.first_answers([entry.name], caller.only).get(entry.name, [])
     views = [View(job, degrees(job.spec["scene"]["camera"]["azimuth"])) for job in jobs]
     shown = Shown(entry, picture(entry), answers)
-    return html("asset.html", caller=caller, one=shown, has_form=HAS_FORM, views=sorted(views, key=lambda v: v.azimuth))
+    return html("asset.html", caller=caller, one=shown, views=sorted(views, key=lambda v: v.azimuth))
 
 
 def picture(entry: Entry) -> str | None:

@@ -8,7 +8,6 @@ from fastapi import APIRouter, Form, Response
 from fastapi.responses import RedirectResponse
 from pydantic import ValidationError
 
-from api.auth_rules import RULES
 from api.authentication import CallerDependency
 from api.dashboard.pages import HEADERS
 from api.job_edit import JobEdit
@@ -16,9 +15,6 @@ from api.retries import retry
 from api.state import KnownJob, ServicesDependency, no_such
 from services.errors import InvalidRequest
 from services.jobs.models import Job
-
-HAS_FORM = "GET /new" in RULES
-"""Whether there is a page that makes a new job of this one's request."""
 
 router = APIRouter(include_in_schema=False)
 
@@ -34,7 +30,6 @@ class About:
     retries: Sequence[str]
     """Ids of the jobs that repeat this one."""
     deletable: bool
-    has_form: bool = HAS_FORM
 
 
 def about(job: Job, retries: Sequence[str]) -> About:
