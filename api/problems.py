@@ -25,6 +25,7 @@ from services.jobs.repository import KeyReused, QueueFull
 from services.logs import logger
 from services.pipeline.campaign_spec import CampaignSpec
 from services.pipeline.campaign_spec import named as campaign_fields
+from services.pipeline.error_words import in_words
 from services.pipeline.field_errors import invalid_fields
 from services.pipeline.spec import JobSpec, named
 from services.strict import Strict
@@ -83,7 +84,7 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(InvalidRequest)
     def _invalid(_: Request, error: InvalidRequest) -> Response:
-        return invalid([error])
+        return invalid(error.every)
 
     @app.exception_handler(RequestValidationError)
     def _unparsed(request: Request, error: RequestValidationError) -> Response:
@@ -91,7 +92,10 @@ def install(app: FastAPI) -> None:
         if items and items[0]["type"] == "json_invalid":
             return problem(400, f"the body is not JSON: {items[0]['ctx']['error']} at character {items[0]['loc'][-1]}")
         # pydantic's paths begin with "body", "query" or "header"; clients know fields without that part.
-        return invalid(_fields_of(request)([item | {"loc": item["loc"][1:]} for item in items]))
+        asked = [item for item in items if item["loc"][:1] != ("body",)]
+        sent = [item | {"loc": item["loc"][1:]} for item in items if item["loc"][:1] == ("body",)]
+        parameters = [InvalidRequest(".".join(map(str, item["loc"][1:])), in_words(item)) for item in asked]
+        return invalid([*parameters, *_fields_of(request)(sent)])
 
     @app.exception_handler(HTTPException)
     def _http(request: Request, error: HTTPException) -> Response:

@@ -2,10 +2,10 @@
 
 from collections.abc import Iterator, Sequence
 
-from rich.table import Table
 from rich.text import Text
 
 from client.console import out, table, yes
+from client.fitted_table import FittedTable
 from client.outcomes import thousandths, verdict
 from services.analysis.records import (
     AdaptiveAttack,
@@ -61,7 +61,7 @@ def print_analyses(found: Analyses) -> None:
         out().print(made)
 
 
-def _tables(found: Analyses) -> Iterator[Table]:
+def _tables(found: Analyses) -> Iterator[FittedTable]:
     if found.coordinates is not None:
         yield _attribution(found.coordinates, "Shapley values of the coordinates")
     if found.minimal is not None:
@@ -76,7 +76,7 @@ def _tables(found: Analyses) -> Iterator[Table]:
         yield _adaptive(found.adaptive)
 
 
-def _attribution(found: Attribution, title: str) -> Table:
+def _attribution(found: Attribution, title: str) -> FittedTable:
     errors, orders = found.log_odds.standard_error, found.orders
     how = f"mean over {orders} random orders" if errors is not None else "exact"
     by_size = sorted(range(len(found.parts)), key=lambda i: -abs(found.log_odds.shapley[i]))[:STRONGEST]
@@ -104,7 +104,7 @@ def _strongest_partner(found: Attribution, part: int) -> str:
     return f"{matrix[part][other]:+.3f} with {found.parts[other]}"
 
 
-def _minimal(found: MinimalChange) -> Iterator[Table]:
+def _minimal(found: MinimalChange) -> Iterator[FittedTable]:
     if found.smallest is None:
         title = f"Minimal change: none of {len(found.scan)} scales of the perturbation fools the network"
     else:
@@ -123,7 +123,7 @@ def _minimal(found: MinimalChange) -> Iterator[Table]:
     yield table(columns, rows, title=title)
 
 
-def _transfer(found: Sequence[Transferred]) -> Table:
+def _transfer(found: Sequence[Transferred]) -> FittedTable:
     rows: list[list[str | Text]] = [
         [
             one.target,
@@ -140,7 +140,7 @@ def _transfer(found: Sequence[Transferred]) -> Table:
     return table(columns, rows, title="Transfer")
 
 
-def _interpretation(found: Interpretation) -> Table:
+def _interpretation(found: Interpretation) -> FittedTable:
     rows = [
         [
             one.optimiser,
@@ -157,7 +157,7 @@ def _interpretation(found: Interpretation) -> Table:
     return table(columns, rows, title=f"Interpretation: fits of physical parameters to the image ({said})")
 
 
-def rerendering_table(found: Rerendering) -> Table:
+def rerendering_table(found: Rerendering) -> FittedTable:
     """The re-rendering defence as a table of one row."""
     row = [
         _said(found.before),
@@ -170,7 +170,7 @@ def rerendering_table(found: Rerendering) -> Table:
     return table(columns, [row], title=f"Re-rendering defence: {found.optimiser}, rate {found.rate:g}")
 
 
-def _adaptive(found: AdaptiveAttack) -> Table:
+def _adaptive(found: AdaptiveAttack) -> FittedTable:
     row: list[str | Text] = [
         yes(found.fooled),
         str(found.steps),

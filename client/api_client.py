@@ -15,7 +15,7 @@ from httpx_sse import connect_sse
 
 from client import operations
 from client.reconnects import Reconnects
-from client.request import Answer, ApiError, Request, answer_of, refusal
+from client.request import Answer, ApiError, Request, answer_of, object_of, refusal
 from services import atomic_write
 from services.errors import InvalidRequest
 
@@ -24,6 +24,8 @@ __all__ = ["ApiClient", "ApiError", "Event"]
 TERMINAL = ("succeeded", "failed", "rejected", "cancelled")
 PATIENCE = 30.0
 """Seconds without a byte after which an event stream counts as dropped; the service sends a comment more often."""
+PAGE = 200
+"""Jobs that are asked for at once."""
 _CHECK = 300.0
 """Seconds that the service may take to check a request; the first request waits for a process to warm up."""
 
@@ -41,6 +43,8 @@ def checked_url(url: str) -> str:
     """The URL of a service. Raises InvalidRequest if it cannot be one."""
     if not re.match(r"https?://[^/]", url):
         raise InvalidRequest("--url", f"{url!r} is no address of a service, such as http://127.0.0.1:8008")
+    if found := re.match(r"(.*?)/v1(/|$)", url):
+        raise InvalidRequest("--url", f"{url!r} has /v1, which is added to the address: give {found[1]}")
     return url
 
 
@@ -102,6 +106,16 @@ class ApiClient:
         """A page of the jobs that meet a query: {"items": […], "next": cursor or null, "previous": likewise}."""
         given = _given(limit=limit, state=state, cursor=cursor, q=q, sort=sort)
         return self._json(self._http.get("/v1/jobs", params=given))
+
+    def all_jobs(self, **asked: str | None) -> Iterator[dict[str, Any]]:
+        """All jobs that meet `state`, `campaign` and `q`, in the order `sort`, in as many requests as are needed."""
+        cursor = None
+        while True:
+            page = self._json(self._http.get("/v1/jobs", params=_given(limit=PAGE, cursor=cursor, **asked)))
+            yield from page["items"]
+            cursor = page["next"]
+            if cursor is None:
+                return
 
     def cancel(self, job_id: str) -> dict[str, Any]:
         """Asks a job to stop and returns it; has no effect on a job that has ended."""
@@ -193,9 +207,9 @@ class ApiClient:
         """One campaign, with its request, progress and outcomes."""
         return self._json(self._http.get(f"/v1/campaigns/{campaign_id}"))
 
-    def campaigns(self, limit: int = 20) -> dict[str, Any]:
+    def campaigns(self, limit: int = 20, cursor: str | None = None) -> dict[str, Any]:
         """A page of campaigns, newest first."""
-        return self._json(self._http.get("/v1/campaigns", params={"limit": limit}))
+        return self._json(self._http.get("/v1/campaigns", params=_given(limit=limit, cursor=cursor)))
 
     def move_campaign(self, campaign_id: str, how: str) -> dict[str, Any]:
         """Changes a campaign's state and returns it; `how` is pause, resume or cancel."""
@@ -217,12 +231,7 @@ class ApiClient:
             return False
 
     def _json(self, response: httpx.Response) -> dict[str, Any]:
-        if response.is_error:
-            raise refusal(response)
-        data = response.json()
-        if not isinstance(data, dict):
-            raise httpx.DecodingError(f"{response.url} answered a JSON {type(data).__name__}, not an object")
-        return data
+        return object_of(response)
 
 
 def _given(**values: str | int | None) -> dict[str, str | int]:

@@ -3,10 +3,10 @@
 from collections.abc import Mapping
 from typing import Any
 
-from rich.table import Table as RichTable
 from rich.text import Text
 
 from client.console import table
+from client.fitted_table import FittedTable
 
 STYLES = {"finished": "green", "running": "cyan", "selecting": "cyan", "paused": "yellow", "cancelled": "yellow"}
 
@@ -16,11 +16,12 @@ def campaign_state(state: str) -> Text:
     return Text(state, style=STYLES.get(state, "red"))
 
 
-def results(found: Mapping[str, Any]) -> RichTable:
+def results(found: Mapping[str, Any]) -> FittedTable:
     """The table of a campaign (services.analysis.campaign_table.Table, as JSON): a row for each target and attack."""
     columns = ("target", "attack", "ended>", "n>", "success %>", "95 % interval>", "p ×1e-3>")
     loop = ("in the loop %>", "p ×1e-3>", "truncated px>", "failed>", "reused>")
-    return table((*columns, *loop), [_row(cell) for cell in found["cells"]], title=found["campaign"])
+    spare = ("reused", "truncated px", "failed", "in the loop %", "ended", "n")
+    return table((*columns, *loop), [_row(cell) for cell in found["cells"]], title=found["campaign"], spare=spare)
 
 
 def _row(cell: Mapping[str, Any]) -> list[str | Text]:

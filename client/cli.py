@@ -32,7 +32,6 @@ app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
-    add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
@@ -74,13 +73,13 @@ backup.register(app)
 
 
 def main() -> None:
-    """Runs the command line. An expected error becomes one line on stderr and an exit code."""
+    """Runs the command line. An expected error becomes a line on stderr for each wrong field, and an exit code."""
     try:
-        app()
+        app(prog_name="scene-attack")
     except KeyboardInterrupt:
         _end(130, "interrupted")
     except InvalidRequest as error:
-        _end(2, f"bad input: {error.field}: {error.detail}")
+        _end(2, *(f"bad input: {one.field}: {one.detail}" for one in error.every))
     except JobFailure as error:
         _end(1, f"failed ({error.kind}): {error.detail}")
     except Exception as error:
@@ -93,18 +92,20 @@ def _end_with(error: Exception) -> NoReturn:
     from pydantic import ValidationError
 
     from client.api_client import ApiError
+    from client.no_answer import why
     from services.settings import Settings
 
     if isinstance(error, ApiError):
         hint = "; the command line sends the one in SCENE_ATTACK_KEY" if error.status == 401 else ""
-        _end(2 if 400 <= error.status < 500 else 1, f"refused: {error}{hint}")
+        said = [f"{one.get('field')}: {one.get('detail')}" for one in error.problem.get("errors") or ()]
+        _end(2 if 400 <= error.status < 500 else 1, *(f"refused: {one}{hint}" for one in said or [str(error)]))
     if isinstance(error, ValidationError) and error.title == Settings.__name__:
-        first = error.errors()[0]
-        name = f"SCENE_ATTACK_{str(first['loc'][0]).upper()}"
-        _end(2, f"bad input: {name}: {first['msg']}, not {first['input']!r}")
+        from services.pipeline.error_words import in_words
+
+        wrong = error.errors(include_url=False)
+        _end(2, *(f"bad input: SCENE_ATTACK_{str(one['loc'][0]).upper()}: {in_words(one)}" for one in wrong))
     if isinstance(error, HTTPError):
-        reason = str(error) or type(error).__name__
-        _end(1, f"no answer from the service ({reason}); start one with scene-attack serve, or name it with --url")
+        _end(1, why(error))
     if isinstance(error, OSError) and error.strerror:  # a full disk, a folder that cannot be written, a store
         name = f": {error.filename}" if error.filename else ""
         _end(1, f"failed: {error.strerror}{name}")
@@ -120,6 +121,7 @@ def _is_outage(error: Exception) -> bool:
     return database is not None and isinstance(error, database.OperationalError)
 
 
-def _end(code: int, message: str) -> NoReturn:
-    print(f"scene-attack: {message}", file=sys.stderr)
+def _end(code: int, *messages: str) -> NoReturn:
+    for message in messages:
+        print(f"scene-attack: {message}", file=sys.stderr)
     sys.exit(code)

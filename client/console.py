@@ -2,12 +2,13 @@
 
 import json
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
+
+from client.fitted_table import FittedTable
 
 
 def out() -> Console:
@@ -45,14 +46,18 @@ def print_json(data: Any) -> None:
     print(json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False))
 
 
-def table(columns: Iterable[str], rows: Iterable[Iterable[str | Text]], *, title: str | None = None) -> Table:
-    """A table; columns whose heading ends in ">" are aligned to the right. Cells are plain text, never markup."""
-    made = Table(title=title, title_justify="left", header_style="bold")
-    for column in columns:
-        made.add_column(column.removesuffix(">"), justify="right" if column.endswith(">") else "left", overflow="fold")
-    for row in rows:
-        made.add_row(*(cell if isinstance(cell, Text) else Text(cell) for cell in row))
-    return made
+def table(
+    columns: Iterable[str],
+    rows: Iterable[Iterable[str | Text]],
+    *,
+    title: str | None = None,
+    spare: Sequence[str] = (),
+) -> FittedTable:
+    """A table that fits the terminal; columns whose heading ends in ">" are aligned to the right.
+
+    Cells are plain text, never markup. `spare` are the columns that a narrow terminal does not show, in their order.
+    """
+    return FittedTable(list(columns), [list(row) for row in rows], title=title, spare=spare)
 
 
 STATE_STYLES = {

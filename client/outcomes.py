@@ -11,6 +11,8 @@ from services.attacks.verdict import SUCCESS, WRONG_BEFORE, with_outcome
 STYLES = {"fooled": "bold magenta", "held": "bold blue"}
 """The colours of outcomes; the others are yellow, since they are neither a success nor a failure."""
 COLUMNS = ("scene", "attack", "before", "after", "network", "verified", "p ×1e-3>", "p saved>", "queries>", "seconds>")
+SPARE = ("p saved", "seconds", "queries", "verified", "before")
+"""The columns that a narrow terminal does not show; a wide one, and --json, do."""
 
 
 def cells(scene: str, attack: str, outcome: Mapping[str, Any]) -> list[str | Text]:

@@ -3,10 +3,10 @@
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from rich.table import Table
 from rich.text import Text
 
 from client.console import answer_text, out, table, yes
+from client.fitted_table import FittedTable
 from client.outcomes import verdict
 from services.pipeline.question_record import Asked, QuestionResult, first_changed
 from services.questions.program import TYPE_WORDS, Program
@@ -59,7 +59,7 @@ def program_text(program: Program) -> str:
     )
 
 
-def _print(made: Table, lines: Iterable[str]) -> None:
+def _print(made: FittedTable, lines: Iterable[str]) -> None:
     console = out()
     console.print(made)
     for number, line in enumerate(lines):

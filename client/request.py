@@ -66,25 +66,34 @@ def refusal(response: httpx.Response) -> ApiError:
     try:
         problem = response.json()
     except ValueError:
-        problem = {}
-    return ApiError(response.status_code, problem if isinstance(problem, dict) else {})
+        problem = None
+    if not isinstance(problem, dict):
+        said = f"HTTP {response.status_code} from {response.url}, which is no answer of this service; check --url"
+        problem = {"detail": said}
+    return ApiError(response.status_code, problem)
+
+
+def object_of(response: httpx.Response) -> dict[str, Any]:
+    """The JSON object in a response. Raises ApiError if the service refused, httpx.DecodingError if it is none."""
+    if response.is_error:
+        raise refusal(response)
+    try:
+        data = response.json()
+    except ValueError as error:
+        kind = response.headers.get("content-type", "nothing that says what it is")
+        said = f"{response.url} answered HTTP {response.status_code} with {kind}, not JSON"
+        raise httpx.DecodingError(said, request=response.request) from error
+    if not isinstance(data, dict):
+        said = f"{response.url} answered a JSON {type(data).__name__}, not an object"
+        raise httpx.DecodingError(said, request=response.request)
+    return data
 
 
 def answer_of(response: httpx.Response) -> Any:
-    """The answer in a response: an object, a text, bytes, or None where there is no content.
-
-    Raises ApiError if the service refused, and httpx.DecodingError if a JSON answer is no object.
-    """
-    if response.is_error:
-        raise refusal(response)
+    """The answer in a response: an object, a text, bytes, or None where there is no content. Raises as `object_of`."""
+    kind = response.headers.get("content-type", "")
+    if response.is_error or kind.startswith(("application/json", "text/html")):
+        return object_of(response)
     if response.status_code == httpx.codes.NO_CONTENT:
         return None
-    kind = response.headers.get("content-type", "")
-    if kind.startswith("text/"):
-        return response.text
-    if not kind.startswith("application/json"):
-        return response.content
-    data = response.json()
-    if not isinstance(data, dict):
-        raise httpx.DecodingError(f"{response.url} answered a JSON {type(data).__name__}, not an object")
-    return data
+    return response.text if kind.startswith("text/") else response.content

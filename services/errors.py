@@ -1,7 +1,7 @@
 """Defines the errors of requests and jobs, and how errors of other code, such as an extension's, become one of them."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -23,6 +23,28 @@ class InvalidRequest(ValueError):
 
     def __reduce__(self) -> tuple[type["InvalidRequest"], tuple[str, str]]:
         return type(self), (self.field, self.detail)
+
+    @property
+    def every(self) -> "tuple[InvalidRequest, ...]":
+        """The errors of all invalid fields, this one first."""
+        return (self,)
+
+
+class InvalidFields(InvalidRequest):
+    """Several fields of a request are invalid. It is the error of the first, whose detail ends in the others."""
+
+    def __init__(self, errors: "Sequence[InvalidRequest]") -> None:
+        first, *others = errors
+        super().__init__(first.field, "; ".join([first.detail, *map(str, others)]))
+        self._every = tuple(errors)
+
+    def __reduce__(self) -> "tuple[type[InvalidFields], tuple[tuple[InvalidRequest, ...]]]":  # type: ignore[override]
+        return InvalidFields, (self._every,)
+
+    @property
+    def every(self) -> tuple[InvalidRequest, ...]:
+        """The errors of all invalid fields."""
+        return self._every
 
 
 class JobFailure(RuntimeError):

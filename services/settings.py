@@ -5,8 +5,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, ValidationInfo, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
+
+from services.listed_hosts import endpoint_mistake, host_mistake
 
 
 class Settings(BaseSettings):
@@ -120,6 +122,15 @@ class Settings(BaseSettings):
         description="address space of a job process and of one that checks requests; beyond it the job fails as "
         "out-of-memory; default: an equal share of the machine's memory, of 4 to 16 GiB",
     )
+
+    @field_validator("hosts", "webhook_hosts", "target_endpoints")
+    @classmethod
+    def _can_match(cls, value: str | None, about: ValidationInfo) -> str | None:
+        for part in sorted(_listed(value)):
+            refusal = endpoint_mistake(part) if about.field_name == "target_endpoints" else host_mistake(part)
+            if refusal is not None:
+                raise ValueError(f"{part!r} can never match: {refusal}")
+        return value
 
     @property
     def cache_dir(self) -> Path:

@@ -4,9 +4,11 @@ import socket
 import sys
 
 import httpx
+from redis.exceptions import RedisError
 
 from services.access.listening import check_listening, listen
 from services.device import check_device
+from services.errors import InvalidRequest
 from services.jobs.database import connect as connect_database
 from services.jobs.database import migrate
 from services.jobs.queue import connect as connect_redis
@@ -38,6 +40,8 @@ def serve(values: Settings) -> int:
     redis = EmbeddedRedis() if values.redis_url is None else None
     try:
         with listen(values.host, values.port) as listener:
+            if values.redis_url is not None:
+                _check_redis(values.redis_url)
             port = listener.getsockname()[1]
             url = values.redis_url if redis is None else redis.url
             values = values.model_copy(update={"port": port, "redis_url": url})
@@ -56,6 +60,18 @@ def serve(values: Settings) -> int:
             redis.remove()
         engine.dispose()
     return 0
+
+
+def _check_redis(url: str) -> None:
+    """Raises InvalidRequest if no Redis answers: without one the service would start, and take no job."""
+    redis = connect_redis(url)
+    try:
+        redis.ping()
+    except RedisError as error:  # its text has the address, and no password
+        detail = f"no Redis answers there ({error}); start it, or unset the variable, and serve brings one"
+        raise InvalidRequest("SCENE_ATTACK_REDIS_URL", detail) from error
+    finally:
+        redis.close()
 
 
 def _api(values: Settings, listener: socket.socket) -> Program:

@@ -73,7 +73,9 @@ def analyse(
 def _analyse(directory: Path, request: dict[str, Any]) -> "StoredAnalysis":
     from client.commands.run import library
     from client.live import JobLine
+    from client.result_folder import check_finished
 
+    check_finished(directory)
     with JobLine(str(directory)) as line:
         line.update("loading", 0, 1, None)
         assets = library()
@@ -111,7 +113,8 @@ def rerender(
     from client.live import JobLine
     from services.analysis.requests import RerenderingRequest
     from services.device import check_device
-    from services.errors import InvalidRequest
+    from services.errors import InvalidFields, InvalidRequest
+    from services.pipeline.error_words import in_words
     from services.pipeline.spec import parse
 
     check_device()
@@ -119,8 +122,8 @@ def rerender(
     try:
         request = RerenderingRequest.model_validate({"steps": steps, "rate": rate, "optimiser": optimiser})
     except ValidationError as error:
-        first = error.errors()[0]
-        raise InvalidRequest(f"--{first['loc'][0]}", first["msg"]) from error
+        wrong = [InvalidRequest(f"--{one['loc'][0]}", in_words(one)) for one in error.errors()]
+        raise InvalidFields(wrong) from error
     with JobLine(image.name) as line:
         line.update("loading", 0, 1, None)
         assets = library()

@@ -35,8 +35,8 @@ def list_assets(
         print_json([entry.model_dump(mode="json") for entry in entries])
         return
     rows = [[e.name, e.title, e.category or "", e.creator or "", e.licence or ""] for e in entries]
-    out().print(table(("mesh", "title", "category", "creator", "licence"), rows))
-    err().print(f"{len(rows)} meshes", highlight=False)
+    out().print(table(("mesh", "title", "category", "creator", "licence"), rows, spare=("category", "title")))
+    err().print(f"{len(rows)} mesh{'' if len(rows) == 1 else 'es'}", highlight=False)
 
 
 @app.command(epilog="Example: [bold]scene-attack assets show furniture/grand-piano[/bold]")
@@ -138,15 +138,22 @@ def uploads(url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
 def delete(
     mesh: Annotated[str, typer.Argument(help="The name that `assets add` printed, or its 64 digits.")],
     url: UrlOption = DEFAULT_URL,
+    as_json: JsonOption = False,
 ) -> None:
     """Delete an uploaded mesh. A job or campaign that refers to it must be deleted first."""
     from client.api_client import ApiClient
+    from client.console import out, print_json
     from services.errors import InvalidRequest
 
     if not re.fullmatch(r"(sha256:)?[0-9a-f]{64}", mesh):
         raise InvalidRequest("MESH", f"{mesh!r} is not the name of an uploaded mesh, which is sha256: and 64 digits")
     with ApiClient(url) as client:
         client.delete_asset(mesh)
+    name = f"sha256:{mesh.removeprefix('sha256:')}"
+    if as_json:
+        print_json({"name": name, "deleted": True})
+    else:
+        out().print(f"{name}  deleted", markup=False, highlight=False)
 
 
 @app.command(epilog="Example: [bold]scene-attack assets environments[/bold]")

@@ -15,7 +15,9 @@ app = typer.Typer(
 )
 campaign_run.register(app)
 
-CampaignId = Annotated[str, typer.Argument(metavar="ID", help="The id that `campaign submit` printed.")]
+CampaignId = Annotated[
+    str, typer.Argument(metavar="ID", help="The id that `campaign submit` printed, or its beginning.")
+]
 
 
 @app.command(epilog="Example: [bold]scene-attack campaign submit examples/campaign-small.json[/bold]")
@@ -49,6 +51,7 @@ def list_campaigns(
     from client.api_client import ApiClient
     from client.campaign_tables import campaign_state
     from client.console import out, print_json, table
+    from client.ids import SHORT
 
     with ApiClient(url) as client:
         page = client.campaigns(limit)
@@ -60,7 +63,7 @@ def list_campaigns(
         far = one["progress"]
         rows.append(
             [
-                one["id"],
+                one["id"][:SHORT],
                 one["name"],
                 campaign_state(one["state"]),
                 f"{far['answered']}/{far['views']}",
@@ -75,9 +78,10 @@ def list_campaigns(
 def show(campaign_id: CampaignId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
     """Show one campaign: its progress, its outcomes so far and the time left."""
     from client.api_client import ApiClient
+    from client.ids import campaign_id as whole_id
 
     with ApiClient(url) as client:
-        _print(client.campaign(campaign_id), as_json)
+        _print(client.campaign(whole_id(client, campaign_id)), as_json)
 
 
 @app.command(epilog="Example: [bold]scene-attack campaign pause 0f3c…[/bold]")
@@ -114,9 +118,10 @@ def table(
     from client.api_client import ApiClient
     from client.campaign_tables import results
     from client.console import err, out, print_json
+    from client.ids import campaign_id as whole_id
 
     with ApiClient(url) as client:
-        found = client.campaign_table(campaign_id)
+        found = client.campaign_table(whole_id(client, campaign_id))
     if as_json:
         print_json(found)
     else:
@@ -136,29 +141,36 @@ def export(
     source: Annotated[str, typer.Argument(help="The folder of `campaign run`, or the id of a service's campaign.")],
     maite: Annotated[Path, typer.Option(help="Directory of the dataset.")],
     url: UrlOption = DEFAULT_URL,
+    as_json: JsonOption = False,
 ) -> None:
     """Export the adversaries of a campaign as a MAITE dataset: images, labels and metadata."""
     from client.campaign_results import folder_results, service_results
-    from client.console import out
+    from client.console import out, print_json
     from services.pipeline.adversary_dataset import export as write
 
     if Path(source).is_dir():
         count = write(folder_results(Path(source)), maite, name=Path(source).resolve().name)
-    elif not re.fullmatch("[0-9a-f]{32}", source):
+    elif not re.fullmatch("[0-9a-f]{1,32}", source):
         raise InvalidRequest("source", f"there is no folder {source}, and a campaign's id has 32 hexadecimal digits")
     else:
         from client.api_client import ApiClient
+        from client.ids import campaign_id as whole_id
 
         with ApiClient(url) as client:
+            source = whole_id(client, source)
             count = write(service_results(client, source), maite, name=source)
-    out().print(f"{maite}  {count} adversaries", markup=False, highlight=False)
+    if as_json:
+        print_json({"folder": str(maite), "adversaries": count})
+    else:
+        out().print(f"{maite}  {count} adversaries", markup=False, highlight=False)
 
 
 def _move(campaign_id: str, how: str, url: str, as_json: bool) -> None:
     from client.api_client import ApiClient
+    from client.ids import campaign_id as whole_id
 
     with ApiClient(url) as client:
-        _print(client.move_campaign(campaign_id, how), as_json)
+        _print(client.move_campaign(whole_id(client, campaign_id), how), as_json)
 
 
 def _print(found: dict[str, Any], as_json: bool) -> None:

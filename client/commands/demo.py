@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from client.api_client import ApiClient
+    from client.fitted_table import FittedTable
 
 LOOK_EVERY = 0.5
 """Seconds between two looks at the jobs."""
@@ -92,9 +91,9 @@ def _watch(client: "ApiClient", ids: list[str]) -> list[dict[str, Any]]:
             sleep(LOOK_EVERY)
 
 
-def _table(jobs: list[dict[str, Any]]) -> "Table":
+def _table(jobs: list[dict[str, Any]]) -> "FittedTable":
     from client.console import state_text, table
-    from client.outcomes import COLUMNS, cells
+    from client.outcomes import COLUMNS, SPARE, cells
     from services.pipeline.names import attack_name, job_name
 
     rows = []
@@ -107,7 +106,7 @@ def _table(jobs: list[dict[str, Any]]) -> "Table":
             if job["state"] == "running" and job["progress"]:
                 state.append(f" {job['progress']['step']}/{job['progress']['steps']}")
             rows.append([scene, attack, state, *[""] * (len(COLUMNS) - 3)])
-    return table(COLUMNS, rows)
+    return table(COLUMNS, rows, spare=SPARE)
 
 
 def _name(job: dict[str, Any]) -> str:

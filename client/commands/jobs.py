@@ -9,13 +9,16 @@ from client.commands.options import DEFAULT_URL, JsonOption, UrlOption
 
 app = typer.Typer(help="List, show, follow, cancel and download the jobs of a running service.", no_args_is_help=True)
 
-JobId = Annotated[str, typer.Argument(metavar="ID", help="The id that `submit` printed.")]
+JobId = Annotated[
+    str, typer.Argument(metavar="ID", help="The id that `submit` printed, or as much of its beginning as no other has.")
+]
 
 
 @app.command(
     "list",
-    epilog="Examples: [bold]scene-attack jobs list[/bold]; [bold]scene-attack jobs list --state failed[/bold]; "
-    "[bold]scene-attack jobs list -q 'verified p<5e-3' --sort p[/bold]",
+    epilog="Examples: [bold]scene-attack jobs list[/bold]\n\n"
+    "[bold]scene-attack jobs list --state failed --all[/bold]\n\n"
+    "[bold]scene-attack jobs list -q 'piano verified p<5e-3' --sort p --limit 500[/bold]",
 )
 def list_jobs(
     url: UrlOption = DEFAULT_URL,
@@ -31,6 +34,9 @@ def list_jobs(
             "--query", "-q", help="List only jobs that meet a query: scene:piano renderer:torch verified p<5e-3."
         ),
     ] = None,
+    campaign: Annotated[
+        str | None, typer.Option(help="List only the jobs of the campaign with this id, or its beginning.")
+    ] = None,
     sort: Annotated[
         str,
         typer.Option(
@@ -38,30 +44,38 @@ def list_jobs(
             "or seconds; with - before it the greatest first."
         ),
     ] = "-created",
-    limit: Annotated[int, typer.Option(min=1, max=100, help="Largest number of jobs to list.")] = 20,
+    limit: Annotated[int, typer.Option("--limit", "-n", min=1, help="Largest number of jobs to list.")] = 20,
+    whole: Annotated[bool, typer.Option("--all", "-a", help="List all jobs, whatever their number.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """List the jobs that meet a query, newest first or in another order.
 
     A queued job that no live worker can run says why it waits.
     """
+    from itertools import islice
+
     from client.api_client import ApiClient
-    from client.console import out, print_json, state_text, table
+    from client.console import err, out, print_json, state_text, table
+    from client.ids import SHORT, campaign_id
     from client.outcomes import answer_cell, verdict, verified
 
     with ApiClient(url) as client:
-        page = client.jobs(limit, state, q=query, sort=sort)
+        about = None if campaign is None else campaign_id(client, campaign)
+        matching = client.all_jobs(state=state, campaign=about, q=query, sort=sort)
+        found = list(matching if whole else islice(matching, limit + 1))
+    more = not whole and len(found) > limit
+    found = found[:limit] if more else found
     if as_json:
-        print_json(page)
+        print_json({"items": found, "more": more})
         return
     rows = []
-    for job in page["items"]:
+    for job in found:
         done, state_cell = job.get("outcome"), state_text(job["state"])
         if job.get("waiting"):
             state_cell.append(f"\n{job['waiting']}", style="dim")
         rows.append(
             [
-                job["id"],
+                job["id"][:SHORT],
                 state_cell,
                 job["name"],
                 job["attack"],
@@ -71,7 +85,10 @@ def list_jobs(
                 "" if done is None else verified(done),
             ]
         )
-    out().print(table(("id", "state", "scene", "attack", "target", "before → after", "network", "verified"), rows))
+    columns = ("id", "state", "scene", "attack", "target", "before → after", "network", "verified")
+    out().print(table(columns, rows, spare=("target", "attack", "verified", "network")))
+    if more:
+        err().print(f"These are the newest {limit}; --all lists every job, --limit more of them.", highlight=False)
 
 
 @app.command(epilog="Example: [bold]scene-attack jobs show 0f3c… --json[/bold]")
@@ -80,9 +97,10 @@ def show(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = Fals
     from client.api_client import ApiClient
     from client.commands import submit
     from client.console import print_json
+    from client.ids import job_id as whole_id
 
     with ApiClient(url) as client:
-        job = client.job(job_id)
+        job = client.job(whole_id(client, job_id))
     if as_json:
         print_json(job)
     else:
@@ -95,9 +113,10 @@ def watch(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = Fal
     from client.api_client import ApiClient
     from client.commands import submit
     from client.console import print_json
+    from client.ids import job_id as whole_id
 
     with ApiClient(url) as client:
-        job = submit.follow(client, client.job(job_id))
+        job = submit.follow(client, client.job(whole_id(client, job_id)))
     if as_json:
         print_json(job)
     else:
@@ -111,9 +130,10 @@ def cancel(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = Fa
     """Ask a job to stop; a running job stops within one step. A job that has ended stays as it is."""
     from client.api_client import ApiClient
     from client.console import out, print_json
+    from client.ids import job_id as whole_id
 
     with ApiClient(url) as client:
-        job = client.cancel(job_id)
+        job = client.cancel(whole_id(client, job_id))
     if as_json:
         print_json(job)
     else:
@@ -121,12 +141,19 @@ def cancel(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = Fa
 
 
 @app.command(epilog="Example: [bold]scene-attack jobs delete 0f3c…[/bold]")
-def delete(job_id: JobId, url: UrlOption = DEFAULT_URL) -> None:
+def delete(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
     """Delete a job that has ended, with its files."""
     from client.api_client import ApiClient
+    from client.console import out, print_json
+    from client.ids import job_id as whole_id
 
     with ApiClient(url) as client:
-        client.delete(job_id)
+        whole = whole_id(client, job_id)
+        client.delete(whole)
+    if as_json:
+        print_json({"id": whole, "deleted": True})
+    else:
+        out().print(f"{whole}  deleted", markup=False, highlight=False)
 
 
 @app.command(epilog="Example: [bold]scene-attack jobs download 0f3c… --out out/piano[/bold]")
@@ -134,14 +161,27 @@ def download(
     job_id: JobId,
     to: Annotated[Path, typer.Option("--out", help="Directory for the files.")],
     url: UrlOption = DEFAULT_URL,
+    as_json: JsonOption = False,
 ) -> None:
-    """Download the files of a finished job. `scene-attack replay` can then check the directory."""
-    from client.api_client import ApiClient
-    from client.console import out
+    """Download the files of a finished job. `scene-attack replay` can then check the directory.
 
-    to.mkdir(parents=True, exist_ok=True)
+    A directory that holds the result of another job is refused.
+    """
+    from client.api_client import ApiClient
+    from client.commands.run import prepare_folder
+    from client.console import out, print_json
+    from client.ids import job_id as whole_id
+    from client.result_folder import check_same_files
+
+    prepare_folder(to)
     with ApiClient(url) as client:
-        for artifact in client.artifacts(job_id):
+        whole = whole_id(client, job_id)
+        artifacts = client.artifacts(whole)
+        check_same_files(to, artifacts)
+        for artifact in artifacts:
             name = Path(artifact["name"]).name  # a service can name no file outside the directory
-            client.download(job_id, name, to / name)
-            out().print(f"{to / name}  {artifact['size']:,} bytes", markup=False, highlight=False)
+            client.download(whole, name, to / name)
+            if not as_json:
+                out().print(f"{to / name}  {artifact['size']:,} bytes", markup=False, highlight=False)
+    if as_json:
+        print_json({"id": whole, "files": [str(to / Path(one["name"]).name) for one in artifacts]})

@@ -91,7 +91,7 @@ def list_keys(data: DataOption = None, as_json: JsonOption = False) -> None:
         + [(one[time] or "never")[:16] for time in ("expires", "created", "last_used")]
         for one in found
     ]
-    out().print(table(columns, rows))
+    out().print(table(columns, rows, spare=("created", "last used", "owner", "expires")))
 
 
 @app.command(epilog="Example: [bold]scene-attack keys revoke sa_1f0c9a7b3e[/bold]")

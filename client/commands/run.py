@@ -37,7 +37,7 @@ def run(
     """Run one job without a service, and write its files.
 
     If it is interrupted, the same command resumes it. The exit code is 0 if the job ran to its end, whether the network
-    was fooled or held.
+    was fooled or held. A directory that holds the result of another job is refused.
     """
     from client import spec_input
     from client.analysis_tables import print_analyses, print_subsets
@@ -47,6 +47,7 @@ def run(
     from client.local_meshes import with_meshes_added
     from client.outcomes import COLUMNS, cells, goal_line
     from client.question_tables import print_answered
+    from client.result_folder import check_free
     from services.device import check_device
     from services.pipeline.names import attack_name, job_name
     from services.pipeline.spec import parse
@@ -56,6 +57,7 @@ def run(
     report_extensions()
     data = with_meshes_added(spec_input.read(spec, seed), spec, _added)
     job = parse(data)
+    check_free(out, job)
     prepare_folder(out)
     words = job.model_dump(mode="json")
     name, attack = job_name(words), attack_name(words)
@@ -91,9 +93,11 @@ def replay(
     """
     from client.console import answer_text, err, print_json, table, yes
     from client.console import out as stdout
+    from client.result_folder import check_finished
     from services.device import check_device
 
     check_device()
+    check_finished(directory)
     with err().status("rendering"):
         from services.pipeline.replay import replay as render_again
 
@@ -135,13 +139,17 @@ def keep_memory() -> None:
 
 
 def prepare_folder(out: Path) -> None:
-    """Makes the directory. Raises InvalidRequest("--out") if it cannot be made."""
+    """Makes the directory. Raises InvalidRequest("--out") if it cannot be made or written."""
+    import os
+
     from services.errors import InvalidRequest
 
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InvalidRequest("--out", f"cannot make the directory {out}: {error.strerror}") from error
+    if not os.access(out, os.W_OK | os.X_OK):
+        raise InvalidRequest("--out", f"the directory {out} cannot be written; name another one")
 
 
 def library() -> "Library":

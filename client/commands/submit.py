@@ -78,14 +78,14 @@ def follow(client: "ApiClient", job: dict[str, Any]) -> dict[str, Any]:
 def show(job: dict[str, Any]) -> None:
     """Prints a job: its outcome if it succeeded, otherwise its state and the reason for a failure."""
     from client.console import err, out, state_text, table
-    from client.outcomes import COLUMNS, cells
+    from client.outcomes import COLUMNS, SPARE, cells
     from client.question_tables import print_answered
     from services.pipeline.names import attack_name, job_name
     from services.pipeline.question_record import QuestionResult
 
     scene, attack = job_name(job["spec"]), attack_name(job["spec"])
     if job.get("outcome"):
-        out().print(table(COLUMNS, [cells(scene, attack, job["outcome"])]))
+        out().print(table(COLUMNS, [cells(scene, attack, job["outcome"])], spare=SPARE))
         print_answered([QuestionResult.model_validate(one) for one in job["result"].get("questions", ())])
         return
     out().print(table(("id", "state", "scene", "attack"), [[job["id"], state_text(job["state"]), scene, attack]]))

@@ -39,7 +39,13 @@ def targets(context: typer.Context, as_json: JsonOption = False) -> None:
         gradient = "known once loaded" if t.differentiable is None else yes(t.differentiable)
         size = "×".join(map(str, t.input_size))
         rows.append([t.name, t.title, t.task, size, f"{t.classes:,}", gradient, t.licence])
-    out().print(table(("target", "title", "task", "input", "classes>", "differentiable", "licence"), rows))
+    out().print(
+        table(
+            ("target", "title", "task", "input", "classes>", "differentiable", "licence"),
+            rows,
+            spare=("licence", "task", "title"),
+        )
+    )
 
 
 @app.command(epilog="Example: [bold]scene-attack targets check efficientnet-lite0[/bold]")

@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Field, ValidationError, field_validator, mo
 
 from services.analysis.requests import AnalysisRequest
 from services.attacks.spec import AttackSettings, Goal, Seed
-from services.errors import InvalidRequest, printable
+from services.errors import InvalidFields, InvalidRequest, printable
 from services.pipeline.campaign_questions import Member, QuestionGrid
 from services.pipeline.campaign_scenes import MAX_LISTED, SceneGrid, once
 from services.pipeline.field_errors import invalid_fields
@@ -189,12 +189,11 @@ class CampaignSpec(Model):
 
 
 def parse(data: object) -> CampaignSpec:
-    """Parses JSON data into a spec. Raises InvalidRequest for the first bad field, whose detail ends in the others."""
+    """Parses JSON data into a spec. Raises InvalidFields, which has every bad field."""
     try:
         return CampaignSpec.model_validate(data)
     except ValidationError as error:
-        first, *others = named(error.errors(include_url=False))
-        raise InvalidRequest(first.field, "; ".join([first.detail, *map(str, others)])) from error
+        raise InvalidFields(named(error.errors(include_url=False))) from error
 
 
 def named(items: Iterable[Mapping[str, Any]]) -> list[InvalidRequest]:

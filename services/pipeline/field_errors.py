@@ -11,6 +11,7 @@ from math import pi
 from typing import Any
 
 from services.errors import InvalidRequest, encodable
+from services.pipeline.error_words import in_words, looks_like_degrees
 from services.suggestions import there_are
 
 Schema = Mapping[str, Any]
@@ -82,10 +83,11 @@ def _error(item: Mapping[str, Any], schema: Schema) -> tuple[tuple[str, ...], st
         fields = list(place.parent.get("properties", ()))
         return place.path, f"there is no such field; {there_are(place.path[-1], fields)}"
     if place.schema is None:
-        return place.path, "is required" if kind == "missing" else str(item["msg"])
+        return place.path, in_words(item)
     meaning = "" if place.description is None else f": {place.description.partition('; ')[0]}"
     given = "but is missing" if kind == "missing" else f"not {_given(item.get('input'))}"
-    return place.path, f"must be {expected(place.schema, schema)}, {given}{meaning}"
+    hint = looks_like_degrees(item.get("input"), place.description)
+    return place.path, f"must be {expected(place.schema, schema)}, {given}{meaning}{hint}"
 
 
 def _place(loc: Sequence[int | str], schema: Schema) -> _Place:

@@ -14,7 +14,7 @@ from pydantic import ConfigDict, Field, ValidationError, field_validator, model_
 
 from services.analysis.requests import AnalysisRequest
 from services.attacks.spec import AttackSettings, Goal, Seed
-from services.errors import InvalidRequest
+from services.errors import InvalidFields, InvalidRequest
 from services.pipeline.extensions import ATTACKS, RENDERERS
 from services.pipeline.field_errors import invalid_fields
 from services.pipeline.question_request import MOST_TOGETHER, Call, Calls, Text, program, with_scene
@@ -163,12 +163,11 @@ def _method_for(attack: Mapping[str, Any]) -> str:
 
 
 def parse(data: object) -> JobSpec:
-    """Parses JSON data into a spec. Raises InvalidRequest for the first bad field, whose detail ends in the others."""
+    """Parses JSON data into a spec. Raises InvalidFields, which has every bad field."""
     try:
         return JobSpec.model_validate(data)
     except ValidationError as error:
-        first, *others = problems(error)
-        raise InvalidRequest(first.field, "; ".join([first.detail, *map(str, others)])) from error
+        raise InvalidFields(problems(error)) from error
 
 
 def digest(spec: JobSpec) -> str:

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from services.analysis.images import load_png
 from services.errors import InvalidRequest
+from services.pipeline.error_words import in_words
 from services.pipeline.execute import PERTURBATION, RESULT
 from services.pipeline.result import Result
 from services.rendering.protocol import Parameters
@@ -37,8 +38,9 @@ def read_stored(directory: Path) -> Stored:
         )
     except ValidationError as error:
         first, *others = error.errors(include_url=False, include_input=False)
-        said = f"{'.'.join(map(str, first['loc'])) or 'the file'}: {first['msg']}"
+        said = f"{'.'.join(map(str, first['loc'])) or 'the file'}: {in_words(first)}"
         more = f" (and {len(others)} more)" if others else ""
         raise InvalidRequest("directory", f"{directory / RESULT} is no result: {said}{more}") from error
     except (OSError, ValueError, SafetensorError) as error:
-        raise InvalidRequest("directory", f"{directory} is not the output of a finished job: {error}") from error
+        said = f"there is no file {error.filename}" if isinstance(error, FileNotFoundError) else str(error)
+        raise InvalidRequest("directory", f"{directory} is not the output of a finished job: {said}") from error

@@ -225,3 +225,25 @@ def test_a_good_mesh_is_kept_listed_and_can_be_attacked(client: Client) -> None:
     assert again.json() == entry
     body = SPHERE | {"scene": SPHERE["scene"] | {"objects": [{"mesh": entry["name"]}]}}
     assert client.post("/v1/jobs", json=body).status_code == 202
+
+
+@pytest.mark.parametrize(
+    ("query", "field", "said"),
+    [
+        ("limit=500", "limit", 'must be at most 200, not "500"'),
+        ("limit=many", "limit", 'must be an integer, not "many"'),
+        ("state=runing", "state", "; did you mean 'running'"),
+    ],
+)
+def test_a_wrong_query_parameter_is_said_in_words(client: Client, query: str, field: str, said: str) -> None:
+    answer = client.get(f"/v1/jobs?{query}")
+    assert answer.status_code == 422
+    (error,) = answer.json()["errors"]
+    assert error["field"] == field
+    assert said in error["detail"]
+    assert "Input" not in error["detail"]
+
+
+def test_all_wrong_query_parameters_are_named(client: Client) -> None:
+    answer = client.get("/v1/jobs?limit=0&state=gone")
+    assert {error["field"] for error in answer.json()["errors"]} == {"limit", "state"}

@@ -207,7 +207,7 @@ def test_a_job_that_no_worker_can_run_says_why(client: ApiClient, script: Script
     script.answers += [says(200, {"items": [job, job | {"waiting": None}], "next": None}), says(200, job)]
     listed = CliRunner().invoke(app, ["jobs", "list", "--url", client.url], env={"COLUMNS": "200"})
     assert listed.output.count(why) == 1
-    shown = CliRunner().invoke(app, ["jobs", "show", "1", "--url", client.url], env={"COLUMNS": "200"})
+    shown = CliRunner().invoke(app, ["jobs", "show", "1" * 32, "--url", client.url], env={"COLUMNS": "200"})
     assert f"waits: {why}" in shown.output
 
 

@@ -1,0 +1,75 @@
+"""Keeps a folder of one job's files from being overwritten by another job's."""
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from services.errors import InvalidRequest
+
+if TYPE_CHECKING:
+    from services.attacks.spec import Goal
+    from services.pipeline.spec import JobSpec
+
+REMEDY = "name another folder, or remove this one"
+
+
+def check_free(folder: Path, spec: "JobSpec") -> None:
+    """Raises InvalidRequest("--out") if the folder holds the result or the checkpoint of another job than `spec`."""
+    from services.pipeline.names import attack_name, job_name
+
+    for name, what in (("checkpoint.json", "the checkpoint"), ("result.json", "the result")):
+        try:
+            data = json.loads((folder / name).read_bytes())
+            stored = data["spec"] if name == "result.json" else data
+            whose = f"{job_name(stored)}, {attack_name(stored)}"
+        except FileNotFoundError:
+            continue
+        except (ValueError, KeyError, TypeError) as error:
+            raise InvalidRequest("--out", f"{folder} holds a {name} that is no job's; {REMEDY}") from error
+        if not _same(stored, spec):
+            raise InvalidRequest("--out", f"{folder} holds {what} of another job ({whose}); {REMEDY}")
+
+
+def check_finished(folder: Path) -> None:
+    """Raises InvalidRequest("directory") unless the folder has a result, whose other files are read later."""
+    path = folder / "result.json"
+    if not path.is_file():
+        raise InvalidRequest("directory", f"{folder} is not the output of a finished job: there is no file {path}")
+
+
+def check_same_files(folder: Path, artifacts: Iterable[Mapping[str, Any]]) -> None:
+    """Raises InvalidRequest("--out") if the folder's result is another one than that of these files of a job."""
+    wanted = next((one["sha256"] for one in artifacts if one["name"] == "result.json"), None)
+    path = folder / "result.json"
+    if path.exists() and hashlib.sha256(path.read_bytes()).hexdigest() != wanted:
+        raise InvalidRequest("--out", f"{folder} holds the result of another job; {REMEDY}")
+
+
+def _same(stored: Mapping[str, Any], spec: "JobSpec") -> bool:
+    """Whether a stored spec is this one, in which the goal's labels may not have been filled in yet."""
+    from services.pipeline.spec import parse
+
+    try:
+        found = parse(stored)
+    except InvalidRequest:  # of a version with other fields
+        return False
+    stored_fields, asked = (one.model_dump(mode="json", exclude={"goal"}) for one in (found, spec))
+    return stored_fields == asked and _same_goal(found.goal, spec.goal)
+
+
+def _same_goal(stored: "Goal", asked: "Goal") -> bool:
+    if (stored.least_confidence, stored.leave_kind) != (asked.least_confidence, asked.leave_kind):
+        return False
+    if (stored.reach is None) != (asked.reach is None):
+        return False
+    return all(
+        _names(getattr(asked, field)) <= _names(getattr(stored, field)) or not _names(getattr(stored, field))
+        for field in ("truth", "leave", "reach")
+    )
+
+
+def _names(labels: Any) -> set[str]:
+    """The labels that are named; an index is the same label as a name that only the network knows."""
+    return {one for one in (labels if isinstance(labels, tuple) else (labels,)) if isinstance(one, str)}

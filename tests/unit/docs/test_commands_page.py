@@ -1,0 +1,74 @@
+"""The reference of the command line, and the examples of every --help, which parse and whose files are there."""
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer.main
+
+from client.cli import app
+from client.commands_page import commands, examples, page
+
+ROOT = Path(__file__).parents[3]
+EXAMPLES = [example for _, command in commands() for example in examples(command)]
+THEIR_OWN = "convert-clevr-iep"  # takes files that a reader has
+
+
+def test_the_page_is_what_the_code_says() -> None:
+    said = "write it again with: python -m client.commands_page > docs/commands.md"
+    assert (ROOT / "docs" / "commands.md").read_text("utf-8") == page(), said
+
+
+def test_the_page_has_every_command() -> None:
+    names = [name for name, _ in commands()]
+    assert {"scene-attack run", "scene-attack jobs list", "scene-attack campaign export"} <= set(names)
+    assert [name for name in names if f"`{name}`\n" not in (ROOT / "docs" / "commands.md").read_text("utf-8")] == []
+
+
+@pytest.mark.parametrize("example", [one for one in EXAMPLES if "scene-attack" in one and THEIR_OWN not in one])
+def test_an_example_of_help_can_be_parsed_and_its_files_are_there(example: str) -> None:
+    words = shlex.split(example.partition(" < ")[0])
+    begin = words.index("scene-attack") + 1
+    assert all(re.fullmatch(r"SCENE_ATTACK_[A-Z_]+=\S+", one) for one in words[: begin - 1])
+    command: Any = typer.main.get_command(app)
+    parsed(command, words[begin:])
+    for word in words:
+        if word.startswith("examples/"):
+            assert (ROOT / word).is_file(), word
+
+
+def parsed(command: Any, arguments: list[str], parent: Any = None) -> None:
+    """Parses arguments as the command line does, and runs nothing. Raises a usage error."""
+    context = command.make_context(command.name, list(arguments), parent=parent)
+    if hasattr(command, "commands") and (rest := [*context._protected_args, *context.args]):  # noqa: SLF001
+        _, found, left = command.resolve_command(context, rest)
+        assert found is not None
+        parsed(found, left, context)
+
+
+def test_the_shell_completes_commands_and_options() -> None:
+    def completed(words: str) -> list[str]:
+        environ = {"_SCENE_ATTACK_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
+        done = subprocess.run(
+            [sys.executable, "-m", "client"], env=os.environ | environ, capture_output=True, text=True, check=False
+        )
+        assert done.stderr == ""
+        return done.stdout.split()
+
+    assert completed("scene-attack ca") == ["campaign"]
+    assert {"list", "show", "watch", "cancel", "delete", "download"} <= set(completed("scene-attack jobs "))
+    assert "--json" in completed("scene-attack jobs list --j")
+
+
+def test_the_completion_of_each_shell_can_be_shown() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "client", "--show-completion", "bash"],
+        env=os.environ | {"SHELL": "/bin/bash", "_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert "complete" in done.stdout + done.stderr

@@ -1,0 +1,60 @@
+"""Entries of lists of hosts and URLs that can never match are refused, and say what would."""
+
+import pytest
+from pydantic import ValidationError
+
+from services.listed_hosts import endpoint_mistake, host_mistake
+from services.settings import Settings
+
+
+@pytest.mark.parametrize("part", ["api", "me.example", "10.0.0.7", "::1", "fd00::7", "a-b_c.example"])
+def test_a_host_is_taken(part: str) -> None:
+    assert host_mistake(part) is None
+
+
+@pytest.mark.parametrize(
+    ("part", "said"),
+    [
+        ("https://me.example/path", "without scheme and path, such as 'me.example'"),
+        ("me.example/", "such as 'me.example'"),
+        ("me.example:8008", "without a port: 'me.example'"),
+        ("*.example", "there are no wildcards"),
+        ("Me.Example", "in lower case: 'me.example'"),
+        ("FD00::0007", "addresses are written like 'fd00::7'"),
+        ("me example", "no name or IP address"),
+        ("[::1]", "no name or IP address"),
+    ],
+)
+def test_a_host_that_can_never_match_says_why(part: str, said: str) -> None:
+    assert said in str(host_mistake(part))
+
+
+@pytest.mark.parametrize(
+    "part", ["https://me.example/score", "http://127.0.0.1:8900/", "http://localhost/", "10.0.0.7"]
+)
+def test_an_endpoint_is_taken(part: str) -> None:
+    assert endpoint_mistake(part) is None
+
+
+@pytest.mark.parametrize(
+    ("part", "said"),
+    [
+        ("me.example", "a whole URL is due"),
+        ("ftp://me.example/", "a whole URL is due"),
+        ("http://me.example/", "use https"),
+        ("https://me:secret@me.example/", "leave them out"),
+        ("https://me.example:port/", "it is no URL"),
+        ("FD00::7", "addresses are written like 'fd00::7'"),
+    ],
+)
+def test_an_endpoint_that_can_never_match_says_why(part: str, said: str) -> None:
+    assert said in str(endpoint_mistake(part))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("hosts", "a,https://b"), ("webhook_hosts", "B.example"), ("target_endpoints", "http://b.example/")],
+)
+def test_the_settings_refuse_them(name: str, value: str) -> None:
+    with pytest.raises(ValidationError, match="can never match"):
+        Settings(**{name: value})
