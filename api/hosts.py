@@ -18,11 +18,11 @@ _HOST = re.compile(r"(?:\[([0-9A-Fa-f:.]*:[0-9A-Fa-f:.]*)\]|([A-Za-z0-9._~-]+))(
 
 
 class KnownHosts:
-    """Answers 400 for a Host that is none, and 421 for one that is neither loopback nor one of `hosts`."""
+    """Answers 400 for a Host that is none, and 421 for one that is neither loopback nor one of `hosts` (lower case)."""
 
     def __init__(self, app: ASGIApp, hosts: Collection[str]) -> None:
         self.app = app
-        self.hosts = frozenset(host.lower() for host in hosts)
+        self.hosts = frozenset(hosts)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """ASGI."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
+from asyncio import sleep, to_thread
 from collections.abc import AsyncIterator, Coroutine, Mapping
 from functools import cached_property
 from pathlib import Path
@@ -55,7 +55,7 @@ class AsyncJob(JobFields):
         paths = []
         for name in await self.files():
             path = Path(folder) / Path(name).name  # a service can name no file outside the folder
-            await asyncio.to_thread(atomic_write.write, path, await self.file(name))
+            await to_thread(atomic_write.write, path, await self.file(name))
             paths.append(path)
         return paths
 
@@ -133,7 +133,7 @@ class AsyncClient:
                             return
             except (httpx.TransportError, httpx.StreamError) as broken:
                 error = broken
-            await asyncio.sleep(reconnects.pause(error))
+            await sleep(reconnects.pause(error))
 
     async def submit(self, spec: JobSpec | Mapping[str, Any], *, priority: Priority | None = None) -> AsyncJob:
         """Queues a job; ApiError with status 422 names every invalid field."""

@@ -77,6 +77,9 @@ def object_of(response: httpx.Response) -> dict[str, Any]:
     """The JSON object in a response. Raises ApiError if the service refused, httpx.DecodingError if it is none."""
     if response.is_error:
         raise refusal(response)
+    if response.has_redirect_location:  # following it could send the key elsewhere
+        said = f"{response.url} sends on to {response.headers['location']}, which is not followed"
+        raise httpx.DecodingError(said, request=response.request)
     try:
         data = response.json()
     except ValueError as error:
@@ -91,9 +94,9 @@ def object_of(response: httpx.Response) -> dict[str, Any]:
 
 def answer_of(response: httpx.Response) -> Any:
     """The answer in a response: an object, a text, bytes, or None where there is no content. Raises as `object_of`."""
-    kind = response.headers.get("content-type", "")
-    if response.is_error or kind.startswith(("application/json", "text/html")):
-        return object_of(response)
     if response.status_code == httpx.codes.NO_CONTENT:
         return None
+    kind = response.headers.get("content-type", "")
+    if not response.is_success or kind.startswith(("application/json", "text/html")):
+        return object_of(response)
     return response.text if kind.startswith("text/") else response.content

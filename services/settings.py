@@ -127,7 +127,8 @@ class Settings(BaseSettings):
     @classmethod
     def _can_match(cls, value: str | None, about: ValidationInfo) -> str | None:
         for part in sorted(_listed(value)):
-            refusal = endpoint_mistake(part) if about.field_name == "target_endpoints" else host_mistake(part)
+            endpoint = about.field_name == "target_endpoints"
+            refusal = endpoint_mistake(part) if endpoint else host_mistake(part.lower())
             if refusal is not None:
                 raise ValueError(f"{part!r} can never match: {refusal}")
         return value
@@ -175,12 +176,12 @@ class Settings(BaseSettings):
     @property
     def own_hosts(self) -> frozenset[str]:
         """The names by which clients may call the service, besides loopback's: those listed, and its own address."""
-        return (_listed(self.hosts) | {self.host}) - {"", "0.0.0.0", "::"}
+        return (_hosts(self.hosts) | {self.host.lower()}) - {"", "0.0.0.0", "::"}
 
     @property
     def allowed_webhook_hosts(self) -> frozenset[str]:
         """The hosts and addresses that webhooks may have though they are not public."""
-        return _listed(self.webhook_hosts)
+        return _hosts(self.webhook_hosts)
 
     def environ(self) -> dict[str, str]:
         """Returns the environment variables that give a child process these settings."""
@@ -190,6 +191,10 @@ class Settings(BaseSettings):
 
 def _listed(text: str | None) -> frozenset[str]:
     return frozenset(part.strip() for part in (text or "").split(",") if part.strip())
+
+
+def _hosts(text: str | None) -> frozenset[str]:
+    return frozenset(host.lower() for host in _listed(text))
 
 
 @lru_cache(maxsize=1)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from client.commands.options import DEFAULT_URL, UrlOption
+from client.commands.options import DEFAULT_URL, JsonOption, UrlOption
 
 
 def register(app: typer.Typer) -> None:
@@ -18,7 +18,8 @@ def register(app: typer.Typer) -> None:
 
 def export(
     job: Annotated[
-        str, typer.Argument(metavar="ID|FOLDER", help="A job of the service, or a folder that `run --out` wrote.")
+        str,
+        typer.Argument(metavar="ID|FOLDER", help="A job's id or its beginning, or a folder that `run --out` wrote."),
     ],
     to: Annotated[
         Path | None,
@@ -27,35 +28,35 @@ def export(
         ),
     ] = None,
     url: UrlOption = DEFAULT_URL,
+    as_json: JsonOption = False,
 ) -> None:
     """Take a finished job along: scenes as glTF, light and normals, images, parameters with names and units."""
-    from client.console import out
+    from client.console import out, print_json
     from services.errors import InvalidRequest
 
     folder = Path(job)
     local = folder.is_dir()
     if not local and ("/" in job or folder.exists()):
         raise InvalidRequest("ID|FOLDER", f"{job} is neither the id of a job nor a folder that `run --out` wrote")
-    name = f"{folder.resolve().name}-export" if local else f"scene-attack-{job[:8]}"
-    to = to or Path(f"{name}.zip")
-    as_zip = to.suffix == ".zip"
-    if not as_zip and to.exists() and (not to.is_dir() or any(to.iterdir())):
+    if to is not None and to.suffix != ".zip" and to.exists() and (not to.is_dir() or any(to.iterdir())):
         raise InvalidRequest(
             "--out", f"{to} is there already, and no empty folder; name another, or a file ending in .zip"
         )
-    if local:
-        _export_folder(folder, to, name if as_zip else None)
+    written = _export_folder(folder, to) if local else _export_job(job, to, url)
+    if as_json:
+        print_json({"written": str(written)})
     else:
-        _export_job(job, to, url)
-    out().print(f"Written to {to}", markup=False, highlight=False)
+        out().print(f"Written to {written}", markup=False, highlight=False)
 
 
-def _export_folder(folder: Path, to: Path, name: str | None) -> None:
-    """Exports a result folder into a zip file whose files are in a folder `name`, or into a folder if that is None."""
+def _export_folder(folder: Path, to: Path | None) -> Path:
+    """Exports a result folder into a zip file, whose files are in a folder of its own, or into a folder; returns it."""
     from client.commands.run import library
     from client.live import JobLine
     from services import atomic_write
 
+    name = f"{folder.resolve().name}-export"
+    to = to or Path(f"{name}.zip")
     with JobLine(str(folder)) as line:
         line.update("loading", 0, 1, None)
         assets = library()
@@ -63,27 +64,33 @@ def _export_folder(folder: Path, to: Path, name: str | None) -> None:
         from services.export.destinations import into_folder, zipped
 
         files = {path.name: path.read_bytes for path in folder.iterdir() if path.is_file()}
-        if name is None:
+        if to.suffix != ".zip":
             write_bundle(files, assets, into_folder(to))
-            return
+            return to
         with atomic_write.replacing(to) as part, part.open("wb") as file, zipped(file, name) as write:
             write_bundle(files, assets, write)
+    return to
 
 
-def _export_job(job: str, to: Path, url: str) -> None:
+def _export_job(job: str, to: Path | None, url: str) -> Path:
+    """Writes what the service exports into a zip file or a folder; returns it."""
     from tempfile import TemporaryDirectory
     from zipfile import ZipFile
 
     from client.api_client import ApiClient
+    from client.ids import SHORT, job_id
 
     with ApiClient(url) as client, TemporaryDirectory() as folder:
+        whole = job_id(client, job)
+        to = to or Path(f"scene-attack-{whole[:SHORT]}.zip")
         if to.suffix == ".zip":
-            client.export(job, to)
-            return
+            client.export(whole, to)
+            return to
         archive = Path(folder) / "export.zip"
-        client.export(job, archive)
+        client.export(whole, archive)
         to.mkdir(parents=True, exist_ok=True)
         with ZipFile(archive) as found:
             for entry in found.infolist():
                 # A service can name no file outside the folder.
                 (to / Path(entry.filename).name).write_bytes(found.read(entry))
+    return to

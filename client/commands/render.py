@@ -31,11 +31,14 @@ def render(
     from client.commands.run import library
     from client.console import err, print_json, report_extensions
     from services.device import check_device
+    from services.errors import InvalidRequest
     from services.pipeline.spec import parse
 
     check_device()
     report_extensions()
     job = parse(spec_input.read(spec))
+    if out is not None and not out.parent.is_dir():
+        raise InvalidRequest("--out", f"there is no folder {out.parent}; make it first")
     with err().status("loading") as line:
         assets = library()
         from services.analysis.images import save_png

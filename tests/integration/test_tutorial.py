@@ -74,5 +74,6 @@ def test_the_tutorial_leads_to_a_finding(tmp_path: Path) -> None:
         done = run("".join(others), **about)
     assert "Subsets of the groups" in done.stdout
     assert re.search(r"^normals \+ illumination \+ material (mug|bowl|vase|jug) p = 0\.\d{4}$", done.stdout, re.M)
-    assert PIL.Image.open(folder / "attacked.png").size == (128, 128)
+    with PIL.Image.open(folder / "attacked.png") as attacked:
+        assert attacked.size == (128, 128)
     assert (folder / "out/mug/attacked.png").is_file()

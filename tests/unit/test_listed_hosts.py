@@ -19,10 +19,11 @@ def test_a_host_is_taken(part: str) -> None:
         ("me.example/", "such as 'me.example'"),
         ("me.example:8008", "without a port: 'me.example'"),
         ("*.example", "there are no wildcards"),
-        ("Me.Example", "in lower case: 'me.example'"),
-        ("FD00::0007", "addresses are written like 'fd00::7'"),
+        ("fd00::0007", "the address is written 'fd00::7'"),
+        ("::ffff:10.0.0.7", "the address is written '10.0.0.7'"),
         ("me example", "no name or IP address"),
-        ("[::1]", "no name or IP address"),
+        ("[fd00::7]", "belong to URLs: 'fd00::7'"),
+        ("[fd00::7]:8008", "without a port: 'fd00::7'"),
     ],
 )
 def test_a_host_that_can_never_match_says_why(part: str, said: str) -> None:
@@ -44,7 +45,8 @@ def test_an_endpoint_is_taken(part: str) -> None:
         ("http://me.example/", "use https"),
         ("https://me:secret@me.example/", "leave them out"),
         ("https://me.example:port/", "it is no URL"),
-        ("FD00::7", "addresses are written like 'fd00::7'"),
+        ("FD00::7", "the address is written 'fd00::7'"),
+        ("::ffff:10.0.0.7", "the address is written '10.0.0.7'"),
     ],
 )
 def test_an_endpoint_that_can_never_match_says_why(part: str, said: str) -> None:
@@ -53,8 +55,14 @@ def test_an_endpoint_that_can_never_match_says_why(part: str, said: str) -> None
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("hosts", "a,https://b"), ("webhook_hosts", "B.example"), ("target_endpoints", "http://b.example/")],
+    [("hosts", "a,https://b"), ("webhook_hosts", "B.example:443"), ("target_endpoints", "http://b.example/")],
 )
 def test_the_settings_refuse_them(name: str, value: str) -> None:
     with pytest.raises(ValidationError, match="can never match"):
         Settings(**{name: value})
+
+
+def test_hosts_are_compared_in_lower_case() -> None:
+    values = Settings(hosts="Me.Example", webhook_hosts="B.Example, FD00::7", host="127.0.0.1")
+    assert values.own_hosts == {"me.example", "127.0.0.1"}
+    assert values.allowed_webhook_hosts == {"b.example", "fd00::7"}

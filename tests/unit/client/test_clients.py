@@ -61,7 +61,7 @@ def test_the_same_by_asyncio(client: ApiClient, script: Script, monkeypatch: pyt
     async def pause(seconds: float) -> None:
         paused.append(seconds)
 
-    monkeypatch.setattr(async_client.asyncio, "sleep", pause)
+    monkeypatch.setattr(async_client, "sleep", pause)
 
     async def run() -> None:
         async with AsyncClient(client.url) as service:
@@ -86,7 +86,7 @@ def test_a_stream_that_never_gets_anywhere_is_given_up_by_asyncio_too(
     async def at_once(_: float) -> None:
         pass
 
-    monkeypatch.setattr(async_client.asyncio, "sleep", at_once)
+    monkeypatch.setattr(async_client, "sleep", at_once)
 
     async def run() -> None:
         async with AsyncClient(client.url) as service:
