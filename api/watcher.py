@@ -24,6 +24,8 @@ KEY_SECONDS = 2.0
 """Time between two looks at whether the keys of the streams are still valid."""
 KEPT = 64
 """Number of a job's last events that are kept for its streams; one that falls further behind reads the record."""
+READ = 32
+"""Events that a stream reads from the record at a time: each of hundreds of streams holds what it has read."""
 
 log = logger(__name__)
 
@@ -97,7 +99,7 @@ class Watcher:
                     continue
                 found = followed.after(after)
                 if found is None:
-                    found = await run_in_threadpool(self._repository.events, job.id, after)
+                    found = await run_in_threadpool(self._repository.events, job.id, after, READ)
                     if not found:
                         return  # the job was deleted
                 for event in found:

@@ -112,7 +112,9 @@ class JobLists(Transactions):
         their submission, in the same direction. If `owner` is given, only the owner's.
         """
         column, descending = SORTS[sort.removeprefix("-")], sort.startswith("-")
-        query = self._matching(select(Job.id, column, Job.created_at), terms, owner)
+        by_age = column is Job.created_at  # whose index leads to the rows; any other order is made of `LISTED_BY` alone
+        wanted = LISTED if by_age else (Job.id, column.label("value"), Job.created_at)
+        query = self._matching(select(*wanted), terms, owner)
         place = after or before
         backwards = after is None and before is not None
         if place is not None:
@@ -123,9 +125,10 @@ class JobLists(Transactions):
             more, found = len(found) > limit, list(found[:limit])
             if backwards:
                 found.reverse()
-            ids = [one[0] for one in found]
-            rows = {row.id: row for row in session.execute(select(*LISTED).where(Job.id.in_(ids)))}
-        places = [Place(value, created_at, job_id) for job_id, value, created_at in found]
+            ids = [one.id for one in found]
+            read = found if by_age else session.execute(select(*LISTED).where(Job.id.in_(ids)))
+            rows = {row.id: row for row in read}
+        places = [Place(one.created_at if by_age else one.value, one.created_at, one.id) for one in found]
         return ListPage(
             jobs=[rows[job_id] for job_id in ids if job_id in rows],
             first=places[0] if places else None,
