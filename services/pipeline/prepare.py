@@ -1,6 +1,8 @@
 """Prepares a job: resolves its assets, target and labels, builds the renderer, and checks the network's answer."""
 
+from collections.abc import Hashable
 from dataclasses import dataclass
+from weakref import ref
 
 from torch import Tensor
 
@@ -169,7 +171,7 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
     verifier = Verifier(renderer, target, spec.target.asked)
     exact = _exact_image(spec, scene, verifier)
     original = to_bytes(exact).cpu()
-    logits = verifier.logits(original)
+    logits = _scores(spec, scene, verifier, original)
     table = goals.table_truth((thing.mesh for thing in spec.scene.objects), card, labels)
     if several and isinstance(answering, ProgramTarget):
         settled = settled_together(answering, spec.goal, questions, original)
@@ -198,11 +200,32 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
 
 def _exact_image(spec: JobSpec, scene: ResolvedScene, verifier: Verifier) -> Tensor:
     """The exact image of the scene. It counts as rendered also if it was recalled: a result is the same either way."""
-    attack, renders = spec.attack, verifier.renders
-    drawn_by = attack.renderer, attack.base_renderer, tuple(moving_groups(attack)), spec.tolerance
-    image = scene.once(("exact image", *drawn_by), lambda: verifier.render({}))
+    renders = verifier.renders
+    image = scene.once(("exact image", *_drawn_by(spec)), lambda: verifier.render({}))
     verifier.renders = renders + 1
     return image
+
+
+def _scores(spec: JobSpec, scene: ResolvedScene, verifier: Verifier, original: Tensor) -> Tensor:
+    """The network's scores of that image rounded. They count as asked for also if they were recalled.
+
+    Only the same network is not asked again, and none of which nothing but scores is known: a URL may answer otherwise.
+    """
+    target, queries = verifier.target, verifier.queries
+    if not target.differentiable:
+        return verifier.logits(original)
+    what = "scores", target.name, spec.target.asked, *_drawn_by(spec)
+    kept: tuple[ref[Target], Tensor] | None = scene.measured.get(what)
+    if kept is None or kept[0]() is not target:
+        scene.measured[what] = kept = ref(target), verifier.logits(original)
+    verifier.queries = queries + 1
+    return kept[1]
+
+
+def _drawn_by(spec: JobSpec) -> tuple[Hashable, ...]:
+    """What an exact image depends on besides the scene."""
+    attack = spec.attack
+    return attack.renderer, attack.base_renderer, tuple(moving_groups(attack)), spec.tolerance
 
 
 def resolved_scene(spec: JobSpec, library: Library) -> ResolvedScene:

@@ -159,8 +159,13 @@ class BuildRequest:
         from services.rendering.color import as_saved
 
         assert self.base is not None, "the renderer declares no base renderer"
-        start = {group: value[None] for group, value in self.base.initial().items()}
-        return as_saved(self.base.render(start))[0]
+        base = self.base
+
+        def render() -> "Tensor":
+            start = {group: value[None] for group, value in base.initial().items()}
+            return as_saved(base.render(start))[0]
+
+        return self.scene.once(("base image", base.name), render)
 
 
 class DeclaredRenderer:

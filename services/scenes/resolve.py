@@ -4,7 +4,7 @@ import hashlib
 import json
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from math import sin
 from typing import Any, TypeVar
 
@@ -134,11 +134,16 @@ def resolve(scene: Scene, library: Library) -> ResolvedScene:
         models=models,
         view=view,
         projection=lens,
-        environment=average(source.radiance, *light.texels, light.rotation),
+        environment=_averaged(source, *light.texels, light.rotation),
         map_credit=source.credit,
         sha256=fingerprint(scene, [*(mesh.sha256 for mesh in meshes), source.sha256]),
         source_map=source.radiance,
     )
+
+
+@lru_cache(maxsize=8)
+def _averaged(source: EnvironmentMap, rows: int, cols: int, rotation: float) -> Floats:
+    return average(source.radiance, rows, cols, rotation)
 
 
 def canonical_json(model: BaseModel) -> str:

@@ -4,11 +4,18 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 
+from services.accuracy.stability.linear import linear_network
 from services.pipeline.execute import execute
+from services.pipeline.prepare import prepare
 from services.pipeline.recall import KEPT, KEPT_SCENES, recall
 from services.pipeline.result import Result
+from services.rendering.color import from_bytes
 from services.scenes.resolve import ResolvedScene, resolve
+from services.targets import registry
+from services.targets.classifier import Classifier
+from services.targets.info import TargetInfo
 from tests.unit.jobs.small import LIBRARY, spec
 
 ATTACKS: list[dict[str, Any]] = [
@@ -102,3 +109,50 @@ def test_the_scenes_of_the_last_jobs_are_kept_and_no_more() -> None:
     assert recall(again).once("number", lambda: -1) == KEPT + 2
     first = resolve(spec(scene={"camera": {"size": [64, 64], "azimuth": 0.0}}).scene, LIBRARY)
     assert recall(first).once("number", lambda: -1) == -1
+
+
+CARD = TargetInfo(
+    name="linear",
+    title="sums of pixels",
+    task="classification",
+    input_size=(8, 8),
+    classes=4,
+    differentiable=None,
+    takes_question=False,
+    source="this test",
+    licence="none",
+)
+
+
+def _asked(target: Classifier, times: int = 2) -> int:
+    """How often the network looks at the original image while a job on the sphere is prepared `times` times."""
+    looked, logits = 0, target.logits
+    attack = {"renderer": "image", "base_renderer": "pyrender", "method": "square"}
+
+    def counted(*given: Any) -> Any:
+        nonlocal looked
+        looked += 1
+        return logits(*given)
+
+    with registry.registered(CARD, target):
+        registry.load("linear")  # which tries it
+        target.logits = counted  # type: ignore[method-assign]
+        for _ in range(times):
+            found = prepare(spec(attack, target={"name": "linear"}), LIBRARY)
+            assert (found.verifier.queries, found.verifier.renders) == (1, 1)
+            assert torch.equal(found.logits, logits(from_bytes(found.original)[None])[0])
+    return looked
+
+
+def test_a_network_answers_the_same_image_once() -> None:
+    assert _asked(linear_network()) == 1
+
+
+def test_another_network_of_the_same_name_and_hash_is_asked_anew() -> None:
+    assert [_asked(linear_network(scale=scale), times=1) for scale in (1.0, -1.0)] == [1, 1]
+
+
+def test_a_network_of_which_only_scores_are_known_is_asked_every_time() -> None:
+    behind_a_url = linear_network()
+    behind_a_url.differentiable = False
+    assert _asked(behind_a_url) == 2
