@@ -235,6 +235,27 @@ class Cell(TypedDict):
     most_queries: NotRequired[float | None]
     most_seconds: NotRequired[float | None]
 
+class Change(TypedDict):
+    """What an attack did to one thing in the scene: a sentence, and the numbers behind it."""
+    group: str
+    subject: str
+    sentence: str
+    values: list[ChangedValue]
+    images: NotRequired[list[ChangeImage]]
+    curves: NotRequired[list[Curve]]
+
+class ChangeImage(TypedDict):
+    """A file among a job's that shows a change."""
+    file: str
+    words: str
+
+class ChangedValue(TypedDict):
+    """A number of the scene before and after the attack."""
+    name: str
+    unit: str
+    before: float
+    after: float
+
 class ChosenView(TypedDict):
     """A view of a campaign, and whether it is attacked."""
     number: int
@@ -289,6 +310,13 @@ class Cost(TypedDict):
     image_seconds: float
     query_seconds: float
     least_seconds: float
+
+class Curve(TypedDict):
+    """A quantity over an angle, before and after the attack."""
+    name: str
+    angles: list[float]
+    before: list[float]
+    after: list[float]
 
 class DeliveryList(TypedDict):
     """The last messages to a webhook, newest first."""
@@ -940,6 +968,7 @@ class Result(TypedDict):
     subsets: list[Subset]
     attribution: NotRequired[Attribution | None]
     expectation: NotRequired[HeldOver | None]
+    changes: NotRequired[list[Change]]
     analyses: NotRequired[Analyses]
     questions: NotRequired[list[QuestionResult]]
     settings: dict[str, Any]

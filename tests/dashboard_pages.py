@@ -19,7 +19,7 @@ PAGES: dict[str, str] = {
 """The path of each route to a page, and an address of it with something on it. The accessibility test fills in
 `job_id` and `campaign_id`, which have ended. A new page is added here.
 """
-ELSEWHERE: dict[str, str] = {"nothing": "/nothing"}
-"""Pages that no route has: name and address."""
+ELSEWHERE: dict[str, str] = {"nothing": "/nothing", "job-of-groups": "/jobs/{groups_id}"}
+"""Further addresses, by name: one that no route has, and a job whose page has all that several groups bring."""
 NO_PAGES = re.compile(r"/(v1|parts|static|new/choices\.json|healthz|readyz|metrics|assets/pictures|openapi\.json)(/|$)")
 """The beginnings of paths that answer programs, or scripts of pages."""

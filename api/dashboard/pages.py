@@ -13,6 +13,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from api.dashboard import words
+from api.dashboard.polar import polar
 from services.access.caller import Caller
 from services.jobs.models import CampaignState, State
 from services.pipeline.names import group_words
@@ -82,7 +83,7 @@ _templates.globals |= {
 }
 _templates.globals["areas"] = AREAS
 _templates.filters["prose"] = prose
-_templates.globals |= {"campaign_states": list(CampaignState), "changed": CHANGED}
+_templates.globals |= {"campaign_states": list(CampaignState), "changed": CHANGED, "polar": polar}
 
 
 def html(template: str, status: int = 200, caller: Caller | None = None, **values: Any) -> Response:

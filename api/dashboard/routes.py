@@ -2,11 +2,12 @@
 
 from collections.abc import Iterator
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Request, Response
 from fastapi.responses import RedirectResponse
 
 from api.authentication import CallerDependency
 from api.dashboard import views
+from api.dashboard.commands import commands
 from api.dashboard.job_about import about
 from api.dashboard.pages import HEADERS, STATIC, VERSION, html
 from api.state import Services, ServicesDependency, no_such
@@ -20,15 +21,15 @@ router = APIRouter(include_in_schema=False)
 
 
 @router.get("/jobs/{job_id}")
-def job(job_id: str, services: ServicesDependency, caller: CallerDependency) -> Response:
+def job(job_id: str, services: ServicesDependency, caller: CallerDependency, request: Request) -> Response:
     """The page of one job."""
-    return _job("job.html", job_id, services, caller)
+    return _job("job.html", job_id, services, caller, request)
 
 
 @router.get("/parts/jobs/{job_id}")
-def job_part(job_id: str, services: ServicesDependency, caller: CallerDependency) -> Response:
+def job_part(job_id: str, services: ServicesDependency, caller: CallerDependency, request: Request) -> Response:
     """The part of a job's page that the script reloads."""
-    return _job("_job.html", job_id, services, caller)
+    return _job("_job.html", job_id, services, caller, request)
 
 
 @router.post("/jobs/{job_id}/cancel")
@@ -52,14 +53,16 @@ def static(path: str) -> Response:
     return Response(data, headers=HEADERS | {"Cache-Control": kept}, media_type=kind)
 
 
-def _job(template: str, job_id: str, services: Services, caller: Caller) -> Response:
+def _job(template: str, job_id: str, services: Services, caller: Caller, request: Request) -> Response:
     found = caller.visible(services.repository.get(job_id, with_result=True))
     if found is None:
         raise no_such("job")
     events = [] if found.result else _all_events(services, job_id)
-    page = views.page(found, events, services.repository.artifacts(job_id))
+    artifacts = services.repository.artifacts(job_id)
+    page = views.page(found, events, artifacts)
     said = about(found, services.lists.retries(job_id, caller.only))
-    return html(template, caller=caller, page=page, about=said)
+    sent_again = commands(found.spec, str(request.base_url).rstrip("/"), with_key=bool(caller.key))
+    return html(template, caller=caller, page=page, about=said, commands=sent_again)
 
 
 def _all_events(services: Services, job_id: str) -> Iterator[Event]:

@@ -9,13 +9,16 @@ from sqlalchemy import Row
 
 from api.dashboard.charts import Chart, chart
 from api.dashboard.questions import Question, SceneObject, objects, questions
+from api.dashboard.upset import Upset, upset
 from services.attacks.verdict import judge, with_outcome
 from services.jobs.models import Artifact, Event, Job, State
-from services.pipeline.names import question_names
+from services.pipeline.names import group_words, question_names
 
 IMAGES = ("original.png", "attacked.png", "perturbation.png")
 SEARCHED = ("coordinates", "coordinates that reach the answer")
 """What a plan calls the coordinates of a group that the attack on a question searches."""
+ROWS = 100
+"""Rows of a trace that a page's table has at most."""
 LEAST = 0.01
 """Least height of the axes of p (thousandths) and distance, so that rounding of an unchanged image is not magnified."""
 
@@ -55,9 +58,16 @@ class Page:
     warnings: list[Any]
     result: dict[str, Any] | None
     subsets: list[dict[str, Any]]
+    attribution: dict[str, Any] | None
+    """The attribution to the groups, which it calls as pages do; None in earlier results and for a single group."""
+    upset: Upset | None
+    """The plot of the subsets; None without a result or for a single group."""
     last: dict[str, Any] | None
     by_step: list[Chart]
+    by_queries: list[Chart]
     by_seconds: list[Chart]
+    rows: list[dict[str, Any]]
+    """Rows of the trace, evenly chosen, at most `ROWS` and the last."""
     artifacts: list[Artifact]
     attention_files: list[Artifact]
     """The images of attention, which are many."""
@@ -100,6 +110,9 @@ def page(job: Job, events: Iterable[Event], artifacts: Sequence[Artifact]) -> Pa
     asked = questions(job.result, job.spec, question_names(job.spec))
     shown = {name for one in asked for of in one.result.attention for name in (of.before, of.after)}
     things = objects(job.result, job.spec)
+    rows = subsets(job.result)
+    names = {group: group_words(job.spec, group) for group in (rows[-1]["groups"] if rows else ())}
+    shares = None if job.result is None else job.result.get("attribution")
     return Page(
         line=line(job),
         spec=job.spec,
@@ -109,10 +122,16 @@ def page(job: Job, events: Iterable[Event], artifacts: Sequence[Artifact]) -> Pa
         errors=job.errors or [],
         warnings=job.warnings or [],
         result=with_outcome(job.result),
-        subsets=subsets(job.result),
+        subsets=rows,
+        attribution=shares | {"parts": [names[part] for part in shares["parts"]]}
+        if shares and len(names) > 1
+        else None,
+        upset=upset(rows, shares, names, [one.name for one in artifacts]),
         last=trace[-1] if trace else None,
         by_step=charts(trace, job.spec, "step"),
+        by_queries=charts(trace, job.spec, "queries"),
         by_seconds=charts(trace, job.spec, "seconds"),
+        rows=evenly(trace),
         artifacts=[one for one in artifacts if one.name not in shown],
         attention_files=[one for one in artifacts if one.name in shown],
         cancellable=not job.state.terminal and job.state != State.CANCELLING,
@@ -152,8 +171,14 @@ def trace_of_events(events: Iterable[Event]) -> list[dict[str, Any]]:
     return rows
 
 
+def evenly(trace: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Rows of a trace at equal distances, and the last."""
+    every = max(1, -(-len(trace) // ROWS))
+    return [row for k, row in enumerate(trace) if k % every == 0 or k == len(trace) - 1]
+
+
 def charts(trace: Sequence[dict[str, Any]], spec: dict[str, Any], against: str) -> list[Chart]:
-    """The charts of a trace against "step" or "seconds"; an empty list for an empty trace."""
+    """The charts of a trace against "step", "queries" or "seconds"; an empty list for an empty trace."""
     if not trace:
         return []
     goal = spec["goal"]
@@ -165,7 +190,7 @@ def charts(trace: Sequence[dict[str, Any]], spec: dict[str, Any], against: str) 
     def curve(key: str, scale: float = 1.0) -> list[tuple[float, float]]:
         return [(row[against], row[key] * scale) for row in trace]
 
-    whole = against == "step"
+    whole = against != "seconds"
     return [
         chart(loss, against, curve("loss"), low=0, high=1, whole=whole),
         chart("Log-probability advantage", against, curve("advantage"), threshold=0, note=other, whole=whole),

@@ -1,10 +1,12 @@
-"""A perturbation in physical units: degrees, centimetres and percent, as the renderer's declaration words it."""
+"""A perturbation in physical units and in words: degrees, centimetres and percent, as the renderer declares."""
 
 from pkgutil import resolve_name
 
+from torch import Tensor
+
 from services.errors import named
 from services.rendering.declaration import RENDERERS
-from services.rendering.physical_change import PhysicalChange
+from services.rendering.physical_change import Change, ChangedValue, PhysicalChange, signed
 from services.rendering.protocol import Parameters, Renderer
 from services.scenes.resolve import ResolvedScene
 
@@ -30,3 +32,35 @@ def physical_changes(scene: ResolvedScene, renderer: Renderer, perturbation: Par
         )
         for group, value in perturbation.items()
     ]
+
+
+def changes_in_words(scene: ResolvedScene, renderer: Renderer, perturbation: Parameters) -> list[Change]:
+    """What a perturbation did to a scene: a sentence for each thing, and its numbers before and after.
+
+    For a renderer that declares no words of its own, the sentences are made of the physical changes; the numbers
+    before are then 0.
+    """
+    declared = RENDERERS[renderer.name]
+    if declared.worded is not None:
+        with named(f"renderer {renderer.name!r}"):
+            found: list[Change] = resolve_name(declared.worded)(scene, renderer.exact(), perturbation)
+            return found
+    return [
+        Change(
+            group=one.group,
+            subject=one.subject,
+            sentence=f"{one.measure} {signed(one.value)} ({one.unit})",
+            values=[ChangedValue(name=f"{one.subject}, {one.measure}", unit=one.unit, before=0.0, after=one.value)],
+        )
+        for one in physical_changes(scene, renderer, perturbation)
+    ]
+
+
+def change_images(renderer: Renderer, perturbation: Parameters) -> dict[str, Tensor]:
+    """Images of what a perturbation changed, uint8 [h, w, 3], by file name; empty if the renderer declares none."""
+    declared = RENDERERS[renderer.name]
+    if declared.drawn is None:
+        return {}
+    with named(f"renderer {renderer.name!r}"):
+        found: dict[str, Tensor] = resolve_name(declared.drawn)(renderer.exact(), perturbation)
+        return found

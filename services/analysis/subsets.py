@@ -2,6 +2,7 @@
 section 4.1.2).
 """
 
+from collections.abc import Callable
 from itertools import combinations
 from typing import NamedTuple
 
@@ -35,14 +36,20 @@ def scored(verifier: Verifier, perturbation: Parameters) -> ScoredImage:
 
 
 def subsets(
-    verifier: Verifier, goal: ResolvedGoal, perturbation: Parameters, original: ScoredImage, attacked: ScoredImage
+    verifier: Verifier,
+    goal: ResolvedGoal,
+    perturbation: Parameters,
+    original: ScoredImage,
+    attacked: ScoredImage,
+    keep: Callable[[int, Tensor], None] = lambda _, __: None,
 ) -> list[Subset]:
     """Renders and classifies all 2^k subsets of k groups; the empty set is first and the full set is last.
 
     `original` and `attacked`, the images and scores of the empty and the full set, are used as they are, so that the
-    table agrees with the result to the bit.
+    table agrees with the result to the bit. `keep` is called with the row and the image, uint8 [H, W, 3], of each
+    other subset.
     """
-    rows = []
+    rows: list[Subset] = []
     for size in range(len(perturbation) + 1):
         for groups in combinations(perturbation, size):
             if not groups:
@@ -51,6 +58,7 @@ def subsets(
                 image = attacked
             else:
                 image = scored(verifier, {g: perturbation[g] for g in groups})
+                keep(len(rows), image.saved)
             said = answer(image.logits, verifier.target.labels, goal)
             rows.append(
                 Subset(

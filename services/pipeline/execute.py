@@ -14,6 +14,7 @@ from services.analysis.answers import answer
 from services.analysis.attribution import of_subsets
 from services.analysis.expectation import held_over
 from services.analysis.perceptibility import beyond, of_float_images, of_groups, of_images
+from services.analysis.physical import change_images, changes_in_words
 from services.analysis.subsets import ScoredImage, subsets
 from services.attacks.loop import Budget, run, sampled_error
 from services.attacks.masking import check_masking
@@ -30,7 +31,7 @@ from services.pipeline.leaving_out import LeavingOut, leaving_out
 from services.pipeline.perturbation_file import save_perturbation
 from services.pipeline.prepare import Prepared, lit_by_map, prepare
 from services.pipeline.question_result import outcome_of, question_results
-from services.pipeline.result import Provenance, Result
+from services.pipeline.result import Provenance, Result, subset_image
 from services.pipeline.spec import JobSpec
 from services.pipeline.warning import JobWarning
 from services.rendering.color import to_bytes
@@ -70,10 +71,11 @@ def execute(
     """Runs a job and writes its files into `out`.
 
     The files are result.json, trace.json, perturbation.safetensors (one tensor for each group), original.png,
-    attacked.png, and perturbation.png (the difference times 5, plus 128); for questions also what the network attends
-    to (`question_result`). `progress` is called in every phase and with every row of the trace, `checked` once before
-    the attack with the spec as it runs and the warnings. The attack writes the file `checkpoint` every few seconds and
-    resumes from it.
+    attacked.png, and perturbation.png (the difference times 5, plus 128); the images of those subsets of the groups
+    that are neither empty nor all (`subset_image`), and those of the changes (`Change.images`); for questions also what
+    the network attends to (`question_result`). `progress` is called in every phase and with every row of the trace,
+    `checked` once before the attack with the spec as it runs and the warnings. The attack writes the file `checkpoint`
+    every few seconds and resumes from it.
     Raises InvalidRequest, JobFailure, or Cancelled once `cancelled()`, which is called before every rendering, is true.
     """
 
@@ -162,7 +164,9 @@ def _write(
     first, last, met = int(prepared.logits.argmax()), int(logits.argmax()), bool(goal.fooled(logits))
     limit = prepared.spec.attack.truncation
     ends = ScoredImage(prepared.exact, original, prepared.logits), ScoredImage(exact, attacked, logits)
-    rows = subsets(verifier, goal, found.stored, *ends)
+    rows = subsets(
+        verifier, goal, found.stored, *ends, lambda row, image: images.save_png(image, out / subset_image(row))
+    )
     analyses = analyse(Subject(prepared, found.stored, *ends), prepared.spec.analysis, library, report)
     asked = prepared.spec.attack.expectation
     held = None
@@ -197,6 +201,7 @@ def _write(
         environment_map_error=prepared.renderer.plan.environment_map_error,
         subsets=rows,
         attribution=of_subsets(rows),
+        changes=changes_in_words(prepared.scene, prepared.renderer, found.stored),
         analyses=analyses,
         questions=questions,
         settings=found.settings,
@@ -213,6 +218,8 @@ def _write(
     images.save_png(original, out / "original.png")
     images.save_png(attacked, out / "attacked.png")
     images.save_png(images.magnified(original, attacked), out / "perturbation.png")
+    for name, image in change_images(prepared.renderer, found.stored).items():
+        images.save_png(image, out / name)
     save_perturbation(found.stored, prepared.renderer, out / PERTURBATION)
     trace = ",\n".join(row.model_dump_json() for row in found.trace)
     (out / "trace.json").write_text(f"[{trace}]\n", "utf-8")

@@ -11,11 +11,19 @@ from services.attacks.verdict import Verdict, with_outcome
 from services.pipeline.question_record import QuestionResult
 from services.pipeline.warning import JobWarning
 from services.rendering.image_error import ImageError
+from services.rendering.physical_change import Change
 from services.rendering.plan import Plan
 
 
 class _Record(BaseModel):
     model_config = ConfigDict(extra="forbid")
+
+
+def subset_image(row: int) -> str:
+    """The name of the file with the image of a row of `Result.subsets`, which the first and the last do not have: they
+    are original.png and attacked.png.
+    """
+    return f"subset-{row}.png"
 
 
 class Provenance(_Record):
@@ -104,6 +112,10 @@ class Result(_Record):
     )
     expectation: HeldOver | None = Field(
         None, description="the share of the attack's range of views, light and noise for which the adversary holds"
+    )
+    changes: list[Change] = Field(
+        default_factory=list,
+        description="what the stored perturbation did to the scene, in words and units; empty in earlier results",
     )
     analyses: Analyses = Field(Analyses(), description="the analyses that the request asked for")
     questions: list[QuestionResult] = Field(

@@ -111,6 +111,12 @@ class Declaration:
     changes: str | None = None
     """The location "module:function" of a function (scene, exact renderer, perturbation) that returns the perturbation
     as a list of `PhysicalChange`: in degrees, centimetres and percent. None: the groups' units are all there is."""
+    worded: str | None = None
+    """The location "module:function" of a function with the same arguments that returns the perturbation as a list of
+    `Change`: a sentence for each thing in the scene, and its numbers before and after. None: made of `changes`."""
+    drawn: str | None = None
+    """The location "module:function" of a function (exact renderer, perturbation) that returns images of the change,
+    uint8 [h, w, 3], by file name. None: it has none."""
     varies: Mapping[str, str] = field(default_factory=dict)
     """The kinds of variation that it can draw (`services.rendering.variation`), each with the group that it moves."""
     varied: str | None = None

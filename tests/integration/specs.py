@@ -13,6 +13,12 @@ QUICK: dict[str, Any] = {
 }
 """Ends by itself at once."""
 
+GROUPS: dict[str, Any] = {
+    "scene": scene(),
+    "attack": {"renderer": "torch", "groups": ["normals", "illumination", "material"], "steps": 2},
+}
+"""Ends by itself in seconds, and changes the scene in three ways."""
+
 
 def long(steps: int) -> dict[str, Any]:
     """Takes all its steps: towards a label it cannot reach with steps so small. Its perturbation is not zero."""

@@ -14,7 +14,7 @@ from playwright.sync_api import Browser, ConsoleMessage, Page
 from tests.dashboard_pages import ELSEWHERE, PAGES
 from tests.integration.browser import launched
 from tests.integration.conftest import Stack, until
-from tests.integration.specs import QUICK
+from tests.integration.specs import GROUPS, QUICK
 
 pytestmark = pytest.mark.integration
 
@@ -47,14 +47,15 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture(scope="module")
 def filled(stack: Stack) -> dict[str, str]:
-    """A job and a campaign that have ended, so that the pages show something."""
-    job = stack.ended(stack.submit(QUICK))
-    assert job["state"] == "succeeded", job["failure"]
+    """Two jobs and a campaign that have ended, so that the pages show something."""
+    job, groups = [stack.ended(job_id) for job_id in map(stack.submit, (QUICK, GROUPS))]
+    for one in (job, groups):
+        assert one["state"] == "succeeded", one["failure"]
     answer = stack.client.post("/v1/campaigns", json=CAMPAIGN)
     assert answer.status_code == 202, answer.text
     campaign = answer.json()["id"]
     until(lambda: stack.client.get(f"/v1/campaigns/{campaign}").json()["state"] == "finished", "the campaign ends")
-    return {"job_id": job["id"], "campaign_id": campaign}
+    return {"job_id": job["id"], "groups_id": groups["id"], "campaign_id": campaign}
 
 
 def test_axe_is_the_file_that_is_listed() -> None:

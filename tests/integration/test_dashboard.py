@@ -107,13 +107,16 @@ def test_list_and_job_page_of_a_finished_job(stack: Stack, page: Page) -> None:
     expect(page.get_by_role("img", name="Log-probability advantage").first).to_be_visible()
     curves = page.locator(".charts.by-step svg")
     expect(curves).to_have_count(4)
+    expect(page.locator(".by-queries").first).to_be_hidden()
     assert curves.evaluate_all("svgs => svgs.every(svg => svg.querySelector('.curve').getTotalLength() > 0)")
     expect(page.locator(".by-seconds").first).to_be_hidden()
     page.get_by_role("radio", name="seconds").check()
     expect(page.locator(".by-step").first).to_be_hidden()
     expect(page.locator(".by-seconds").first).to_be_visible()
-    subsets = page.get_by_role("table", name="The stored perturbation")
-    expect(subsets.locator("tbody tr")).to_have_count(2)
+    page.get_by_role("radio", name="queries").check()
+    expect(page.locator(".by-seconds").first).to_be_hidden()
+    expect(page.locator(".by-queries").first).to_be_visible()
+    expect(page.get_by_role("table", name="The stored perturbation")).to_have_count(0)  # of a single group
     expect(page.get_by_role("heading", name="Provenance")).to_be_visible()
 
 

@@ -10,7 +10,7 @@ from playwright.sync_api import Browser, Page, expect
 
 from tests.integration.browser import launched
 from tests.integration.conftest import Stack
-from tests.integration.specs import ENDLESS, QUICK
+from tests.integration.specs import ENDLESS, GROUPS, QUICK
 from tests.integration.test_dashboard import LOADED, PATIENCE
 
 pytestmark = pytest.mark.integration
@@ -215,3 +215,38 @@ def test_without_script_the_images_stand_side_by_side(stack: Stack, browser: Bro
     page.locator("#provenance-details > summary").click()
     expect(page.locator("#provenance-details dl")).to_be_visible()
     context.close()
+
+
+def test_the_commands_are_copied(stack: Stack, page: Page, job: dict[str, Any]) -> None:
+    opened(stack, page, job)
+    page.locator("#again-details > summary").click()
+    for name, begins in (("Command line", "SCENE_ATTACK_URL="), ("curl", "curl -s http"), ("Python", "import json")):
+        page.get_by_role("button", name=f"Copy as {name}").click()
+        expect(page.locator("#copied")).to_have_text(f"Copied it for {name}")
+        assert page.evaluate("navigator.clipboard.readText()").startswith(begins)
+
+
+def test_the_changes_of_several_groups_in_words_images_and_a_plot(stack: Stack, page: Page) -> None:
+    job = stack.ended(stack.submit(GROUPS))
+    assert job["state"] == "succeeded", job["failure"]
+    page.goto(f"{stack.client.base_url}/jobs/{job['id']}")
+    for change in job["result"]["changes"]:
+        said = page.locator(".changed-words li").filter(has_text=change["subject"])
+        expect(said).to_have_text(f"{change['subject']} {change['sentence']}")
+    images = page.locator(".changed-images img")
+    expect(images).to_have_count(4)  # tilt; map before, after and their ratio
+    page.wait_for_function(f"({LOADED})([...document.querySelectorAll('.changed-images img')])")
+    expect(page.locator(".polar svg")).to_have_count(3)
+    plot = page.locator(".upset svg")
+    expect(plot.locator(".bar")).to_have_count(8)
+    addresses = plot.locator("image").evaluate_all("images => images.map(image => image.getAttribute('href'))")
+    assert len(addresses) == 8
+    for address, groups in zip(addresses, (one["groups"] for one in job["result"]["subsets"]), strict=True):
+        assert stack.client.get(address).headers["content-type"] == "image/png", groups
+    heights = plot.locator(".bar").evaluate_all("bars => bars.map(bar => Number(bar.getAttribute('height')))")
+    shares = [one["goal_probability"] for one in job["result"]["subsets"]]
+    assert [height / 90 for height in heights] == pytest.approx(shares, abs=0.001)
+    expect(page.get_by_role("table", name="The stored perturbation").locator("tbody tr")).to_have_count(8)
+    page.locator("#changed-values > summary").click()
+    rows = page.get_by_role("table", name="The numbers of the scene that were changed").locator("tbody tr")
+    expect(rows).to_have_count(sum(len(one["values"]) for one in job["result"]["changes"]))

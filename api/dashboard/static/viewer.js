@@ -1,9 +1,9 @@
 // <before-after before="URL" after="URL">: one large viewer of two images of the same size, above the figures that it
 // contains. Without this script, or if an image cannot be read, the figures stand side by side.
+import { drawDivider, paint } from "./viewer_drawing.js";
 import { differences, fitted, zoomedAt } from "./viewer_geometry.js";
 
 const LARGEST = 64; // screen pixels for one pixel of the image
-const NUMBERS_FROM = 44; // from this size on, each pixel has its values written in it
 
 async function pixelsOf(address) {
   const image = new Image();
@@ -221,62 +221,17 @@ class BeforeAfter extends HTMLElement {
     Object.assign(state, pane.kept);
     const edge = state.divider * width;
     if (state.mode === "slide") {
-      this.paint(context, this.before, pane, 0, 0, edge);
-      this.paint(context, this.after, pane, 0, edge, width);
-      this.divider(context, edge, height);
+      paint(context, this.before, pane, 0, 0, edge);
+      paint(context, this.after, pane, 0, edge, width);
+      drawDivider(context, edge, height);
     } else if (state.mode === "both") {
-      this.paint(context, this.before, pane, 0, 0, width / 2 - 1);
-      this.paint(context, this.after, pane, width / 2, width / 2 + 1, width);
+      paint(context, this.before, pane, 0, 0, width / 2 - 1);
+      paint(context, this.after, pane, width / 2, width / 2 + 1, width);
     } else {
       const image = state.mode === "difference" ? this.differing() : this[state.mode];
-      this.paint(context, image, pane, 0, 0, width);
+      paint(context, image, pane, 0, 0, width);
     }
     this.say(pane);
-  }
-
-  paint(context, image, pane, shift, from, to) {
-    context.save();
-    context.beginPath();
-    context.rect(from, 0, Math.max(0, to - from), pane.height);
-    context.clip();
-    context.imageSmoothingEnabled = pane.scale < 1;
-    const { width, height } = image.canvas;
-    context.drawImage(image.canvas, shift + pane.x, pane.y, width * pane.scale, height * pane.scale);
-    if (pane.scale >= NUMBERS_FROM) this.number(context, image, pane, shift);
-    context.restore();
-  }
-
-  number(context, image, pane, shift) {
-    const { width, height } = image.canvas;
-    context.font = `${Math.round(pane.scale / 4.2)}px monospace`;
-    context.textAlign = "center";
-    context.textBaseline = "middle";
-    for (let row = Math.max(0, Math.floor(-pane.y / pane.scale)); row < height; row++) {
-      const y = pane.y + row * pane.scale;
-      if (y > pane.height) break;
-      for (let column = Math.max(0, Math.floor(-pane.x / pane.scale)); column < width; column++) {
-        const x = shift + pane.x + column * pane.scale;
-        if (x > shift + pane.width) break;
-        const values = image.data.subarray(4 * (row * width + column), 4 * (row * width + column) + 3);
-        context.fillStyle = 0.299 * values[0] + 0.587 * values[1] + 0.114 * values[2] > 140 ? "#000" : "#fff";
-        values.forEach((value, k) => context.fillText(value, x + pane.scale / 2, y + (pane.scale * (2 * k + 1)) / 6));
-      }
-    }
-  }
-
-  divider(context, x, height) {
-    context.fillStyle = "#000a";
-    context.fillRect(x - 2, 0, 4, height);
-    context.fillStyle = "#fff";
-    context.fillRect(x - 1, 0, 2, height);
-    context.beginPath();
-    context.arc(x, height / 2, 13, 0, 2 * Math.PI);
-    context.fill();
-    context.fillStyle = "#000";
-    context.font = "14px sans-serif";
-    context.textAlign = "center";
-    context.textBaseline = "middle";
-    context.fillText("↔", x, height / 2);
   }
 
   say(pane) {

@@ -66,6 +66,7 @@ PYRENDER = Declaration(
     method="zoo",
     renderer="services.rendering.pyrender_renderer.renderer:PyrenderRenderer",
     changes="services.rendering.pyrender_renderer.physical:changes",
+    worded="services.rendering.pyrender_renderer.worded:worded",
     varies=dict.fromkeys(("azimuth", "elevation", "roll", "distance"), "camera") | {"intensity": "illumination"},
     varied="services.rendering.pyrender_renderer.variation:varied",
 )

@@ -50,6 +50,8 @@ TORCH = Declaration(
     method="fgsm",
     renderer="services.rendering.torch_renderer.renderer:TorchRenderer",
     changes="services.rendering.torch_renderer.physical:changes",
+    drawn="services.rendering.torch_renderer.drawings:drawn",
+    worded="services.rendering.torch_renderer.worded:worded",
     varies={"intensity": "illumination"},
     varied="services.rendering.torch_renderer.variation:varied",
 )

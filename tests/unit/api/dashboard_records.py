@@ -43,6 +43,14 @@ ATTRIBUTION = {
 }
 
 
+CHANGE = {
+    "group": "translation",
+    "subject": "drill",
+    "sentence": "moved 4.2 cm right",
+    "values": [{"name": "object 0 translation x", "unit": "cm", "before": 10.0, "after": 14.2}],
+}
+
+
 def row(step: int, **changed: Any) -> dict[str, Any]:
     """A row of a trace whose numbers fall and rise with the step."""
     return {
@@ -133,6 +141,7 @@ def result(spec: JobSpec = SPEC, **changed: Any) -> dict[str, Any]:
             subset(["normals", "illumination"], True),
         ],
         "attribution": ATTRIBUTION,
+        "changes": [CHANGE],
         "settings": {"delta": {"normals": 0.001}},
         "steps": 5,
         "queries": 1234,

@@ -112,7 +112,7 @@ async def test_job_page_tells_the_whole_result(repository: Repository) -> None:
         "p of surface normals 20.00 × 10⁻³",
         "surface normals + illumination upright 60.0 % 31.0 % 7.50 (8.00 as saved) fooled",
         "Perceptibility p = 11.70 (12.30 as saved) × 10⁻³ after 5 steps",
-        "normals -2.250 -31.00 % +0.500 with illumination",
+        "surface normals -2.250 -31.00 % +0.500 with illumination",
         "all -3.000 -40.00 %",
         "“Grand piano” by Dante, CC0 1.0",
         "harp 0.0021 %",
@@ -131,9 +131,12 @@ async def test_job_page_tells_the_whole_result(repository: Repository) -> None:
     ):
         assert words in tags.text
     labels = [a["aria-label"] for a in tags.all("svg")]
-    assert len(labels) == 8  # four curves, against steps and against seconds
+    assert labels.pop(0) == "Subsets of the groups"
+    assert len(labels) == 12  # four curves, against steps, queries and seconds
     assert labels[0] == "Probability of “grand piano”: 0.8 at 0, 0.0622 at 5 (step)"
-    assert labels[4] == "Probability of “grand piano”: 0.8 at 0, 0.0622 at 1.25 (seconds)"
+    assert labels[4] == "Probability of “grand piano”: 0.8 at 2, 0.0622 at 12 (queries)"
+    assert labels[8] == "Probability of “grand piano”: 0.8 at 0, 0.0622 at 1.25 (seconds)"
+    assert "5 12 1.2 upright 55.0 % 0.06221 -2 15.00 10" in tags.text  # the table behind the curves
 
 
 async def test_fooled_but_not_verified_is_not_called_an_adversary(repository: Repository) -> None:
@@ -195,7 +198,7 @@ async def test_running_job_shows_the_trace_so_far_and_listens(repository: Reposi
     tags = Tags((await get(repository, f"/jobs/{job.id}")).text)
     assert "Attacking, step 2 of at most 120." in tags.text
     assert "after 6 queries" in tags.text
-    assert len(tags.all("svg")) == 8
+    assert len(tags.all("svg")) == 12
     assert any(a.get("data-events") == f"/v1/jobs/{job.id}/events" for a in tags.all("div"))
     assert any(a.get("action") == f"/jobs/{job.id}/cancel" for a in tags.all("form"))
 

@@ -203,7 +203,7 @@ async def test_objects_have_their_effects_and_the_search_its_limits(
     result["plan"]["items"].append(limit)
     _, page, _ = await pages(repository, made[1], result)
     assert "2 large blue metal cylinder -0.750 3 large red rubber sphere Limits of the search" in page.text
-    assert "pixels 8 12 objects stay upright Curves" in page.text
+    assert "pixels 8 12 objects stay upright What changed" in page.text
 
 
 def test_a_function_that_many_take_is_shown_in_whole_once(result: dict[str, Any]) -> None:
