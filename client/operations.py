@@ -9,18 +9,24 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from client.request import Request
+from client.campaign_operations import campaign as campaign
+from client.campaign_operations import campaign_jobs as campaign_jobs
+from client.campaign_operations import campaign_table as campaign_table
+from client.campaign_operations import campaign_table_csv as campaign_table_csv
+from client.campaign_operations import campaign_table_latex as campaign_table_latex
+from client.campaign_operations import campaign_views as campaign_views
+from client.campaign_operations import campaigns as campaigns
+from client.campaign_operations import cancel_campaign as cancel_campaign
+from client.campaign_operations import cases_csv as cases_csv
+from client.campaign_operations import pause_campaign as pause_campaign
+from client.campaign_operations import resume_campaign as resume_campaign
+from client.campaign_operations import submit_campaign as submit_campaign
+from client.request import CHECK_SECONDS, Device, Request
 
 if TYPE_CHECKING:
     from client.answers import (
         ArtifactList,
         AssetList,
-        CampaignJobPage,
-        CampaignPage,
-        CampaignResult,
-        CampaignSpec,
-        CampaignState,
-        CampaignView,
         DeliveryList,
         Entry,
         Health,
@@ -37,13 +43,8 @@ if TYPE_CHECKING:
         SceneLibrary,
         State,
         TargetList,
-        ViewList,
         WebhookList,
     )
-
-CHECK_SECONDS = 300.0
-"""The service may take so long to check a request; the first request waits for a process to warm up."""
-Device = Literal["cuda", "cpu"]
 
 
 def submit(
@@ -150,86 +151,9 @@ def preview(spec: JobSpec | Mapping[str, Any], *, plan: bool | None = None) -> R
     return Request("POST", "/v1/preview", params={"plan": plan}, json=spec, seconds=CHECK_SECONDS)
 
 
-def cases_csv(campaign_id: str) -> Request[str]:
-    """The jobs of a campaign that have ended, as CSV."""
-    return Request("GET", "/v1/campaigns/{campaign_id}/cases.csv", {"campaign_id": campaign_id})
-
-
 def rerender(body: RerenderingBody) -> Request[RerenderingView]:
     """Renders the scene of an image again and asks the network about both; takes up to five minutes."""
     return Request("POST", "/v1/rerenderings", json=body, seconds=CHECK_SECONDS)
-
-
-def submit_campaign(
-    spec: CampaignSpec | Mapping[str, Any],
-    *,
-    priority: Priority | None = None,
-    device: Device | None = None,
-    memory: int | None = None,
-    idempotency_key: str | None = None,
-) -> Request[CampaignView]:
-    """Starts a campaign; priority, device and memory are those of its jobs."""
-    return Request(
-        "POST",
-        "/v1/campaigns",
-        params={"priority": priority, "device": device, "memory": memory},
-        headers={"Idempotency-Key": idempotency_key},
-        json=spec,
-        seconds=CHECK_SECONDS,
-    )
-
-
-def campaigns(
-    *, state: CampaignState | None = None, limit: int | None = None, cursor: str | None = None
-) -> Request[CampaignPage]:
-    """A page of the campaigns, newest first."""
-    return Request("GET", "/v1/campaigns", params={"state": state, "limit": limit, "cursor": cursor})
-
-
-def campaign(campaign_id: str) -> Request[CampaignView]:
-    """One campaign, with its request, progress and outcomes."""
-    return Request("GET", "/v1/campaigns/{campaign_id}", {"campaign_id": campaign_id})
-
-
-def pause_campaign(campaign_id: str) -> Request[CampaignView]:
-    """Holds a campaign's queued jobs back."""
-    return Request("POST", "/v1/campaigns/{campaign_id}/pause", {"campaign_id": campaign_id})
-
-
-def resume_campaign(campaign_id: str) -> Request[CampaignView]:
-    """Lets a paused campaign go on."""
-    return Request("POST", "/v1/campaigns/{campaign_id}/resume", {"campaign_id": campaign_id})
-
-
-def cancel_campaign(campaign_id: str) -> Request[CampaignView]:
-    """Ends a campaign and its jobs."""
-    return Request("POST", "/v1/campaigns/{campaign_id}/cancel", {"campaign_id": campaign_id})
-
-
-def campaign_views(campaign_id: str) -> Request[ViewList]:
-    """The views of a campaign with the networks' first answers, and why some are not attacked."""
-    return Request("GET", "/v1/campaigns/{campaign_id}/views", {"campaign_id": campaign_id})
-
-
-def campaign_jobs(campaign_id: str, *, limit: int | None = None, after: int | None = None) -> Request[CampaignJobPage]:
-    """A page of a campaign's planned jobs, with numbers above `after`."""
-    path, params = {"campaign_id": campaign_id}, {"limit": limit, "after": after}
-    return Request("GET", "/v1/campaigns/{campaign_id}/jobs", path, params)
-
-
-def campaign_table(campaign_id: str) -> Request[CampaignResult]:
-    """The table, the mean curves and the views of a campaign."""
-    return Request("GET", "/v1/campaigns/{campaign_id}/table.json", {"campaign_id": campaign_id})
-
-
-def campaign_table_csv(campaign_id: str) -> Request[str]:
-    """The table of a campaign as CSV."""
-    return Request("GET", "/v1/campaigns/{campaign_id}/table.csv", {"campaign_id": campaign_id})
-
-
-def campaign_table_latex(campaign_id: str) -> Request[str]:
-    """The table of a campaign as LaTeX."""
-    return Request("GET", "/v1/campaigns/{campaign_id}/table.tex", {"campaign_id": campaign_id})
 
 
 def assets() -> Request[AssetList]:

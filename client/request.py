@@ -2,12 +2,15 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 from urllib.parse import quote
 
 import httpx
 
 Answer = TypeVar("Answer")
+Device = Literal["cuda", "cpu"]
+CHECK_SECONDS = 300.0
+"""The service may take so long to check a request; the first request waits for a process to warm up."""
 
 
 @dataclass(frozen=True)

@@ -34,17 +34,10 @@ from services.scenes.resolve import ResolvedScene
 EXPOSURE = 0.5
 """Radiance times this is the linear image: a white surface that faces the default light from 2.5 away (radiance 2.0
 with the ambient light) is just the display's white. EfficientNet-Lite0 does as well from 0.4 to 0.8."""
-
 MAX_IMAGES_PER_PASS = 8
 """Images drawn in one pass over the geometry: as many outputs as every driver has."""
-
 MAX_SAMPLE_BYTES = 2**26
 """Bytes of samples that the images of a pass may take; a single one may take more."""
-
-MAX_BACKFACE_MISMATCH = 0.01
-"""Largest share of covered pixels that the backfaces of watertight surfaces may change. At silhouettes depths of both
-sides round to the same number; a surface that passes through itself changes more and is not taken for watertight."""
-
 ROUNDING = 1e-3
 """Margin, in scene units and as a share of the move, by which an object must be beyond the frame to be outside."""
 
@@ -128,9 +121,8 @@ class PyrenderRenderer(DeclaredRenderer):
         )
         if self._numbers.shadows is None:
             return plan
-        finer = copy(self._twin)
+        finer, own = copy(self._twin), self._twin.radiance({})[0]
         finer._numbers = self._numbers.with_finer_shadows()
-        own = self._twin.radiance({})[0]
         error = shadow_error(over_ground(own, EXPOSURE, self._ground), finer.render({})[0], own[..., 3] > 0)
         return with_shadows(plan, self.drawing, self._at_start(), error)
 
@@ -303,5 +295,4 @@ class PyrenderRenderer(DeclaredRenderer):
             return False
         start = replace(self._at_start(), part=(0, self.size[0], 0, self.size[1]), shadows=None)
         natural, self._watertight = self._by_opengl(start), True
-        changed = np.abs(EXPOSURE * (self._by_opengl(start) - natural)).max(axis=-1) > 1 / 255
-        return bool(changed.sum() <= MAX_BACKFACE_MISMATCH * (natural[..., 3] > 0).sum())
+        return opengl_pass.looks_watertight(EXPOSURE * natural, EXPOSURE * self._by_opengl(start))

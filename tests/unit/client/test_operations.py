@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import yaml
 
-from client import operations, write_answers
+from client import campaign_operations, operations, write_answers
 from client.request import Request
 
 ROOT = Path(__file__).parents[3]
@@ -22,7 +22,7 @@ OPERATIONS = {
 FUNCTIONS = {
     name: function
     for name, function in inspect.getmembers(operations, inspect.isfunction)
-    if function.__module__ == operations.__name__
+    if function.__module__ in (operations.__name__, campaign_operations.__name__)
 }
 BODIES = ("spec", "body", "path", "kind", "url")
 """Parameters of functions that go into a request's body."""
