@@ -24,7 +24,7 @@ KEY_SECONDS = 2.0
 """Time between two looks at whether the keys of the streams are still valid."""
 KEPT = 64
 """Number of a job's last events that are kept for its streams; one that falls further behind reads the record."""
-READ = 32
+READ = 8
 """Events that a stream reads from the record at a time: each of hundreds of streams holds what it has read."""
 
 log = logger(__name__)
