@@ -49,6 +49,7 @@ RULES: dict[str, Scope | None] = {
     "POST /v1/assets": _UPLOAD,
     "GET /v1/assets": _READ,
     "GET /v1/assets/{sha256}": _READ,
+    "GET /v1/assets/{sha256}/thumbnail": _READ,
     "DELETE /v1/assets/{sha256}": _UPLOAD,
     "GET /v1/scenes": _READ,
     "GET /v1/targets": _READ,

@@ -165,10 +165,21 @@ class ArtifactList(BaseModel):
     items: list[ArtifactView]
 
 
-class AssetList(BaseModel):
-    """Uploaded meshes."""
+class Uploaded(Entry):
+    """An uploaded mesh or environment map."""
 
-    items: list[Entry]
+    thumbnail: str = Field(description="where its picture is, a PNG image")
+
+    @classmethod
+    def of(cls, entry: Entry) -> Self:
+        """Returns the view of an upload."""
+        return cls(**dict(entry), thumbnail=f"/v1/assets/{entry.name.removeprefix('sha256:')}/thumbnail")
+
+
+class AssetList(BaseModel):
+    """Uploaded meshes and environment maps."""
+
+    items: list[Uploaded]
 
 
 class SceneLibrary(BaseModel):

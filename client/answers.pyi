@@ -85,8 +85,8 @@ class Asked(TypedDict):
     right: str
 
 class AssetList(TypedDict):
-    """Uploaded meshes."""
-    items: list[Entry]
+    """Uploaded meshes and environment maps."""
+    items: list[Uploaded]
 
 class Attended(TypedDict):
     """The files that show what a function of a program attends to: grey images, white where an object of its set
@@ -1216,6 +1216,21 @@ class Transferred(TypedDict):
     outcome: Literal['fooled', 'changed', 'became-right', 'still-wrong', 'held']
     right_before: bool | None
     note: NotRequired[str]
+
+class Uploaded(TypedDict):
+    """An uploaded mesh or environment map."""
+    name: str
+    title: str
+    kind: Literal['furniture', 'primitive', 'upload', 'environment']
+    category: str
+    creator: str
+    licence: str
+    credit: str | None
+    size: NotRequired[list[float] | None]
+    triangles: NotRequired[int | None]
+    used: NotRequired[list[str]]
+    notes: NotRequired[list[str]]
+    thumbnail: str
 
 class ViewList(TypedDict):
     """All views of a campaign, with the networks' first answers; empty until they are known."""

@@ -24,7 +24,7 @@ from services import atomic_write
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-    from client.answers import CampaignSummary, CampaignView, Entry, JobSpec, JobSummary, JobView, Priority, State
+    from client.answers import CampaignSummary, CampaignView, JobSpec, JobSummary, JobView, Priority, State, Uploaded
 
 
 class AsyncJob(JobFields):
@@ -182,7 +182,7 @@ class AsyncClient:
             if cursor is None:
                 return
 
-    async def add_asset(self, path: Path | str, kind: str | None = None, **about: str | None) -> Entry:
+    async def add_asset(self, path: Path | str, kind: str | None = None, **about: str | None) -> Uploaded:
         """Uploads a mesh with the files beside it that it names, or an environment map, whose `name` goes into scenes.
 
         `kind` is its format, by default the file's ending; `about` has `mesh`, its name among several in a zip file,
@@ -190,7 +190,7 @@ class AsyncClient:
         """
         return await self.call(operations.add_asset(Path(path), kind, **about))
 
-    async def assets(self) -> list[Entry]:
+    async def assets(self) -> list[Uploaded]:
         """The meshes that were uploaded."""
         return (await self.call(operations.assets()))["items"]
 

@@ -16,7 +16,7 @@ from client.job import Job
 from client.request import Answer, Request
 
 if TYPE_CHECKING:
-    from client.answers import CampaignSummary, CampaignView, Entry, JobSpec, JobSummary, Priority, State
+    from client.answers import CampaignSummary, CampaignView, JobSpec, JobSummary, Priority, State, Uploaded
 
 DEFAULT_URL = "http://127.0.0.1:8008"
 
@@ -95,7 +95,7 @@ class Client:
             if cursor is None:
                 return
 
-    def add_asset(self, path: Path | str, kind: str | None = None, **about: str | None) -> Entry:
+    def add_asset(self, path: Path | str, kind: str | None = None, **about: str | None) -> Uploaded:
         """Uploads a mesh with the files beside it that it names, or an environment map, whose `name` goes into scenes.
 
         `kind` is its format, by default the file's ending; `about` has `mesh`, its name among several in a zip file,
@@ -103,7 +103,7 @@ class Client:
         """
         return self.call(operations.add_asset(Path(path), kind, **about))
 
-    def assets(self) -> list[Entry]:
+    def assets(self) -> list[Uploaded]:
         """The meshes that were uploaded."""
         return self.call(operations.assets())["items"]
 

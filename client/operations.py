@@ -28,7 +28,6 @@ if TYPE_CHECKING:
         ArtifactList,
         AssetList,
         DeliveryList,
-        Entry,
         Health,
         JobPage,
         JobSpec,
@@ -43,6 +42,7 @@ if TYPE_CHECKING:
         SceneLibrary,
         State,
         TargetList,
+        Uploaded,
         WebhookList,
     )
 
@@ -161,9 +161,14 @@ def assets() -> Request[AssetList]:
     return Request("GET", "/v1/assets")
 
 
-def asset(name: str) -> Request[Entry]:
+def asset(name: str) -> Request[Uploaded]:
     """An uploaded mesh or environment map by its name, "sha256:" and 64 digits."""
     return Request("GET", "/v1/assets/{sha256}", {"sha256": name.removeprefix("sha256:")})
+
+
+def thumbnail(name: str) -> Request[bytes]:
+    """The picture of an upload, a PNG image."""
+    return Request("GET", "/v1/assets/{sha256}/thumbnail", {"sha256": name.removeprefix("sha256:")})
 
 
 def add_asset(
@@ -175,7 +180,7 @@ def add_asset(
     up: str | None = None,
     licence: str | None = None,
     credit: str | None = None,
-) -> Request[Entry]:
+) -> Request[Uploaded]:
     """Uploads a mesh with the files beside it that it names, a zip file of them, or an environment map.
 
     `kind` is the format, by default the file's ending; `mesh` names the mesh among several in a zip file. Raises

@@ -9,6 +9,7 @@ from fastapi import APIRouter, Query, Response
 
 from api.authentication import CallerDependency
 from api.dashboard.pages import HEADERS, html
+from api.schemas import Uploaded
 from api.state import ServicesDependency, no_such
 from services.jobs.asset_record import FirstAnswer
 from services.jobs.models import Job
@@ -109,7 +110,9 @@ def one_asset(asset: str, services: ServicesDependency, caller: CallerDependency
 
 def picture(entry: Entry) -> str | None:
     """The address of an asset's picture; None if it has none."""
-    return f"/assets/pictures/{entry.name}" if entry.kind == "furniture" else None
+    if entry.kind == "furniture":
+        return f"/assets/pictures/{entry.name}"
+    return Uploaded.of(entry).thumbnail if entry.name.startswith("sha256:") else None
 
 
 def _address(chosen: dict[str, str], page: int) -> str:

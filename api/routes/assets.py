@@ -1,20 +1,22 @@
 """Routes for meshes and environment maps that users upload."""
 
+import base64
 from functools import partial
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, File, Form, HTTPException, Path, Request, UploadFile
+from fastapi import APIRouter, Depends, File, Form, HTTPException, Path, Request, Response, UploadFile
 from starlette.concurrency import run_in_threadpool
 
 from api.authentication import CallerDependency
 from api.mesh_uploads import Sent
+from api.routes.connection import while_connected
 from api.routes.jobs import client_of
-from api.schemas import AssetList
+from api.schemas import AssetList, Uploaded
 from api.state import ServicesDependency, no_such
 from services.logs import logger
+from services.pipeline.thumbnail import picture_of, thumbnail_spec
 from services.scenes.about import About, Credit, Licence, Title, Up
 from services.scenes.bundle import MAX_FILES, MAX_NAME
-from services.scenes.entries import Entry
 
 PATH = "/v1/assets"
 Digest = Annotated[str, Path(description="the 64 digits after `sha256:` in the upload's name")]
@@ -59,21 +61,23 @@ async def upload(
     ] = None,
     licence: Annotated[Licence | None, Form()] = None,
     credit: Annotated[Credit | None, Form()] = None,
-) -> Entry:
+) -> Uploaded:
     """Checks a mesh or an environment map and stores it, with the files that a mesh names, under a hash of all of it.
     Scenes name it by the `name` in the answer, which also says what of the files is `used`, and in `notes` what is not.
     """
     await run_in_threadpool(services.quotas.check_upload, caller.owner, sum(one.size or 0 for one in file))
     about = About(title=name, up=up, licence=licence, credit=credit)
     sent = Sent([(one.filename or "", one.file) for one in file], kind, mesh, about)
-    return await services.uploads.add(sent, client_of(request, caller), partial(services.assets.adding, caller.owner))
+    adding = partial(services.assets.adding, caller.owner)
+    return Uploaded.of(await services.uploads.add(sent, client_of(request, caller), adding))
 
 
 @router.get("")
 def listing(services: ServicesDependency, caller: CallerDependency) -> AssetList:
     """Lists the uploaded meshes and environment maps."""
     may_see = services.assets.visible(caller)
-    return AssetList(items=services.library.entries(category="upload", may_see=may_see))
+    entries = services.library.entries(category="upload", may_see=may_see)
+    return AssetList(items=[Uploaded.of(entry) for entry in entries])
 
 
 def known_upload(sha256: Digest, services: ServicesDependency, caller: CallerDependency) -> str:
@@ -88,12 +92,34 @@ KnownUpload = Annotated[str, Depends(known_upload)]
 
 
 @router.get("/{sha256}")
-def read(name: KnownUpload, services: ServicesDependency) -> Entry:
+def read(name: KnownUpload, services: ServicesDependency) -> Uploaded:
     """Returns an upload's name, licence and credit, and what is shown of its files."""
     entry = services.library.entry(name)
     if entry is None:  # it was deleted meanwhile
         raise no_such("upload")
-    return entry
+    return Uploaded.of(entry)
+
+
+@router.get("/{sha256}/thumbnail", response_class=Response, responses={200: {"content": {"image/png": {}}}})
+async def thumbnail(
+    name: KnownUpload, services: ServicesDependency, caller: CallerDependency, request: Request
+) -> Response:
+    """Returns a picture of an upload, a PNG image that never changes: a mesh in the default light, or a map as it is.
+
+    It is made when it is first asked for; 503 says that other previews took all the time.
+    """
+    kept = await run_in_threadpool(services.library.thumbnail, name)
+    if kept is None:
+        entry = await run_in_threadpool(services.library.entry, name)
+        if entry is not None and entry.kind == "environment":
+            kept = await run_in_threadpool(lambda: picture_of(services.library.environment(name)))
+        else:
+            asked = services.previewer.preview(thumbnail_spec(name), client_of(request, caller))
+            _, shown = await while_connected(request, asked)
+            kept = base64.b64decode(shown)
+        await run_in_threadpool(services.library.keep_thumbnail, name, kept)
+    headers = {"Cache-Control": "private, max-age=31536000, immutable", "Content-Security-Policy": "default-src 'none'"}
+    return Response(kept, media_type="image/png", headers=headers)
 
 
 @router.delete("/{sha256}", status_code=204)

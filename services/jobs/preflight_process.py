@@ -11,6 +11,7 @@ from services.analysis.images import png
 from services.analysis.requests import RerenderingRequest
 from services.errors import InvalidRequest, JobFailure, out_of_memory
 from services.jobs.child import connect, reply, requests
+from services.jobs.cpu_share import CHECKING, give_way
 from services.jobs.memory_limit import memory_limit
 from services.jobs.outages import outage_of
 from services.jobs.warm_up import warm_up
@@ -80,6 +81,7 @@ def _rerender(request: dict[str, Any], data: bytes, library: Library) -> dict[st
 def main() -> None:
     """Loads network and OpenGL once, reports that it is ready, then answers requests until its parent ends."""
     configure("preflight")
+    give_way(CHECKING)
     values = settings()
     connection = connect()
     inbox = requests(connection)

@@ -138,6 +138,15 @@ class Library:
         model = self._catalogue().get(slug) if kind == "furniture" else None
         return None if model is None else read_icon(model, self._furniture)
 
+    def thumbnail(self, name: str) -> bytes | None:
+        """Returns the thumbnail of an upload, a PNG file; None if none was kept yet."""
+        return self._uploads.thumbnail(name.removeprefix("sha256:"))
+
+    def keep_thumbnail(self, name: str, png: bytes) -> None:
+        """Stores the thumbnail of an upload, if it is still there."""
+        if self.has_upload(name):
+            self._uploads.keep_thumbnail(name.removeprefix("sha256:"), png)
+
     def add_mesh(self, data: bytes, kind: str, limits: Settings | None = None) -> Entry:
         """Adds a mesh that is a single file, as `add`."""
         return self.add(Bundle(kind, data, {}), limits)

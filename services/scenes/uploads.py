@@ -77,8 +77,9 @@ def _read_map(bundle: Bundle, kept: Path) -> tuple[int, Report]:
 class Uploads:
     """The uploaded meshes in one place.
 
-    `<sha256>` has the bytes (`Bundle.stored`), `<sha256>.npz` what was parsed, `<sha256>.json` an `Upload`.
-    `processed` is a cache of the parsed meshes, which may be deleted at any time.
+    `<sha256>` has the bytes (`Bundle.stored`), `<sha256>.npz` what was parsed, `<sha256>.json` an `Upload`, and
+    `<sha256>.png` a thumbnail once one was made. `processed` is a cache of the parsed meshes, which may be deleted at
+    any time.
     """
 
     def __init__(self, files: Blobs, processed: Path) -> None:
@@ -128,9 +129,21 @@ class Uploads:
         except (FileNotFoundError, ValidationError):
             return None
 
+    def thumbnail(self, sha256: str) -> bytes | None:
+        """Returns the thumbnail of the upload with this digest, a PNG file; None if none was kept yet."""
+        try:
+            with self._files.open(f"{sha256}.png") as file:
+                return file.read()
+        except FileNotFoundError:
+            return None
+
+    def keep_thumbnail(self, sha256: str, png: bytes) -> None:
+        """Stores the thumbnail of an upload."""
+        self._files.write(f"{sha256}.png", png)
+
     def remove(self, sha256: str) -> None:
         """Removes the files of the upload with this digest, those that there are. Nobody may be about to add it."""
-        for ending in (".json", ".npz", ""):  # the metadata first, so that every listed upload is complete
+        for ending in (".json", ".npz", ".png", ""):  # the metadata first, so that every listed upload is complete
             self._files.delete(f"{sha256}{ending}")
         self._kept(sha256).unlink(missing_ok=True)
 

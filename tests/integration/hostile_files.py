@@ -9,7 +9,7 @@ import zipfile
 from collections.abc import Callable, Iterator
 
 from services.scenes.reading import KINDS
-from tests.integration.hostile_glb import GLB, MILLION
+from tests.integration.hostile_glb import GLB, MILLION, texture_at
 from tests.unit.scenes.mesh_files import (
     ASCII_PLY,
     ASCII_STL,
@@ -129,6 +129,8 @@ ODD: dict[str, tuple[str, bytes]] = {
     "a PLY with a list longer than its line": ("ply", ply(3, 1, b"0 0 0\n1 0 0\n0 1 0\n255 0 1 2\n")),
     "an OFF with a face longer than its line": ("off", off(f"3 1 0\n0 0 0\n1 0 0\n0 1 0\n{10**9} 0 1 2")),
     "an STL whose header is a program": ("stl", b"\x7fELF" + BOXES["stl"][4:]),
+    "a texture of a file": ("glb", texture_at("file:///etc/passwd")),
+    "a texture of an address": ("glb", texture_at("http://127.0.0.1:9/a.png")),
     "a glb with a script as its name": ("glb", edited_glb(lambda tree: tree["meshes"][0].update(name="<script>"))),
 }
 

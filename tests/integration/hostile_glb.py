@@ -124,8 +124,6 @@ GLB: dict[str, Callable[[], bytes]] = {
     "a texture that is a BMP": lambda: textured(stored("BMP")),
     "a texture that is a TIFF": lambda: textured(stored("TIFF")),
     "a texture that is a GIF": lambda: textured(stored("GIF")),
-    "a texture of a file": lambda: texture_at("file:///etc/passwd"),
-    "a texture of an address": lambda: texture_at("http://127.0.0.1:9/a.png"),
     "JSON of lists": lambda: text_glb(b"[" * MILLION),
     "JSON of objects": lambda: text_glb(b'{"a":' * MILLION),
     "JSON of a number of a million digits": lambda: text_glb(b"9" * MILLION),

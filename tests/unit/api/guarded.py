@@ -13,13 +13,15 @@ from services.access.caller import Caller, Scope
 from services.jobs.models import CampaignState, State
 from services.pipeline.campaign_spec import parse as parse_campaign
 from services.pipeline.spec import parse
+from services.scenes.bundle import Bundle
 
 SPHERE = {"camera": {"size": [32, 32]}, "objects": [{"mesh": "primitive/sphere"}]}
 ATTACK = {"renderer": "pyrender", "steps": 1, "queries": 20}
 CAMPAIGN = {"grids": [{"scenes": [SPHERE], "attacks": [{"name": "a", "attack": ATTACK}]}]}
 _IDS = ("{job_id}", "{campaign_id}", "{webhook_id}", "{sha256}")
-MESH = "0a" * 32
-"""The digits of an upload of alice's, of which there is only the record."""
+UPLOAD = Bundle("off", b"OFF\n4 4 0\n0 0 0\n5 0 0\n0 6 0\n0 0 7\n3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 3\n", {})
+MESH = UPLOAD.sha256
+"""The digits of an upload of alice's."""
 CLOSED = {route: scope for route, scope in RULES.items() if scope is not None}
 """The routes that need a key, and their scopes."""
 OWNED = [route for route in CLOSED if any(part in route for part in _IDS)]
@@ -93,6 +95,8 @@ def guarding(app: FastAPI, client: httpx.Client) -> Iterator[Guarded]:
     campaign = services.campaigns.submit(parse_campaign(CAMPAIGN), None, "alice")
     webhook = services.webhooks.create("alice", "https://receiver.example/")
     services.assets.add("alice", f"sha256:{MESH}", 1)
+    services.library.add(UPLOAD)
+    services.library.keep_thumbnail(f"sha256:{MESH}", b"PNG")
     guarded = Guarded(services, client, headers, job.id, campaign.id, webhook.id)
     yield guarded
     assert guarded.untouched()

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from httpx import Response
+from PIL import Image
 
 from services.pipeline.spec import parse
 from tests.unit.api.guarded import ATTACK, Guarded
@@ -178,8 +179,8 @@ def test_an_uploaded_map_lights_a_request_of_its_owner_alone(guarded: Guarded) -
     entry = sent.json()
     assert (entry["kind"], entry["title"], entry["used"]) == ("environment", "Garden", ["16×8 texels"])
     listed = guarded.client.get("/v1/scenes", headers=guarded.headers["alice"]).json()
-    assert entry in listed["environments"]
-    assert entry not in listed["meshes"]
+    assert entry["name"] in {one["name"] for one in listed["environments"]}
+    assert entry["name"] not in {one["name"] for one in listed["meshes"]}
     body = request_with("primitive/cube")
     body["scene"]["lights"] = {"environment": {"map": entry["name"]}}
     refused = guarded.client.post("/v1/jobs", json=body, headers=guarded.headers["bob"])
@@ -195,10 +196,19 @@ def test_an_uploaded_map_lights_a_request_of_its_owner_alone(guarded: Guarded) -
     assert delete(guarded, "alice", entry["name"]).status_code == 204
 
 
-def test_an_upload_is_read_by_its_owner_alone(guarded: Guarded) -> None:
-    entry = send(guarded, {"p.off": PYRAMID}, name="Pyramid").json()
+def test_an_upload_is_read_by_its_owner_alone_and_a_map_is_seen(guarded: Guarded) -> None:
+    entry = send(guarded, {"sky.exr": exr(np.ones((8, 16, 3), np.float32) * (1, 0, 0))}).json()
     path = f"/v1/assets/{entry['name'].removeprefix('sha256:')}"
     assert guarded.client.get(path, headers=guarded.headers["alice"]).json() == entry
-    assert guarded.client.get(path, headers=guarded.headers["bob"]).status_code == 404
+    for end in ("", "/thumbnail"):
+        assert guarded.client.get(path + end, headers=guarded.headers["bob"]).status_code == 404
+    for _ in range(2):
+        seen = guarded.client.get(f"{path}/thumbnail", headers=guarded.headers["alice"])
+        assert seen.headers["content-type"] == "image/png"
+        pixels = np.asarray(Image.open(io.BytesIO(seen.content)))
+        assert pixels.shape == (96, 192, 3)
+        assert (pixels[..., 0] > 150).all()
+        assert (pixels[..., 1:] == 0).all()
+    assert entry["thumbnail"] == f"{path}/thumbnail"
     assert delete(guarded, "alice", entry["name"]).status_code == 204
-    assert guarded.client.get(path, headers=guarded.headers["alice"]).status_code == 404
+    assert guarded.services.library.thumbnail(entry["name"]) is None

@@ -1,10 +1,15 @@
 """The pages of assets, on the real app."""
 
+from io import BytesIO
+
+import numpy as np
 import pytest
 from fastapi import FastAPI
 from httpx import Client
+from PIL import Image
 
 from tests.unit.api.guarded import MESH, Guarded
+from tests.unit.api.test_assets import PYRAMID
 from tests.unit.api.test_dashboard_pages import Tags
 
 
@@ -43,6 +48,21 @@ def test_a_furniture_library_s_picture_is_shown(client: Client, app: FastAPI) ->
 @pytest.mark.parametrize("name", ["furniture/nothing", "primitive/sphere", "nothing", "furniture/..%2f..%2fsecret"])
 def test_what_has_no_picture_is_404(client: Client, name: str) -> None:
     assert client.get(f"/assets/pictures/{name}").status_code == 404
+
+
+def test_an_upload_is_seen_by_its_name_with_what_is_shown_of_it(client: Client) -> None:
+    files = [("file", ("p.off", PYRAMID)), ("file", ("p.txt", b"-"))]
+    entry = client.post("/v1/assets", files=files, data={"name": "Pyramid"}).json()
+    page = client.get(f"/assets/{entry['name']}").text
+    assert "<h1>Pyramid</h1>" in page
+    assert entry["thumbnail"] in {image["src"] for image in Tags(page).all("img")}
+    assert entry["thumbnail"] in client.get("/assets", params={"kind": "upload"}).text
+    seen = client.get(entry["thumbnail"])
+    assert seen.status_code == 200, seen.text
+    pixels = np.asarray(Image.open(BytesIO(seen.content)))
+    assert pixels.shape == (192, 192, 3)
+    assert len(np.unique(pixels)) > 20
+    assert client.delete(f"/v1/assets/{entry['name'].removeprefix('sha256:')}").status_code == 204
 
 
 def test_an_upload_of_another_owner_is_not_shown(guarded: Guarded) -> None:

@@ -60,7 +60,7 @@ def test_a_function_has_every_parameter_and_the_type_of_the_answer(name: str, tm
 ANSWERS = ("200", "201", "202", "204")
 
 
-BYTES = ("application/octet-stream", "application/zip", "model/gltf-binary", "text/event-stream")
+BYTES = ("application/octet-stream", "image/png", "application/zip", "model/gltf-binary", "text/event-stream")
 
 
 def answer(content: dict[str, Any]) -> str:
