@@ -17,6 +17,14 @@ from client.commands_page import commands, examples, page
 ROOT = Path(__file__).parents[3]
 EXAMPLES = [example for _, command in commands() for example in examples(command)]
 THEIR_OWN = "convert-clevr-iep"  # takes files that a reader has
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]
+TYPED = [
+    (page.name, line.removeprefix(".venv/bin/"))
+    for page in sorted(PAGES)
+    for block in re.findall(r"^```(?:sh|bash)[^\n]*\n(.*?)^```$", page.read_text("utf-8"), re.M | re.S)
+    for line in block.replace("\\\n", " ").splitlines()
+    if re.match(r"(\.venv/bin/)?scene-attack ", line) and THEIR_OWN not in line and page.name != "commands.md"
+]
 
 
 def test_the_page_is_what_the_code_says() -> None:
@@ -40,6 +48,16 @@ def test_an_example_of_help_can_be_parsed_and_its_files_are_there(example: str) 
     for word in words:
         if word.startswith("examples/"):
             assert (ROOT / word).is_file(), word
+
+
+@pytest.mark.parametrize(("page_name", "line"), TYPED)
+def test_a_command_of_the_documents_can_be_parsed(page_name: str, line: str) -> None:
+    words = shlex.split(re.split(r" [<>|] | \|\| ", line)[0], comments=True)
+    command: Any = typer.main.get_command(app)
+    parsed(command, words[1:])
+    for word in words:
+        if word.startswith("examples/"):
+            assert (ROOT / word).is_file(), f"{page_name}: {word}"
 
 
 def parsed(command: Any, arguments: list[str], parent: Any = None) -> None:
