@@ -1,4 +1,7 @@
-"""Structured logs of the service's processes: a line per event, as JSON unless stderr is a terminal."""
+"""Structured logs of the service's processes: a line per event, as JSON unless stderr is a terminal.
+
+On a terminal a line has the time of day, the level, the event and its values, for a person to read.
+"""
 
 import logging
 import sys
@@ -15,17 +18,16 @@ def configure(process: str) -> None:
     def name(_logger: Any, _method: str, record: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
         return {"process": process, **record}
 
-    shared: list[Any] = [
-        structlog.contextvars.merge_contextvars,
-        name,
-        structlog.stdlib.add_log_level,
-        structlog.stdlib.add_logger_name,
-        structlog.processors.TimeStamper(fmt="iso", utc=True),
-    ]
+    shared: list[Any] = [structlog.contextvars.merge_contextvars, name, structlog.stdlib.add_log_level]
     renderer: Any = structlog.processors.JSONRenderer()
     if sys.stderr.isatty():
-        renderer = structlog.dev.ConsoleRenderer()
+        shared.append(structlog.processors.TimeStamper(fmt="%H:%M:%S", utc=False))
+        # The default shows local variables, which may be keys and passwords.
+        plain = structlog.dev.plain_traceback
+        renderer = structlog.dev.ConsoleRenderer(exception_formatter=plain, pad_event_to=0)
     else:
+        shared.append(structlog.stdlib.add_logger_name)
+        shared.append(structlog.processors.TimeStamper(fmt="iso", utc=True))
         shared.append(structlog.processors.format_exc_info)
     structlog.configure(
         processors=[
