@@ -69,6 +69,15 @@ def parsed(command: Any, arguments: list[str], parent: Any = None) -> None:
         parsed(found, left, context)
 
 
+WITHOUT_JSON = ("serve", "api", "worker", "demo", "train ", THEIR_OWN)  # what they print is progress
+
+
+def test_every_command_with_an_answer_can_print_it_as_json() -> None:
+    leaves = [(name, command) for name, command in commands() if not hasattr(command, "commands")]
+    answering = [one for one in leaves if not any(word in f"{one[0]} " for word in WITHOUT_JSON)]
+    assert [name for name, command in answering if not any("--json" in one.opts for one in command.params)] == []
+
+
 def test_the_shell_completes_commands_and_options() -> None:
     def completed(words: str) -> list[str]:
         environ = {"_SCENE_ATTACK_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
