@@ -132,6 +132,50 @@ def test_ticked_jobs_are_tagged_without_a_reload(page: Page) -> None:
     assert page.evaluate("window.here")
 
 
+def test_ticked_jobs_are_retried_and_deleted_without_a_reload(page: Page, client: httpx.Client) -> None:
+    page.goto("/?q=state:failed+-tag:mine&sort=created")
+    page.evaluate("window.here = true")
+    rows = page.locator("#rows tr")
+    first, second = (str(rows.nth(k).get_attribute("data-id")) for k in (0, 1))
+    rows.nth(0).get_by_role("checkbox").check()
+    page.get_by_role("button", name="Retry").click()
+    expect(page.locator("#said")).to_have_text("Retry: done")
+    [retry] = [job for job in client.get("/v1/jobs", params={"limit": 1}).json()["items"] if job["retry_of"] == first]
+    rows.nth(1).get_by_role("checkbox").check()
+    expect(page.locator("#ticked")).to_have_text("1 ticked")  # what was retried is ticked no more
+    page.once("dialog", lambda dialog: dialog.accept())
+    page.get_by_role("button", name="Delete").click()
+    expect(page.locator(f'tr[data-id="{second}"]')).to_have_count(0)
+    assert client.get(f"/v1/jobs/{second}").status_code == httpx.codes.NOT_FOUND
+    assert page.evaluate("window.here")
+    page.goto(f"/jobs/{retry['id']}")
+    page.get_by_role("link", name=f"job {first[:8]}").click()
+    page.get_by_role("button", name="Retry").click()
+    expect(page.get_by_text("Repeats")).to_be_visible()
+    assert first not in page.url
+
+
+def test_without_javascript(browser: Browser, client: httpx.Client) -> None:
+    context = browser.new_context(base_url=str(client.base_url), java_script_enabled=False)
+    page = context.new_page()
+    page.goto("/?q=state:queued")
+    rows = page.locator("#rows tr")
+    job = str(rows.first.get_attribute("data-id"))
+    rows.first.get_by_role("checkbox").check()
+    page.get_by_label("Tag", exact=True).fill("plain")
+    page.get_by_role("button", name="Add tag").click()
+    expect(page).to_have_url(re.compile(r"\?q=state%3Aqueued$"))
+    rows.first.get_by_role("link", name="plain").click()
+    expect(rows).to_have_count(1)
+    rows.first.locator(".c-name a").first.click()
+    page.get_by_text("Title, tags and note").click()
+    page.get_by_label("Title").fill("Mine")
+    page.get_by_role("button", name="Save").click()
+    expect(page.locator("h1")).to_have_text("Mine")
+    assert page.url.endswith(f"/jobs/{job}")
+    context.close()
+
+
 def test_chosen_columns_are_kept(page: Page) -> None:
     page.goto("/")
     expect(page.locator("#rows .c-method").first).to_be_hidden()
