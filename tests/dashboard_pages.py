@@ -7,6 +7,7 @@ PAGES: dict[str, str] = {
     "/jobs/{job_id}": "/jobs/{job_id}",
     "/new": "/new",
     "/compare": "/compare?jobs={job_id},{job_id}",
+    "/compare/campaigns": "/compare/campaigns?campaigns={campaign_id},{campaign_id}",
     "/campaigns": "/campaigns",
     "/campaigns/{campaign_id}": "/campaigns/{campaign_id}",
     "/assets": "/assets",

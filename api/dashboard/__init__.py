@@ -5,6 +5,7 @@ from fastapi import APIRouter
 from api.dashboard import (
     accuracy,
     assets,
+    campaign_comparison,
     campaigns,
     comparison,
     job_about,
@@ -21,6 +22,7 @@ __all__ = ["router"]
 router = APIRouter()
 router.include_router(job_list.router)
 router.include_router(comparison.router)
+router.include_router(campaign_comparison.router)
 router.include_router(routes.router)
 router.include_router(new_job.router)
 router.include_router(job_about.router)

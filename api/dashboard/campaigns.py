@@ -8,12 +8,13 @@ from fastapi.responses import RedirectResponse
 
 from api.authentication import CallerDependency
 from api.dashboard.campaign_cases import Choice, cases, steps
+from api.dashboard.campaign_curves import ALONG, Along, corners, end, points
 from api.dashboard.charts import Chart, chart
 from api.dashboard.pages import HEADERS, html
 from api.schemas import cursor_after, read_cursor
 from api.state import Services, ServicesDependency, no_such
 from services.access.caller import Caller
-from services.analysis.campaign_table import Cell, Corners, Table
+from services.analysis.campaign_table import Cell, Table
 from services.errors import InvalidRequest
 from services.jobs.campaign_service import Counts
 from services.jobs.campaigns import Progress
@@ -22,8 +23,6 @@ from services.pipeline.campaign_select import ChosenView
 
 PAGE = 30
 """Number of campaigns on one page of the list."""
-ALONG = {"queries": "queries", "seconds": "seconds", "p": "p ×10⁻³"}
-"""What the curves of successes are drawn against, and the words for it."""
 SHOWN = 200
 """Largest number of views that a page lists."""
 
@@ -152,32 +151,16 @@ def _campaign(
     return html(template, caller=caller, page=page, cases=cases(services.campaigns, found, choice))
 
 
-def _charts(table: Table, along: str) -> list[Chart]:
+def _charts(table: Table, along: Along) -> list[Chart]:
     """The step curves of the verified successes of each cell that has cases, all as far as any case went."""
-    most = max((_end(cell, along) for cell in table.cells), default=0.0) or 1.0
-    return [_chart(cell, along, _corners(cell, along), 1.05 * most) for cell in table.cells if cell.success.of]
+    most = max((end(cell, along) for cell in table.cells), default=0.0) or 1.0
+    return [_chart(cell, along, 1.05 * most) for cell in table.cells if cell.success.of]
 
 
-def _rows(cell: Cell, along: str) -> CurveRows:
-    return CurveRows(cell.target, cell.attack, ALONG[along], steps(_corners(cell, along), cell.success.of))
-
-
-def _corners(cell: Cell, along: str) -> Corners:
-    in_thousandths = [(1000 * p, count) for p, count in cell.by_p]
-    return {"queries": cell.by_queries, "seconds": cell.by_seconds, "p": in_thousandths}[along]
-
-
-def _end(cell: Cell, along: str) -> float:
-    most_p = 1000 * cell.by_p[-1][0] if cell.by_p else None
-    return {"queries": cell.most_queries, "seconds": cell.most_seconds, "p": most_p}[along] or 0.0
-
-
-def _chart(cell: Cell, along: str, corners: Corners, end: float) -> Chart:
-    """The step curve of a cell's verified successes up to the work `end`, in per cent of all its cases."""
-    points, share = [(0.0, 0.0)], 0.0
-    for at, count in corners:
-        points.append((at, share))
-        share = 100 * count / cell.success.of
-        points.append((at, share))
+def _chart(cell: Cell, along: Along, until: float) -> Chart:
     title = f"{cell.attack}, {cell.target}: verified successes, % of {cell.success.of}"
-    return chart(title, ALONG[along], [*points, (end, share)], low=0, high=100)
+    return chart(title, ALONG[along], points(cell, along, until), low=0, high=100)
+
+
+def _rows(cell: Cell, along: Along) -> CurveRows:
+    return CurveRows(cell.target, cell.attack, ALONG[along], steps(corners(cell, along), cell.success.of))

@@ -15,8 +15,8 @@ from api.state import ServicesDependency, no_such
 from services.attacks.verdict import with_outcome
 from services.jobs.models import Job
 
-MOST = 8
-"""Jobs that are compared at most: as many colours can be told apart."""
+LETTERS = "ABCDEFGH"
+"""Names of what is compared, at most so many: more colours cannot be told apart."""
 CURVES = {
     "loss": "Probability to lower",
     "advantage": "Log-probability advantage",
@@ -54,15 +54,13 @@ def compare(
     against: Against = "queries",
 ) -> Response:
     """Compares two to eight jobs, named by `jobs` or, as a form sends ticked boxes, by several `job`."""
-    ids = [*(one.strip() for one in jobs.split(",") if one.strip()), *job]
-    if not 2 <= len(ids) <= MOST:
-        raise HTTPException(422, f"name 2 to {MOST} jobs, as in /compare?jobs=a,b; {len(ids)} are named")
+    ids = named(jobs, job, "jobs, as in /compare?jobs=a,b")
     compared = []
-    for number, job_id in enumerate(ids):
+    for letter, job_id in zip(LETTERS, ids, strict=False):
         found = caller.visible(services.repository.get(job_id, with_result=True))
         if found is None:
             raise no_such(f"job as {job_id}")
-        compared.append(Compared(found, "ABCDEFGH"[number], with_outcome(found.outcome)))
+        compared.append(Compared(found, letter, with_outcome(found.outcome)))
     charts = [(name, curve) for name, title in CURVES.items() if (curve := _curve(compared, name, title, against))]
     return html(
         "compare.html",
@@ -74,6 +72,14 @@ def compare(
         charts=charts,
         rows=_table(compared, against),
     )
+
+
+def named(listed: str, ticked: Sequence[str], what: str) -> list[str]:
+    """The ids in a list with commas and of ticked boxes. Answers 422 unless they can be compared; `what` says how."""
+    ids = [*(one.strip() for one in listed.split(",") if one.strip()), *ticked]
+    if not 2 <= len(ids) <= len(LETTERS):
+        raise HTTPException(422, f"name 2 to {len(LETTERS)} {what}; {len(ids)} are named")
+    return ids
 
 
 def differences(specs: Sequence[Mapping[str, Any]]) -> list[tuple[str, list[str]]]:

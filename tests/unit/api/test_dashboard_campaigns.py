@@ -105,3 +105,30 @@ async def test_every_curve_has_a_table(stage: Stage) -> None:
     assert "normals queries 1234 3 100.0 %" in page.text
     assert "normals seconds 1.25 3 100.0 %" in page.text
     assert "normals p ×10⁻³ 11.7 3 100.0 %" in page.text
+
+
+async def test_campaigns_side_by_side(stage: Stage) -> None:
+    first, second = stage.begin(spec(3)), stage.begin(spec(2, seed=5, name="d"))
+    for campaign in (first, second):
+        stage.finish(campaign)
+    ticks = {one["value"] for one in (await get(stage, "/campaigns")).all("input") if one["name"] == "campaign"}
+    assert ticks == {first, second}
+    page = await get(stage, f"/compare/campaigns?campaign={first}&campaign={second}&against=p")
+    # Wilson's intervals of 3 in 3 and 2 in 2
+    assert "normals against efficientnet-lite0 100.0 % 3 of 3; 43.9 % – 100.0 %" in page.text
+    assert "100.0 % 2 of 2; 34.2 % – 100.0 %" in page.text
+    assert "grids.0.seeds 0 5" in page.text
+    assert len(page.all("svg")) == 1
+    assert len([one for one in page.all("path") if "curve" in (one["class"] or "")]) == 2
+    corners = "normals efficientnet-lite0 A"
+    assert corners in page.text
+    assert corners.replace("A", "B") in page.text
+
+
+async def test_a_campaign_without_cases_has_a_dash_beside_one_with_them(stage: Stage) -> None:
+    first = stage.begin(spec(1))
+    stage.finish(first)
+    second = stage.begin(spec(1, seed=5))
+    page = await get(stage, f"/compare/campaigns?campaigns={first},{second}")
+    assert "normals against efficientnet-lite0 100.0 % 1 of 1" in page.text
+    assert "–" in page.text.partition("1 of 1")[2].partition("What differs")[0].rpartition("10⁻³")[2]
