@@ -19,15 +19,15 @@ Page = Mapping[str, Any]
 
 def job_id(client: "ApiClient", text: str) -> str:
     """The id of the job that `text` is, or is the beginning of. Raises InvalidRequest("ID") if that is not one job."""
-    return _whole(text, "job", lambda cursor: client.jobs(PAGE, cursor=cursor))
+    return _whole(text, "job", lambda digits, cursor: client.jobs(PAGE, cursor=cursor, q=f"id:{digits}"))
 
 
 def campaign_id(client: "ApiClient", text: str) -> str:
     """As `job_id`, of a campaign."""
-    return _whole(text, "campaign", lambda cursor: client.campaigns(PAGE, cursor))
+    return _whole(text, "campaign", lambda _, cursor: client.campaigns(PAGE, cursor))
 
 
-def _whole(text: str, kind: str, page: Callable[[str | None], Page]) -> str:
+def _whole(text: str, kind: str, page: Callable[[str, str | None], Page]) -> str:
     digits = text.strip().rstrip("….").lower()
     if not re.fullmatch("[0-9a-f]{1,32}", digits):
         raise InvalidRequest(
@@ -38,7 +38,7 @@ def _whole(text: str, kind: str, page: Callable[[str | None], Page]) -> str:
     found: list[Mapping[str, Any]] = []
     cursor = None
     while True:
-        one = page(cursor)
+        one = page(digits, cursor)
         found += [item for item in one["items"] if item["id"].startswith(digits)]
         cursor = one["next"]
         if cursor is None:

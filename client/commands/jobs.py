@@ -1,4 +1,4 @@
-"""The commands `jobs`: list, show, follow, cancel and download the jobs of a service."""
+"""The commands `jobs`: list, show, follow, name, repeat, cancel and download the jobs of a service."""
 
 from pathlib import Path
 from typing import Annotated
@@ -7,7 +7,9 @@ import typer
 
 from client.commands.options import DEFAULT_URL, JsonOption, UrlOption
 
-app = typer.Typer(help="List, show, follow, cancel and download the jobs of a running service.", no_args_is_help=True)
+app = typer.Typer(
+    help="List, show, follow, name, repeat, cancel and download the jobs of a running service.", no_args_is_help=True
+)
 
 JobId = Annotated[
     str, typer.Argument(metavar="ID", help="The id that `submit` printed, or as much of its beginning as no other has.")
@@ -138,6 +140,52 @@ def cancel(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = Fa
         print_json(job)
     else:
         out().print(f"{job['id']}  {job['state']}", markup=False, highlight=False)
+
+
+@app.command(epilog="Example: [bold]scene-attack jobs retry 0f3c…[/bold]")
+def retry(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
+    """Queue the request of a job again, as a new job, and print its id."""
+    from client import operations
+    from client.api_client import ApiClient
+    from client.console import out, print_json
+    from client.ids import job_id as whole_id
+
+    with ApiClient(url) as client:
+        job = client.call(operations.retry_job(whole_id(client, job_id)))
+    if as_json:
+        print_json(job)
+    else:
+        out().print(job["id"], markup=False, highlight=False)
+
+
+@app.command(epilog="Example: [bold]scene-attack jobs edit 0f3c… --title 'Figure 3' --tag paper[/bold]")
+def edit(
+    job_id: JobId,
+    title: Annotated[str | None, typer.Option(help="Give the job this name; '' for none.")] = None,
+    tag: Annotated[list[str] | None, typer.Option(help="Add this tag; may be repeated.")] = None,
+    untag: Annotated[list[str] | None, typer.Option(help="Take this tag away; may be repeated.")] = None,
+    note: Annotated[str | None, typer.Option(help="Write this note about the job; '' for none.")] = None,
+    url: UrlOption = DEFAULT_URL,
+    as_json: JsonOption = False,
+) -> None:
+    """Give a job a title, tags and a note, by which lists find it (`tag:paper`). No result changes."""
+    from client import operations
+    from client.api_client import ApiClient
+    from client.console import out, print_json
+    from client.ids import job_id as whole_id
+
+    changes: dict[str, object] = {name: said for name, said in (("title", title), ("note", note)) if said is not None}
+    with ApiClient(url) as client:
+        whole = whole_id(client, job_id)
+        if tag or untag:
+            had = client.call(operations.job(whole)).get("tags", [])
+            changes["tags"] = sorted({*had, *(tag or ())} - {*(untag or ())})
+        job = client.call(operations.edit_job(whole, changes))
+    if as_json:
+        print_json(job)
+    else:
+        said = " ".join([job.get("title") or job["name"], *(f"[{one}]" for one in job.get("tags", []))])
+        out().print(f"{job['id']}  {said}", markup=False, highlight=False)
 
 
 @app.command(epilog="Example: [bold]scene-attack jobs delete 0f3c…[/bold]")

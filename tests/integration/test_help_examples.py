@@ -159,6 +159,9 @@ def jobs(reader: Reader, stack: Stack) -> None:
     assert json.loads(run(f"scene-attack jobs show {ID} --json", **of))["id"] == found
     run(f"scene-attack jobs watch {ID}", **of)
     run(f"scene-attack jobs cancel {ID}", **of)
+    assert "Figure 3 [paper]" in run(f"scene-attack jobs edit {ID} --title 'Figure 3' --tag paper", **of)
+    repeated = run(f"scene-attack jobs retry {ID}", **of).strip()
+    assert stack.client.get(f"/v1/jobs/{repeated}").json()["retry_of"] == found
     run(f"scene-attack jobs download {ID} --out out/piano", **of)
     assert (reader.folder / "out/piano/attacked.png").is_file()
     run(f"scene-attack export {ID} --out piano.zip", **of)

@@ -19,11 +19,12 @@ Answer = Callable[[BaseHTTPRequestHandler], None]
 
 
 class Script:
-    """Answers, one for each request in turn, and the requests that came."""
+    """Answers, one for each request in turn, and the requests that came, with their bodies."""
 
     def __init__(self) -> None:
         self.answers: list[Answer] = []
         self.seen: list[tuple[str, str, dict[str, str]]] = []
+        self.bodies: list[bytes] = []
 
 
 @pytest.fixture
@@ -35,11 +36,11 @@ def script() -> Script:
 def client(script: Script) -> Iterator[ApiClient]:
     class Handler(BaseHTTPRequestHandler):
         def answer(self) -> None:
-            self.rfile.read(int(self.headers.get("Content-Length", 0)))
+            script.bodies.append(self.rfile.read(int(self.headers.get("Content-Length", 0))))
             script.seen.append((self.command, self.path, dict(self.headers)))
             script.answers.pop(0)(self)
 
-        do_GET = do_POST = do_DELETE = answer  # noqa: N815
+        do_GET = do_POST = do_PATCH = do_DELETE = answer  # noqa: N815
 
         def log_message(self, format: str, *args: object) -> None:  # noqa: A002
             pass

@@ -25,7 +25,11 @@ PAGES = [
 def test_a_beginning_is_completed(client: ApiClient, script: Script, text: str, found: str) -> None:
     script.answers = [says(200, page) for page in PAGES]
     assert job_id(client, text) == found
-    assert [path for _, path, _ in script.seen] == ["/v1/jobs?limit=200", "/v1/jobs?limit=200&cursor=c"]
+    asked = f"q=id%3A{text.strip('…').lower()}"  # the service looks for it
+    assert [path for _, path, _ in script.seen] == [
+        f"/v1/jobs?limit=200&{asked}",
+        f"/v1/jobs?limit=200&cursor=c&{asked}",
+    ]
 
 
 def test_a_whole_id_is_not_looked_up(client: ApiClient, script: Script) -> None:
