@@ -212,12 +212,16 @@ def _scores(spec: JobSpec, scene: ResolvedScene, verifier: Verifier, original: T
     Only the same network is not asked again, and none of which nothing but scores is known: a URL may answer otherwise.
     """
     target, queries = verifier.target, verifier.queries
-    if not target.differentiable:
+    try:
+        own = ref(target)
+    except TypeError:  # an object with slots, of an extension
+        own = None
+    if own is None or not target.differentiable:
         return verifier.logits(original)
     what = "scores", target.name, spec.target.asked, *_drawn_by(spec)
     kept: tuple[ref[Target], Tensor] | None = scene.measured.get(what)
     if kept is None or kept[0]() is not target:
-        scene.measured[what] = kept = ref(target), verifier.logits(original)
+        scene.measured[what] = kept = own, verifier.logits(original)
     verifier.queries = queries + 1
     return kept[1]
 

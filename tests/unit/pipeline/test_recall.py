@@ -34,6 +34,7 @@ SCENES: dict[str, dict[str, Any]] = {
         "shadows": {},
     },
 }
+PIXELS = {"renderer": "image", "base_renderer": "pyrender", "method": "square"}
 FILES = ("perturbation.safetensors", "original.png", "attacked.png", "perturbation.png")
 
 
@@ -127,7 +128,6 @@ CARD = TargetInfo(
 def _asked(target: Classifier, times: int = 2) -> int:
     """How often the network looks at the original image while a job on the sphere is prepared `times` times."""
     looked, logits = 0, target.logits
-    attack = {"renderer": "image", "base_renderer": "pyrender", "method": "square"}
 
     def counted(*given: Any) -> Any:
         nonlocal looked
@@ -138,7 +138,7 @@ def _asked(target: Classifier, times: int = 2) -> int:
         registry.load("linear")  # which tries it
         target.logits = counted  # type: ignore[method-assign]
         for _ in range(times):
-            found = prepare(spec(attack, target={"name": "linear"}), LIBRARY)
+            found = prepare(spec(PIXELS, target={"name": "linear"}), LIBRARY)
             assert (found.verifier.queries, found.verifier.renders) == (1, 1)
             assert torch.equal(found.logits, logits(from_bytes(found.original)[None])[0])
     return looked
@@ -150,6 +150,27 @@ def test_a_network_answers_the_same_image_once() -> None:
 
 def test_another_network_of_the_same_name_and_hash_is_asked_anew() -> None:
     assert [_asked(linear_network(scale=scale), times=1) for scale in (1.0, -1.0)] == [1, 1]
+
+
+class _Slotted:
+    """A network to which no weak reference can be made."""
+
+    __slots__ = ("differentiable", "inner")
+    name = "linear"
+    takes_question = False
+
+    def __init__(self) -> None:
+        self.inner, self.differentiable = linear_network(), True
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.inner, name)
+
+
+def test_a_network_of_an_object_with_slots_is_asked_every_time() -> None:
+    with registry.registered(CARD, _Slotted()):
+        for _ in range(2):
+            found = prepare(spec(PIXELS, target={"name": "linear"}), LIBRARY)
+            assert found.verifier.queries == 1
 
 
 def test_a_network_of_which_only_scores_are_known_is_asked_every_time() -> None:
