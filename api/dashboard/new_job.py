@@ -69,11 +69,12 @@ async def submit(
 @router.get("/new/choices.json")
 def choices(services: ServicesDependency, caller: CallerDependency) -> Any:
     """What the form is made from: the schema of a request, and the names that its fields may have."""
-    meshes = services.library.entries(may_see=services.assets.visible(caller))
+    found = [*services.library.entries(may_see=services.assets.visible(caller)), *services.library.environments()]
+    maps = [[one.name, one.title] for one in found if one.kind == "environment"]
     return {
         "schema": _schema(),
-        "meshes": [[one.name, one.title] for one in meshes],
-        "environments": [[one.name, one.title] for one in services.library.environments()] + [["lights", "own lights"]],
+        "meshes": [[one.name, one.title] for one in found if one.kind != "environment"],
+        "environments": [*maps, ["lights", "the scene's own lights"]],
         "targets": [[one.name, one.title] for one in available()],
         "materials": [[name, ""] for name in _materials()],
         "methods": list(ATTACKS),

@@ -11,6 +11,7 @@ from httpx import Client
 from api.state import Services
 from services.pipeline.spec import JobSpec, parse
 from tests.unit.api.conftest import SPHERE
+from tests.unit.scenes.test_uploaded_maps import TEXELS, exr
 
 HTML = {"accept": "text/html"}
 
@@ -82,3 +83,12 @@ def test_the_script_gets_every_name_that_a_field_may_have(client: Client) -> Non
     groups = {name: by_default for name, _, by_default in found["renderers"]["torch"]["groups"]}
     assert groups["normals"]
     assert not groups["illumination_rgb"]
+
+
+def test_a_map_that_was_uploaded_is_a_light_and_no_mesh(client: Client) -> None:
+    sent = client.post("/v1/assets", files=[("file", ("garden.exr", exr(TEXELS)))], data={"name": "Garden"})
+    assert sent.status_code == 201, sent.text
+    found = client.get("/new/choices.json").json()
+    named = [sent.json()["name"], "Garden"]
+    assert named in found["environments"]
+    assert named not in found["meshes"]
