@@ -107,6 +107,10 @@ class Attribution(TypedDict):
     log_odds: Shares
     probability: Shares
 
+class Background(TypedDict):
+    """What is behind objects and floor, in place of the colour `ground`: the environment map, or a picture."""
+    image: NotRequired[str | None]
+
 class BadField(TypedDict):
     """A field of a request with an invalid value."""
     field: str
@@ -995,6 +999,7 @@ class Scene(TypedDict):
     lights: NotRequired[Lights]
     shadows: NotRequired[Shadows | None]
     ground: NotRequired[list[float]]
+    background: NotRequired[Background | None]
 
 class SceneGrid(TypedDict):
     """One object per scene: meshes × azimuths. All scenes have the same camera, lights, ground and material."""

@@ -1,9 +1,12 @@
 """Writes a scene as a binary glTF file: objects, camera, lights, and in `extras` what glTF has no words for."""
 
+import base64
 from typing import Any
 
 import numpy as np
+import torch
 
+from services.analysis.images import png
 from services.export.glb import Glb
 from services.export.gltf_material import primitive
 from services.export.scene_values import LightValues, SceneValues, as_extras
@@ -60,6 +63,10 @@ def _scene_extras(
         "ground_is": "the displayed colour behind the objects, composited by coverage",
         "samples": "4 samples a pixel, averaged as radiance times coverage before the display curve",
     }
+    if scene.description.background is not None:
+        behind = scene.ground_from(scene.projection @ np.linalg.inv(values.camera))
+        found["background"] = base64.b64encode(png(torch.tensor(np.rint(behind * 255).astype(np.uint8)))).decode()
+        found["background_is"] = "what is behind the objects in place of the ground, a PNG file in base64"
     if lit_by_map:
         return found | {
             "environment": environment,

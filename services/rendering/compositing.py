@@ -18,11 +18,11 @@ from services.rendering.kernels import compiled
 
 @dataclass(frozen=True)
 class Canvas:
-    """The part of an image that objects cover, over a ground of one colour. All tensors but `pixels` have one dtype.
+    """The part of an image that objects cover, over a ground. All tensors but `pixels` have one dtype.
 
     size: the image's height and width H, W. pixels: flat indices of the covered pixels, int64 [P], each once.
     base_color: linear RGB of these pixels [P, 3]. coverage: their coverage [P, 1] in [0,1]. ground: the displayed
-    colour behind the objects [3].
+    colour behind the objects [3], or that of each pixel [H·W, 3].
 
     Where a pixel shows several surfaces it is listed once for each, with the share of each as its coverage, and
     `ranks` holds the places in the list, int64: of the first surface of each pixel, of the second of those that have
@@ -42,9 +42,14 @@ class Canvas:
         return len(self.ranks[0]) if self.ranks else len(self.pixels)
 
     @cached_property
+    def behind(self) -> Tensor:
+        """The ground of the covered pixels, [3] or [P, 3]."""
+        return self.ground if self.ground.dim() == 1 else self.ground[self.pixels]
+
+    @cached_property
     def under(self) -> Tensor:
         """The ground's contribution to each covered pixel, (1 − coverage) · ground, [P, 3]."""
-        return (1 - self.coverage) * self.ground
+        return (1 - self.coverage) * self.behind
 
     @cached_property
     def empty(self) -> Tensor:
@@ -67,13 +72,15 @@ class Canvas:
 
 
 def over_ground(radiance: Tensor, exposure: float, ground: Tensor) -> Tensor:
-    """Composites images over a `ground` [3], a displayed colour; returns displayed images [..., 3].
+    """Composites images over a `ground`, a displayed colour [3] or an image [H, W, 3]; returns displayed images
+    [..., 3].
 
     `radiance` [..., 4] holds RGB radiance times coverage, and coverage. `exposure` is the factor from radiance to
     linear display values. The result has the dtype of `radiance` and is differentiable in it.
     """
     ground = ground.to(radiance.dtype)
-    if compiled.runs(radiance) and not radiance.requires_grad:  # the kernel has no backward pass
+    # The kernel has no backward pass, and takes one colour.
+    if ground.dim() == 1 and compiled.runs(radiance) and not radiance.requires_grad:
         shown = radiance.new_empty(*radiance.shape[:-1], 3)
         inputs = (shown.numel() // 3, radiance.contiguous(), exposure, ground)
         compiled.call("over_ground", radiance.dtype, *inputs, shown, compiled.threads())
@@ -119,7 +126,7 @@ class _Image(torch.autograd.Function):
         image = canvas.empty.clone()
         if canvas.ranks:
             shown = to_display(radiance * canvas.base_color)
-            _add(image, canvas.pixels, canvas.coverage * (shown - canvas.ground), canvas.ranks)
+            _add(image, canvas.pixels, canvas.coverage * (shown - canvas.behind), canvas.ranks)
         elif compiled.runs(radiance):
             inputs = (canvas.base_color, canvas.coverage, canvas.under, canvas.pixels)
             compiled.call("composite", radiance.dtype, len(radiance), radiance, *inputs, image, compiled.threads())

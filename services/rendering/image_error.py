@@ -36,7 +36,7 @@ class ImageError:
 
 def image_error(image: "Tensor", exact: "Tensor", ground: "Tensor") -> tuple[ImageError, int]:
     """The error of a displayed image [H, W, 3] against the exact one, and the number of pixels that are covered: those
-    of the exact image that differ from the `ground` [3], at least 1."""
+    of the exact image that differ from the `ground`, [3] or [H, W, 3], at least 1."""
     off = (image - exact).abs()
     covered = max(1, int((exact != ground).any(dim=-1).sum()))
     mean = float(off.double().mean(dim=-1).sum()) / covered

@@ -36,6 +36,8 @@ MIN_LENGTH = 1e-3
 """Lower bound of a direction's largest absolute coordinate, below which rounding would change the direction."""
 
 
+MAX_PICTURE = 400_000
+"""Largest number of characters of a picture in base64: a file of 300 kB."""
 METALLIC = "0: plastic, 1: metal (pyrender, by glTF's metallic-roughness BRDF)"
 ROUGHNESS = "0: smooth, 1: rough (pyrender, by the same BRDF); below 0.04 it is drawn as 0.04"
 
@@ -247,6 +249,17 @@ class Shadows(Model):
     )
 
 
+class Background(Model):
+    """What is behind objects and floor, in place of the colour `ground`: the environment map, or a picture."""
+
+    image: Annotated[str, Field(min_length=1, max_length=MAX_PICTURE)] | None = Field(
+        None,
+        exclude_if=absent,
+        description="a PNG, JPEG or WebP file in base64, of the size of the camera's image; null: the environment map "
+        "as the camera sees it, in the exposure of the torch renderer",
+    )
+
+
 class Scene(Model):
     """A complete scene. Only `objects` has no default."""
 
@@ -258,6 +271,9 @@ class Scene(Model):
     ground: Colour = Field(
         (GROUND, GROUND, GROUND),
         description="displayed colour behind the objects; rounded to k/255, so that 8-bit images keep it exactly",
+    )
+    background: Background | None = Field(
+        None, exclude_if=absent, description="a picture or the environment map in place of `ground`; null: neither"
     )
 
     @field_validator("ground")

@@ -13,6 +13,7 @@ from pydantic import BaseModel
 
 from services.errors import InvalidRequest
 from services.scenes import lights_map
+from services.scenes.background import displayed_map, exposure_of, read_picture
 from services.scenes.description import MAP_SIZES, Floor, Scene, SceneObject
 from services.scenes.environment import EnvironmentMap, average
 from services.scenes.floor import floor_mesh
@@ -67,6 +68,8 @@ class ResolvedScene:
     map_credit: str | None
     sha256: str
     source_map: Floats | None = None
+    picture: Doubles | None = None
+    """The picture behind the objects, displayed values [H, W, 3] in [0,1]; None if the scene has none."""
     measured: dict[Hashable, Any] = field(init=False, repr=False, default_factory=dict)
     """What `once` found. A changed copy of the scene begins without."""
 
@@ -76,6 +79,28 @@ class ResolvedScene:
             self.measured[what] = measure()
         found: T = self.measured[what]
         return found
+
+    @property
+    def shows_map(self) -> bool:
+        """Whether the environment map is what is behind the objects."""
+        return self.description.background is not None and self.picture is None
+
+    @cached_property
+    def ground(self) -> Doubles:
+        """What is behind the objects, displayed values: one colour [3], or an image [H, W, 3]."""
+        return self.ground_from(self.projection @ np.linalg.inv(self.view))
+
+    def ground_from(self, clip_from_world: Doubles) -> Doubles:
+        """What is behind the objects before another camera [4,4]: a colour and a picture stay as they are."""
+        if self.picture is not None:
+            return self.picture
+        if not self.shows_map:
+            return np.array(self.description.ground)
+        source, turn = self.source_map, self.description.lights.environment.rotation
+        if source is None:  # then there is only the map as it lights the scene, which is turned already
+            source, turn = self.environment, 0.0
+        size = self.description.camera.size
+        return displayed_map(source, exposure_of(self.environment), turn, clip_from_world, size)
 
     @cached_property
     def placed(self) -> tuple[PlacedMesh, ...]:
@@ -101,8 +126,8 @@ class ResolvedScene:
         return average(self.source_map, *MAP_SIZES[-1], self.description.lights.environment.rotation)
 
     def credits(self, lit_by_map: bool) -> list[str]:
-        """Attribution lines to show with every image of the scene; the map's only if the map lights the scene."""
-        lines = [*(mesh.credit for mesh in self.meshes), self.map_credit if lit_by_map else None]
+        """Attribution lines to show with every image of the scene; the map's only if it lights the scene or is seen."""
+        lines = [*(mesh.credit for mesh in self.meshes), self.map_credit if lit_by_map or self.shows_map else None]
         return list(dict.fromkeys(line for line in lines if line))
 
     @cached_property
@@ -116,7 +141,8 @@ def resolve(scene: Scene, library: Library) -> ResolvedScene:
 
     Raises InvalidRequest with the path of the invalid field: "scene.objects.0.mesh" for an unknown mesh,
     "scene.objects.0" for an object outside the frame or smaller than a pixel, "scene.floor" for a floor of which as
-    little can be seen, "scene.lights.environment.map" for an unknown map.
+    little can be seen, "scene.lights.environment.map" for an unknown map, "scene.background.image" for what is no image
+    of the camera's size.
     """
     meshes = _meshes(library, scene)
     light = scene.lights.environment
@@ -138,6 +164,7 @@ def resolve(scene: Scene, library: Library) -> ResolvedScene:
         map_credit=source.credit,
         sha256=fingerprint(scene, [*(mesh.sha256 for mesh in meshes), source.sha256]),
         source_map=source.radiance,
+        picture=_picture(scene),
     )
 
 
@@ -182,6 +209,15 @@ def _environment(library: Library, scene: Scene) -> EnvironmentMap:
         return library.environment(name)
     except InvalidRequest as error:
         raise InvalidRequest("scene.lights.environment.map", error.detail) from error
+
+
+def _picture(scene: Scene) -> Doubles | None:
+    if scene.background is None or scene.background.image is None:
+        return None
+    try:
+        return read_picture(scene.background.image, scene.camera.size)
+    except InvalidRequest as error:
+        raise InvalidRequest("scene.background.image", error.detail) from error
 
 
 def _mesh(library: Library, index: int, name: str) -> Mesh:

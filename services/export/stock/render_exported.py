@@ -13,10 +13,12 @@ Off screen it draws by EGL; PYOPENGL_PLATFORM=osmesa draws without a graphics dr
 """
 
 import argparse
+import base64
 import json
 import os
 import struct
 import sys
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -207,6 +209,13 @@ def light_of(given: dict[str, Any]) -> pyrender.Light:
     return pyrender.SpotLight(color=given["color"], intensity=intensity, **angles)
 
 
+def ground_of(extras: dict[str, Any]) -> NDArray[np.float64]:
+    """The displayed values behind the objects: one colour [3], or an image [H, W, 3]."""
+    if "background" not in extras:
+        return np.array(extras["ground"])
+    return np.asarray(Image.open(BytesIO(base64.b64decode(extras["background"]))).convert("RGB")) / 255
+
+
 def rendered(path: Path) -> NDArray[np.uint8]:
     """The image uint8 [H, W, 3] of a file."""
     scene, extras = scene_of(path)
@@ -221,7 +230,7 @@ def rendered(path: Path) -> NDArray[np.uint8]:
     coverage = drawing.render(scene, flags)[..., :1].astype(np.float64)
     linear = (radiance / np.maximum(coverage, 1e-6)).clip(0, 1)
     shown = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    image = shown * coverage + np.array(extras["ground"]) * (1 - coverage)
+    image = shown * coverage + ground_of(extras) * (1 - coverage)
     levels: NDArray[np.uint8] = np.rint(image.clip(0, 1) * 255).astype(np.uint8)
     return levels
 

@@ -1,7 +1,7 @@
 """How far rasterised images are from OpenGL's: measured for the plan, and again while an attack runs."""
 
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from math import sqrt
 
 import torch
@@ -37,10 +37,16 @@ def around(renderer: Renderer, groups: tuple[str, ...]) -> Parameters:
     return places
 
 
-def measure(renderer: Renderer, ground: Tensor, groups: tuple[str, ...]) -> tuple[ImageError, int]:
-    """The largest error of the renderer's images around the start, and the fewest pixels that one of them covers."""
+def measure(
+    renderer: Renderer, behind: Callable[[Parameters], Tensor], groups: tuple[str, ...]
+) -> tuple[ImageError, int]:
+    """The largest error of the renderer's images around the start, and the fewest pixels that one of them covers.
+
+    `behind` returns what is behind the objects, [3] or [H, W, 3], at parameters {group: [1, ...]}.
+    """
     worst, fewest, places = ImageError(), torch.iinfo(torch.int64).max, around(renderer, groups)
-    for image, exact in zip(renderer.render(places), renderer.exact().render(places), strict=True):
+    for row, (image, exact) in enumerate(zip(renderer.render(places), renderer.exact().render(places), strict=True)):
+        ground = behind({group: value[row : row + 1] for group, value in places.items()})
         error, covered = image_error(image, exact, ground)
         worst, fewest = worst.or_worse(error), min(fewest, covered)
     return worst, fewest

@@ -22,9 +22,10 @@ from services.rendering.opengl.shadows import check_size, images_per_pass
 from services.rendering.plan import DEFAULT_TOLERANCE, Plan, Tolerance
 from services.rendering.protocol import InactiveCoordinate, Parameters
 from services.rendering.pyrender_renderer import opengl_pass, rasteriser
-from services.rendering.pyrender_renderer.batching import SharedPass, alone, fill, shared
+from services.rendering.pyrender_renderer.batching import Array, SharedPass, alone, fill, shared
 from services.rendering.pyrender_renderer.declaration import PYRENDER
 from services.rendering.pyrender_renderer.errors import MARGIN, is_sampled, measure
+from services.rendering.pyrender_renderer.ground import Ground
 from services.rendering.pyrender_renderer.inactive import inactive_coordinates
 from services.rendering.pyrender_renderer.parameters import SceneParameters
 from services.rendering.pyrender_renderer.planner import Rasterised, compile_plan
@@ -67,15 +68,14 @@ class PyrenderRenderer(DeclaredRenderer):
         self.backend = context.current().backend
         from services.rendering.opengl.mesh_upload import closed_drawing  # imports OpenGL, so after the context
 
-        description = scene.description
-        self.size = description.camera.size
+        self.size = scene.description.camera.size
         meshes = tuple(placed.mesh for placed in scene.placed)
         self.drawing = closed_drawing(meshes)  # public, for passes of one's own over it
-        self._ground = torch.tensor(description.ground, dtype=torch.float32)
-        self._has_floor = description.floor is not None
+        self._has_floor = scene.description.floor is not None
         self._numbers = SceneParameters(scene)
+        self._ground = Ground(scene, self._numbers)
         samples = rasteriser.SAMPLES * self.size[0] * self.size[1]
-        most = min(MAX_IMAGES_PER_PASS, MAX_SAMPLE_BYTES // (16 * samples), images_per_pass(description))
+        most = min(MAX_IMAGES_PER_PASS, MAX_SAMPLE_BYTES // (16 * samples), images_per_pass(scene.description))
         self._most = max(1, most)
         self._attacked = tuple(groups or self.declaration.default_groups)
         self._tolerance: Tolerance = "exact"
@@ -123,7 +123,7 @@ class PyrenderRenderer(DeclaredRenderer):
             return plan
         finer, own = copy(self._twin), self._twin.radiance({})[0]
         finer._numbers = self._numbers.with_finer_shadows()
-        error = shadow_error(over_ground(own, EXPOSURE, self._ground), finer.render({})[0], own[..., 3] > 0)
+        error = shadow_error(over_ground(own, EXPOSURE, self._ground.at_start), finer.render({})[0], own[..., 3] > 0)
         return with_shadows(plan, self.drawing, self._at_start(), error)
 
     def _try_rasteriser(self, groups: tuple[str, ...], tolerance: float) -> Rasterised:
@@ -140,7 +140,7 @@ class PyrenderRenderer(DeclaredRenderer):
         if drawn is None:
             return Rasterised(refusal="a face reaches to the camera or far beyond the frame, or is seen from its edge")
         self._rasterises = True
-        error, covered = measure(self, self._ground, groups)
+        error, covered = measure(self, self._ground.at, groups)
         self._sampled = None
         if not ImageError(MARGIN * error.mean, MARGIN * error.share).within(tolerance):
             self._rasterises = False
@@ -188,7 +188,9 @@ class PyrenderRenderer(DeclaredRenderer):
         Raises JobFailure("non-finite") for parameters or radiances that are not finite, ValueError for unknown groups
         and wrong shapes.
         """
-        images = self._draw(parameters, self._ground, lambda radiance: over_ground(radiance, EXPOSURE, self._ground))
+        batch = self._numbers.checked(parameters)
+        behind = self._ground.before_each(batch["camera"], self.size)
+        images = self._draw(batch, behind, lambda radiance, ground: over_ground(radiance, EXPOSURE, ground))
         for row in range(len(images)):
             if self._rasterises and is_sampled(parameters, row):
                 images[row] = self._verified(images[row], {g: v[row : row + 1] for g, v in parameters.items()})
@@ -197,7 +199,7 @@ class PyrenderRenderer(DeclaredRenderer):
     def _verified(self, image: Tensor, parameters: Mapping[str, Tensor]) -> Tensor:
         """The image, or OpenGL's where it is off by more than the tolerance allows."""
         exact = self._twin.render(parameters)[0]
-        error, _ = image_error(image, exact, self._ground)
+        error, _ = image_error(image, exact, self._ground.at(parameters))
         self._sampled = error.or_worse(self._sampled)
         return image if self._tolerance != "exact" and error.within(self._tolerance) else exact
 
@@ -207,7 +209,8 @@ class PyrenderRenderer(DeclaredRenderer):
         Strictly linear in the ambient light and in each light's energy, but for what glTF materials emit. Raises as
         `render` does.
         """
-        return self._draw(parameters, torch.zeros(4), lambda radiance: radiance)
+        batch = self._numbers.checked(parameters)
+        return self._draw(batch, torch.zeros(len(batch["color"]), *self.size, 4), lambda radiance, _: radiance)
 
     def extent(self, parameters: Mapping[str, Tensor]) -> Rectangle:
         """Rows from and to, columns from and to, within which the objects are at `parameters` {group: [...]}."""
@@ -239,24 +242,22 @@ class PyrenderRenderer(DeclaredRenderer):
         moves = () if self._numbers.shadows is None else ("translation", "rotation")
         return [one for one in found if one.group not in moves]
 
-    def _draw(self, parameters: Mapping[str, Tensor], empty: Tensor, finish: Callable[[Tensor], Tensor]) -> Tensor:
-        """Images [B, H, W, C]: `empty` [C] where no object is, and `finish` of radiance [..., 4] elsewhere.
+    def _draw(self, batch: Mapping[str, Array], empty: Tensor, finish: Callable[[Tensor, Tensor], Tensor]) -> Tensor:
+        """Writes `finish` of radiance [..., 4] and ground into `empty` [B, H, W, C] where objects are; returns it.
         First all is drawn, then all is finished: threads of torch that wait for work in between would be in the way of
         those that draw.
         """
-        batch = self._numbers.checked(parameters)
         passes = [(drawn, self._lit(drawn)) for drawn in (alone(batch) if self._plain else shared(batch, self._most))]
         passes = [(drawn, lit) for drawn, lit in passes if lit.part[0] < lit.part[1]]
-        batch_images = empty.expand(len(batch["color"]), *self.size, len(empty)).clone().numpy()
         for (drawn, lit), frames in zip(passes, self._frames([lit for _, lit in passes]), strict=True):
             top, bottom, left, right = lit.part
-            radiance = torch.from_numpy(frames)
-            if not finite(radiance):
+            if not finite(radiance := torch.from_numpy(frames)):
                 why = "the image has values that are not finite: light or colour is too strong"
                 raise JobFailure("non-finite", why)
-            shown = finish(radiance).numpy()[:, ::-1]  # OpenGL's first row is the bottom one
-            fill(batch_images[:, top:bottom, left:right], drawn, shown)
-        return torch.from_numpy(batch_images)
+            ground = self._ground.part(drawn.camera, lit.part)
+            shown = finish(radiance, ground).numpy()[:, ::-1]  # OpenGL's first row is the bottom one
+            fill(empty.numpy()[:, top:bottom, left:right], drawn, shown)
+        return empty
 
     def _extent(self, view: CameraMatrices, poses: NDArray[np.float64]) -> Rectangle:
         return rectangle(self.drawing.points, list(view.clip_from_world @ poses), self.size)

@@ -119,7 +119,8 @@ class TorchRenderer(DeclaredRenderer):
         self._turns = None if visible.turns is None else visible.turns.to(dtype)
         self._layers = [of_objects[k] for k in parts.owners]
         base_color = shown.base_color
-        ground = torch.tensor(scene.description.ground, dtype=dtype, device=self._device)
+        ground = torch.tensor(scene.ground, dtype=dtype, device=self._device)
+        ground = ground if ground.dim() == 1 else ground.reshape(-1, 3)
         self._colors = torch.split(base_color.to(dtype), self._counts)
         # The radiance of an object with layers has its colours already.
         own_colors = [

@@ -1,6 +1,9 @@
 """The glTF files, read by trimesh and by the specification."""
 
+import base64
 import json
+from dataclasses import replace
+from io import BytesIO
 from math import pi
 from typing import Any
 
@@ -8,11 +11,12 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from PIL import Image
 
 from services.export.gltf_material import COAT, GLTF_SMITH
 from services.export.scene_glb import scene_glb
 from services.export.scene_values import scene_values
-from services.scenes.description import DirectionalLight, Lights, PointLight, SceneObject, SpotLight
+from services.scenes.description import Background, DirectionalLight, Lights, PointLight, SceneObject, SpotLight
 from services.scenes.mesh import Mesh
 from services.scenes.metallic_roughness import with_surface
 from tests.unit.rendering.shapes import mesh, placed, quad, scene
@@ -127,3 +131,17 @@ def test_an_object_of_the_scene_is_named() -> None:
     _, glb = written()
     (node,) = (node for node in head_of(glb)["nodes"] if node["name"] == "object 0")
     assert node["extras"]["mesh"] == SceneObject(mesh="primitive/sphere").mesh
+
+
+def test_the_image_behind_the_objects_is_that_of_the_camera() -> None:
+    described = scene(azimuth=0.7, elevation=0.3).model_copy(update={"background": Background()})
+    light = np.random.default_rng(1).uniform(0.1, 2, (16, 32, 3)).astype(np.float32)
+    resolved = replace(placed(described, SQUARE), environment=light)
+    found = []
+    for change in ({}, {"camera": torch.tensor([0.9, -0.3, 0.5, 0.3])}):
+        extras = head_of(scene_glb(resolved, scene_values(resolved, change), False))["scenes"][0]["extras"]
+        with Image.open(BytesIO(base64.b64decode(extras["background"]))) as image:
+            found.append(np.asarray(image) / 255)
+    assert np.array_equal(found[0], resolved.ground)
+    assert np.abs(found[1] - found[0]).max() > 0.1
+    assert "background" not in head_of(written()[1])["scenes"][0]["extras"]
