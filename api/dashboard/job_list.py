@@ -20,7 +20,7 @@ from api.state import Services, ServicesDependency
 from services.access.caller import Caller
 from services.attacks.verdict import with_outcome
 from services.errors import InUse, InvalidRequest, QuotaExceeded
-from services.jobs.job_query import EXAMPLE, parse_query
+from services.jobs.job_query import EXAMPLE, LONGEST, parse_query
 from services.jobs.lists import ListTotals
 from services.jobs.models import State
 from services.jobs.repository import QueueFull
@@ -32,7 +32,7 @@ MOST = 200
 """Jobs that one request acts upon at most."""
 
 router = APIRouter(include_in_schema=False)
-Text = Annotated[str, Query(max_length=8000)]
+Text = Annotated[str, Query(max_length=LONGEST)]
 Sort = Annotated[str, Query(pattern=SORT_PATTERN)]
 Place = Annotated[str | None, Query(max_length=2000)]
 
@@ -115,7 +115,7 @@ def act(
     action: Annotated[Literal["cancel", "retry", "delete", "tag"], Form()],
     job: Annotated[list[str], Form(max_length=MOST)] = [],  # noqa: B006 - the framework copies it
     tag: Annotated[str, Form(max_length=50)] = "",
-    q: Annotated[str, Form(max_length=8000)] = "",
+    q: Annotated[str, Form(max_length=LONGEST)] = "",
     sort: Annotated[str, Form(pattern=SORT_PATTERN)] = NEWEST,
     cursor: Annotated[str, Form(max_length=2000)] = "",
 ) -> Response:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
 from fastapi.responses import StreamingResponse
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, Field, StringConstraints
 from sqlalchemy import Row
 
 from api.authentication import CallerDependency
@@ -21,7 +21,8 @@ from services.jobs.models import State
 
 AT_ONCE = 500
 """Jobs that are read from the database at once."""
-Ticked = Annotated[list[str] | None, Query(max_length=200, description="ids of jobs, if only these are wanted")]
+JobId = Annotated[str, StringConstraints(pattern="^[0-9a-f]{32}$")]
+Ticked = Annotated[list[JobId] | None, Query(max_length=200, description="ids of jobs, if only these are wanted")]
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
 

@@ -15,8 +15,8 @@ from services.errors import InvalidRequest
 from services.jobs.models import State
 from services.suggestions import there_are
 
-LONGEST = 8000
-"""Characters of the longest query; the ids of two hundred jobs fit into one."""
+LONGEST = 4000
+"""Characters of the longest query. Each may take 12 bytes of an address, of which the head of a request has 64 kB."""
 WORDS = ("name", "scene", "target", "question")
 """Fields whose value is looked for anywhere in the text, in upper or lower case."""
 EXACT = ("state", "renderer", "method", "outcome", "tag", "campaign", "owner")

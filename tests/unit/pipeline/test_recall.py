@@ -7,9 +7,10 @@ import pytest
 import torch
 
 from services.accuracy.stability.linear import linear_network
+from services.pipeline import recall as recalling
 from services.pipeline.execute import execute
 from services.pipeline.prepare import prepare
-from services.pipeline.recall import KEPT, KEPT_SCENES, recall
+from services.pipeline.recall import KEPT, KEPT_OF_ONE, KEPT_SCENES, recall
 from services.pipeline.result import Result
 from services.rendering.color import from_bytes
 from services.scenes.resolve import ResolvedScene, resolve
@@ -177,3 +178,21 @@ def test_a_network_of_which_only_scores_are_known_is_asked_every_time() -> None:
     behind_a_url = linear_network()
     behind_a_url.differentiable = False
     assert _asked(behind_a_url) == 2
+
+
+def test_of_one_scene_no_more_is_kept_than_is_bounded() -> None:
+    for number in range(3 * KEPT_OF_ONE):
+        recall(resolve(spec().scene, LIBRARY)).once(("tolerance", number), lambda: number)  # noqa: B023
+    [measured] = KEPT_SCENES.values()
+    assert 0 < len(measured) <= KEPT_OF_ONE
+
+
+def test_large_images_are_not_kept_for_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recalling, "KEPT_BYTES", 1000)
+    for number in range(5):
+        scene = resolve(spec(scene={"camera": {"size": [64, 64], "azimuth": 0.1 * number}}).scene, LIBRARY)
+        recall(scene).once("exact image", lambda: torch.zeros(150))  # 600 bytes
+    assert len(KEPT_SCENES) == 2  # the last one's own was not measured yet when it was recalled
+    again = resolve(spec(scene={"camera": {"size": [64, 64], "azimuth": 0.4}}).scene, LIBRARY)
+    recall(again).once("scores", lambda: (None, torch.zeros(200)))
+    assert recall(resolve(again.description, LIBRARY)).measured == {}

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from services.rendering.torch_renderer.physical import changes, map_changes, material_changes, normal_changes
+from services.rendering.torch_renderer.units import MATERIAL_UNIT
 from tests.unit.rendering.shading import sphere_scene
 from tests.unit.rendering.torch_renderer.spheres import sphere
 
@@ -65,3 +66,11 @@ def test_pixels_without_a_surface_have_no_normal_to_turn() -> None:
     rms, largest = changes(None, TwoOfFour(), {"normals": change})  # type: ignore[arg-type]
     assert largest.value == pytest.approx(3, rel=1e-4)
     assert rms.value == pytest.approx(3 / 2**0.5, rel=1e-4)
+
+
+def test_the_largest_change_of_a_lobe_is_the_largest_in_percent() -> None:
+    """A third is further from 1 than double as a logarithm, and nearer in percent."""
+    change = torch.zeros(1, 3, 3, 2, 6, dtype=torch.float64)
+    change[0, 0, 0, 0, :2] = torch.tensor([1 / 3, 2.0], dtype=torch.float64).log() * MATERIAL_UNIT
+    kappa, _ = material_changes(change)
+    assert kappa.value == pytest.approx(100)
