@@ -1,0 +1,60 @@
+"""The part of a job's page that shows its scene in three dimensions."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from services.jobs.models import Artifact, Job
+from services.jobs.repository import Repository
+from services.pipeline.outcome import outcome
+from services.pipeline.result import Result
+from services.pipeline.spec import JobSpec, parse
+from tests.unit.api.dashboard_records import SPEC, add, record, result, start
+from tests.unit.api.test_dashboard_pages import Tags, get
+
+pytestmark = pytest.mark.anyio
+MOVED = parse({"scene": {"objects": [{"mesh": "furniture/grand-piano"}]}, "attack": {"renderer": "pyrender"}})
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    return "asyncio"
+
+
+@pytest.fixture
+def repository(tmp_path: Path) -> Iterator[Repository]:
+    with record(tmp_path) as made:
+        yield made
+
+
+def ended(repository: Repository, spec: JobSpec, *names: str) -> Job:
+    """A job of this spec that ended with these files."""
+    job = add(repository, spec)
+    found = result(spec)
+    files = [Artifact(job_id=job.id, name=name, sha256="ab" * 32, media_type="x/y", size=1) for name in names]
+    assert repository.succeed(start(repository, job), found, outcome(Result.model_validate(found)), files)
+    return job
+
+
+@pytest.mark.parametrize(("spec", "sides"), [(SPEC, ["before"]), (MOVED, ["before", "after"])])
+async def test_a_job_has_its_scene_and_links_to_it(repository: Repository, spec: JobSpec, sides: list[str]) -> None:
+    job = ended(repository, spec, "perturbation.safetensors")
+    tags = Tags((await get(repository, f"/jobs/{job.id}")).text)
+    files = {side: f"/v1/jobs/{job.id}/scene.glb?which={side}" for side in sides}
+    (view,) = tags.all("scene-3d")
+    assert {name.removeprefix("data-"): value for name, value in view.items() if value and "glb" in value} == files
+    assert [link["href"] for link in tags.all("a") if "scene.glb" in (link["href"] or "")] == list(files.values())
+    assert not any("open" in part for part in tags.all("details"))
+
+
+async def test_a_job_that_stored_no_perturbation_has_a_sentence(repository: Repository) -> None:
+    job = ended(repository, MOVED, "original.png")
+    page = await get(repository, f"/jobs/{job.id}")
+    assert "stored no perturbation" in Tags(page.text).text
+    assert "scene.glb" not in page.text
+
+
+async def test_a_job_without_a_result_has_no_scene(repository: Repository) -> None:
+    job = add(repository, MOVED)
+    assert "scene3d-details" not in (await get(repository, f"/jobs/{job.id}")).text
