@@ -83,6 +83,7 @@ RULES: dict[str, Scope | None] = {
     "POST /campaigns/{campaign_id}/{move}": _WRITE,
     "GET /assets": _READ,
     "GET /assets/pictures/{asset:path}": _READ,
+    "GET /assets/scenes/{asset:path}": _READ,
     "GET /assets/{asset:path}": _READ,
     "GET /targets": _READ,
     "GET /accuracy": _READ,

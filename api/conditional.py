@@ -16,8 +16,8 @@ _KEPT = (b"etag", b"cache-control", b"x-content-type-options", b"content-securit
 
 
 class Compression(GZipMiddleware):
-    """Compresses answers, but for event streams, images, files of jobs and exports: their ETags and ranges are of the
-    bytes of a file.
+    """Compresses answers, but for event streams, images, files of jobs, scenes of assets and exports: their ETags and
+    ranges are of the bytes of a file.
     """
 
     def __init__(self, app: ASGIApp) -> None:
@@ -32,7 +32,7 @@ class Compression(GZipMiddleware):
 
 
 def _is_file(path: str) -> bool:
-    return "/artifacts/" in path or path.endswith(("/export", "/scene.glb"))
+    return "/artifacts/" in path or path.startswith("/assets/scenes/") or path.endswith(("/export", "/scene.glb"))
 
 
 class Conditional:

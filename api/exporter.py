@@ -1,14 +1,16 @@
-"""The process that makes exports of jobs, and the files that it makes."""
+"""The process that makes exports of jobs and glTF files of assets, and the files that it makes."""
 
 import os
 from collections.abc import Mapping
 from io import BufferedReader
 from pathlib import Path
 from tempfile import mkstemp
+from typing import Any
 
 from fastapi import HTTPException
 
 from api.warm_process import TooSlow, Unavailable, WarmProcess
+from services.export import ASSET
 from services.jobs.child import ChildDied
 from services.settings import Settings
 
@@ -36,16 +38,22 @@ class Exporter:
         `artifacts` are the SHA-256 of the job's files by name. Raises Unavailable, and HTTPException(409) for a job
         that cannot be exported.
         """
+        return await self._file({"what": what, "job": job_id, "artifacts": dict(artifacts)}, "job cannot be exported")
+
+    async def asset(self, mesh: str) -> BufferedReader:
+        """The open glTF file of the scene of one mesh. Raises as `made` does."""
+        return await self._file({"what": ASSET, "mesh": mesh}, "asset cannot be shown")
+
+    async def _file(self, message: dict[str, Any], refusal: str) -> BufferedReader:
         if self._waiting >= MAX_WAITING:
             raise Unavailable("too many exports wait already; try again")
         self._waiting += 1
         handle, path = mkstemp(prefix="scene-attack-export-")
         os.close(handle)
         try:
-            message = {"what": what, "job": job_id, "artifacts": dict(artifacts), "out": path}
-            answer = await self._process.ask(message, None, SECONDS)
+            answer = await self._process.ask(message | {"out": path}, None, SECONDS)
             if "refused" in answer:
-                raise HTTPException(409, f"the job cannot be exported: {answer['refused']}")
+                raise HTTPException(409, f"the {refusal}: {answer['refused']}")
             if "failed" in answer:
                 raise Unavailable(f"the export failed: {answer['failed']}")
             return Path(path).open("rb")

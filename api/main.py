@@ -19,7 +19,7 @@ from api import dashboard
 from api.audit import Audit
 from api.authentication import Authentication
 from api.conditional import Compression, Conditional
-from api.dashboard.error_pages import ErrorPages
+from api.dashboard.error_pages import ErrorPages, show_mistakes
 from api.description import describe
 from api.exporter import Exporter
 from api.hosts import KnownHosts
@@ -214,6 +214,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
         app.include_router(part.router)
     app.state.metrics = metrics
     install(app)
+    show_mistakes(app)
     describe(app)
     return app
 

@@ -22,5 +22,7 @@ PAGES: dict[str, str] = {
 """
 ELSEWHERE: dict[str, str] = {"nothing": "/nothing", "job-of-groups": "/jobs/{groups_id}"}
 """Further addresses, by name: one that no route has, and a job whose page has all that several groups bring."""
-NO_PAGES = re.compile(r"/(v1|parts|static|new/choices\.json|healthz|readyz|metrics|assets/pictures|openapi\.json)(/|$)")
+NO_PAGES = re.compile(
+    r"/(v1|parts|static|new/choices\.json|healthz|readyz|metrics|assets/(?:pictures|scenes)|openapi\.json)(/|$)"
+)
 """The beginnings of paths that answer programs, or scripts of pages."""

@@ -5,12 +5,17 @@ from math import degrees
 from typing import Annotated, Literal
 from urllib.parse import urlencode
 
-from fastapi import APIRouter, Query, Response
+from fastapi import APIRouter, Query, Request, Response
+from fastapi.responses import FileResponse
+from starlette.concurrency import run_in_threadpool
 
 from api.authentication import CallerDependency
 from api.dashboard.pages import HEADERS, html
+from api.routes.artifacts import VerifiedFile
+from api.routes.connection import while_connected
 from api.schemas import Uploaded
-from api.state import ServicesDependency, no_such
+from api.state import Services, ServicesDependency, no_such
+from services.access.caller import Caller
 from services.jobs.asset_record import FirstAnswer
 from services.jobs.models import Job
 from services.scenes.entries import Entry
@@ -55,7 +60,7 @@ def assets(
     page: Annotated[int, Query(ge=1, le=10_000)] = 1,
 ) -> Response:
     """A grid of assets, narrowed by kind, category, licence and words."""
-    everything = [*services.library.entries(may_see=services.assets.visible(caller)), *services.library.environments()]
+    everything = _entries(services, caller)
     words = q.lower().split()
     found = [
         entry
@@ -94,18 +99,38 @@ def asset_picture(asset: str, services: ServicesDependency) -> Response:
     return Response(data, headers=headers, media_type="image/png")
 
 
+@router.get("/assets/scenes/{asset:path}", response_class=FileResponse)
+async def asset_scene(request: Request, asset: str, services: ServicesDependency, caller: CallerDependency) -> Response:
+    """A mesh as a binary glTF file, for the view in three dimensions."""
+    entry = await run_in_threadpool(_entry, services, caller, asset)
+    if entry.kind == "environment":
+        raise no_such("mesh")
+    file = await while_connected(request, services.exporter.asset(entry.name))
+    headers = {"Cache-Control": "private, max-age=3600", "Content-Security-Policy": "default-src 'none'; sandbox"}
+    return VerifiedFile(file, "model/gltf-binary", headers)
+
+
 @router.get("/assets/{asset:path}")
 def one_asset(asset: str, services: ServicesDependency, caller: CallerDependency) -> Response:
     """The page of one asset."""
-    everything = [*services.library.entries(may_see=services.assets.visible(caller)), *services.library.environments()]
-    entry = next((one for one in everything if one.name == asset), None)
-    if entry is None:
-        raise no_such("asset")
+    entry = _entry(services, caller, asset)
     jobs = services.asset_records.jobs(entry.name, JOBS, caller.only)
     answers = services.asset_records.first_answers([entry.name], caller.only).get(entry.name, [])
     views = [View(job, degrees(job.spec["scene"]["camera"]["azimuth"])) for job in jobs]
     shown = Shown(entry, picture(entry), answers)
     return html("asset.html", caller=caller, one=shown, views=sorted(views, key=lambda v: v.azimuth))
+
+
+def _entry(services: Services, caller: Caller, asset: str) -> Entry:
+    """Raises HTTPException(404) for an asset that is not there, or that the caller may not see."""
+    found = next((one for one in _entries(services, caller) if one.name == asset), None)
+    if found is None:
+        raise no_such("asset")
+    return found
+
+
+def _entries(services: Services, caller: Caller) -> list[Entry]:
+    return [*services.library.entries(may_see=services.assets.visible(caller)), *services.library.environments()]
 
 
 def picture(entry: Entry) -> str | None:

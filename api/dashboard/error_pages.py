@@ -4,6 +4,7 @@ import json
 import re
 from http import HTTPStatus
 
+from fastapi import FastAPI, Request
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -26,7 +27,7 @@ class ErrorPages:
         """ASGI."""
         if scope["type"] != "http" or _OF_PROGRAMS.match(scope["path"]):
             return await self.app(scope, receive, send)
-        is_browser = asks_for_html(scope)
+        is_browser = _is_for_a_person(scope)
         start: Message | None = None
         document = b""
 
@@ -43,23 +44,41 @@ class ErrorPages:
             document += message.get("body", b"")
             if not message.get("more_body", False):
                 begun, start = start, None
-                await _page(scope, begun, document)(scope, receive, send)
+                await _page(scope, begun["status"], begun["headers"], document)(scope, receive, send)
 
         return await self.app(scope, receive, turned)
+
+
+def show_mistakes(app: FastAPI) -> None:
+    """Shows a person the page of an exception that nothing caught. The framework answers it outside of all middleware,
+    by the handler that is installed for it."""
+    document = app.exception_handlers[Exception]
+
+    def shown(request: Request, error: Exception) -> Response:
+        answer = document(request, error)
+        assert isinstance(answer, Response)
+        if not _is_for_a_person(request.scope):
+            return answer
+        return _page(request.scope, answer.status_code, answer.raw_headers, bytes(answer.body))
+
+    app.add_exception_handler(Exception, shown)
+
+
+def _is_for_a_person(scope: Scope) -> bool:
+    return not _OF_PROGRAMS.match(scope["path"]) and asks_for_html(scope)
 
 
 def _is_problem(message: Message) -> bool:
     return Headers(raw=message["headers"]).get("content-type", "").startswith(MEDIA_TYPE)
 
 
-def _page(scope: Scope, begun: Message, document: bytes) -> Response:
+def _page(scope: Scope, status: int, headers: list[tuple[bytes, bytes]], document: bytes) -> Response:
     """The page of a problem, with the problem's status and the headers that are not about its body."""
-    status = begun["status"]
     detail = json.loads(document)["detail"] if document else ""
     page = html(
         "error.html", status, scope.get("state", {}).get("caller"), title=HTTPStatus(status).phrase, detail=detail
     )
-    for name, value in Headers(raw=begun["headers"]).items():
+    for name, value in Headers(raw=headers).items():
         if not name.startswith("content-"):
             page.headers.setdefault(name, value)
     return page

@@ -2,3 +2,5 @@
 
 BUNDLE = "bundle"
 """What the process that makes exports is asked for: everything, in one zip file."""
+ASSET = "asset"
+"""A request for the scene of one asset."""

@@ -1,4 +1,4 @@
-"""The process that makes exports and `.glb` files of finished jobs for the API.
+"""The process that makes exports and `.glb` files of finished jobs, and of assets, for the API.
 
 It is one of its own: drawing the normals of a scene needs OpenGL, which only one thread of a process may use, and a
 large mesh must not delay other answers.
@@ -13,7 +13,8 @@ import torch
 
 from services.confinement.system_calls import forbid_new_privileges
 from services.errors import InvalidRequest, JobFailure, out_of_memory
-from services.export import BUNDLE
+from services.export import ASSET, BUNDLE
+from services.export.asset_glb import asset_glb
 from services.export.bundle import read_finished, write_bundle
 from services.export.destinations import zipped
 from services.jobs.artifacts import ArtifactStore, Damaged
@@ -29,11 +30,14 @@ log = logger(__name__)
 
 def answer(message: dict[str, Any], store: ArtifactStore, library: Library) -> dict[str, Any]:
     """Makes what a message asks for: {"what": BUNDLE, "before" or "after", "job": id, "artifacts": {name: sha256},
-    "out": path}. Writes the file `out` and answers {}, {"refused": sentence} or {"failed": sentence}.
+    "out": path} or {"what": ASSET, "mesh": name, "out": path}. Writes the file `out` and answers {}, {"refused":
+    sentence} or {"failed": sentence}.
     """
-    files = {name: partial(_read, store, sha256) for name, sha256 in message["artifacts"].items()}
+    files = {name: partial(_read, store, sha256) for name, sha256 in message.get("artifacts", {}).items()}
     try:
-        if message["what"] == BUNDLE:
+        if message["what"] == ASSET:
+            Path(message["out"]).write_bytes(asset_glb(message["mesh"], library))
+        elif message["what"] == BUNDLE:
             with Path(message["out"]).open("wb") as out, zipped(out, f"scene-attack-{message['job'][:8]}") as write:
                 write_bundle(files, library, write, message["job"])
         else:

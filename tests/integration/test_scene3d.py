@@ -24,6 +24,7 @@ from tests.integration.scene3d_view import (
     stored,
 )
 from tests.integration.test_accessibility import AXE, RUN, THEMES, WIDTHS
+from tests.integration.test_dashboard import PATIENCE
 from tests.integration.test_export import textured_glb
 
 pytestmark = pytest.mark.integration
@@ -223,6 +224,19 @@ def test_without_javascript_the_files_are_there(stack: Stack, browser: Browser, 
         expect(page.get_by_text("The view needs JavaScript and WebGL")).to_be_visible()
         expect(page.locator("scene-3d button").first).to_be_hidden()
         link = page.get_by_role("link", name="scene_after.glb")
+        assert stack.client.get(str(link.get_attribute("href"))).content[:4] == b"glTF"
+
+
+def test_an_asset_turns_on_its_page(stack: Stack, browser: Browser) -> None:
+    with looking(browser, stack) as page:
+        page.goto(f"{stack.client.base_url}/assets/furniture/drill")
+        page.locator("#scene3d-details > summary").click()
+        expect(page.locator("scene-3d")).to_have_attribute("data-drawings", "1", timeout=PATIENCE)
+        first = drawn_after(page, lambda: page.get_by_role("button", name="Return").click())
+        page.locator("scene-3d canvas").focus()
+        turned = drawn_after(page, lambda: page.keyboard.press("ArrowRight"))
+        assert changed(turned, first) > 0.01
+        link = page.locator("#scene3d-details").get_by_role("link")
         assert stack.client.get(str(link.get_attribute("href"))).content[:4] == b"glTF"
 
 

@@ -1,10 +1,10 @@
-// <scene-3d>: the scene of a job in three dimensions, with its lights and its camera, before and after the attack.
+// <scene-3d>: a scene in three dimensions, with its lights and its camera, before and after an attack or alone.
 // Once its part of the page is opened it loads three.js and the scenes, and it draws only when something changed.
 import { readGlb } from "./glb.js";
 import { Orbit, pose, viewpoint } from "./orbit.js";
 import { COLORS, ghost, lit, marks, skyLight } from "./scene3d_objects.js";
 
-const HELP = "Drag, or press the arrow keys, to turn the scene; + and − come nearer and go away; 0 is the camera of the image.";
+const HELP = "Drag, or press the arrow keys, to turn the scene; + and − come nearer and go away; 0 returns.";
 
 class Scene3d extends HTMLElement {
   connectedCallback() {
@@ -18,7 +18,7 @@ class Scene3d extends HTMLElement {
     this.begun = true;
     this.load().catch((error) => {
       this.begun = false; // opening the part again tries again
-      this.say(`The scene cannot be shown: ${error.message}. The images above show it, and the files below have it.`);
+      this.say(`The scene cannot be shown: ${error.message}.`);
     });
   }
 
@@ -42,7 +42,7 @@ class Scene3d extends HTMLElement {
     this.say(HELP);
   }
 
-  // `scenes`: before and after the attack, or one of them alone if the attack does not move the scene.
+  // `scenes`: before and after the attack, or one alone.
   show(canvas, context, three, scenes) {
     const renderer = new three.WebGLRenderer({ canvas, context });
     const world = new three.Scene();
@@ -65,7 +65,7 @@ class Scene3d extends HTMLElement {
       requestAnimationFrame(() => {
         waiting = false;
         const which = chosen();
-        const isMarked = this.querySelector("input[type=checkbox]").checked;
+        const isMarked = this.querySelector("input[type=checkbox]")?.checked ?? false;
         for (const side of Object.keys(scenes)) {
           shown[side].visible = scenes[side] === seen();
           marked[side].visible = isMarked && (which === side || which === "both");

@@ -52,8 +52,10 @@ ENDLESS = (
     "GET /parts/jobs/changes",
     "GET /compare",
     "GET /compare/campaigns",
+    "GET /assets/scenes/{asset:path}",
 )
-"""Streams that do not end, what a job does not have yet, the picture of a mesh without one, and nothing to compare."""
+"""Streams that do not end, what a job does not have yet, the picture of a mesh without one, no jobs to compare, and
+what another process makes."""
 
 
 @pytest.mark.parametrize("route", [route for route in CLOSED if route.startswith("GET") and route not in ENDLESS])

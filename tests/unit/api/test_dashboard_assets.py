@@ -65,6 +65,16 @@ def test_an_upload_is_seen_by_its_name_with_what_is_shown_of_it(client: Client) 
     assert client.delete(f"/v1/assets/{entry['name'].removeprefix('sha256:')}").status_code == 204
 
 
-def test_an_upload_of_another_owner_is_not_shown(guarded: Guarded) -> None:
-    answer = guarded.client.get(f"/assets/sha256:{MESH}", headers=guarded.headers["bob"])
+@pytest.mark.parametrize("folder", ["", "scenes/"])
+def test_an_upload_of_another_owner_is_not_shown(guarded: Guarded, folder: str) -> None:
+    answer = guarded.client.get(f"/assets/{folder}sha256:{MESH}", headers=guarded.headers["bob"])
     assert answer.status_code == 404
+
+
+def test_a_mesh_has_a_scene_and_a_map_has_none(client: Client) -> None:
+    page = Tags(client.get("/assets/primitive/sphere").text)
+    assert [view["data-before"] for view in page.all("scene-3d")] == ["/assets/scenes/primitive/sphere"]
+    assert "/assets/scenes/primitive/sphere" in {link["href"] for link in page.all("a")}
+    assert not Tags(client.get("/assets/uniform").text).all("scene-3d")
+    assert client.get("/assets/scenes/uniform").status_code == 404
+    assert client.get("/assets/scenes/primitive/nothing").status_code == 404

@@ -57,6 +57,13 @@ def test_the_api_answers_a_browser_as_it_answers_programs(guarded: Guarded, path
 ELSE = {
     "/?sort=sleeping": ("alice", 422),
     "/nothing": ("alice", 404),
+    "/jobs/nothing": ("alice", 404),
+    "/jobs/nothing/more": ("alice", 404),
+    "/campaigns/nothing": ("alice", 404),
+    "/assets/nothing": ("alice", 404),
+    "/targets/nothing": ("alice", 404),
+    "/docs/nothing": ("alice", 404),
+    "/v2/nothing": ("alice", 404),
     "/static/nothing": ("none", 404),
     "/parts/jobs/nothing": ("alice", 404),
     "/parts/jobs": ("none", 401),
@@ -75,3 +82,27 @@ def test_an_unknown_host_is_a_page_and_what_it_says_is_text(guarded: Guarded) ->
     answer = guarded.client.get("/", headers=BROWSER | {"host": "evil.example"})
     assert answer.status_code == 421
     assert "evil.example" in Tags(answer.text).text
+
+
+@pytest.mark.parametrize(
+    ("path", "accept", "kind"),
+    [
+        ("/assets", BROWSER["accept"], "text/html"),
+        ("/assets", "application/json", MEDIA_TYPE),
+        ("/v1/scenes", BROWSER["accept"], MEDIA_TYPE),
+    ],
+)
+def test_a_mistake_of_the_service_is_a_page_too(
+    guarded: Guarded, monkeypatch: pytest.MonkeyPatch, path: str, accept: str, kind: str
+) -> None:
+    monkeypatch.setattr(guarded.services.library, "entries", None)  # calling it raises what nothing catches
+    answer = guarded.client.get(path, headers={"accept": accept} | guarded.headers["alice"])
+    assert answer.status_code == 500
+    assert answer.headers["content-type"].startswith(kind)
+    assert answer.headers["x-request-id"]
+    assert answer.headers["connection"] == "close"
+    if kind == "text/html":
+        tags = Tags(answer.text)
+        assert "Internal Server Error" in tags.text
+        assert "its log says which" in tags.text
+        assert "default-src 'none'" in answer.headers["content-security-policy"]
