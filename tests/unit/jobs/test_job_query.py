@@ -50,7 +50,7 @@ def test_terms(text: str, term: Term) -> None:
         ("verified:yes", "at character 1: verified stands alone"),
         ("ended<soon", "at character 7: 'soon' is no time; write 2026-11-23"),
         ("scene:a -", "at character 9: after a minus there has to be a condition"),
-        ("a" * 8001, "at most 8,000 characters"),
+        ("a" * 8001, "at most 4,000 characters"),
     ],
 )
 def test_what_cannot_be_read_is_said_with_its_place(text: str, said: str) -> None:
