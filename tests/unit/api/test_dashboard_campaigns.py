@@ -129,6 +129,7 @@ async def test_a_campaign_without_cases_has_a_dash_beside_one_with_them(stage: S
     first = stage.begin(spec(1))
     stage.finish(first)
     second = stage.begin(spec(1, seed=5))
+    stage.selected(second)
     page = await get(stage, f"/compare/campaigns?campaigns={first},{second}")
     assert "normals against efficientnet-lite0 100.0 % 1 of 1" in page.text
     assert "–" in page.text.partition("1 of 1")[2].partition("What differs")[0].rpartition("10⁻³")[2]
