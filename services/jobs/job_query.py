@@ -17,6 +17,11 @@ from services.suggestions import there_are
 
 LONGEST = 4000
 """Characters of the longest query. Each may take 12 bytes of an address, of which the head of a request has 64 kB."""
+MOST_TERMS = 50
+MOST_VALUES = 250
+"""Terms of a query, and values of all of them. Each is a condition of its own: SQLite takes no more than a thousand,
+and thousands take seconds before any job has been looked at.
+"""
 WORDS = ("name", "scene", "target", "question")
 """Fields whose value is looked for anywhere in the text, in upper or lower case."""
 EXACT = ("state", "renderer", "method", "outcome", "tag", "campaign", "owner")
@@ -54,6 +59,8 @@ def parse_query(text: str) -> tuple[Term, ...]:
     """The terms of a query. Raises InvalidRequest("q"), which says where the query cannot be read and what is right."""
     if len(text) > LONGEST:
         raise InvalidRequest("q", f"a query has at most {LONGEST:,} characters, and this one {len(text):,}")
+    if "\0" in text:
+        raise _unread(text.index("\0"), "this is the character U+0000, which no text may have")
     terms, at = [], 0
     while at < len(text):
         if text[at].isspace():
@@ -64,6 +71,10 @@ def parse_query(text: str) -> tuple[Term, ...]:
         if found.end() < len(text) and not text[found.end()].isspace():
             raise _unread(text.index('"', found.end()), "this quotation mark has no second one")
         terms.append(_term(found))
+        if len(terms) > MOST_TERMS:
+            raise _unread(at, f"a query has at most {MOST_TERMS} conditions, and this is one more")
+        if sum(len(term.values) for term in terms) > MOST_VALUES:
+            raise _unread(at, f"a query has at most {MOST_VALUES} values, and these are more")
         at = found.end()
     return tuple(terms)
 

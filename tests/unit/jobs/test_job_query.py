@@ -51,9 +51,17 @@ def test_terms(text: str, term: Term) -> None:
         ("ended<soon", "at character 7: 'soon' is no time; write 2026-11-23"),
         ("scene:a -", "at character 9: after a minus there has to be a condition"),
         ("a" * 8001, "at most 4,000 characters"),
+        ("tag:a\0", "at character 6: this is the character U\\+0000"),
+        ("a " * 51, "at character 101: a query has at most 50 conditions"),
+        ("noted id:" + "a," * 250 + "a", "at character 7: a query has at most 250 values"),
     ],
 )
 def test_what_cannot_be_read_is_said_with_its_place(text: str, said: str) -> None:
     with pytest.raises(InvalidRequest, match=said) as error:
         parse_query(text)
     assert error.value.field == "q"
+
+
+def test_the_ids_of_two_hundred_jobs_are_a_query() -> None:
+    [term] = parse_query("id:" + ",".join([f"{number:032x}" for number in range(200)]))
+    assert len(term.values) == 200
