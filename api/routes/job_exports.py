@@ -135,10 +135,9 @@ def _csv_lines(jobs: Iterator[dict[str, Any]]) -> Iterator[str]:
 
 
 def _cell(value: Any) -> Any:
-    if isinstance(value, list):
-        return " ".join(value)
+    text = " ".join(value) if isinstance(value, list) else value
     # A spreadsheet would run a text that begins so as a formula.
-    return f"'{value}" if isinstance(value, str) and value[:1] in ("=", "+", "-", "@", "\t") else value
+    return f"'{text}" if isinstance(text, str) and text.lstrip()[:1] in ("=", "+", "-", "@") else text
 
 
 def _json_lines(jobs: Iterator[dict[str, Any]]) -> Iterator[str]:

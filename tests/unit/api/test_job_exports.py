@@ -2,6 +2,7 @@ import csv
 import io
 
 import httpx
+import pytest
 
 from api.state import Services
 
@@ -17,3 +18,13 @@ def test_a_list_as_csv_and_json(client: httpx.Client, services: Services, finish
     assert (job["title"], job["tags"], job["p"], job["outcome"]) == ("=cmd()", ["a", "b"], 0.003, "fooled")
     assert client.get("/v1/jobs.json", params={"job": "f" * 32}).json() == {"items": []}
     assert client.get("/v1/jobs.csv", params={"q": "rendrer:x"}).status_code == 422
+
+
+@pytest.mark.parametrize("begin", ["=", "+", "-", "@", "\t=", "\r=", "\n=", " ="])
+def test_no_title_and_no_tags_are_a_formula(
+    client: httpx.Client, services: Services, finished: str, begin: str
+) -> None:
+    services.lists.edit(finished, {"title": f"{begin}cmd()", "tags": [f"{begin.strip()}cmd()"]})
+    table = client.get("/v1/jobs.csv", params={"job": finished}).text
+    [row] = csv.DictReader(io.StringIO(table, newline=""))
+    assert (row["title"], row["tags"]) == (f"'{begin}cmd()", f"'{begin.strip()}cmd()")
