@@ -7,7 +7,8 @@ from pydantic import ConfigDict, Field
 
 from services.strict import Strict
 
-TAG_PATTERN = re.compile(r'[^\s,:"]{1,50}')
+TAG_PATTERN = re.compile(r'[^\s,:"\x00-\x1f\x7f-\x9f]{1,50}')
+MOST_TAGS = 20
 Tag = Annotated[str, Field(pattern=f"^{TAG_PATTERN.pattern}$")]
 
 
@@ -19,7 +20,7 @@ class JobEdit(Strict):
     title: Annotated[str, Field(max_length=100)] | None = Field(
         None, description='a name that a person gives the job; "" or null for none'
     )
-    tags: Annotated[list[Tag], Field(max_length=20)] | None = Field(
+    tags: Annotated[list[Tag], Field(max_length=MOST_TAGS)] | None = Field(
         None, description="all tags of the job, each without spaces, commas, colons and quotation marks; null for none"
     )
     note: Annotated[str, Field(max_length=10_000)] | None = Field(None, description='a text; "" or null for none')

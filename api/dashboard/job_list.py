@@ -13,7 +13,7 @@ from sqlalchemy import Row
 
 from api.authentication import CallerDependency
 from api.dashboard.pages import HEADERS, html
-from api.job_edit import TAG_PATTERN
+from api.job_edit import MOST_TAGS, TAG_PATTERN
 from api.job_places import SORT_PATTERN, read_cursor, write_cursor
 from api.retries import retry
 from api.state import Services, ServicesDependency
@@ -136,7 +136,7 @@ def act(
 
 
 def _act(services: Services, caller: Caller, action: str, job_id: str, tag: str) -> None:
-    found = caller.visible(services.repository.get(job_id))
+    found = None if "\0" in job_id else caller.visible(services.repository.get(job_id))
     if found is None:
         raise InUse("there is no such job")
     if action == "cancel":
@@ -144,7 +144,10 @@ def _act(services: Services, caller: Caller, action: str, job_id: str, tag: str)
     elif action == "delete":
         services.housekeeping.delete(job_id)
     elif action == "tag":
-        services.lists.edit(job_id, {"tags": [*(found.tags or []), tag][-20:]})
+        tags = {*(found.tags or []), tag}
+        if len(tags) > MOST_TAGS:
+            raise InUse(f"it has {MOST_TAGS} tags already, and may have no more")
+        services.lists.edit(job_id, {"tags": tags})
     else:
         retry(services, caller, found, lambda job: {"id": job.id})
 

@@ -96,6 +96,28 @@ async def test_ticked_jobs_are_cancelled_and_tagged(repository: Repository) -> N
     assert "no job is ticked" in Tags((await send(repository, "/jobs/selected", {"action": "cancel"})).text).text
 
 
+@pytest.mark.parametrize("tag", ["a\0", "\x1b[31m", "\x9b31m"])
+async def test_a_tag_has_no_control_characters(repository: Repository, tag: str) -> None:
+    job = add(repository)
+    refused = await send(repository, "/jobs/selected", {"job": job.id, "action": "tag", "tag": tag})
+    assert "a tag has 1 to 50 characters" in Tags(refused.text).text
+    found = repository.get(job.id)
+    assert found is not None
+    assert not found.tags
+
+
+async def test_a_new_tag_takes_the_place_of_none(repository: Repository) -> None:
+    job, tags = add(repository), [f"t{number:02}" for number in range(20)]
+    JobLists(repository._reads).edit(job.id, {"tags": tags})  # noqa: SLF001 - its database
+    for tag, status in (("t05", 303), ("z", 200)):
+        done = await send(repository, "/jobs/selected", {"job": job.id, "action": "tag", "tag": tag})
+        assert done.status_code == status
+        found = repository.get(job.id)
+        assert found is not None
+        assert found.tags == tags
+    assert "it has 20 tags already" in Tags(done.text).text
+
+
 async def test_a_comparison_shows_what_differs_and_both_curves(repository: Repository) -> None:
     one, other = add(repository), add(repository, SPEC.model_copy(update={"seed": 8}))
     succeed(repository, one, result())
