@@ -134,20 +134,22 @@ async def page(
         items = [JobSummary.of_row(job) for job in shown.jobs]
         return JobPage(items=items, next=after, previous=before).model_dump_json()
 
-    is_short = not q and sort in ("created", NEWEST)  # others look at every job
+    # Others look at every job, or at every one of the owner.
+    is_short = len(terms) == 0 and sort in ("created", NEWEST)
     return _json(await (services.reading(read) if is_short else run_in_threadpool(read)))
 
 
 @router.get("/{job_id}", response_model=JobView)
-async def get(job_id: str, services: ServicesDependency, caller: CallerDependency) -> Response:
+async def get(job: KnownJob, services: ServicesDependency) -> Response:
     """Returns one job, with its result once it succeeded."""
 
+    # A result may have a hundred thousand rows, which take seconds to check and to write.
     def read() -> str | None:
-        job = caller.visible(services.repository.get(job_id, with_result=True))
-        return None if job is None else JobView.of(job, with_result=True).model_dump_json()
+        found = services.repository.get(job.id, with_result=True)
+        return None if found is None else JobView.of(found, with_result=True).model_dump_json()
 
-    found = await services.reading(read)
-    if found is None:
+    found = await run_in_threadpool(read) if job.state is State.SUCCEEDED else await services.reading(read)
+    if found is None:  # it was deleted meanwhile
         raise no_such("job")
     return _json(found)
 

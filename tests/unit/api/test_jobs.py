@@ -1,3 +1,4 @@
+import asyncio
 import itertools
 from concurrent.futures import ThreadPoolExecutor
 
@@ -197,3 +198,21 @@ def test_a_job_is_deleted_once_it_has_ended(client: Client, finished: str) -> No
     assert refused.status_code == 409
     assert "queued" in refused.json()["detail"]
     assert client.get(f"/v1/jobs/{waiting}").status_code == 200
+
+
+def test_a_job_with_a_result_is_not_read_in_the_event_loop(
+    client: Client, services: Services, finished: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its trace may have a hundred thousand rows; the event loop would answer nobody for seconds."""
+    in_loop = []
+
+    def get(job_id: str, **_: bool) -> None:
+        try:
+            asyncio.get_running_loop()
+            in_loop.append(job_id)
+        except RuntimeError:
+            pass
+
+    monkeypatch.setattr(services.repository, "get", get)
+    assert client.get(f"/v1/jobs/{finished}").status_code == 404
+    assert in_loop == []
