@@ -1,6 +1,7 @@
 """What an XML file that is not trusted may not have, and the names in it, found without parsing it."""
 
 import re
+from collections.abc import Iterator
 
 from services.scenes.named import Named
 
@@ -17,14 +18,8 @@ _SLOTS = {
 }
 """What an image is to an effect of COLLADA that has it in a slot. Only the first is shown."""
 
-_IMAGE = re.compile(
-    r"<image\b[^>]*?\bid=\"([^\"]+)\"[^>]*>(?:(?!</image>).)*?<init_from>\s*(?:<ref>)?\s*([^<]+?)\s*<", re.DOTALL
-)
-_PARAM = re.compile(
-    r"<newparam\b[^>]*?\bsid=\"([^\"]+)\"[^>]*>(?:(?!</newparam>).)*?"
-    r"<(?:source|init_from|instance_image\s+url=\"#)>?\s*([^<\"]+?)\s*[<\"]",
-    re.DOTALL,
-)
+_INIT_FROM = re.compile(r"<init_from>([^<]*)(?:<ref>([^<]*))?")
+_SOURCE = re.compile(r"<(?:source|init_from)>([^<]*)|<instance_image\s+url=\"#([^<\"]*)\"")
 
 
 def check_xml(data: bytes) -> None:
@@ -44,12 +39,21 @@ def check_xml(data: bytes) -> None:
 def collada_images(data: bytes) -> list[Named]:
     """Returns the image files that a COLLADA file names: those that effects use, and then the others."""
     text = data.decode("utf-8", "replace")
-    files = {one[1]: _unescaped(one[2]) for one in _IMAGE.finditer(text)}
+    files = {}
+    for head, body in _elements(text, "image"):
+        name, found_file = _attribute(head, "id"), _INIT_FROM.search(body)
+        file = "" if found_file is None else (found_file[1].strip() or (found_file[2] or "").strip())
+        if name and file:
+            files[name] = _unescaped(file)
     found = []
-    for effect in re.findall(r"<effect\b.*?</effect>", text, re.DOTALL):
-        params = {one[1]: one[2] for one in _PARAM.finditer(effect)}
+    for _, effect in _elements(text, "effect"):
+        params = {}
+        for head, body in _elements(effect, "newparam"):
+            name, source = _attribute(head, "sid"), _SOURCE.search(body)
+            if name and source:
+                params[name] = (source[1] or source[2] or "").strip()
         for slot, what in _SLOTS.items():
-            for used in re.findall(rf"<{slot}\b[^>]*>\s*<texture\b[^>]*?\btexture=\"([^\"]+)\"", effect):
+            for used in re.findall(rf"<{slot}\b[^<>]*>\s*<texture\b[^<>]*?\btexture=\"([^<\"]+)\"", effect):
                 image = used
                 for _ in range(3):
                     image = params.get(image, image)
@@ -57,6 +61,23 @@ def collada_images(data: bytes) -> list[Named]:
                     found.append(Named(files[image], what))
     named = {one.name for one in found}
     return [*found, *(Named(name, "image") for name in files.values() if name not in named)]
+
+
+def _elements(text: str, name: str) -> Iterator[tuple[str, str]]:
+    """Yields the attributes and the content of each element of a name that has an end.
+
+    It looks at every character a few times at most. An expression that looks for the end of each beginning takes
+    minutes for a file of beginnings alone.
+    """
+    for begins in text.split(f"</{name}>")[:-1]:
+        start = re.search(rf"<{name}\b([^<>]*)>", begins)
+        if start:
+            yield start[1], begins[start.end() :]
+
+
+def _attribute(head: str, name: str) -> str | None:
+    found = re.search(rf"\b{name}=\"([^\"]+)\"", head)
+    return None if found is None else found[1]
 
 
 def _unescaped(text: str) -> str:
