@@ -201,7 +201,7 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
 def _exact_image(spec: JobSpec, scene: ResolvedScene, verifier: Verifier) -> Tensor:
     """The exact image of the scene. It counts as rendered also if it was recalled: a result is the same either way."""
     renders = verifier.renders
-    image = scene.once(("exact image", *_drawn_by(spec)), lambda: verifier.render({}))
+    image = scene.once(("exact image", *_drawn_by(spec)), lambda: verifier.render({}).clone())
     verifier.renders = renders + 1
     return image
 
@@ -221,7 +221,7 @@ def _scores(spec: JobSpec, scene: ResolvedScene, verifier: Verifier, original: T
     what = "scores", target.name, spec.target.asked, *_drawn_by(spec)
     kept: tuple[ref[Target], Tensor] | None = scene.measured.get(what)
     if kept is None or kept[0]() is not target:
-        scene.measured[what] = kept = own, verifier.logits(original)
+        scene.measured[what] = kept = own, verifier.logits(original).clone()
     verifier.queries = queries + 1
     return kept[1]
 

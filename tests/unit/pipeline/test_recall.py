@@ -9,10 +9,11 @@ import torch
 from services.accuracy.stability.linear import linear_network
 from services.pipeline import recall as recalling
 from services.pipeline.execute import execute
-from services.pipeline.prepare import prepare
+from services.pipeline.prepare import plan, prepare
 from services.pipeline.recall import KEPT, KEPT_OF_ONE, KEPT_SCENES, recall
 from services.pipeline.result import Result
 from services.rendering.color import from_bytes
+from services.rendering.plan import Plan
 from services.scenes.resolve import ResolvedScene, resolve
 from services.targets import registry
 from services.targets.classifier import Classifier
@@ -100,6 +101,20 @@ def test_other_groups_and_tolerances_are_measured_on_their_own(tmp_path: Path) -
     KEPT_SCENES.clear()
     fresh = execute(spec(attack | {"groups": ["illumination"]}, tolerance=0.01), tmp_path / "fresh", LIBRARY)
     assert alone.plan == fresh.plan
+
+
+@pytest.mark.parametrize(
+    ("groups", "tolerance"), [(["camera"], 0.03), (["illumination"], 0.01)], ids=["groups", "tolerance"]
+)
+def test_other_groups_and_tolerances_of_pyrender_have_their_own_plans(groups: list[str], tolerance: float) -> None:
+    def planned(groups: list[str], tolerance: float) -> Plan:
+        return plan(spec({"renderer": "pyrender", "method": "fgsm", "groups": groups}, tolerance=tolerance), LIBRARY)
+
+    first = planned(["illumination"], 0.03)
+    recalled = planned(groups, tolerance)
+    KEPT_SCENES.clear()
+    assert recalled == planned(groups, tolerance)
+    assert recalled != first
 
 
 def test_the_scenes_of_the_last_jobs_are_kept_and_no_more() -> None:
