@@ -62,6 +62,6 @@ def test_what_cannot_be_read_is_said_with_its_place(text: str, said: str) -> Non
     assert error.value.field == "q"
 
 
-def test_the_ids_of_two_hundred_jobs_are_a_query() -> None:
-    [term] = parse_query("id:" + ",".join([f"{number:032x}" for number in range(200)]))
-    assert len(term.values) == 200
+def test_the_ids_of_a_hundred_jobs_are_a_query() -> None:
+    [term] = parse_query("id:" + ",".join([f"{number:032x}" for number in range(100)]))
+    assert len(term.values) == 100
