@@ -21,8 +21,9 @@ from services.scenes.sent_files import to_bundle
 from services.scenes.uploads import max_unpacked
 from services.settings import Settings
 
-Adding = Callable[[str, int], AbstractContextManager[None]]
-"""Takes the name of a mesh and its size, bytes; what it gives is entered while the mesh is read and stored."""
+Adding = Callable[[str, int, str | None], AbstractContextManager[None]]
+"""Takes the name of a mesh, its size, bytes, and the name that people see, if it has one; what it gives is entered
+while the mesh is read and stored."""
 
 log = logger(__name__)
 
@@ -65,7 +66,7 @@ class MeshUploads:
         reader().close()
 
     async def add(self, sent: Sent, client: str, adding: Adding) -> Entry:
-        """Checks and stores a mesh, while `adding` is entered with its name and size.
+        """Checks and stores a mesh, while `adding` is entered with its name, size and title.
 
         Raises InvalidRequest("file", "kind" or "mesh"), and Unavailable.
         """
@@ -94,7 +95,7 @@ class MeshUploads:
     def _add(self, sent: Sent, adding: Adding) -> Entry:
         # Waiting uploads stay on the disk; only those whose turn it is are in memory.
         bundle = self._bundle(sent)
-        with adding(f"sha256:{bundle.sha256}", bundle.size):
+        with adding(f"sha256:{bundle.sha256}", bundle.size, bundle.about.title):
             return self._library.add(bundle, self._limits)
 
     def _bundle(self, sent: Sent) -> Bundle:

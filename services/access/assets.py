@@ -19,20 +19,22 @@ from services.jobs.transactions import Transactions
 class OwnedAssets(Transactions):
     """Adds, finds and deletes the uploads of owners."""
 
-    def add(self, owner: str, name: str, size: int) -> bool:
+    def add(self, owner: str, name: str, size: int, title: str | None = None) -> bool:
         """Records that an owner uploads the mesh of this name, of `size` bytes. Returns False if it had done so."""
         with self._write() as session:
             if hold(session, [name], to_change=True):
                 session.execute(update(Asset).where(Asset.name == name).values(deleted_at=None))
+            if title is not None:
+                session.execute(update(Asset).where(Asset.name == name).values(title=title))
             if session.get(OwnedAsset, (owner, name)) is not None:
                 return False
             session.add(OwnedAsset(owner=owner, name=name, size=size, created_at=self._now(session)))
             return True
 
     @contextmanager
-    def adding(self, owner: str, name: str, size: int) -> Iterator[None]:
+    def adding(self, owner: str, name: str, size: int, title: str | None = None) -> Iterator[None]:
         """Records an upload for the time in which its file is read and stored, and for good unless that fails."""
-        is_new = self.add(owner, name, size)
+        is_new = self.add(owner, name, size, title)
         try:
             yield
         except BaseException:

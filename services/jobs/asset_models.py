@@ -16,6 +16,8 @@ class Asset(Base):
 
     name: Mapped[str] = mapped_column(String(100), primary_key=True)
     """The name by which scenes call the mesh."""
+    title: Mapped[str | None] = mapped_column(String(100))
+    """The name that people see, if its uploader gave one."""
     deleted_at: Mapped[datetime | None]
     """The time at which it was deleted; None while it is there. The row stays for as long as a request may take."""
 

@@ -5,9 +5,10 @@ from collections.abc import Collection
 from dataclasses import dataclass
 
 from sqlalchemy import func, select
-from sqlalchemy.orm import defer
+from sqlalchemy.orm import Session, defer
 from sqlalchemy.sql.elements import ColumnElement
 
+from services.jobs.asset_uses import titles, uploads_among
 from services.jobs.models import Job, JobKind, State
 from services.jobs.transactions import Transactions
 from services.pipeline.names import scene_name
@@ -33,21 +34,21 @@ class AssetRecords(Transactions):
         """The first answers to each of these meshes in jobs of the owner (None: of any owner) that ran to their end,
         those of most jobs first. Meshes without an answer are left out, and so are jobs with questions.
         """
-        # The answers are columns of a subquery, as PostgreSQL does not group by an expression with a parameter.
-        answers = (
-            select(
-                _MESH.label("mesh"),
-                Job.target,
-                Job.outcome["before"].as_string().label("before"),
-                Job.outcome["right_before"].as_boolean().label("right"),
-            )
-            .where(*_alone(meshes, owner), Job.question.is_(None))
-            .subquery()
-        )
-        count = func.count().label("jobs")
-        query = select(*answers.columns, count).group_by(*answers.columns).order_by(count.desc(), *answers.columns)
         found: dict[str, list[FirstAnswer]] = defaultdict(list)
         with self._read() as session:
+            # The answers are columns of a subquery, as PostgreSQL does not group by an expression with a parameter.
+            answers = (
+                select(
+                    _MESH.label("mesh"),
+                    Job.target,
+                    Job.outcome["before"].as_string().label("before"),
+                    Job.outcome["right_before"].as_boolean().label("right"),
+                )
+                .where(*_alone(session, meshes, owner), Job.question.is_(None))
+                .subquery()
+            )
+            count = func.count().label("jobs")
+            query = select(*answers.columns, count).group_by(*answers.columns).order_by(count.desc(), *answers.columns)
             for row in session.execute(query).all():
                 right = None if row.right is None else bool(row.right)
                 found[row.mesh].append(FirstAnswer(row.target, row.before, right, row.jobs))
@@ -57,15 +58,16 @@ class AssetRecords(Transactions):
         """At most `limit` jobs of the owner (None: of any owner) that ran to their end and show this mesh alone, newest
         first, without their results.
         """
-        query = select(Job).where(*_alone([mesh], owner)).options(defer(Job.result))
         with self._read() as session:
+            query = select(Job).where(*_alone(session, [mesh], owner)).options(defer(Job.result))
             return list(session.scalars(query.order_by(Job.created_at.desc(), Job.id.desc()).limit(limit)))
 
 
-def _alone(meshes: Collection[str], owner: str | None) -> list[ColumnElement[bool]]:
+def _alone(session: Session, meshes: Collection[str], owner: str | None) -> list[ColumnElement[bool]]:
     """The conditions of a job that ran to its end and shows one of these meshes alone."""
     # Two meshes may have the same short name, and the name is a column: the request is read for few jobs only.
-    scenes = {scene_name({"scene": {"objects": [{"mesh": mesh}]}}) for mesh in meshes}
+    named = titles(session, uploads_among(meshes))
+    scenes = {scene_name({"scene": {"objects": [{"mesh": mesh}]}}, said) for mesh in meshes for said in ({}, named)}
     return [
         Job.kind == JobKind.ATTACK,
         Job.state == State.SUCCEEDED,

@@ -60,6 +60,12 @@ def check_held(session: Session, names: Iterable[str], check_meshes: Callable[[C
         check_meshes(check)
 
 
+def titles(session: Session, names: Iterable[str]) -> dict[str, str]:
+    """The titles of those of some uploads that have one, by name."""
+    found = select(Asset.name, Asset.title).where(Asset.name.in_(sorted(names)), Asset.title.is_not(None))
+    return {name: title for name, title in session.execute(found) if title is not None}
+
+
 def refer_from_job(session: Session, job_id: str, names: Iterable[str]) -> None:
     """Records that a job refers to uploads."""
     session.add_all(JobAsset(job_id=job_id, name=name) for name in names)

@@ -16,6 +16,7 @@ from sqlalchemy.sql.elements import ColumnElement
 
 from services.errors import InvalidRequest, without_folders
 from services.jobs import totals
+from services.jobs.asset_uses import titles, uploads_of
 from services.jobs.listed import listed, listed_outcome
 from services.jobs.models import Artifact, Event, Job, State
 from services.jobs.transactions import Transactions, not_held
@@ -133,7 +134,8 @@ class Attempts(Transactions):
         """
         said = [one.model_dump(mode="json") for one in warnings]
         with self._write() as session:
-            values = {"checked": True, "spec": spec, "digest": digest, "warnings": said, **listed(spec)}
+            names = listed(spec, titles(session, uploads_of(spec)))
+            values = {"checked": True, "spec": spec, "digest": digest, "warnings": said, **names}
             session.execute(update(Job).where(*_fence(attempt)).values(values))
 
     def cancelled(self, attempt: Attempt) -> bool:

@@ -10,12 +10,12 @@ LONGEST = 300
 """Characters of a listed text; a scene may have many meshes. Longer ones end in an ellipsis."""
 
 
-def listed(spec: Mapping[str, Any]) -> dict[str, str | None]:
-    """The listed columns of a full spec, by name."""
+def listed(spec: Mapping[str, Any], titles: Mapping[str, str] | None = None) -> dict[str, str | None]:
+    """The listed columns of a full spec, by name; `titles` are those of uploads, by their names in scenes."""
     attack, questions = spec["attack"], question_names(spec)
     columns = {
-        "name": job_name(spec),
-        "scene": scene_name(spec),
+        "name": job_name(spec, titles),
+        "scene": scene_name(spec, titles),
         "attack": attack_name(spec),
         "renderer": attack["renderer"],
         "method": attack["method"],

@@ -12,7 +12,7 @@ from sqlalchemy.orm import Session
 from sqlalchemy.sql.elements import ColumnElement
 
 from services.jobs import outbox, totals
-from services.jobs.asset_uses import refer_from_job, uploads_of
+from services.jobs.asset_uses import refer_from_job, titles, uploads_of
 from services.jobs.listed import listed
 from services.jobs.models import Campaign, CampaignState, Event, Job, JobKind, State
 from services.jobs.placement import NO_DEMAND, Demand, targets_of
@@ -102,7 +102,7 @@ class Transactions:
             events=1,
             traceparent=traceparent,
             retry_of=retry_of,
-            **(listed(spec) if kind is JobKind.ATTACK else {}),
+            **(listed(spec, titles(session, uploads_of(spec))) if kind is JobKind.ATTACK else {}),
         )
         session.add(job)
         session.flush()

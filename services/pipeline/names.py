@@ -8,10 +8,12 @@ from services.questions.functions import FUNCTIONS
 from services.questions.program import TYPE_WORDS
 
 
-def scene_name(spec: Mapping[str, Any]) -> str:
-    """The meshes of a full spec without their folder, e.g. "grand-piano" or "couch, cube"."""
-    meshes = [str(thing["mesh"]) for thing in spec["scene"]["objects"]]
-    return ", ".join(mesh[:14] if mesh.startswith("sha256:") else mesh.rpartition("/")[2] for mesh in meshes)
+def scene_name(spec: Mapping[str, Any], titles: Mapping[str, str] | None = None) -> str:
+    """The meshes of a full spec without their folder, e.g. "grand-piano" or "couch, cube".
+
+    An upload is called by its name in `titles`, or by the beginning of its hash if it has none there.
+    """
+    return ", ".join(_mesh_name(str(thing["mesh"]), titles or {}) for thing in spec["scene"]["objects"])
 
 
 def question_names(spec: Mapping[str, Any]) -> list[str]:
@@ -21,12 +23,12 @@ def question_names(spec: Mapping[str, Any]) -> list[str]:
     return [one if isinstance(one, str) else _program_name(one) for one in asked]
 
 
-def job_name(spec: Mapping[str, Any]) -> str:
-    """The question of a full spec, "4 questions about one image", or the name of its scene if it has none."""
+def job_name(spec: Mapping[str, Any], titles: Mapping[str, str] | None = None) -> str:
+    """The question of a full spec, "4 questions about one image", or `scene_name` if it has none."""
     questions = question_names(spec)
     if len(questions) > 1:
         return f"{len(questions)} questions about one image"
-    return questions[0] if questions else scene_name(spec)
+    return questions[0] if questions else scene_name(spec, titles)
 
 
 def group_words(spec: Mapping[str, Any], group: str) -> str:
@@ -51,6 +53,10 @@ def attack_name(spec: Mapping[str, Any]) -> str:
         groups = () if len(groups) == 1 else ("combined",)
     targeted = " targeted" if spec.get("goal", {}).get("reach") is not None else ""
     return " ".join([renderer, *(["+".join(groups)] if groups else []), attack["method"]]) + targeted
+
+
+def _mesh_name(mesh: str, titles: Mapping[str, str]) -> str:
+    return titles.get(mesh, mesh[:14]) if mesh.startswith("sha256:") else mesh.rpartition("/")[2]
 
 
 def _program_name(calls: Sequence[Mapping[str, Any]]) -> str:

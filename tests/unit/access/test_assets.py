@@ -113,6 +113,22 @@ def test_a_deleted_mesh_is_refused_by_the_name_of_its_field(assets: OwnedAssets,
     assert Campaigns(engine).page(None, 9, None) == []
 
 
+def test_lists_show_the_name_that_an_upload_was_given(assets: OwnedAssets, engine: Engine) -> None:
+    assert assets.add("alice", MESH, 60, "Chair")
+    before = add_job(engine, "alice")
+    assert before.scene == "sphere, Chair"
+    assert not assets.add("alice", MESH, 60)
+    repository = Repository(engine)
+    attempt = repository.lease(before.id, "worker", 20)
+    assert attempt is not None
+    repository.checked(attempt, job_with(MESH).model_dump(mode="json"), "00", ())
+    line = repository.line(before.id)
+    assert line is not None
+    assert (line.name, line.scene) == ("sphere, Chair", "sphere, Chair")
+    other = f"sha256:{'0b' * 32}"
+    assert add_job(engine, "alice", other).scene == "sphere, sha256:0b0b0b0"
+
+
 def test_of_a_job_and_a_deletion_at_once_one_is_refused(assets: OwnedAssets, engine: Engine) -> None:
     for number in range(12):
         mesh = f"sha256:{number:064x}"

@@ -4,6 +4,7 @@ from typing import Any
 
 from sqlalchemy import Engine
 
+from services.access.assets import OwnedAssets
 from services.jobs.asset_record import AssetRecords, FirstAnswer
 from services.jobs.repository import Repository
 from services.pipeline.outcome import outcome
@@ -54,3 +55,15 @@ def test_the_jobs_on_a_mesh_are_listed_newest_first(repository: Repository, engi
     found = AssetRecords(engine).jobs("primitive/cone", 2, "")
     assert [job.id for job in found] == ids[:0:-1]
     assert found[0].spec["scene"]["objects"][0]["mesh"] == "primitive/cone"
+
+
+def test_jobs_on_an_upload_are_found_by_its_title_and_from_before_it_had_one(
+    repository: Repository, engine: Engine
+) -> None:
+    upload = f"sha256:{'0a' * 32}"
+    ids = {ended(repository, upload)}
+    OwnedAssets(engine).add("", upload, 60, "Chair")
+    ids.add(ended(repository, upload))
+    records = AssetRecords(engine)
+    assert {job.id for job in records.jobs(upload, 9, "")} == ids
+    assert records.first_answers([upload], "") == {upload: [FirstAnswer(LITE, "grand piano", True, 2)]}
