@@ -25,13 +25,16 @@ def report(data: bytes, kind: str, beside: Beside, parts: Sequence[Part]) -> Rep
         (dropped if hidden else used).append("vertex colours")
     if kind == "off" and data.startswith(b"COFF"):
         dropped.append("vertex colours")
-    if kind == "ply" and re.search(rb"(?m)^property \w+ red\b", data[: data.find(b"end_header")]):
-        (dropped if any(one.startswith("texture ") for one in used) else used).append("vertex colours")
+    if kind == "ply" and (red := re.search(rb"(?m)^property \w+ red\b", data[: data.find(b"end_header")])):
+        said = "face colours" if b"element face" in data[: red.start()] else "vertex colours"
+        (dropped if any(one.startswith("texture ") for one in used) else used).append(said)
     if kind in ("glb", "gltf"):
         more, less = _gltf(data, parts)
         used, dropped = used + more, dropped + less
     if kind == "dae" and b'semantic="COLOR"' in data:
         (dropped if b"<instance_material" in data else used).append("vertex colours")
+    if "vertex colours" in used and kind not in ("glb", "gltf"):
+        dropped.append("blends of vertex colours: each triangle has the mean of its corners")
     if kind == "3mf":
         models = b"".join(one for name, one in unpack_archive(data, MAX_3MF).items() if name.lower().endswith(".model"))
         dropped += [word for mark, word in _3MF.items() if mark in models]

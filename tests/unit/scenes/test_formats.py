@@ -101,6 +101,14 @@ def test_the_table_says_what_becomes_of_it(what, kind):
     assert ("kept" if kept else "dropped") == table()[what, kind]
 
 
+def test_what_the_corners_of_a_triangle_lose_is_said():
+    for kind, files in (("obj", obj(colors=True)), ("ply", ply(colors=True)), ("dae", dae(colors=True, bound=False))):
+        _, said = read(kind, files)
+        assert "blends of vertex colours: each triangle has the mean of its corners" in said.dropped
+    for kind, files in (("gltf", gltf(colors=True)), ("ply", ply()), ("off", off(colors=True))):
+        assert "blends" not in " ".join(read(kind, files)[1].dropped)
+
+
 def test_up_is_as_the_file_says():
     assert np.argmax(extent(read("3mf", three_mf())[0])) == 1, "what is 3 along z is 3 along y"
     lying, standing = (
