@@ -427,6 +427,7 @@ class Floor(TypedDict):
     """A level square under the objects. It is no object: attacks neither move nor recolour it."""
     size: NotRequired[float]
     height: NotRequired[float]
+    contact: NotRequired[bool]
     color: NotRequired[list[float]]
     material: NotRequired[str]
     metallic: NotRequired[float | None]

@@ -4,6 +4,7 @@ Angles are in radians, lengths in scene units (an object of scale 1 fits the fra
 colours in [0,1]; +y is up. Every field but the mesh has a default, and bounds that are checked before a job is queued.
 """
 
+import operator
 from math import pi
 from typing import Annotated, Any, Literal
 
@@ -108,6 +109,11 @@ class Floor(Model):
         20.0, description="side, scene units; its middle is straight above or below the origin"
     )
     height: Coordinate = Field(0.0, description="y of its plane, scene units")
+    contact: bool = Field(
+        False,
+        exclude_if=operator.not_,
+        description="whether `height` is above the lowest point of the objects, so that they stand on it at 0",
+    )
     color: Colour = Field((0.5, 0.5, 0.5), description="linear RGB")
     material: str = Field("matte", max_length=64, description="DSBRDF preset of the torch renderer")
     metallic: Unit | None = Field(

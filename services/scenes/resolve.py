@@ -60,6 +60,7 @@ class ResolvedScene:
     """
 
     description: Scene
+    """The request's scene, but that the height of a floor is that in the world."""
     meshes: tuple[Mesh, ...]
     models: tuple[Doubles, ...]
     view: Doubles
@@ -148,6 +149,8 @@ def resolve(scene: Scene, library: Library) -> ResolvedScene:
     light = scene.lights.environment
     source = _environment(library, scene)
     models = tuple(model_matrix(placed) for placed in scene.objects)
+    sha256 = fingerprint(scene, [*(mesh.sha256 for mesh in meshes), source.sha256])
+    scene = _standing(scene, meshes, models)
     view = camera_to_world(scene.camera)
     lens = projection(scene.camera, _far(scene, view))
     for k, (mesh, model) in enumerate(zip(meshes, models, strict=True)):
@@ -162,7 +165,7 @@ def resolve(scene: Scene, library: Library) -> ResolvedScene:
         projection=lens,
         environment=_averaged(source, *light.texels, light.rotation),
         map_credit=source.credit,
-        sha256=fingerprint(scene, [*(mesh.sha256 for mesh in meshes), source.sha256]),
+        sha256=sha256,
         source_map=source.radiance,
         picture=_picture(scene),
     )
@@ -218,6 +221,19 @@ def _picture(scene: Scene) -> Doubles | None:
         return read_picture(scene.background.image, scene.camera.size)
     except InvalidRequest as error:
         raise InvalidRequest("scene.background.image", error.detail) from error
+
+
+def _standing(scene: Scene, meshes: Sequence[Mesh], models: Sequence[Doubles]) -> Scene:
+    """The scene with the height of its floor in the world, where it is given above the objects' lowest point."""
+    if scene.floor is None or not scene.floor.contact:
+        return scene
+    lowest = min(
+        float((part.vertices * model[1, :3]).sum(axis=1).min() + model[1, 3])
+        for mesh, model in zip(meshes, models, strict=True)
+        for part in mesh.parts
+    )
+    floor = scene.floor.model_copy(update={"height": lowest + scene.floor.height, "contact": False})
+    return scene.model_copy(update={"floor": floor})
 
 
 def _mesh(library: Library, index: int, name: str) -> Mesh:
