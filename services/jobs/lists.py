@@ -55,6 +55,8 @@ _COMPARE: dict[str, Callable[[Any, Any], ColumnElement[bool]]] = {
 _ANYWHERE = (Job.title, Job.scene, Job.renderer, Job.method, Job.target)
 """The texts in which words without a field are looked for."""
 OPEN = (State.QUEUED, State.RUNNING, State.CANCELLING)
+RECENT = 50
+"""Newest jobs of all owners that are looked at for a change of their lists."""
 
 
 @dataclass(frozen=True)
@@ -154,11 +156,20 @@ class JobLists(Transactions):
         )
 
     def marks(self) -> dict[str, str]:
-        """By owner a text that changes when a job of the owner is submitted, moves or gets further, or ends."""
-        sums = (func.count(), func.sum(Job.events), func.max(Job.created_at))
-        query = select(Job.owner, *sums).where(Job.state.in_(OPEN), Job.kind == JobKind.ATTACK).group_by(Job.owner)
+        """By owner a text that changes when a job of the owner is submitted, moves or gets further, or ends.
+
+        A job may begin and end between two looks: the newest jobs are looked at, too.
+        """
+        attack = Job.kind == JobKind.ATTACK
+        open_jobs = select(Job.owner, func.count(), func.sum(Job.events), func.max(Job.created_at))
+        newest = select(Job.owner, Job.id).where(attack).order_by(Job.created_at.desc(), Job.id.desc()).limit(RECENT)
         with self._read() as session:
-            return {owner: f"{jobs} {events} {newest}" for owner, jobs, events, newest in session.execute(query)}
+            rows = session.execute(open_jobs.where(Job.state.in_(OPEN), attack).group_by(Job.owner)).all()
+            last: dict[str, str] = {}
+            for owner, job_id in session.execute(newest):
+                last.setdefault(owner, job_id)
+        moving = {owner: f"{jobs} {events} {created}" for owner, jobs, events, created in rows}
+        return {owner: f"{moving.get(owner, '')} {last.get(owner, '')}" for owner in moving.keys() | last.keys()}
 
     def edit(self, job_id: str, changes: Mapping[str, Any]) -> None:
         """Writes a job's `title`, `note` and `tags`, those that are given. Does nothing if there is no such job."""
