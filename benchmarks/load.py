@@ -68,6 +68,7 @@ def main() -> None:
 
 @contextmanager
 def _served(database_url: str | None, **settings: Any) -> Iterator[Service]:
+    os.sync()  # what was written before is no part of what follows
     with tempfile.TemporaryDirectory(prefix="scene-attack-load-") as folder:
         values = Settings(data=Path(folder) / "data", database_url=database_url, threads=1, **settings)
         service = Service(values, Path(folder) / "log", WATCHDOG)
