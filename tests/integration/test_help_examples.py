@@ -185,7 +185,7 @@ def campaigns(reader: Reader, stack: Stack) -> None:
     long_one = stack.client.post("/v1/campaigns", json=campaign(ENDLESS | {"attack": long(5000)["attack"]})).json()
     of = {ID: long_one["id"][:8]}
     assert "paused" in run(f"scene-attack campaign pause {ID}", **of)
-    assert "running" in run(f"scene-attack campaign resume {ID}", **of)
+    assert "paused" not in run(f"scene-attack campaign resume {ID}", **of)
     assert "cancel" in run(f"scene-attack campaign cancel {ID}", **of)
 
 

@@ -133,7 +133,7 @@ def test_a_number_of_a_campaigns_job_out_of_range_is_refused(client: Client) -> 
         ("DELETE", "/v1/jobs", {"GET", "POST"}),
         ("DELETE", "/v1/campaigns", {"GET", "POST"}),
         ("PUT", "/v1/assets", {"GET", "POST"}),
-        ("PUT", "/v1/jobs/none", {"GET", "DELETE"}),
+        ("PUT", "/v1/jobs/none", {"GET", "PATCH", "DELETE"}),
         ("GET", "/v1/jobs/none/cancel", {"POST"}),
         ("POST", "/v1/jobs/none/artifacts/original.png", {"GET", "HEAD"}),
     ],
