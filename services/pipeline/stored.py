@@ -15,6 +15,8 @@ from services.pipeline.execute import PERTURBATION, RESULT
 from services.pipeline.result import Result
 from services.rendering.protocol import Parameters
 
+IMAGE = "attacked.png"
+
 
 @dataclass(frozen=True)
 class Stored:
@@ -34,7 +36,7 @@ def read_stored(directory: Path) -> Stored:
         return Stored(
             Result.model_validate_json((directory / RESULT).read_bytes()),
             load_file(directory / PERTURBATION),
-            load_png(directory / "attacked.png"),
+            load_png(directory / IMAGE),
         )
     except ValidationError as error:
         first, *others = error.errors(include_url=False, include_input=False)
@@ -42,5 +44,6 @@ def read_stored(directory: Path) -> Stored:
         more = f" (and {len(others)} more)" if others else ""
         raise InvalidRequest("directory", f"{directory / RESULT} is no result: {said}{more}") from error
     except (OSError, ValueError, SafetensorError) as error:
-        said = f"there is no file {error.filename}" if isinstance(error, FileNotFoundError) else str(error)
+        missing = [name for name in (RESULT, PERTURBATION, IMAGE) if not (directory / name).is_file()]
+        said = f"there is no file {missing[0]}" if missing else str(error)  # safetensors does not say which
         raise InvalidRequest("directory", f"{directory} is not the output of a finished job: {said}") from error

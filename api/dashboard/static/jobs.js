@@ -181,11 +181,16 @@ columns();
 remember(root);
 begin();
 
-const source = new EventSource(root.dataset.changes);
-source.addEventListener("changed", refresh);
-source.addEventListener("error", () => {
-  connection.hidden = false;
-});
-source.addEventListener("open", () => {
-  connection.hidden = true;
-});
+function follow() {
+  const source = new EventSource(root.dataset.changes);
+  source.addEventListener("changed", refresh);
+  source.addEventListener("open", () => {
+    connection.hidden = true;
+  });
+  source.addEventListener("error", () => {
+    connection.hidden = false;
+    refresh(); // which asks to sign in if the session has ended
+    if (source.readyState === EventSource.CLOSED) setTimeout(follow, 2000); // a browser does not ask again by itself
+  });
+}
+follow();
