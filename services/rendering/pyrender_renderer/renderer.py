@@ -89,9 +89,10 @@ class PyrenderRenderer(DeclaredRenderer):
             self._twin = copy(self)
             self._twin._twin, self._tolerance = self._twin, tolerance
             what = "rasterised", self._attacked, tolerance
+            is_known = what in scene.measured
             self._rasterised = scene.once(what, lambda: self._try_rasteriser(self._attacked, tolerance))
             self._rasterises = self._rasterised.refusal is None
-            if self._rasterises and any(piece.texture is not None for piece in self.drawing.pieces):
+            if self._rasterises and is_known and any(piece.texture is not None for piece in self.drawing.pieces):
                 self._twin.render({})  # uploads the textures, whose mipmaps the rasteriser takes
 
     @classmethod
