@@ -7,6 +7,7 @@ import pytest
 from httpx import Client
 
 from api.state import Services
+from tests.processes import command_line
 from tests.unit.api.conftest import SPHERE
 
 AZIMUTHS = (0.001 * k for k in itertools.count(1))
@@ -150,7 +151,7 @@ def test_more_jobs_than_the_queue_takes_are_put_off(client: Client, services: Se
 def test_a_lost_preflight_process_is_replaced(client: Client) -> None:
     submit(client)
     for child in psutil.Process().children():
-        if "services.jobs.preflight_process" in child.cmdline():
+        if "services.jobs.preflight_process" in command_line(child):
             child.kill()
     statuses = [client.post("/v1/jobs", json=unseen()).status_code for _ in range(2)]
     assert statuses[-1] == 202

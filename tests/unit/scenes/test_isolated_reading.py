@@ -17,6 +17,7 @@ from services.scenes.mesh import Part
 from services.scenes.part_arrays import pack, unpack
 from services.scenes.phrases import Report
 from services.scenes.reading import read_mesh
+from tests.processes import command_line
 from tests.unit.scenes.mesh_files import ASCII_PLY, BOXES, MAX_FACES
 from tests.unit.scenes.test_image_file import POSTSCRIPT, stored
 
@@ -34,8 +35,13 @@ def same(one: object, other: object) -> bool:
     return one == other
 
 
+def servers() -> list[psutil.Process]:
+    """The living servers among this process's children."""
+    return [p for p in psutil.Process().children() if "services.scenes.reading_process" in command_line(p)]
+
+
 def own_server() -> psutil.Process:
-    (server,) = [p for p in psutil.Process().children() if "services.scenes.reading_process" in p.cmdline()]
+    (server,) = servers()
     return server
 
 
@@ -100,7 +106,7 @@ def test_a_server_that_was_killed_is_started_again():
 def test_the_server_ends_with_its_reader():
     mine = IsolatedReader()
     mine.start()
-    processes = [p for p in psutil.Process().children() if "services.scenes.reading_process" in p.cmdline()]
+    processes = servers()
     mine.close()
     assert sum(not p.is_running() for p in processes) == 1
 

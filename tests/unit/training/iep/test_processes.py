@@ -4,13 +4,14 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import closing, suppress
+from contextlib import closing
 
 import psutil
 import pytest
 
 from services.errors import JobFailure
 from services.training.iep.processes import each
+from tests.processes import command_line
 from tests.unit.training.iep.small import After, never
 
 SLEEP = """import signal, time
@@ -21,14 +22,7 @@ list(each(time.sleep, [600, 600], 2, bool))"""
 
 def children(of: psutil.Process) -> list[psutil.Process]:
     """The processes of a pool; the tracker that multiprocessing starts beside them is none."""
-    return [one for one in of.children(recursive=True) if "spawn_main" in command_line(one)]
-
-
-def command_line(process: psutil.Process) -> str:
-    """Its words, none once it has ended, even while its parent has not yet asked how."""
-    with suppress(psutil.NoSuchProcess):
-        return " ".join(process.cmdline())
-    return ""
+    return [one for one in of.children(recursive=True) if "spawn_main" in " ".join(command_line(one))]
 
 
 @pytest.mark.parametrize("processes", [1, 2])
