@@ -40,6 +40,7 @@ from api.routes import (
     artifacts,
     assets,
     campaigns,
+    continuing,
     events,
     exports,
     health,
@@ -198,6 +199,7 @@ def create_app(values: Settings | None = None) -> FastAPI:
     for part in (
         job_exports,
         jobs,
+        continuing,
         campaigns,
         events,
         artifacts,

@@ -5,15 +5,18 @@ from typing import Any
 from api.state import Services, check_meshes_of
 from services.access.caller import Caller
 from services.errors import InvalidRequest
-from services.jobs.models import Job
+from services.jobs.models import Artifact, Job
 from services.jobs.placement import Demand, Needs
 from services.pipeline.names_known import check_names
 from services.pipeline.spec import parse
 
 
-def retry(services: Services, caller: Caller, job: Job, answer: Any) -> dict[str, Any]:
+def retry(
+    services: Services, caller: Caller, job: Job, answer: Any, checkpoint: Artifact | None = None
+) -> dict[str, Any]:
     """Queues a job with the request, priority, device and memory of `job`, which was read with its request, and returns
-    `answer` of it. The new job belongs to the caller and to no campaign; a worker checks it before it runs.
+    `answer` of it. The new job belongs to the caller and to no campaign; a worker checks it before it runs. It goes on
+    from `checkpoint`, a file of `job`, if given.
 
     Raises InvalidRequest if the request cannot run any more, and what `Submissions.submit` raises.
     """
@@ -32,4 +35,5 @@ def retry(services: Services, caller: Caller, job: Job, answer: Any) -> dict[str
         owner_queued=services.quotas.queued_of(caller.owner),
         demand=Demand(job.priority, needs.device, needs.memory),
         retry_of=job.id,
+        checkpoint=checkpoint,
     )

@@ -160,7 +160,7 @@ class ArtifactView(BaseModel):
 
 
 class ArtifactList(BaseModel):
-    """The files of a job; the list is empty until the job succeeded."""
+    """The files of a job that has ended, or the checkpoint from which it is to go on."""
 
     items: list[ArtifactView]
 

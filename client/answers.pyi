@@ -67,7 +67,7 @@ class Apgd(TypedDict):
     masking_queries: NotRequired[int]
 
 class ArtifactList(TypedDict):
-    """The files of a job; the list is empty until the job succeeded."""
+    """The files of a job that has ended, or the checkpoint from which it is to go on."""
     items: list[ArtifactView]
 
 class ArtifactView(TypedDict):

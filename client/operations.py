@@ -116,6 +116,11 @@ def cancel_job(job_id: str) -> Request[JobView]:
     return Request("POST", "/v1/jobs/{job_id}/cancel", {"job_id": job_id})
 
 
+def continue_job(job_id: str) -> Request[JobView]:
+    """Queues a new job that goes on from the checkpoint of one that was cancelled or failed."""
+    return Request("POST", "/v1/jobs/{job_id}/continue", {"job_id": job_id})
+
+
 def events(job_id: str, *, last_event_id: str | None = None) -> Request[bytes]:
     """A job's server-sent events after one of them; `Job.watch` reads them and takes up a dropped connection."""
     return Request("GET", "/v1/jobs/{job_id}/events", {"job_id": job_id}, headers={"Last-Event-ID": last_event_id})

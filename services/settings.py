@@ -115,7 +115,12 @@ class Settings(BaseSettings):
     retention_days: float | None = Field(
         None, gt=0, description="jobs and campaigns are deleted so long after their end; default: never"
     )
-    job_seconds: float = Field(3600.0, gt=0, description="longest run of one job before it fails as timeout")
+    job_seconds: float = Field(
+        3600.0,
+        gt=0,
+        description="longest run of one job before it fails as timeout; a tenth of it, at most 30 seconds, is for "
+        "keeping what the attack has found",
+    )
     job_memory_bytes: int | None = Field(
         None,
         ge=2**30,

@@ -8,19 +8,20 @@ import json
 import os
 import time
 from collections.abc import Callable, Sequence
+from math import inf
 from pathlib import Path
 from typing import Any
 
 from services import tracing
 from services.device import device
 from services.errors import Cancelled, InvalidRequest, JobFailure, out_of_memory, summary
-from services.jobs.artifacts import ArtifactStore, media_type
+from services.jobs.artifacts import ArtifactStore
 from services.jobs.attempts import Attempt, Standing
 from services.jobs.child import connect, reply, requests
 from services.jobs.cpu_share import give_way
 from services.jobs.database import connect as connect_database
 from services.jobs.memory_limit import memory_limit
-from services.jobs.models import Artifact, Job, JobKind
+from services.jobs.models import Job, JobKind
 from services.jobs.outages import outage_of
 from services.jobs.placement import Abilities
 from services.jobs.repository import Repository
@@ -37,11 +38,15 @@ from services.pipeline.spec import JobSpec, digest, parse
 from services.pipeline.warning import JobWarning
 from services.scenes.library import Library
 from services.settings import Settings, settings
+from worker.kept_files import KeptFiles
 
 REPORT_SECONDS = 0.25
 """Shortest time between two writes of progress. The next write includes the trace rows since the last one."""
 POLL_SECONDS = 0.25
 """Shortest time between two reads of the record before a rendering, to see whether to stop."""
+
+KEEPING_SECONDS, KEEPING_SHARE = 30.0, 0.1
+"""What is left of the time of a job, in seconds and at most as a share of it, for keeping what it has found."""
 
 log = logger(__name__)
 
@@ -49,8 +54,16 @@ log = logger(__name__)
 class Reporter:
     """Writes a job's progress to the record, and reads from it whether the job should stop."""
 
-    def __init__(self, repository: Repository, attempt: Attempt, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        repository: Repository,
+        attempt: Attempt,
+        clock: Callable[[], float] = time.monotonic,
+        seconds: float = inf,
+    ) -> None:
         self._repository = repository
+        self._ends_at = clock() + seconds
+        self._seconds = seconds
         self._attempt = attempt
         self._clock = clock
         self._rows: list[dict[str, Any]] = []
@@ -72,8 +85,11 @@ class Reporter:
         self._rows = []
 
     def stop(self) -> bool:
-        """Whether the job was cancelled or the attempt has lost its lease."""
+        """Whether the job was cancelled or the attempt has lost its lease. Raises JobFailure("timeout")."""
         now = self._clock()
+        if now > self._ends_at:
+            detail = f"it ran longer than {self._seconds:g} seconds, the most that an attack may take"
+            raise JobFailure("timeout", detail)
         if not self._stop and now - self._checked_at >= POLL_SECONDS:
             self._checked_at = now
             self._stop = self._repository.standing(self._attempt) is not Standing.GO_ON
@@ -90,13 +106,15 @@ def finite(record: dict[str, Any]) -> dict[str, Any]:
 
 
 class Jobs:
-    """The record, the artifact store, the library and the working files, which the process keeps between jobs."""
+    """The record, the files, the library and the working files, which the process keeps between jobs."""
 
     def __init__(self, settings: Settings) -> None:
         self._repository = Repository(connect_database(settings))
-        self._store = ArtifactStore(settings.files)
         self._library = Library(settings.cache_dir, settings.files)
         self._working_files = WorkingFiles(settings.data_dir, settings.files)
+        store = ArtifactStore(settings.files)
+        self._kept = KeptFiles(self._repository, store, self._working_files, self._library)
+        self._seconds = settings.job_seconds - min(KEEPING_SECONDS, KEEPING_SHARE * settings.job_seconds)
 
     def run(self, attempt: Attempt) -> None:
         """Runs one attempt and records its outcome. Raises the errors of outages, and nothing is recorded."""
@@ -112,21 +130,22 @@ class Jobs:
 
     def _run(self, attempt: Attempt, job: Job) -> None:
         repository = self._repository
-        reporter = Reporter(repository, attempt)
+        reporter = Reporter(repository, attempt, seconds=self._seconds)
         try:
             if job.kind is JobKind.SELECTION:
                 self._select(attempt, job, reporter)
             else:
                 self._attack(attempt, job, reporter)
         except Cancelled:
-            repository.cancelled(attempt)
+            wanted = repository.standing(attempt) is Standing.CANCEL  # and it was not taken back
+            repository.cancelled(attempt, self._kept.left(attempt, job) if wanted else ())
         except (Exception, SystemExit) as error:  # an extension's code may end the process it is run in
             if outage_of(error) is not None:
                 raise
             failure = classify(error)
             log.warning("job failed", kind=failure.kind, exc_info=error)
             tracing.describe({"error.type": failure.kind}, error=failure.detail)
-            repository.fail(attempt, failure.kind, failure.detail)
+            repository.fail(attempt, failure.kind, failure.detail, self._kept.left(attempt, job))
         finally:
             reporter.stages.enter(None)
         self._working_files.forget(repository, attempt.job_id)
@@ -157,6 +176,7 @@ class Jobs:
     ) -> None:
         with self._working_files.attempt_directory(attempt) as out:
             with self._working_files.checkpoint(attempt) as checkpoint:
+                self._kept.go_on(attempt, checkpoint)
                 result = execute(
                     parse(job.spec),
                     out,
@@ -181,19 +201,7 @@ class Jobs:
 
     def _keep(self, attempt: Attempt, result: Result, out: Path) -> None:
         record = finite(result.model_dump(mode="json"))
-        artifacts = []
-        for file in sorted(out.iterdir()):
-            stored = self._store.put(file)
-            artifacts.append(
-                Artifact(
-                    job_id=attempt.job_id,
-                    name=file.name,
-                    sha256=stored.sha256,
-                    media_type=media_type(file.name),
-                    size=stored.size,
-                )
-            )
-        self._repository.succeed(attempt, record, outcome(result), artifacts)
+        self._repository.succeed(attempt, record, outcome(result), self._kept.stored(attempt, out))
 
 
 def classify(error: BaseException) -> JobFailure:

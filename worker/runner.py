@@ -27,8 +27,9 @@ noticed earlier.
 """
 POLL_SECONDS = 0.1
 """Longest time between two checks whether the worker should stop."""
-STOP_SECONDS = 10.0
-"""Time after which a job process is killed if it still runs a job that was cancelled or taken back."""
+STOP_SECONDS = 30.0
+"""Time after which a job process is killed if it still runs a job that was cancelled or taken back. It renders the best
+that the attack has found, which takes seconds."""
 RETRY_SECONDS = 1.0
 """Time between two tries to reach what is away."""
 TURNS = 3

@@ -1,6 +1,9 @@
 """Routes of the pages of jobs. A script keeps the pages up to date; they also work without it."""
 
-from collections.abc import Iterator
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from typing import Any
 
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import RedirectResponse
@@ -10,9 +13,12 @@ from api.dashboard import views
 from api.dashboard.commands import commands
 from api.dashboard.job_about import about
 from api.dashboard.pages import HEADERS, STATIC, VERSION, html
-from api.state import Services, ServicesDependency, no_such
+from api.routes.continuing import continued
+from api.state import KnownJob, Services, ServicesDependency, no_such
 from services.access.caller import Caller
-from services.jobs.models import Event
+from services.jobs.artifacts import Damaged
+from services.jobs.models import Artifact, Event
+from services.pipeline.result import BEST_SO_FAR
 
 _KINDS = {"css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
 """Media types by the end of a name; anything else is text, as licences are."""
@@ -41,6 +47,12 @@ def cancel(job_id: str, services: ServicesDependency, caller: CallerDependency) 
     return RedirectResponse(f"/jobs/{job_id}", 303, HEADERS)
 
 
+@router.post("/jobs/{job_id}/continue")
+def continue_job(job: KnownJob, services: ServicesDependency, caller: CallerDependency) -> Response:
+    """Continues a job that was cancelled or failed, as the button on its page asks, and redirects to the new job."""
+    return RedirectResponse(f"/jobs/{continued(job, services, caller)['id']}", 303, HEADERS)
+
+
 @router.get("/static/{path:path}")
 def static(path: str) -> Response:
     """Style sheets, scripts and images. Their address begins with a version, so that browsers may cache them."""
@@ -59,7 +71,7 @@ def _job(template: str, job_id: str, services: Services, caller: Caller, request
         raise no_such("job")
     events = [] if found.result else _all_events(services, job_id)
     artifacts = services.repository.artifacts(job_id)
-    page = views.page(found, events, artifacts)
+    page = views.page(found, events, artifacts, _best_so_far(services, artifacts))
     said = about(found, services.lists.retries(job_id, caller.only))
     sent_again = commands(found.spec, str(request.base_url).rstrip("/"), with_key=bool(caller.key))
     return html(template, caller=caller, page=page, about=said, commands=sent_again)
@@ -70,3 +82,13 @@ def _all_events(services: Services, job_id: str) -> Iterator[Event]:
     while page := services.repository.events(job_id, after):
         yield from page
         after = page[-1].number
+
+
+def _best_so_far(services: Services, artifacts: Sequence[Artifact]) -> dict[str, Any] | None:
+    """What a job had found that ended before its time, if it has such a file."""
+    for artifact in artifacts:
+        if artifact.name == BEST_SO_FAR:
+            with suppress(FileNotFoundError, Damaged), services.store.open(artifact.sha256) as file:
+                found: dict[str, Any] = json.load(file)
+                return found
+    return None

@@ -13,6 +13,7 @@ from api.dashboard.upset import Upset, upset
 from services.attacks.verdict import judge, with_outcome
 from services.jobs.models import Artifact, Event, Job, State
 from services.pipeline.names import group_words, question_names
+from services.pipeline.result import CHECKPOINT
 
 IMAGES = ("original.png", "attacked.png", "perturbation.png")
 SEARCHED = ("coordinates", "coordinates that reach the answer")
@@ -71,6 +72,10 @@ class Page:
     artifacts: list[Artifact]
     attention_files: list[Artifact]
     """The images of attention, which are many."""
+    best: dict[str, Any] | None
+    """The best so far of a job that ended before its time (services.pipeline.best_so_far)."""
+    continuable: bool
+    """Whether another job can go on from its checkpoint."""
     cancellable: bool
     analysed: bool
     """Whether the request asked for analyses, and they are made."""
@@ -103,8 +108,10 @@ def line(job: Job | Row[Any]) -> Line:
     )
 
 
-def page(job: Job, events: Iterable[Event], artifacts: Sequence[Artifact]) -> Page:
-    """The data that a job's page shows. The trace is the result's or, if there is none yet, that of the events."""
+def page(job: Job, events: Iterable[Event], artifacts: Sequence[Artifact], best: dict[str, Any] | None = None) -> Page:
+    """The data that a job's page shows. The trace is the result's or, if there is none yet, that of the events; `best`
+    is what a job had found that ended before its time.
+    """
     trace = job.result["trace"] if job.result else trace_of_events(events)
     height, width = job.spec["scene"]["camera"]["size"]
     asked = questions(job.result, job.spec, question_names(job.spec))
@@ -134,6 +141,8 @@ def page(job: Job, events: Iterable[Event], artifacts: Sequence[Artifact]) -> Pa
         rows=evenly(trace),
         artifacts=[one for one in artifacts if one.name not in shown],
         attention_files=[one for one in artifacts if one.name in shown],
+        best=best,
+        continuable=job.state in (State.CANCELLED, State.FAILED) and any(one.name == CHECKPOINT for one in artifacts),
         cancellable=not job.state.terminal and job.state != State.CANCELLING,
         analysed=job.result is not None and any(job.result.get("analyses", {}).values()),
         questions=asked,

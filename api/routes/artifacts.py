@@ -36,7 +36,7 @@ class VerifiedFile(FileResponse):
 
 @router.get("/{job_id}/artifacts")
 def listing(job: KnownJob, services: ServicesDependency) -> ArtifactList:
-    """Lists the files of a job; the list is empty until the job succeeded."""
+    """Lists the files of a job; of one that has not ended the list is empty but for a checkpoint to go on from."""
     return ArtifactList(items=[ArtifactView.of(artifact) for artifact in services.repository.artifacts(job.id)])
 
 

@@ -1,7 +1,7 @@
 """Saves a running attack to one safetensors file, replaced atomically, and loads it again."""
 
 import json
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from services.attacks.problem import AttackProblem
 from services.attacks.state import AttackState
 from services.attacks.trace import TraceRow
 from services.attacks.verifier import Verifier
+from services.rendering.protocol import Parameters
 
 EVERY = 2.0
 """Seconds between checkpoints."""
@@ -78,6 +79,31 @@ def load(path: Path | None, problem: AttackProblem, method: Method, verifier: Ve
     problem.queries, problem.renders, problem.surrogate_queries, *of_verifier = words["counts"]
     verifier.queries, verifier.renders = of_verifier
     return run
+
+
+@dataclass(frozen=True)
+class Best:
+    """The perturbation that an attack would store if it ended at its checkpoint."""
+
+    stored: Parameters
+    stored_step: int
+    step: int
+    """The last step before the checkpoint."""
+    queries: int
+    """Images that the target had classified by then."""
+
+
+def best(path: Path) -> Best | None:
+    """The best perturbation of a checkpoint; None if there is none or it is damaged."""
+    try:
+        with safe_open(path, "pt") as file:
+            words = _words(file)
+            names = [name for name in file.keys() if name.startswith("stored.")]  # noqa: SIM118 - not a mapping
+            stored = {name.removeprefix("stored."): file.get_tensor(name) for name in names}
+        last = words["trace"][-1]
+        return Best(stored, words["stored_step"], last["step"], last["queries"]) if stored else None
+    except (SafetensorError, LookupError, ValueError, OSError):
+        return None
 
 
 def saved_step(path: Path) -> int:

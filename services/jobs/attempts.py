@@ -117,10 +117,13 @@ class Attempts(Transactions):
                 session.add_all(artifacts)
             return ended
 
-    def fail(self, attempt: Attempt, kind: str, detail: str) -> bool:
-        """Ends the job with a typed failure, recorded without folders. Returns False if the attempt was fenced off."""
+    def fail(self, attempt: Attempt, kind: str, detail: str, artifacts: Sequence[Artifact] = ()) -> bool:
+        """Ends the job with a typed failure, recorded without folders, and with the files of what it had found. Returns
+        False if the attempt was fenced off.
+        """
+        why = {"failure_kind": kind, "failure_detail": without_folders(detail)}
         with self._write() as session:
-            return self._end(session, attempt, State.FAILED, failure_kind=kind, failure_detail=without_folders(detail))
+            return self._end_early(session, attempt, State.FAILED, artifacts, **why)
 
     def reject(self, attempt: Attempt, error: InvalidRequest) -> bool:
         """Ends a job whose request cannot run. Returns False if the attempt was fenced off."""
@@ -138,10 +141,21 @@ class Attempts(Transactions):
             values = {"checked": True, "spec": spec, "digest": digest, "warnings": said, **names}
             session.execute(update(Job).where(*_fence(attempt)).values(values))
 
-    def cancelled(self, attempt: Attempt) -> bool:
-        """Records that the attempt stopped because the job was cancelled. Returns False if it was fenced off."""
+    def cancelled(self, attempt: Attempt, artifacts: Sequence[Artifact] = ()) -> bool:
+        """Records that the attempt stopped because the job was cancelled, and the files of what it had found. Returns
+        False if it was fenced off.
+        """
         with self._write() as session:
-            return self._end(session, attempt, State.CANCELLED)
+            return self._end_early(session, attempt, State.CANCELLED, artifacts)
+
+    def _end_early(
+        self, session: Session, attempt: Attempt, to: State, artifacts: Sequence[Artifact], **values: Any
+    ) -> bool:
+        ended = self._end(session, attempt, to, **values)
+        if ended:
+            for artifact in artifacts:
+                session.merge(artifact)  # a job that went on from a checkpoint has one already
+        return ended
 
     def _end(self, session: Session, attempt: Attempt, to: State, **values: Any) -> bool:
         values |= {"lease_owner": None, "lease_until": None}

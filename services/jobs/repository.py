@@ -100,8 +100,11 @@ class Repository(Turns):
         demand: Demand = NO_DEMAND,
         traceparent: str | None = None,
         retry_of: str | None = None,
+        checkpoint: Artifact | None = None,
     ) -> tuple[Job | None, dict[str, Any]]:
         """Records a new queued job. Returns it and `answer(job)`, or None and the key's first answer if it was used.
+
+        It goes on from `checkpoint`, the file of another job, if given.
 
         Raises QueueFull if `max_queued` jobs are queued, QuotaExceeded if the owner has `owner_queued` of them,
         KeyReused if the key came with another request, and InvalidRequest if a mesh of the request was deleted.
@@ -130,6 +133,9 @@ class Repository(Turns):
                 traceparent=traceparent,
                 retry_of=retry_of,
             )
+            if checkpoint is not None:
+                file = {"name": checkpoint.name, "sha256": checkpoint.sha256, "size": checkpoint.size}
+                session.add(Artifact(job_id=job.id, media_type=checkpoint.media_type, **file))
             said = answer(job)
             if key is not None:
                 values = {"key": key.stored, "digest": key.digest, "answer": said, "created_at": job.created_at}

@@ -9,7 +9,7 @@ from redis.exceptions import RedisError
 from sqlalchemy.exc import IntegrityError
 
 from services import tracing
-from services.jobs.models import Job
+from services.jobs.models import Artifact, Job
 from services.jobs.placement import NO_DEMAND, Demand, Needs
 from services.jobs.queue import Queue
 from services.jobs.repository import Key, Repository
@@ -40,17 +40,19 @@ class Submissions:
         owner_queued: int | None = None,
         demand: Demand = NO_DEMAND,
         retry_of: str | None = None,
+        checkpoint: Artifact | None = None,
     ) -> dict[str, Any]:
         """Records the job, then sends its id. Returns `answer(job)`, or the first answer if the key was used before.
 
-        A worker checks first whether a spec that was not `checked` can run. `retry_of` is the job that it repeats.
+        A worker checks first whether a spec that was not `checked` can run. `retry_of` is the job that it repeats; it
+        goes on from `checkpoint`, a file of that job, if given.
 
         Raises QueueFull, QuotaExceeded if the owner has `owner_queued` jobs queued, and KeyReused if the key came with
         another request.
         """
         given = (spec, self.max_queued, key, answer, warnings)
         about: dict[str, Any] = {"checked": checked, "owner": owner, "owner_queued": owner_queued, "demand": demand}
-        about |= {"traceparent": tracing.context(), "retry_of": retry_of}
+        about |= {"traceparent": tracing.context(), "retry_of": retry_of, "checkpoint": checkpoint}
         create = partial(self.repository.create, *given, **about)
         with tracing.span("record"):
             try:

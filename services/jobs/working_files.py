@@ -26,7 +26,7 @@ class WorkingFiles:
     def checkpoint(self, attempt: Attempt) -> Iterator[Path]:
         """Yields the path of a job's checkpoint, from which the attempt resumes if it is not the first one."""
         self._checkpoints.mkdir(parents=True, exist_ok=True)
-        path = self._checkpoints / attempt.job_id
+        path = self.left_of(attempt.job_id)
         if self._copies is None:
             yield path
             return
@@ -34,6 +34,10 @@ class WorkingFiles:
             self._copies.fetch(attempt.job_id, path)
         with self._copies.kept(attempt.job_id, path):
             yield path
+
+    def left_of(self, job_id: str) -> Path:
+        """The path of a job's checkpoint on this machine, where there may be none."""
+        return self._checkpoints / job_id
 
     @contextmanager
     def attempt_directory(self, attempt: Attempt) -> Iterator[Path]:

@@ -19,6 +19,12 @@ class _Record(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
+BEST_SO_FAR = "best-so-far.json"
+"""Name of the file with the best that an attack had found which was ended before its time."""
+CHECKPOINT = "checkpoint.safetensors"
+"""Name of the file with the state of such an attack, from which another job can go on."""
+
+
 def subset_image(row: int) -> str:
     """The name of the file with the image of a row of `Result.subsets`, which the first and the last do not have: they
     are original.png and attacked.png.

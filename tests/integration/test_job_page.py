@@ -8,8 +8,9 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Browser, Page, expect
 
+from services.attacks.checkpoint import saved_step
 from tests.integration.browser import launched
-from tests.integration.conftest import Stack
+from tests.integration.conftest import Stack, until
 from tests.integration.specs import ENDLESS, GROUPS, QUICK
 from tests.integration.test_dashboard import LOADED, PATIENCE
 
@@ -250,3 +251,22 @@ def test_the_changes_of_several_groups_in_words_images_and_a_plot(stack: Stack, 
     page.locator("#changed-values > summary").click()
     rows = page.get_by_role("table", name="The numbers of the scene that were changed").locator("tbody tr")
     expect(rows).to_have_count(sum(len(one["values"]) for one in job["result"]["changes"]))
+
+
+def test_a_cancelled_job_shows_its_best_so_far_and_another_goes_on_from_there(stack: Stack, page: Page) -> None:
+    job_id = stack.submit(ENDLESS)
+    until(lambda: saved_step(stack.data / "checkpoints" / job_id) > 1, "a checkpoint")
+    stack.client.post(f"/v1/jobs/{job_id}/cancel")
+    assert stack.ended(job_id)["state"] == "cancelled"
+    page.goto(f"{stack.client.base_url}/jobs/{job_id}")
+    expect(page.get_by_role("heading", name="The best so far")).to_be_visible()
+    expect(page.locator("before-after canvas")).to_be_visible()
+    page.get_by_role("button", name="Continue from its checkpoint").click()
+    page.wait_for_url(lambda url: "/jobs/" in url and job_id not in url)
+    later = page.url.rpartition("/")[2]
+    best = stack.client.get(f"/v1/jobs/{job_id}/artifacts/best-so-far.json").json()
+    went_on = stack.attacking(later)
+    stack.client.post(f"/v1/jobs/{later}/cancel")
+    assert went_on["retry_of"] == job_id
+    assert went_on["progress"]["step"] >= best["steps"] > 0
+    stack.ended(later)

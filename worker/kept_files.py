@@ -1,0 +1,74 @@
+"""What a job process keeps of a job in the artifact store: the files of its result, or what it had found until then."""
+
+import shutil
+from pathlib import Path
+
+from services import atomic_write
+from services.jobs.artifacts import ArtifactStore, Damaged, media_type
+from services.jobs.attempts import Attempt
+from services.jobs.models import Artifact, Job, JobKind
+from services.jobs.repository import Repository
+from services.jobs.working_files import WorkingFiles
+from services.logs import logger
+from services.pipeline.best_so_far import best_so_far
+from services.pipeline.result import CHECKPOINT
+from services.pipeline.spec import parse
+from services.scenes.library import Library
+
+log = logger(__name__)
+
+
+class KeptFiles:
+    """Puts the files of jobs into the store, and takes the checkpoint from it that a job is to go on from."""
+
+    def __init__(
+        self, repository: Repository, store: ArtifactStore, working_files: WorkingFiles, library: Library
+    ) -> None:
+        self._repository = repository
+        self._store = store
+        self._working_files = working_files
+        self._library = library
+
+    def go_on(self, attempt: Attempt, path: Path) -> None:
+        """Writes the checkpoint that the job is to go on from, if it has one and has made none of its own yet."""
+        given = None if path.exists() else self._repository.artifact(attempt.job_id, CHECKPOINT)
+        if given is None:
+            return
+        try:
+            with self._store.open(given.sha256) as file:
+                atomic_write.write(path, file.read())
+        except (FileNotFoundError, Damaged) as error:
+            log.warning("checkpoint gone, the job begins again", job=attempt.job_id, error=str(error))
+
+    def left(self, attempt: Attempt, job: Job) -> list[Artifact]:
+        """The files of an attack that ends early: its checkpoint, and the best that it has found, rendered exactly."""
+        path = self._working_files.left_of(attempt.job_id)
+        if job.kind is not JobKind.ATTACK or not path.exists():
+            return []
+        try:
+            with self._working_files.attempt_directory(attempt) as out:
+                try:
+                    best_so_far(parse(job.spec), path, out, self._library)
+                except Exception as error:
+                    log.warning("best so far not rendered", job=attempt.job_id, exc_info=error)
+                shutil.copyfile(path, out / CHECKPOINT)
+                return self.stored(attempt, out)
+        except OSError as error:
+            log.warning("checkpoint not kept", job=attempt.job_id, error=str(error))
+            return []
+
+    def stored(self, attempt: Attempt, out: Path) -> list[Artifact]:
+        """The files of a directory, put into the store."""
+        artifacts = []
+        for file in sorted(out.iterdir()):
+            stored = self._store.put(file)
+            artifacts.append(
+                Artifact(
+                    job_id=attempt.job_id,
+                    name=file.name,
+                    sha256=stored.sha256,
+                    media_type=media_type(file.name),
+                    size=stored.size,
+                )
+            )
+        return artifacts
