@@ -82,6 +82,14 @@ class AsyncJob(JobFields):
         await self._client.call(operations.cancel_job(self.id))
         return await self.refresh()
 
+    async def retry(self) -> AsyncJob:
+        """Queues the job's request again; returns the new job."""
+        return AsyncJob(await self._client.call(operations.retry_job(self.id)), self._client)
+
+    async def continue_(self) -> AsyncJob:
+        """Queues a job that goes on from the checkpoint of this one, which was cancelled or failed; returns it."""
+        return AsyncJob(await self._client.call(operations.continue_job(self.id)), self._client)
+
     async def delete(self) -> None:
         """Deletes the job with its files. ApiError with status 409 if it has not ended, or a campaign refers to it."""
         await self._client.call(operations.delete_job(self.id))

@@ -144,6 +144,17 @@ class Job(JobFields):
         self._api.call(operations.cancel_job(self.id))
         return self.refresh()
 
+    def retry(self) -> Job:
+        """Queues the job's request again; returns the new job."""
+        return Job(self._api.call(operations.retry_job(self.id)), self._api)
+
+    def continue_(self) -> Job:
+        """Queues a job that goes on from the checkpoint of this one, which was cancelled or failed; returns it.
+
+        ApiError with status 409 if it has not ended so, or ended before its first checkpoint.
+        """
+        return Job(self._api.call(operations.continue_job(self.id)), self._api)
+
     def delete(self) -> None:
         """Deletes the job with its files. ApiError with status 409 if it has not ended, or a campaign refers to it."""
         self._api.call(operations.delete_job(self.id))

@@ -1,14 +1,22 @@
-"""The commands `jobs`: list, show, follow, name, repeat, cancel and download the jobs of a service."""
+"""The commands `jobs`: list, show, follow, name, repeat, continue, cancel and download the jobs of a service."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from client.commands.options import DEFAULT_URL, JsonOption, UrlOption
 
+if TYPE_CHECKING:
+    from client.answers import JobView
+    from client.request import Request
+
 app = typer.Typer(
-    help="List, show, follow, name, repeat, cancel and download the jobs of a running service.", no_args_is_help=True
+    help="List, show, follow, name, repeat, continue, cancel and download the jobs of a running service.",
+    no_args_is_help=True,
 )
 
 JobId = Annotated[
@@ -146,12 +154,25 @@ def cancel(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = Fa
 def retry(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
     """Queue the request of a job again, as a new job, and print its id."""
     from client import operations
+
+    _queue_again(operations.retry_job, job_id, url, as_json)
+
+
+@app.command("continue", epilog="Example: [bold]scene-attack jobs continue 0f3c…[/bold]")
+def go_on(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
+    """Go on from the checkpoint of a job that was cancelled or failed, as a new job, and print its id."""
+    from client import operations
+
+    _queue_again(operations.continue_job, job_id, url, as_json)
+
+
+def _queue_again(operation: Callable[[str], Request[JobView]], job_id: str, url: str, as_json: bool) -> None:
     from client.api_client import ApiClient
     from client.console import out, print_json
     from client.ids import job_id as whole_id
 
     with ApiClient(url) as client:
-        job = client.call(operations.retry_job(whole_id(client, job_id)))
+        job = client.call(operation(whole_id(client, job_id)))
     if as_json:
         print_json(job)
     else:

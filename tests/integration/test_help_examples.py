@@ -14,6 +14,7 @@ import pytest
 import trimesh
 
 from client.commands_page import commands, examples
+from services.attacks.checkpoint import saved_step
 from tests.integration.conftest import Stack, serving, until
 from tests.integration.specs import ENDLESS, QUICK, long
 from tests.integration.test_run import small
@@ -162,6 +163,12 @@ def jobs(reader: Reader, stack: Stack) -> None:
     assert "Figure 3 [paper]" in run(f"scene-attack jobs edit {ID} --title 'Figure 3' --tag paper", **of)
     repeated = run(f"scene-attack jobs retry {ID}", **of).strip()
     assert stack.client.get(f"/v1/jobs/{repeated}").json()["retry_of"] == found
+    unfinished = stack.submit(ENDLESS)
+    until(lambda: saved_step(stack.data / "checkpoints" / unfinished) > 1, "a checkpoint")
+    stack.client.post(f"/v1/jobs/{unfinished}/cancel")
+    assert stack.ended(unfinished)["state"] == "cancelled"
+    later = run(f"scene-attack jobs continue {ID}", **{ID: unfinished}).strip()
+    assert stack.client.post(f"/v1/jobs/{later}/cancel").json()["retry_of"] == unfinished
     run(f"scene-attack jobs download {ID} --out out/piano", **of)
     assert (reader.folder / "out/piano/attacked.png").is_file()
     run(f"scene-attack export {ID} --out piano.zip", **of)

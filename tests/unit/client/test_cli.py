@@ -31,7 +31,7 @@ COMMANDS = [
     ["targets", "check"],
     ["targets", "convert-clevr-iep"],
     *(["jobs", *rest] for rest in ([], ["list"], ["show"], ["watch"], ["cancel"], ["delete"], ["download"])),
-    *(["jobs", one] for one in ("retry", "edit")),
+    *(["jobs", one] for one in ("retry", "continue", "edit")),
     *(["campaign", *rest] for rest in ([], ["run"], ["submit"], ["list"], ["show"], ["pause"], ["resume"], ["cancel"])),
     *(["campaign", *rest] for rest in (["table"], ["export"])),
     *(["assets", *rest] for rest in ([], ["list"], ["show"], ["add"], ["uploads"], ["delete"], ["environments"])),

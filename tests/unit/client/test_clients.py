@@ -181,3 +181,20 @@ def test_the_package_names_what_it_has() -> None:
     assert all(getattr(package, name) is not None for name in package.__all__)
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = package.nothing
+
+
+def test_a_job_is_queued_again_and_continued(client: ApiClient, script: Script) -> None:
+    answers = [says(200, JOB), says(202, JOB | {"id": "1a"}), says(202, JOB | {"id": "2b"})]
+    script.answers = [*answers, *answers]
+    with Client(client.url) as service:
+        job = service.job("0f3c")
+        assert (job.retry().id, job.continue_().id, job.id) == ("1a", "2b", "0f3c")
+
+    async def run() -> tuple[str, str]:
+        async with AsyncClient(client.url) as service:
+            job = await service.job("0f3c")
+            return (await job.retry()).id, (await job.continue_()).id
+
+    assert asyncio.run(run()) == ("1a", "2b")
+    paths = ["/v1/jobs/0f3c", "/v1/jobs/0f3c/retry", "/v1/jobs/0f3c/continue"]
+    assert [path for _, path, _ in script.seen] == [*paths, *paths]

@@ -20,10 +20,11 @@ def said(client: ApiClient, *arguments: str) -> str:
     return done.stdout.strip()
 
 
-def test_a_retry_prints_the_new_id(client: ApiClient, script: Script) -> None:
+@pytest.mark.parametrize("command", ["retry", "continue"])
+def test_a_job_that_is_queued_again_prints_its_new_id(client: ApiClient, script: Script, command: str) -> None:
     script.answers = [says(202, {"id": "a" * 32, "state": "queued"})]
-    assert said(client, "retry", JOB) == "a" * 32
-    assert [(method, path) for method, path, _ in script.seen] == [("POST", f"/v1/jobs/{JOB}/retry")]
+    assert said(client, command, JOB) == "a" * 32
+    assert [(method, path) for method, path, _ in script.seen] == [("POST", f"/v1/jobs/{JOB}/{command}")]
 
 
 def test_tags_are_added_and_taken_away(client: ApiClient, script: Script) -> None:
