@@ -6,10 +6,10 @@ from datetime import datetime
 from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, Field
-from sqlalchemy import Row
 
 from services.errors import InvalidRequest, without_folders
 from services.extensions import Extension
+from services.jobs.listed_job import ListedJob
 from services.jobs.models import Artifact, Campaign, Job, State, times_of
 from services.jobs.placement import Priority
 from services.pipeline.outcome import Outcome
@@ -82,7 +82,7 @@ class JobSummary(BaseModel):
     )
 
     @classmethod
-    def of_row(cls, job: Row[Any]) -> Self:
+    def listed(cls, job: ListedJob) -> Self:
         """The summary of a job in a list."""
         return cls(**_fields(job))
 
@@ -103,7 +103,7 @@ class JobView(JobSummary):
         return cls(**_fields(job), spec=job.spec, note=job.note, result=job.result if with_result else None)
 
 
-def _fields(job: Job | Row[Any]) -> dict:  # type: ignore[type-arg]
+def _fields(job: Job | ListedJob) -> dict:  # type: ignore[type-arg]
     progress = failure = None
     if job.phase is not None:
         progress = {"phase": job.phase, "step": job.step, "steps": job.steps}
@@ -246,7 +246,7 @@ def _shown(error: str | None) -> str | None:
     return None if error is None else without_folders(error)
 
 
-def cursor_after(job: Row[Any] | Campaign) -> str:
+def cursor_after(job: ListedJob | Campaign) -> str:
     """The cursor of the page that begins after this job or campaign."""
     return base64.urlsafe_b64encode(f"{job.created_at.isoformat()} {job.id}".encode()).decode().rstrip("=")
 

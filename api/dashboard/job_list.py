@@ -9,7 +9,6 @@ from urllib.parse import urlencode
 from fastapi import APIRouter, Form, Query, Response
 from fastapi.responses import RedirectResponse
 from fastapi.sse import EventSourceResponse, ServerSentEvent
-from sqlalchemy import Row
 
 from api.authentication import CallerDependency
 from api.dashboard.pages import HEADERS, html
@@ -21,6 +20,7 @@ from services.access.caller import Caller
 from services.attacks.verdict import with_outcome
 from services.errors import InUse, InvalidRequest, QuotaExceeded
 from services.jobs.job_query import EXAMPLE, LONGEST, parse_query
+from services.jobs.listed_job import ListedJob
 from services.jobs.lists import ListTotals
 from services.jobs.models import State
 from services.jobs.repository import QueueFull
@@ -180,6 +180,6 @@ def shown(
     page = services.lists.page(terms, PAGE, sort=sort, after=place.after, before=place.before, owner=caller.only)
     older = write_cursor(sort, page.last, backwards=False) if page.last and page.more_after else None
     newer = write_cursor(sort, page.first, backwards=True) if page.first and page.more_before else None
-    lines: list[tuple[Row[Any], Any]] = [(job, with_outcome(job.outcome)) for job in page.jobs]
+    lines: list[tuple[ListedJob, Any]] = [(job, with_outcome(job.outcome)) for job in page.jobs]
     totals = services.lists.totals(terms, caller.only) if terms else strip.totals
     return html(template, strip=strip, error=None, lines=lines, totals=totals, older=older, newer=newer, **about)

@@ -5,12 +5,11 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Row
-
 from api.dashboard.charts import Chart, chart
 from api.dashboard.questions import Question, SceneObject, objects, questions
 from api.dashboard.upset import Upset, upset
 from services.attacks.verdict import judge, with_outcome
+from services.jobs.listed_job import ListedJob
 from services.jobs.models import Artifact, Event, Job, State
 from services.pipeline.names import group_words, question_names
 from services.pipeline.result import CHECKPOINT
@@ -89,7 +88,7 @@ class Page:
     """Height and width of the images."""
 
 
-def line(job: Job | Row[Any]) -> Line:
+def line(job: Job | ListedJob) -> Line:
     """The data that the list shows of a job."""
     return Line(
         id=job.id,

@@ -10,13 +10,13 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query
 from fastapi.responses import StreamingResponse
 from pydantic import BaseModel, Field, StringConstraints
-from sqlalchemy import Row
 
 from api.authentication import CallerDependency
 from api.routes.jobs import NEWEST, QueryText, Sort
 from api.state import Services, ServicesDependency
 from services.access.caller import Caller
 from services.jobs.job_query import Term, parse_query
+from services.jobs.listed_job import ListedJob
 from services.jobs.models import State
 
 AT_ONCE = 500
@@ -108,7 +108,7 @@ def _jobs(services: Services, caller: Caller, terms: list[Term], sort: str) -> I
         after = page.last
 
 
-def _flat(job: Row[Any]) -> dict[str, Any]:
+def _flat(job: ListedJob) -> dict[str, Any]:
     outcome = job.outcome or {}
     values = {
         "outcome": job.verdict,

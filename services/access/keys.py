@@ -18,6 +18,7 @@ LONGEST = 100
 """A text of more characters is no key, and is not looked up."""
 USE_SECONDS = 60.0
 """Time between two records of a key's use: reading is frequent, and each record is a write."""
+_ANY = select(AccessKey.prefix).limit(1)
 
 
 class AccessKeys(Transactions):
@@ -61,7 +62,8 @@ class AccessKeys(Transactions):
     def exist(self) -> bool:
         """Whether a key was ever made. One that is revoked counts, so that revoking the last one opens nothing."""
         with self._read() as session:
-            return session.scalar(select(AccessKey.prefix).limit(1)) is not None
+            # By the connection, which makes no object of it: every request to a service without keys asks this.
+            return session.connection().scalar(_ANY) is not None
 
     def revoke(self, prefix: str) -> AccessKey | None:
         """Ends a key for good and returns it, or None if there is none of this prefix. Repeating it changes nothing."""

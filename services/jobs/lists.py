@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import ColumnElement, Float, Row, Select, and_, case, func, literal, or_, select, tuple_, update
+from sqlalchemy import ColumnElement, Float, Select, and_, case, func, literal, or_, select, tuple_, update
 from sqlalchemy import delete as deletion
 from sqlalchemy.orm import InstrumentedAttribute
 
 from services.jobs.job_query import Term
+from services.jobs.listed_job import LISTED, ListedJob, listed_jobs
 from services.jobs.models import Job, JobKind, JobTag, State
-from services.jobs.repository import LISTED
 from services.jobs.transactions import Transactions
 from services.jobs.utc_time import UtcTime
 
@@ -72,8 +72,7 @@ class Place:
 class ListPage:
     """A part of a list."""
 
-    jobs: list[Row[Any]]
-    """Rows with the columns of a job, but for its request and result."""
+    jobs: list[ListedJob]
     first: Place | None
     last: Place | None
     """Where the page begins and ends; None for an empty one."""
@@ -127,12 +126,18 @@ class JobLists(Transactions):
             more, found = len(found) > limit, list(found[:limit])
             if backwards:
                 found.reverse()
-            ids = [one.id for one in found]
-            read = found if by_age else session.execute(select(*LISTED).where(Job.id.in_(ids)))
-            rows = {row.id: row for row in read}
-        places = [Place(one.created_at if by_age else one.value, one.created_at, one.id) for one in found]
+            if by_age:
+                jobs = list(listed_jobs(found))
+            else:
+                ids = [one.id for one in found]
+                read = listed_jobs(session.execute(select(*LISTED).where(Job.id.in_(ids))))
+                by_id = {job.id: job for job in read}
+                jobs = [by_id[job_id] for job_id in ids if job_id in by_id]
+        places = [
+            Place(one.created_at if by_age else one.value, one.created_at, one.id) for one in (*found[:1], *found[-1:])
+        ]
         return ListPage(
-            jobs=[rows[job_id] for job_id in ids if job_id in rows],
+            jobs=jobs,
             first=places[0] if places else None,
             last=places[-1] if places else None,
             more_before=more if backwards else after is not None,

@@ -11,7 +11,6 @@ from sqlalchemy import (
     Float,
     ForeignKey,
     Index,
-    Row,
     String,
     Text,
     text,
@@ -169,7 +168,7 @@ class Job(Base):
         return times_of(self)
 
 
-def times_of(job: "Job | Row[Any]") -> dict[str, datetime]:
+def times_of(job: Any) -> dict[str, datetime]:
     """The last time at which a job entered each state, in the order of the states."""
     return {state: time for state, column in _TIMES if (time := getattr(job, column)) is not None}
 

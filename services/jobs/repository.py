@@ -15,6 +15,7 @@ from sqlalchemy.orm import Session, defer, undefer
 
 from services.errors import QuotaExceeded
 from services.jobs.asset_uses import check_held, uploads_of
+from services.jobs.listed_job import LISTED
 from services.jobs.models import Artifact, Event, IdempotencyKey, Job, JobKind, State
 from services.jobs.placement import NO_DEMAND, Demand
 from services.jobs.turns import Turns
@@ -60,20 +61,6 @@ class News:
 _AT_ONCE = 500
 """Rows that one query reads at most of what may be long."""
 _AS_LISTED = (defer(Job.spec), defer(Job.result))
-_UNLISTED = [
-    "spec",
-    "result",
-    "note",
-    "needs",
-    "digest",
-    "traceparent",
-    "sent_at",
-    "phase_at",
-    "lease_owner",
-    "lease_until",
-]
-LISTED = tuple(one for one in Job.__table__.columns if one.name not in _UNLISTED)
-"""The columns of a job that lists read."""
 
 
 class Repository(Turns):

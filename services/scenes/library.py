@@ -82,8 +82,10 @@ class Library:
         if _UPLOAD.fullmatch(name):
             if not (may_use(name) and self.has_upload(name)):
                 raise self._unknown_mesh(name)
-        elif not (kind == "furniture" and rest in self._catalogue()):
-            self.mesh(name)
+        elif not (kind == "primitive" and rest in PRIMITIVES) and not (
+            kind == "furniture" and rest in self._catalogue()
+        ):
+            raise self._unknown_mesh(name)
 
     def has_upload(self, name: str) -> bool:
         """Whether there is an uploaded mesh of that name, `sha256:<hex>`."""

@@ -133,6 +133,13 @@ def test_a_list_reads_the_uploads_that_may_be_seen_and_no_other(tmp_path, monkey
     assert read == [mine.name]
 
 
+def test_a_name_is_checked_without_making_its_mesh(tmp_path, monkeypatch):
+    library = Library(tmp_path / "cache", tmp_path / "data")
+    monkeypatch.setattr(Library, "mesh", lambda _, name: pytest.fail(f"{name} is made"))
+    for name in (*(f"primitive/{solid}" for solid in PRIMITIVES), library.add_mesh(TETRAHEDRON, "off").name):
+        library.check_mesh(name)
+
+
 def test_entries_of_the_furniture_are_made_once(library):
     first, again = ([one for one in library.entries() if one.kind != "upload"] for _ in range(2))
     assert len(first) > 100
