@@ -1,13 +1,20 @@
 """Draws mesh files with pyrender as it is installed, for `benchmarks.own_meshes`, in a process of its own.
 
-Reads requests as `benchmarks.stock_pyrender` does, each with two more fields: `matte`, whether the surface is made a
-dielectric of roughness 1, and `z_up`, whether the model is turned so that its +z is up. With `mend`, what pyrender and
-the loader are known to leave out or to read otherwise is put right before it draws:
+Reads requests as `benchmarks.stock_pyrender` does, each with three more fields: `matte`, whether the surface is made a
+dielectric of roughness 1; `z_up`, whether the model is turned so that its +z is up; and `alike`. Writes uint8
+[height, width, 4], the last 255 where there is a surface. With `mend`, what pyrender and the loader are known to leave
+out or to read otherwise is put right before it draws:
 - the names of textures have slashes instead of backslashes, for the loader finds no others;
 - a mesh without colour is as light grey as ours, and a texture without material is not dimmed by a grey of the loader;
 - colours of materials and vertices are displayed values, and normals are smoothed below 40° (not those of glTF files);
 - textures repeat as the sampler of a glTF file says, for the loader drops it;
-- the root of the emissive factor of a glTF file is handed to it, for its shader multiplies by the factor twice.
+- alpha modes, backs and emission are those of glTF, see `benchmarks.stock_shader`; what blends is drawn last, for the
+  renderer looks for an alpha below 1 among texels of 0 to 255.
+
+With `alike`, it also draws as ours does what is not right or wrong but done otherwise:
+- colours of texels are decoded before they are averaged, and of textures at most 1,024 texels a side are used;
+- normals are means of the faces' by their angles, and one that bends beyond the horizon is put on it;
+- a triangle has the mean of its corners' colours; with less than half the opacity it is cut out, else it is opaque.
 """
 
 import json
@@ -22,6 +29,9 @@ import trimesh
 from numpy.typing import NDArray
 
 from benchmarks.stock_pyrender import _light
+from benchmarks.stock_shader import MendedRenderer, decode
+from services.scenes.normals import smooth_normals
+from services.scenes.surfaces import MAX_TEXTURE
 
 UPRIGHT = np.array([[1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, -1.0, 0, 0], [0, 0, 0, 1.0]])
 PLAIN = 204
@@ -32,10 +42,13 @@ CREASE = np.radians(40)
 def main() -> None:
     """Draws the images that standard input asks for."""
     renderer = pyrender.OffscreenRenderer(1, 1)
+    stock, mended = renderer._renderer, MendedRenderer()  # noqa: SLF001 - pyrender offers no other way
     for request in json.load(sys.stdin):
+        renderer._renderer = mended if request["mend"] else stock  # noqa: SLF001
+        mended.alike = request["alike"]
         renderer.viewport_height, renderer.viewport_width = request["size"]
-        color, _ = renderer.render(_scene(request))
-        np.save(request["out"], color[..., :3])
+        color, depth = renderer.render(_scene(request))
+        np.save(request["out"], np.dstack([color[..., :3], np.where(depth > 0, 255, 0).astype(np.uint8)]))
 
 
 def _scene(request: dict[str, Any]) -> pyrender.Scene:
@@ -49,7 +62,10 @@ def _scene(request: dict[str, Any]) -> pyrender.Scene:
     placement = np.diag([scale, scale, scale, 1.0])
     placement[:3, 3] = -scale * middle
     model.apply_transform(placement)
-    drawn = _mended(model) if mend and matte else pyrender.Scene.from_trimesh_scene(model)
+    if not mend:
+        drawn = pyrender.Scene.from_trimesh_scene(model)
+    else:
+        drawn = _mended(model, request["alike"]) if matte else _with_alpha(model)
     drawn.bg_color, drawn.ambient_light = np.zeros(4), np.zeros(3)
     for node in drawn.mesh_nodes if matte else ():
         for primitive in node.mesh.primitives:
@@ -57,9 +73,8 @@ def _scene(request: dict[str, Any]) -> pyrender.Scene:
             primitive.material.doubleSided = True
     if mend and not matte:
         _sample(drawn, Path(request["file"]))
-        for node in drawn.mesh_nodes:
-            for primitive in node.mesh.primitives:
-                primitive.material.emissiveFactor = np.sqrt(primitive.material.emissiveFactor)
+    if request["alike"]:
+        decode(drawn, MAX_TEXTURE)
     height, width = request["size"]
     camera = pyrender.PerspectiveCamera(yfov=request["field_of_view"], aspectRatio=width / height, znear=0.05, zfar=50)
     drawn.add(camera, pose=np.array(request["pose"]))
@@ -68,15 +83,48 @@ def _scene(request: dict[str, Any]) -> pyrender.Scene:
     return drawn
 
 
-def _mended(model: trimesh.Scene) -> pyrender.Scene:
+def _mended(model: trimesh.Scene, alike: bool) -> pyrender.Scene:
     """The meshes of a model, with normals and colours as we read them from a file that is no glTF file."""
     drawn = pyrender.Scene()
     for mesh in model.dump():
         if isinstance(mesh, trimesh.Trimesh):
             smooth = trimesh.graph.smooth_shade(mesh, angle=CREASE)
             made = pyrender.Mesh.from_trimesh(smooth, smooth=smooth.visual.kind != "face")
+            if alike:
+                _as_ours(made.primitives[0], mesh)
             _displayed(made.primitives[0], smooth.visual)
             drawn.add(made)
+    return drawn
+
+
+def _as_ours(primitive: pyrender.Primitive, mesh: trimesh.Trimesh) -> None:
+    """Gives a primitive the normals of ours, and each triangle one colour, which is opaque, or cuts it out."""
+    found = smooth_normals(mesh.vertices, mesh.faces)
+    corners = found.faces.ravel()
+    primitive.positions, primitive.normals = mesh.vertices[found.source][corners], found.normals[corners]
+    primitive.indices = None
+    if primitive.texcoord_0 is not None:
+        primitive.texcoord_0 = mesh.visual.uv[found.source][corners]
+    if primitive.color_0 is not None:
+        colors = np.repeat(mesh.visual.face_colors[found.kept], 3, axis=0)
+        solid = colors[:, 3] > 127
+        primitive.positions, primitive.normals = primitive.positions[solid], primitive.normals[solid]
+        colors[:, 3] = 255
+        primitive.color_0 = colors[solid]
+
+
+def _with_alpha(model: trimesh.Scene) -> pyrender.Scene:
+    """The meshes of a glTF file, each with the alpha mode of its material."""
+    drawn = pyrender.Scene()
+    for node in model.graph.nodes_geometry:
+        pose, name = model.graph[node]
+        made = pyrender.Mesh.from_trimesh(model.geometry[name])
+        stated, material = model.geometry[name].visual.material, made.primitives[0].material
+        material.alphaMode = stated.alphaMode or "OPAQUE"
+        material.alphaCutoff = 0.5 if stated.alphaCutoff is None else stated.alphaCutoff
+        if material.alphaMode == "BLEND" and material.baseColorTexture is not None:
+            material.baseColorTexture._is_transparent = True  # noqa: SLF001 - or it is drawn with what is solid
+        drawn.add(made, pose=pose)
     return drawn
 
 

@@ -2,14 +2,19 @@
 
 import re
 from collections.abc import Sequence
+from contextlib import suppress
+
+from PIL import Image
 
 from services.scenes.archive import unpack_archive
 from services.scenes.beside import Beside
 from services.scenes.claims import MAX_3MF
 from services.scenes.gltf_file import GltfFile
+from services.scenes.image_file import open_texture
 from services.scenes.mesh import Part
 from services.scenes.phrases import Report, shortened
 from services.scenes.references import texture_name
+from services.scenes.surfaces import MAX_TEXTURE
 from services.scenes.wavefront import read_opacity
 
 _3MF = {b"<basematerials": "materials", b":colorgroup": "colours", b":texture2d": "textures"}
@@ -29,12 +34,14 @@ def report(data: bytes, kind: str, beside: Beside, parts: Sequence[Part]) -> Rep
         said = "face colours" if b"element face" in data[: red.start()] else "vertex colours"
         (dropped if any(one.startswith("texture ") for one in used) else used).append(said)
     if kind in ("glb", "gltf"):
-        more, less = _gltf(data, parts)
+        more, less = _gltf(GltfFile(data.removeprefix(b"\xef\xbb\xbf"), beside), parts)
         used, dropped = used + more, dropped + less
     if kind == "dae" and b'semantic="COLOR"' in data:
         (dropped if b"<instance_material" in data else used).append("vertex colours")
     if "vertex colours" in used and kind not in ("glb", "gltf"):
         dropped.append("blends of vertex colours: each triangle has the mean of its corners")
+    if any(_is_partly_opaque(part) for part in parts):
+        dropped.append("partial opacity of colours: below a half is cut out, the rest is opaque")
     if kind == "3mf":
         models = b"".join(one for name, one in unpack_archive(data, MAX_3MF).items() if name.lower().endswith(".model"))
         dropped += [word for mark, word in _3MF.items() if mark in models]
@@ -57,6 +64,7 @@ def _files(beside: Beside, textured: bool) -> tuple[list[str], list[str]]:
             dropped.append(f"{said} not used: the mesh has no texture coordinates")
         else:
             used.append(said)
+            dropped += _detail(said, open_texture(beside.data(path), path)) if one.what == "texture" else []
     for options in re.findall(r"(?mi)^\s*map_Kd\s+(-\S.*)$", beside.libraries()):
         words, name = texture_name(options)
         dropped.append(f"options {words} of the texture {name}")
@@ -67,17 +75,36 @@ def _files(beside: Beside, textured: bool) -> tuple[list[str], list[str]]:
     return used, dropped
 
 
-def _gltf(data: bytes, parts: Sequence[Part]) -> tuple[list[str], list[str]]:
+def _is_partly_opaque(part: Part) -> bool:
+    """Whether a surface that no glTF file describes has texels between opaque and transparent."""
+    if part.texture is None:
+        return False
+    opacity = part.texture[..., 3]
+    return bool(((opacity > 0) & (opacity < 255)).any())
+
+
+def _detail(said: str, image: Image.Image) -> list[str]:
+    """What of a texture's texels is not shown."""
+    if max(image.size) <= MAX_TEXTURE:
+        return []
+    return [f"detail of {said}: {image.width}×{image.height} texels, of which at most {MAX_TEXTURE} a side are shown"]
+
+
+def _gltf(file: GltfFile, parts: Sequence[Part]) -> tuple[list[str], list[str]]:
     materials = [part.metallic_roughness for part in parts if part.metallic_roughness is not None]
     names = dict.fromkeys(name for material in materials for name in material.maps)
     used = [f"{name.replace('_', ' ')} map" for name in names]
     if any((material.vertex_colors != 1).any() for material in materials):
         used.append("vertex colours")
-    file = GltfFile(data.removeprefix(b"\xef\xbb\xbf"))
     tree = file.tree
     dropped = [word for key, word in _NOT_DRAWN.items() if tree.get(key)]
     if any(primitive.get("targets") for mesh in tree.get("meshes", []) for primitive in mesh.get("primitives", [])):
         dropped.append("morph targets")
+    for index in range(len(file.array("images"))):
+        with suppress(ValueError):  # one that nothing shows, or the mesh would have been refused
+            uri = file.item("images", index).get("uri", "data:")
+            # `_files` knows those in files of their own.
+            dropped += _detail(f"images[{index}]", file.image(index)) if str(uri).startswith("data:") else []
     read = ("KHR_mesh_quantization", "EXT_texture_webp")
     dropped += [f"extension {name}" for name in file.array("extensionsUsed") if name not in read]
     return used, dropped

@@ -1,11 +1,14 @@
 """What is kept of each format, as the table of docs/meshes.md says it; and hostile files in XML and JSON."""
 
+import base64
+import io
 import json
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from services.errors import InvalidRequest
 from services.scenes.isolated_reading import reader
@@ -107,6 +110,42 @@ def test_what_the_corners_of_a_triangle_lose_is_said():
         assert "blends of vertex colours: each triangle has the mean of its corners" in said.dropped
     for kind, files in (("gltf", gltf(colors=True)), ("ply", ply()), ("off", off(colors=True))):
         assert "blends" not in " ".join(read(kind, files)[1].dropped)
+
+
+def test_opacity_of_colours_that_is_neither_nothing_nor_all_is_said_to_be_rounded():
+    words = "partial opacity of colours: below a half is cut out, the rest is opaque"
+    head, _, rows = ply(colors=True)[0].partition(b"end_header\n")
+    head = head.replace(b"uchar blue\n", b"uchar blue\nproperty uchar alpha\n") + b"end_header\n"
+    for opacities, said in (((0, 90, 255), True), ((255, 255, 255), False), ((0, 0, 0), False)):
+        lines = rows.decode().splitlines()
+        colored = [f"{line} {opacity}" for line, opacity in zip(lines[:3], opacities, strict=True)]
+        # A second triangle of another colour: one colour alone is blended.
+        more = ["0 0 1 0 255 0 255", "1 0 1 0 255 0 255", "0 1 1 0 255 0 255"]
+        data = head.replace(b"vertex 3", b"vertex 6").replace(b"face 1", b"face 2")
+        data += "\n".join([*colored, *more, "3 0 1 2", "3 3 4 5", ""]).encode()
+        assert (words in read("ply", (data, {}))[1].dropped) == said
+
+
+def test_texels_that_are_averaged_away_are_said():
+    wide = io.BytesIO()
+    Image.new("RGB", (1026, 4)).save(wide, "PNG")
+    words = "detail of texture w.png: 1026×4 texels, of which at most 1024 a side are shown"
+    data, others = obj(MTL.format("map_Kd w.png"))
+    assert words in read("obj", (data, others | {"w.png": wide.getvalue()}))[1].dropped
+    assert "detail" not in " ".join(read("obj", (data, others))[1].dropped)
+    data, others = gltf({"pbrMetallicRoughness": BASE})
+    tree, inside = json.loads(data), base64.b64encode(wide.getvalue()).decode()
+    start, body = len(others["a.bin"]), others["a.bin"] + wide.getvalue()
+    tree["bufferViews"].append({"buffer": 0, "byteOffset": start, "byteLength": len(wide.getvalue())})
+    tree["buffers"][0]["byteLength"] = len(body)
+    for image, name in (
+        ({"bufferView": len(tree["bufferViews"]) - 1, "mimeType": "image/png"}, "images[0]"),
+        ({"uri": f"data:image/png;base64,{inside}"}, "images[0]"),
+        ({"uri": "w.png"}, "texture w.png"),
+    ):
+        sent = {"a.bin": body, "w.png": wide.getvalue()}
+        _, said = read("gltf", (json.dumps(tree | {"images": [image]}).encode(), sent))
+        assert words.replace("texture w.png", name) in said.dropped, image
 
 
 def test_up_is_as_the_file_says():
