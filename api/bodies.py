@@ -12,7 +12,8 @@ from pydantic_core import CoreSchema, core_schema
 from api.problems import BadRequestField
 from services import tracing
 from services.errors import InvalidRequest
-from services.strict import MOST_NESTED, is_nested_deeper
+from services.json_text import NESTED
+from services.strict import is_nested_deeper
 
 Parsed = TypeVar("Parsed", bound=BaseModel)
 
@@ -37,7 +38,7 @@ def body_of(model: type[Parsed]) -> Callable[..., Parsed]:
 
     def parsed(data: Annotated[Any, Body(), _Unparsed(model)]) -> Parsed:
         if is_nested_deeper(data):
-            raise BadRequestField(InvalidRequest("body", f"it is nested deeper than {MOST_NESTED} lists and objects"))
+            raise BadRequestField(InvalidRequest("body", NESTED))
         try:
             with tracing.span("validate"):
                 return model.model_validate(data)

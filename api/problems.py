@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from http import HTTPStatus
+from json import JSONDecodeError
 from typing import Any, get_type_hints
 
 from fastapi import FastAPI, Request
@@ -9,8 +10,9 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, Field
 from redis.exceptions import RedisError
 from sqlalchemy.exc import SQLAlchemyError
-from starlette.datastructures import MutableHeaders
+from starlette.datastructures import MutableHeaders, UploadFile
 from starlette.exceptions import HTTPException
+from starlette.formparsers import MultiPartException
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -22,6 +24,7 @@ from services.errors import InUse, InvalidRequest, QuotaExceeded, without_folder
 from services.jobs.artifacts import Damaged
 from services.jobs.outages import outage_of
 from services.jobs.repository import KeyReused, QueueFull
+from services.json_text import json_mistake
 from services.logs import logger
 from services.pipeline.campaign_spec import CampaignSpec
 from services.pipeline.campaign_spec import named as campaign_fields
@@ -89,9 +92,10 @@ def install(app: FastAPI) -> None:
     @app.exception_handler(RequestValidationError)
     def _unparsed(request: Request, error: RequestValidationError) -> Response:
         items = error.errors()
-        if items and items[0]["type"] == "json_invalid":
-            return problem(400, f"the body is not JSON: {items[0]['ctx']['error']} at character {items[0]['loc'][-1]}")
+        if isinstance(error.__cause__, JSONDecodeError):
+            return _unreadable(error.__cause__)
         # pydantic's paths begin with "body", "query" or "header"; clients know fields without that part.
+        items = [_without_file(item) for item in items]
         asked = [item for item in items if item["loc"][:1] != ("body",)]
         sent = [item | {"loc": item["loc"][1:]} for item in items if item["loc"][:1] == ("body",)]
         parameters = [InvalidRequest(".".join(map(str, item["loc"][1:])), in_words(item)) for item in asked]
@@ -101,6 +105,11 @@ def install(app: FastAPI) -> None:
     def _http(request: Request, error: HTTPException) -> Response:
         if error.status_code == 405:  # the framework names the methods of the first route of the path only
             error.headers = {"Allow": ", ".join(_allowed(app, request.url.path))}
+        # What was wrong with a body that the framework could not parse.
+        if error.status_code == 400 and isinstance(error.__cause__, ValueError | RecursionError):
+            return _unreadable(error.__cause__)
+        if isinstance(error.__context__, MultiPartException):
+            return problem(400, f"the body cannot be read as a form: {error.detail}")
         return http_problem(error)
 
     @app.exception_handler(QueueFull)
@@ -145,6 +154,19 @@ def install(app: FastAPI) -> None:
         # The server closes the connection after this, so a client must not send its next request on it.
         headers = {"Connection": "close", HEADER: request.scope.get("request_id", "")}
         return problem(500, "the service made a mistake; its log says which", headers=headers)
+
+
+def _unreadable(error: Exception) -> Response:
+    said = json_mistake(error)
+    # A body that is JSON, but not one that is read, is answered as any other request that is refused.
+    if isinstance(error, JSONDecodeError | UnicodeDecodeError):
+        return problem(400, f"the body cannot be read: {said}")
+    return invalid([InvalidRequest("body", said)])
+
+
+def _without_file(item: dict[str, Any]) -> dict[str, Any]:
+    """An invalid field of a form; a file in the place of a text is called a file."""
+    return item | {"input": "a file"} if isinstance(item.get("input"), UploadFile) else item
 
 
 def _fields_of(request: Request) -> Callable[[list[dict[str, Any]]], list[InvalidRequest]]:

@@ -1,12 +1,11 @@
 """Reads a spec from a file or from standard input."""
 
-import json
 import sys
 from pathlib import Path
 from typing import Any
 
 from services.errors import InvalidRequest
-from services.strict import MOST_NESTED, is_nested_deeper
+from services.json_text import NotJson, read_json
 
 
 def read(path: str, seed: int | None = None) -> dict[str, Any]:
@@ -19,15 +18,10 @@ def read(path: str, seed: int | None = None) -> dict[str, Any]:
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
         raise InvalidRequest("SPEC", f"cannot read {path}: {reason}; give a JSON file, or - for stdin") from error
-    data, deep = None, False
     try:
-        data = json.loads(text)
-    except ValueError as error:
-        raise InvalidRequest("SPEC", f"{path} is not JSON: {error}") from error
-    except RecursionError:
-        deep = True
-    if deep or is_nested_deeper(data):
-        raise InvalidRequest("SPEC", f"{path} is nested deeper than {MOST_NESTED} lists and objects")
+        data = read_json(text)
+    except NotJson as error:
+        raise InvalidRequest("SPEC", f"{path} cannot be read: {error}") from error
     if not isinstance(data, dict):
         raise InvalidRequest("SPEC", f'{path} holds a JSON {type(data).__name__}; a spec is an object: {{"scene": …}}')
     if seed is not None:

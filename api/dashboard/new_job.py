@@ -18,9 +18,9 @@ from api.state import Services, ServicesDependency, no_such
 from services.access.caller import Caller
 from services.errors import InvalidRequest
 from services.jobs.placement import Demand, Priority
+from services.json_text import NotJson, read_json
 from services.pipeline.extensions import ATTACKS, RENDERERS
 from services.pipeline.spec import JobSpec, problems
-from services.strict import MOST_NESTED, is_nested_deeper
 from services.targets.info import available
 
 FIRST = ("furniture/grand-piano", "furniture/soccer-ball", "primitive/sphere")
@@ -99,16 +99,9 @@ class Refused(Exception):
 def _parsed(text: str) -> JobSpec:
     """The request that a text is. Raises Refused with every wrong field."""
     try:
-        data = json.loads(text)
-        deep = is_nested_deeper(data)
-    except ValueError as error:
-        raise Refused([InvalidRequest("body", f"it is not JSON: {error}")]) from error
-    except RecursionError:
-        deep = True
-    if deep:
-        raise Refused([InvalidRequest("body", f"it is nested deeper than {MOST_NESTED} lists and objects")])
-    try:
-        return JobSpec.model_validate(data)
+        return JobSpec.model_validate(read_json(text))
+    except NotJson as error:
+        raise Refused([InvalidRequest("body", str(error))]) from error
     except ValidationError as error:
         raise Refused(problems(error)) from error
 

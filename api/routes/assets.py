@@ -5,7 +5,9 @@ from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, File, Form, HTTPException, Path, Request, Response, UploadFile
+from pydantic import BeforeValidator
 from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import UploadFile as StarletteUploadFile
 
 from api.authentication import CallerDependency
 from api.mesh_uploads import Sent
@@ -24,6 +26,12 @@ router = APIRouter(prefix=PATH, tags=["scenes"])
 log = logger(__name__)
 
 
+def _file(part: object) -> object:
+    if not isinstance(part, StarletteUploadFile):
+        raise ValueError('must be a file, which is a part with a `filename="…"`; this part is a text')
+    return part
+
+
 def form_body(request: Request) -> None:
     """Answers 415 unless the body is a multipart form."""
     if not request.headers.get("content-type", "").lower().startswith("multipart/form-data"):
@@ -36,7 +44,7 @@ async def upload(
     caller: CallerDependency,
     request: Request,
     file: Annotated[
-        list[UploadFile],
+        list[Annotated[UploadFile, BeforeValidator(_file)]],
         File(
             min_length=1,
             max_length=MAX_FILES,

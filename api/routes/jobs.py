@@ -44,7 +44,7 @@ def json_body(request: Request) -> None:
     """Answers 415 unless the content type is JSON, which a form of another web site cannot send."""
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if kind != "application/json" and not re.fullmatch(r"application/[\w.-]+\+json", kind):
-        raise HTTPException(415, "send the job as application/json")
+        raise HTTPException(415, "send the body as application/json")
 
 
 def wait_preferred(prefer: Annotated[str | None, Header()] = None) -> float | None:

@@ -20,7 +20,8 @@ _TEMPLATES = {
     "string_too_long": "must have at most {max_length} characters",
     "string_pattern_mismatch": "must match the pattern {pattern}",
     "too_short": "must have at least {min_length} items",
-    "too_long": "must have at most {max_length} items",
+    "too_long": "must have at most {max_length} items, not {actual_length}",
+    "string_unicode": "must be a text, without half of a pair of UTF-16",
     "enum": "must be one of {expected}",
     "literal_error": "must be one of {expected}",
 }
@@ -36,7 +37,7 @@ _KINDS = {
     "path": "a path",
     "bytes": "a file",
 }
-_WITHOUT_VALUE = ("missing", "extra_forbidden")
+_WITHOUT_VALUE = ("missing", "extra_forbidden", "too_long", "string_unicode")
 _TURN = 360
 _NAMES = {30: "π/6", 45: "π/4", 60: "π/3", 90: "π/2", 180: "π", 270: "3π/2", 360: "2π"}
 _SHOWN = 60

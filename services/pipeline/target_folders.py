@@ -3,7 +3,6 @@
 A folder with a mistake registers nothing; the reason is kept, and the other folders are not affected.
 """
 
-import json
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -13,6 +12,7 @@ from pydantic import ValidationError
 
 from services.errors import InvalidRequest, printable
 from services.extensions import NAME
+from services.json_text import NotJson, read_json
 from services.pipeline.field_errors import invalid_fields
 from services.questions.answers import ANSWERS
 from services.suggestions import there_are
@@ -105,13 +105,13 @@ def read_card(folder: Path) -> tuple[Card, str]:
     """
     data = _read(folder / CARD, 'add one, such as {"labels": ["cat", "dog"]}; docs/targets.md lists its fields')
     try:
-        card = Card.model_validate(json.loads(data))
+        card = Card.model_validate(read_json(data))
     except ValidationError as error:
         first, *others = invalid_fields(error.errors(include_url=False), Card.model_json_schema())
         said = "; ".join([first.detail, *map(str, others)])
         raise InvalidRequest(f"{CARD}: {first.field}", said) from error
-    except (ValueError, RecursionError) as error:
-        raise InvalidRequest(CARD, f"it is not JSON: {error}") from error
+    except NotJson as error:
+        raise InvalidRequest(CARD, str(error)) from error
     return card, sha256(data).hexdigest()
 
 

@@ -31,7 +31,9 @@ def unpack_archive(data: bytes, most: int) -> dict[str, bytes]:
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError, OSError) as error:
         if isinstance(error, InvalidRequest):
             raise
-        raise InvalidRequest("file", f"the zip file is damaged: {str(error)[:200]}") from error
+        # Only the words of the zip reader itself are about the file.
+        said = f"damaged: {str(error)[:200]}" if isinstance(error, zipfile.BadZipFile) else "damaged, or cut off"
+        raise InvalidRequest("file", f"the zip file is {said}") from error
 
 
 def _checked(entries: list[zipfile.ZipInfo], packed: int, most: int) -> dict[str, zipfile.ZipInfo]:

@@ -14,6 +14,7 @@ from services.scenes.image_file import open_texture
 from services.scenes.named import Named
 from services.scenes.references import named_files, texture_name
 from services.scenes.text import decoded
+from services.scenes.unreadable import DAMAGED, Unreadable
 
 IMAGES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".gif", ".tga")
 
@@ -110,4 +111,5 @@ def _checked(data: bytes, path: str) -> bytes:
         image.convert("RGBA").save(buffer, "PNG")
         return buffer.getvalue()
     except (ValueError, OSError, SyntaxError) as error:
-        raise InvalidRequest("file", f"the texture {path} cannot be read: {error}") from error
+        said = error if isinstance(error, Unreadable) else DAMAGED
+        raise InvalidRequest("file", f"the texture {path} cannot be read: {said}") from error

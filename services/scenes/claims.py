@@ -1,13 +1,13 @@
 """Validates a mesh file's format and declared sizes against its bytes before a parser allocates memory for it."""
 
-import json
 import re
 import struct
 from collections.abc import Callable
 
 from services.errors import InvalidRequest
 from services.scenes.archive import SIGNATURE, unpack_archive
-from services.scenes.gltf_file import GltfFile, elements, size
+from services.scenes.gltf_file import GltfFile, elements, json_of, size
+from services.scenes.unreadable import Unreadable
 from services.scenes.xml_file import check_xml
 
 _SIZES = {
@@ -43,25 +43,25 @@ _MAX_BLANK_LINES = 1_000
 
 def _obj(data: bytes, max_faces: int) -> None:
     if b"\0" in data:
-        raise ValueError("it is not text")
+        raise Unreadable("it is not text")
     # Lines are counted before they are kept, which takes 20 times the memory of a short line.
     vertex_lines, face_lines = (_count_lines(data, key) for key in (rb"v[ \t]", rb"f\b"))
     if not vertex_lines:
-        raise ValueError("it has no vertices (`v x y z`)")
+        raise Unreadable("it has no vertices (`v x y z`)")
     if not face_lines:
-        raise ValueError("it has no faces (`f a b c`)")
+        raise Unreadable("it has no faces (`f a b c`)")
     _check_triangle_count(face_lines, max_faces)
     faces = re.findall(rb"^[ \t]*f\b([^\r\n]*)", data, re.MULTILINE)
     _check_triangle_count(sum(len(face.split()) - 2 for face in faces), max_faces)
     _check_vertex_count(vertex_lines, max_faces)
     materials = len(set(re.findall(rb"^[ \t]*usemtl\b([^\r\n]*)", data, re.MULTILINE)))
     if materials > _MAX_PIECES:
-        raise ValueError(f"it has {materials:,} materials; at most {_MAX_PIECES:,} are taken")
+        raise Unreadable(f"it has {materials:,} materials; at most {_MAX_PIECES:,} are taken")
     number = rb"[ \t]+-?\d+(?:/-?\d*){0,2}"
     for face in faces:
         # A backslash continues the line; the continuation is left to the parser.
         if not re.fullmatch(rb"(?:" + number + rb"){3,}[ \t]*\\?", face):
-            raise ValueError(f"the face `f{face[:60].decode('latin-1')}` has no three vertex numbers")
+            raise Unreadable(f"the face `f{face[:60].decode('latin-1')}` has no three vertex numbers")
     vertices = re.findall(rb"^[ \t]*v[ \t]+([^\r\n]*)", data, re.MULTILINE)
     _check_numbers(b" ".join(vertices))
 
@@ -73,7 +73,7 @@ def _count_lines(data: bytes, key: bytes) -> int:
 def _ply(data: bytes, max_faces: int) -> None:
     header, end, body = data.partition(b"end_header")
     if not re.match(rb"ply\r?\n", data) or not end or len(header) > 100_000:
-        raise ValueError("it does not begin with a PLY header")
+        raise Unreadable("it does not begin with a PLY header")
     lines = [line.split() for line in header.decode("ascii", "replace").splitlines()]
     ascii_body = ["format", "ascii", "1.0"] in lines
     counts: dict[str, int] = {}
@@ -82,27 +82,27 @@ def _ply(data: bytes, max_faces: int) -> None:
         if words[:1] == ["element"] and len(words) == 3:
             name, row = words[1], int(words[2])
             if row < 0 or name in counts:
-                raise ValueError("its header declares an element twice, or a negative number of them")
+                raise Unreadable("its header declares an element twice, or a negative number of them")
             counts[name] = row
         elif words[:1] == ["property"] and len(words) in (3, 5):
             # A list may be empty, so at least its count is needed.
             kind = words[2] if words[1] == "list" else words[1]
             if kind not in _SIZES:
-                raise ValueError(f"its header names the unknown type {kind!r}")
+                raise Unreadable(f"its header names the unknown type {kind!r}")
             # In a text file a value takes at least a digit and a blank.
             needed += row * (2 if ascii_body else _SIZES[kind])
     if not counts.get("vertex") or not counts.get("face"):
-        raise ValueError("it has no vertices or no faces")
+        raise Unreadable("it has no vertices or no faces")
     _check_triangle_count(counts["face"], max_faces)
     _check_vertex_count(counts["vertex"], max_faces)
     if needed > len(body) + 1:
-        raise ValueError(f"its header declares at least {needed:,} bytes of elements, but {len(body):,} follow")
+        raise Unreadable(f"its header declares at least {needed:,} bytes of elements, but {len(body):,} follow")
     if ascii_body:
         lines_more = body.count(b"\n") - 1 - sum(counts.values())  # the first ends the header
         if lines_more < -1:  # the last line may have no end
-            raise ValueError("it has fewer lines than its header declares")
+            raise Unreadable("it has fewer lines than its header declares")
         if lines_more > _MAX_BLANK_LINES:
-            raise ValueError(f"it has {lines_more:,} lines more than its header declares")
+            raise Unreadable(f"it has {lines_more:,} lines more than its header declares")
         _check_numbers(body)
 
 
@@ -114,81 +114,81 @@ def _stl(data: bytes, max_faces: int) -> None:
             return
     text = data[:4096].lstrip().lower()
     if not text.startswith(b"solid") or b"\0" in data:
-        raise ValueError("it is neither text that begins with `solid` nor as long as its triangle count says")
+        raise Unreadable("it is neither text that begins with `solid` nor as long as its triangle count says")
     vertices = len(re.findall(rb"\bvertex\b", data, re.IGNORECASE))
     _check_triangle_count(vertices // 3, max_faces)
     complete = len(re.findall(rb"\bvertex(?:[ \t]+[-+.\dA-Za-z]+){3}[ \t]*\r?$", data, re.IGNORECASE | re.MULTILINE))
     if not vertices:
-        raise ValueError("it has no triangles")
+        raise Unreadable("it has no triangles")
     solids = len(re.findall(rb"endsolid", data, re.IGNORECASE))
     if vertices % 3 or complete != vertices or not solids:
-        raise ValueError("its triangles are incomplete")
+        raise Unreadable("its triangles are incomplete")
     if solids > _MAX_PIECES:
-        raise ValueError(f"it has {solids:,} solids; at most {_MAX_PIECES:,} are taken")
+        raise Unreadable(f"it has {solids:,} solids; at most {_MAX_PIECES:,} are taken")
 
 
 def _off(data: bytes, max_faces: int) -> None:
     lines = [line for line in (raw.partition(b"#")[0].strip() for raw in data.splitlines()) if line]
     match = re.match(rb"C?OFF\b(.*)", lines[0]) if lines else None
     if match is None:
-        raise ValueError("it does not begin with OFF or COFF")
+        raise Unreadable("it does not begin with OFF or COFF")
     rest = [match[1].strip(), *lines[1:]] if match[1].strip() else lines[1:]
     counts = rest[0].split() if rest else []
     if len(counts) < 2:
-        raise ValueError("it does not say how many vertices and faces it has")
+        raise Unreadable("it does not say how many vertices and faces it has")
     vertices, faces = int(counts[0]), int(counts[1])
     if vertices < 3 or faces < 1:
-        raise ValueError("it has no vertices or no faces")
+        raise Unreadable("it has no vertices or no faces")
     _check_triangle_count(faces, max_faces)
     _check_vertex_count(vertices, max_faces)
     _check_numbers(b" ".join(rest))
     if len(rest) - 1 < vertices + faces:
-        raise ValueError(f"it declares {vertices:,} vertices and {faces:,} faces, but {len(rest) - 1:,} lines follow")
+        raise Unreadable(f"it declares {vertices:,} vertices and {faces:,} faces, but {len(rest) - 1:,} lines follow")
 
 
 def _glb(data: bytes, _: int) -> None:
     if len(data) < 20 or data[:4] != b"glTF":
-        raise ValueError("it does not begin with glTF")
+        raise Unreadable("it does not begin with glTF")
     version, length, chunk, kind = struct.unpack_from("<IIII", data, 4)
     if version != 2:
-        raise ValueError(f"it is a file of glTF {version}; files of glTF 2 are read")
+        raise Unreadable(f"it is a file of glTF {version}; files of glTF 2 are read")
     if length != len(data):
-        raise ValueError(f"its header says that it has {length:,} bytes, but it has {len(data):,}; is it complete?")
+        raise Unreadable(f"its header says that it has {length:,} bytes, but it has {len(data):,}; is it complete?")
     if kind != 0x4E4F534A or 20 + chunk > len(data):
-        raise ValueError("it does not begin with a whole chunk of JSON")
+        raise Unreadable("it does not begin with a whole chunk of JSON")
 
 
 def _gltf(data: bytes, _: int) -> None:
     text = data.removeprefix(b"\xef\xbb\xbf").lstrip()
     if not text.startswith(b"{"):
-        raise ValueError("it does not begin with an object of JSON")
-    asset = json.loads(text.decode()).get("asset")
+        raise Unreadable("it does not begin with an object of JSON")
+    asset = json_of(text).get("asset")
     version = asset.get("version") if isinstance(asset, dict) else None
     if not str(version).startswith("2"):
-        raise ValueError(f"it is a file of glTF {version!r}; files of glTF 2 are read")
+        raise Unreadable(f"it is a file of glTF {version!r}; files of glTF 2 are read")
 
 
 def _dae(data: bytes, max_faces: int) -> None:
     check_xml(data)
     if not re.match(rb"[\xef\xbb\xbf\s]*<(?:\?xml|COLLADA|!--)", data) or b"<COLLADA" not in data:
-        raise ValueError("it is no COLLADA file")
+        raise Unreadable("it is no COLLADA file")
     for array in re.finditer(rb"<float_array\b[^>]*>([^<]*)", data):
         if re.search(rb"nan|inf", array[1], re.IGNORECASE):  # the parser would make 0 of them
-            raise ValueError("it has numbers that are not finite")
+            raise Unreadable("it has numbers that are not finite")
     counts = re.findall(_COUNT, data)
     _check_triangle_count(sum(map(int, counts)), max_faces)
 
 
 def _3mf(data: bytes, max_faces: int) -> None:
     if not data.startswith(SIGNATURE):
-        raise ValueError("it is no zip file")
+        raise Unreadable("it is no zip file")
     try:
         files = unpack_archive(data, MAX_3MF)
     except InvalidRequest as error:
-        raise ValueError(error.detail) from error
+        raise Unreadable(error.detail) from error
     models = [one for name, one in files.items() if name.lower().endswith(".model")]
     if not models:
-        raise ValueError("there is no 3D model in it")
+        raise Unreadable("there is no 3D model in it")
     for model in models:
         check_xml(model)
     _check_triangle_count(sum(model.count(b"<triangle ") for model in models), max_faces)
@@ -198,32 +198,32 @@ def _3mf(data: bytes, max_faces: int) -> None:
 def check_elements(file: GltfFile, held: int, max_faces: int) -> None:
     """Counts what a glTF file declares. `held` is the number of bytes of the file and those beside it.
 
-    Raises ValueError, which names the element, for more than the limits, and for nodes that are no tree.
+    Raises Unreadable, which names the element, for more than the limits, and for nodes that are no tree.
     """
     for name, most in _MAX_ELEMENTS.items():
         if len(file.array(name)) > most:
-            raise ValueError(f"it has {len(file.array(name)):,} {name}; at most {most:,} are taken")
+            raise Unreadable(f"it has {len(file.array(name)):,} {name}; at most {most:,} are taken")
     if any("bufferView" not in accessor for accessor in file.items("accessors")):
-        raise ValueError("it has accessors without data (compressed geometry is not read)")
+        raise Unreadable("it has accessors without data (compressed geometry is not read)")
     views = enumerate(file.items("bufferViews"))
     if sum(size(view.get("byteLength"), f"bufferViews[{k}].byteLength") for k, view in views) > 4 * held:
-        raise ValueError("its buffer views declare more than the file holds")
+        raise Unreadable("its buffer views declare more than the file holds")
     nodes = file.items("nodes")
     children = [
         size(c, f"nodes[{k}].children") for k, n in enumerate(nodes) for c in elements(n, "children", f"nodes[{k}]")
     ]
     if len(nodes) > _MAX_NODES or len(set(children)) != len(children):
-        raise ValueError(f"its nodes are not a tree of at most {_MAX_NODES:,}")
+        raise Unreadable(f"its nodes are not a tree of at most {_MAX_NODES:,}")
     primitives = sum(len(elements(mesh, "primitives", f"meshes[{k}]")) for k, mesh in enumerate(file.items("meshes")))
     if primitives > _MAX_PRIMITIVES:
-        raise ValueError(f"it has {primitives:,} primitives; at most {_MAX_PRIMITIVES:,} are taken")
+        raise Unreadable(f"it has {primitives:,} primitives; at most {_MAX_PRIMITIVES:,} are taken")
     corners, vertices = 0, 0
     for mesh in range(len(file.array("meshes"))):
         for where, primitive, attributes in file.primitives(mesh):
             position = file.count(attributes["POSITION"])
             for name, accessor in attributes.items():
                 if file.count(accessor) != position:
-                    raise ValueError(f"{where} has {file.count(accessor):,} of {name} for {position:,} vertices")
+                    raise Unreadable(f"{where} has {file.count(accessor):,} of {name} for {position:,} vertices")
             corners += file.count(primitive["indices"]) if "indices" in primitive else position
             vertices += position
     # Every primitive is counted as a triangle list; a strip of the same length has more, which the reader counts.
@@ -236,18 +236,18 @@ def _check_numbers(text: bytes) -> None:
     # Parsers stop at the first word that is not a number and continue with the numbers read so far.
     strange = text.translate(None, b"0123456789+-.eE \t\r\nnaifNAIF")
     if strange:
-        raise ValueError(f"it has {strange[:20].decode('latin-1')!r} where there should be numbers")
+        raise Unreadable(f"it has {strange[:20].decode('latin-1')!r} where there should be numbers")
 
 
 def _check_triangle_count(triangles: int, max_faces: int) -> None:
     if triangles > max_faces:
-        raise ValueError(f"it declares {triangles:,} triangles; at most {max_faces:,} are taken")
+        raise Unreadable(f"it declares {triangles:,} triangles; at most {max_faces:,} are taken")
 
 
 def _check_vertex_count(vertices: int, max_faces: int) -> None:
     # A triangle has three vertices, so more than three per triangle are unused.
     if vertices > 3 * max_faces:
-        raise ValueError(f"it declares {vertices:,} vertices; at most {3 * max_faces:,} are taken")
+        raise Unreadable(f"it declares {vertices:,} vertices; at most {3 * max_faces:,} are taken")
 
 
 CHECKS: dict[str, Callable[[bytes, int], None]] = {
@@ -260,5 +260,5 @@ CHECKS: dict[str, Callable[[bytes, int], None]] = {
     "dae": _dae,
     "3mf": _3mf,
 }
-"""Validators by file kind. Each takes the bytes and the largest number of triangles, and raises ValueError (or another
+"""Validators by file kind. Each takes the bytes and the largest number of triangles, and raises Unreadable (or another
 exception of its parsing) if the file cannot be valid."""

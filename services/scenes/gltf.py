@@ -16,6 +16,7 @@ from services.scenes.gltf_materials import Material, read_material
 from services.scenes.mesh import Doubles, Longs, MaterialSettings, MetallicRoughness, Part, fitted
 from services.scenes.surfaces import MAX_COORDINATE, Textures
 from services.scenes.tangents import derive_tangents
+from services.scenes.unreadable import Unreadable
 
 MAX_PARTS = 2_000
 """Largest number of primitives in the scene; each is a part, which is drawn by itself."""
@@ -28,7 +29,7 @@ _MIN_HEIGHT = 1e-6
 def read_gltf(file: GltfFile, max_faces: int) -> tuple[Part, ...]:
     """Returns the parts of a file's scene, fitted to the frame; alpha-blended parts come last.
 
-    Raises ValueError, which names the element of the file, for invalid elements (`GltfFile`, `read_material`), for
+    Raises Unreadable, which names the element of the file, for invalid elements (`GltfFile`, `read_material`), for
     vertices that are not finite or beyond MAX_COORDINATE, and for more than `max_faces` triangles or none with an area.
     """
     placed = list(_instances(file))
@@ -42,10 +43,10 @@ def read_gltf(file: GltfFile, max_faces: int) -> tuple[Part, ...]:
             primitives[index] = [primitive for primitive in read if primitive is not None]
         count += sum(len(primitive.faces) for primitive in primitives[index])
     if count > max_faces:
-        raise ValueError(f"it has {count:,} triangles; at most {max_faces:,} are taken")
+        raise Unreadable(f"it has {count:,} triangles; at most {max_faces:,} are taken")
     parts = []
     if (total := sum(len(primitives[index]) for index, _ in placed)) > MAX_PARTS:
-        raise ValueError(f"its scene has {total:,} primitives; at most {MAX_PARTS:,} are taken")
+        raise Unreadable(f"its scene has {total:,} primitives; at most {MAX_PARTS:,} are taken")
     for index, transform in placed:
         for primitive in primitives[index]:
             key = primitive.material
@@ -53,7 +54,7 @@ def read_gltf(file: GltfFile, max_faces: int) -> tuple[Part, ...]:
                 materials[key] = read_material(file, key, textures)
             parts.append(primitive.placed(transform))
     if not parts:
-        raise ValueError("it has no triangles")
+        raise Unreadable("it has no triangles")
     _check_texels([materials[primitive.material] for primitive in parts])
     return _parts(parts, [materials[primitive.material] for primitive in parts])
 
@@ -102,7 +103,7 @@ def _instances(file: GltfFile) -> Iterator[tuple[int, Doubles]]:
         index, parent = waiting.pop()
         node = file.item("nodes", index)
         if index in seen:
-            raise ValueError("its nodes are not a tree")
+            raise Unreadable("its nodes are not a tree")
         seen.add(index)
         transform = parent @ _transform(node, f"nodes[{index}]")
         if "mesh" in node:
@@ -120,7 +121,7 @@ def _transform(node: dict[str, Any], where: str) -> Doubles:
     x, y, z, w = numbers(node, "rotation", (0.0, 0.0, 0.0, 1.0), -1.001, 1.001, where)
     length = x * x + y * y + z * z + w * w
     if length < 0.1:
-        raise ValueError(f"{where}.rotation is not a unit quaternion")
+        raise Unreadable(f"{where}.rotation is not a unit quaternion")
     s = 2 / length
     rotation = np.array(
         [
@@ -141,18 +142,18 @@ def _primitive(file: GltfFile, where: str, entry: dict[str, Any], accessors: dic
     attributes = {name: file.values(accessors[name], width) for name, width in columns.items() if name in accessors}
     for name, values in attributes.items():
         if len(values) != len(vertices):
-            raise ValueError(f"{where} has {len(values):,} of {name} for {len(vertices):,} vertices")
+            raise Unreadable(f"{where} has {len(values):,} of {name} for {len(vertices):,} vertices")
         if not np.isfinite(values).all():
-            raise ValueError(f"{where}.attributes.{name} has values that are not finite numbers")
+            raise Unreadable(f"{where}.attributes.{name} has values that are not finite numbers")
         if np.abs(values).max(initial=0) > MAX_COORDINATE:
-            raise ValueError(f"{where}.attributes.{name} has values beyond {MAX_COORDINATE:g}")
+            raise Unreadable(f"{where}.attributes.{name} has values beyond {MAX_COORDINATE:g}")
     corners = file.indices(entry["indices"]) if "indices" in entry else np.arange(len(vertices))
     if len(corners) and corners.max() >= len(vertices):
-        raise ValueError(f"{where}: a face names a vertex that is not there")
+        raise Unreadable(f"{where}: a face names a vertex that is not there")
     mode = entry.get("mode", TRIANGLES)
     if mode == TRIANGLES:
         if len(corners) % 3:
-            raise ValueError(f"{where} has {len(corners):,} corners, which are no whole number of triangles")
+            raise Unreadable(f"{where} has {len(corners):,} corners, which are no whole number of triangles")
         faces = corners.reshape(-1, 3)
     elif mode == STRIP:
         faces = (
@@ -165,9 +166,9 @@ def _primitive(file: GltfFile, where: str, entry: dict[str, Any], accessors: dic
         return None
     used, local = np.unique(faces, return_inverse=True)
     if not np.isfinite(vertices[used]).all():
-        raise ValueError(f"{where} has vertices that are not finite numbers")
+        raise Unreadable(f"{where} has vertices that are not finite numbers")
     if np.abs(vertices[used]).max() > MAX_COORDINATE:
-        raise ValueError(f"{where} has coordinates beyond {MAX_COORDINATE:g}")
+        raise Unreadable(f"{where} has coordinates beyond {MAX_COORDINATE:g}")
     if "material" in entry:
         file.item("materials", entry["material"])
     whole = _Primitive(vertices, faces, attributes, entry.get("material"))
@@ -175,13 +176,13 @@ def _primitive(file: GltfFile, where: str, entry: dict[str, Any], accessors: dic
 
 
 def _parts(primitives: list[_Primitive], materials: list[Material]) -> tuple[Part, ...]:
-    """Returns the parts without degenerate triangles, fitted to the frame. Raises ValueError if no triangle is left."""
+    """Returns the parts without degenerate triangles, fitted to the frame. Raises Unreadable if no triangle is left."""
     points = np.concatenate([primitive.vertices for primitive in primitives])
     if not np.isfinite(points).all() or np.abs(points).max() > MAX_COORDINATE:
-        raise ValueError(f"its nodes put vertices beyond {MAX_COORDINATE:g}")
+        raise Unreadable(f"its nodes put vertices beyond {MAX_COORDINATE:g}")
     extent = float((points.max(axis=0) - points.min(axis=0)).max())
     if extent < 1 / MAX_COORDINATE:
-        raise ValueError("all its vertices are at one point: it has no area")
+        raise Unreadable("all its vertices are at one point: it has no area")
     # Files use any unit; in the file's own unit areas could overflow or underflow.
     middle = points.mean(axis=0)
     parts = []
@@ -195,14 +196,14 @@ def _parts(primitives: list[_Primitive], materials: list[Material]) -> tuple[Par
             used, local = np.unique(primitive.faces[proper], return_inverse=True)
             parts.append(_part(primitive.taken(used, local.reshape(-1, 3)), material))
     if not parts:
-        raise ValueError("none of its triangles has an area")
+        raise Unreadable("none of its triangles has an area")
     return fitted(tuple(sorted(parts, key=_blends)))
 
 
 def _check_texels(materials: list[Material]) -> None:
     size = sum(texture.texels.nbytes for material in materials for texture in material.maps.values())
     if size > MAX_TEXELS:
-        raise ValueError(
+        raise Unreadable(
             f"the textures of its parts take {size:,} bytes, each counted where it is used; at most "
             f"{MAX_TEXELS:,} are taken"
         )
@@ -220,7 +221,7 @@ def _part(primitive: _Primitive, material: Material) -> Part:
     normals = _normals(primitive)
     for name, texture in material.maps.items():
         if f"TEXCOORD_{texture.uv_set}" not in given:
-            raise ValueError(
+            raise Unreadable(
                 f"the {name.replace('_', ' ')} texture wants TEXCOORD_{texture.uv_set}, which is not there"
             )
     tangents = np.zeros((len(normals), 4))

@@ -11,6 +11,7 @@ from services.scenes.gltf_file import GltfFile, MissingFile, number, numbers
 from services.scenes.image_file import FORMATS
 from services.scenes.mesh import AlphaMode, Floats, MapName, MaterialSettings, TextureMap
 from services.scenes.surfaces import Textures
+from services.scenes.unreadable import Unreadable
 
 _WRAPS = (10497, 33071, 33648)
 _MODES: tuple[AlphaMode, ...] = ("OPAQUE", "MASK", "BLEND")
@@ -26,21 +27,21 @@ class Material(MaterialSettings):
 def read_material(file: GltfFile, index: Any, textures: Textures) -> Material:
     """Reads materials[index]; None is glTF's default material: white, metallic 1, roughness 1.
 
-    Raises ValueError, which names the property, for factors that are not finite or out of range, unknown alpha modes,
+    Raises Unreadable, which names the property, for factors that are not finite or out of range, unknown alpha modes,
     and textures that are not images.
     """
     entry = {} if index is None else file.item("materials", index)
     where = "material" if index is None else f"materials[{index}]"
     surface = entry.get("pbrMetallicRoughness", {})
     if not isinstance(surface, dict):
-        raise ValueError(f"{where}.pbrMetallicRoughness is not an object")
+        raise Unreadable(f"{where}.pbrMetallicRoughness is not an object")
     inner = f"{where}.pbrMetallicRoughness"
     mode = entry.get("alphaMode", "OPAQUE")
     if mode not in _MODES:
-        raise ValueError(f"{where}.alphaMode is {mode!r}; glTF has {', '.join(_MODES)}")
+        raise Unreadable(f"{where}.alphaMode is {mode!r}; glTF has {', '.join(_MODES)}")
     double_sided = entry.get("doubleSided", False)
     if not isinstance(double_sided, bool):
-        raise ValueError(f"{where}.doubleSided is {double_sided!r}, which is neither true nor false")
+        raise Unreadable(f"{where}.doubleSided is {double_sided!r}, which is neither true nor false")
     color = numbers(surface, "baseColorFactor", (1.0, 1.0, 1.0, 1.0), 0, 1, inner).astype(np.float32)
     if mode == "OPAQUE":
         color[3] = 1.0
@@ -75,21 +76,21 @@ def read_material(file: GltfFile, index: Any, textures: Textures) -> Material:
 
 def _map(file: GltfFile, info: Any, textures: Textures, where: str) -> TextureMap:
     if not isinstance(info, dict):
-        raise ValueError(f"{where} is not an object")
+        raise Unreadable(f"{where} is not an object")
     uv_set = info.get("texCoord", 0)
     if uv_set not in (0, 1):
-        raise ValueError(f"{where}.texCoord is {uv_set!r}; TEXCOORD_0 and TEXCOORD_1 are read")
+        raise Unreadable(f"{where}.texCoord is {uv_set!r}; TEXCOORD_0 and TEXCOORD_1 are read")
     texture = file.item("textures", info.get("index"))
     webp = texture.get("extensions", {}).get("EXT_texture_webp", {}).get("source")
     source = texture.get("source", webp)
     if source is None:
-        raise ValueError(f"{where} has no image in {FORMATS}")
+        raise Unreadable(f"{where} has no image in {FORMATS}")
     sampler = file.item("samplers", texture["sampler"]) if "sampler" in texture else {}
     wrap = sampler.get("wrapS", _WRAPS[0]), sampler.get("wrapT", _WRAPS[0])
     if not all(mode in _WRAPS for mode in wrap):
-        raise ValueError(f"{where} wraps as {wrap!r}; glTF has {', '.join(map(str, _WRAPS))}")
+        raise Unreadable(f"{where} wraps as {wrap!r}; glTF has {', '.join(map(str, _WRAPS))}")
     try:
         texels = textures.read(file.image(source))
     except (OSError, SyntaxError) as error:  # its header is intact, its data is not
-        raise ValueError(f"{where}: images[{source}] is not a readable {FORMATS} image") from error
+        raise Unreadable(f"{where}: images[{source}] is not a readable {FORMATS} image") from error
     return TextureMap(texels, uv_set, wrap)

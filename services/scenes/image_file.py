@@ -14,6 +14,7 @@ from PIL import Image
 
 from services.errors import InvalidRequest
 from services.scenes.mesh import Bytes
+from services.scenes.unreadable import Unreadable
 
 FORMATS = "PNG, JPEG or WebP"
 MAX_PIXELS = 2**26
@@ -24,11 +25,11 @@ _SIGNATURES = {"PNG": rb"\x89PNG\r\n\x1a\n", "JPEG": rb"\xff\xd8\xff", "WEBP": r
 def open_image(data: bytes) -> Image.Image:
     """Returns an image, not yet decoded. Its size is read from the header.
 
-    Raises ValueError if the bytes are no PNG, JPEG or WebP image, or if the image has more than MAX_PIXELS.
+    Raises Unreadable if the bytes are no PNG, JPEG or WebP image, or if the image has more than MAX_PIXELS.
     """
     kind = next((name for name, mark in _SIGNATURES.items() if re.match(mark, data, re.DOTALL)), None)
     if kind is None:
-        raise ValueError(f"it is no {FORMATS} image")
+        raise Unreadable(f"it is no {FORMATS} image")
     return _opened(data, kind)
 
 
@@ -40,9 +41,9 @@ def _opened(data: bytes, kind: str) -> Image.Image:
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             image = Image.open(BytesIO(data), formats=(kind,))
     except (OSError, SyntaxError, struct.error) as error:
-        raise ValueError(f"it is a damaged {kind} image") from error
+        raise Unreadable(f"it is a damaged {kind} image") from error
     except Image.DecompressionBombError as error:
-        raise ValueError(f"it has more than {MAX_PIXELS:,} pixels") from error
+        raise Unreadable(f"it has more than {MAX_PIXELS:,} pixels") from error
     _check_size(image.width, image.height)
     return image
 
@@ -50,15 +51,15 @@ def _opened(data: bytes, kind: str) -> Image.Image:
 def open_texture(data: bytes, name: str) -> Image.Image:
     """Returns a texture that a mesh names, not yet decoded: of `open_image`'s formats, or BMP, GIF or TGA.
 
-    A TGA file has no signature and is known by its name alone. Raises ValueError.
+    A TGA file has no signature and is known by its name alone. Raises Unreadable.
     """
     kind = next((kind for kind, mark in (("BMP", b"BM"), ("GIF", b"GIF8")) if data.startswith(mark)), None)
     kind = "TGA" if name.lower().endswith(".tga") else kind
     if kind is None:
         try:
             return open_image(data)
-        except ValueError as error:
-            raise ValueError(str(error).replace(FORMATS, "PNG, JPEG, WebP, BMP, GIF or TGA")) from error
+        except Unreadable as error:
+            raise Unreadable(str(error).replace(FORMATS, "PNG, JPEG, WebP, BMP, GIF or TGA")) from error
     return _opened(data, kind)
 
 
@@ -86,7 +87,7 @@ def other_size(found: tuple[int, int], size: tuple[int, int]) -> str:
 
 def _check_size(width: int, height: int) -> None:
     if width * height > MAX_PIXELS:
-        raise ValueError(f"it has {width:,}×{height:,} pixels; at most {MAX_PIXELS:,} are taken")
+        raise Unreadable(f"it has {width:,}×{height:,} pixels; at most {MAX_PIXELS:,} are taken")
 
 
 def _webp_size(data: bytes) -> tuple[int, int]:

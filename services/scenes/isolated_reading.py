@@ -35,7 +35,7 @@ READING_BYTES = AT_ONCE * FILE_BYTES
 """Largest sum of the children's memory."""
 MAX_ANSWER = 2**30
 """Largest answer, bytes."""
-_GONE = "it could not be read within the time and the memory that reading a file may take"
+_GONE = "it is damaged, or could not be read within the time and the memory that reading a file may take"
 
 log = logger(__name__)
 

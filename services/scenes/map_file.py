@@ -9,6 +9,7 @@ import OpenEXR
 from services.errors import InvalidRequest, shortened
 from services.scenes.mesh import Floats
 from services.scenes.radiance_file import read_hdr
+from services.scenes.unreadable import DAMAGED, Unreadable
 
 MAX_TEXELS = 2**25
 """Largest map, texels: 8192 × 4096."""
@@ -27,7 +28,8 @@ def read_map(data: bytes, kind: str) -> Floats:
     except MemoryError:
         raise
     except Exception as error:  # OpenEXR raises many types of exceptions
-        raise InvalidRequest("file", f"it is not a readable {kind} map: {shortened(error)}") from error
+        said = shortened(error) if isinstance(error, Unreadable) else DAMAGED
+        raise InvalidRequest("file", f"it is not a readable {kind} map: {said}") from error
     infinite = int((~np.isfinite(texels)).any(axis=-1).sum())
     negative = int((texels < 0).any(axis=-1).sum())
     for count, what in ((infinite, "not finite numbers"), (negative, "negative")):
@@ -45,10 +47,10 @@ def _read_exr(data: bytes) -> Floats:
         window = header["dataWindow"]
         width, height = window.max.x - window.min.x + 1, window.max.y - window.min.y + 1
         if not 0 < width * height <= MAX_TEXELS:
-            raise ValueError(f"it has {width:,}×{height:,} texels; at most {MAX_TEXELS:,} are taken")
+            raise Unreadable(f"it has {width:,}×{height:,} texels; at most {MAX_TEXELS:,} are taken")
         missing = [name for name in "RGB" if name not in header["channels"]]
         if missing:
-            raise ValueError(f"it has no channel {missing[0]}")
+            raise Unreadable(f"it has no channel {missing[0]}")
         planes = file.channels("RGB", Imath.PixelType(Imath.PixelType.FLOAT))
     finally:
         file.close()

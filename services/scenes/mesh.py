@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.scenes.description import DISTANCE, FIELD_OF_VIEW
+from services.scenes.unreadable import Unreadable
 
 Floats = NDArray[np.float32]
 Doubles = NDArray[np.float64]
@@ -129,13 +130,13 @@ class Mesh:
 def fitted(parts: tuple[Part, ...]) -> tuple[Part, ...]:
     """Translates and uniformly scales the parts together so that they fit the frame (see `Mesh`).
 
-    Raises ValueError if all vertices are at the same point.
+    Raises Unreadable if all vertices are at the same point.
     """
     points = np.concatenate([part.vertices for part in parts]).astype(np.float64)
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
     radius = float(np.sqrt(((points - centre) ** 2).sum(axis=1).max()))
     if not radius > 0:
-        raise ValueError("all vertices are at one point")
+        raise Unreadable("all vertices are at one point")
     scale = FIT_RADIUS / radius
     return tuple(
         replace(part, vertices=((part.vertices.astype(np.float64) - centre) * scale).astype(np.float32))

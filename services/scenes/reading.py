@@ -14,6 +14,7 @@ from services.scenes.gltf_file import GltfFile
 from services.scenes.mesh import Part
 from services.scenes.surfaces import read_surfaces, to_parts
 from services.scenes.text import decoded
+from services.scenes.unreadable import DAMAGED, Unreadable
 from services.scenes.up_axis import is_z_up, upright
 from services.scenes.wavefront import read_opacity
 
@@ -53,10 +54,9 @@ def _parts(data: bytes, kind: str, max_faces: int, beside: Beside) -> tuple[Part
             scene = trimesh.load_scene(BytesIO(text), file_type=kind, resolver=beside, process=False)
     except (MemoryError, InvalidRequest):
         raise
-    except ValueError as error:
-        raise InvalidRequest("file", f"it is not a readable {kind} mesh: {shortened(error)}") from error
     except Exception as error:  # parsers raise many types of exceptions; in every case the file is invalid
-        raise InvalidRequest("file", f"it is not a readable {kind} mesh ({type(error).__name__})") from error
+        said = shortened(error) if isinstance(error, Unreadable) else DAMAGED
+        raise InvalidRequest("file", f"it is not a readable {kind} mesh: {said}") from error
     count = triangles(scene)
     if count > max_faces:
         raise InvalidRequest("file", f"it has {count:,} triangles; at most {max_faces:,} are taken")
@@ -65,7 +65,9 @@ def _parts(data: bytes, kind: str, max_faces: int, beside: Beside) -> tuple[Part
         opacity = {name: value or 1.0 for name, value in read_opacity(beside.libraries()).items()}
         return to_parts(read_surfaces(scene, opacity))
     except (ValueError, OSError, SyntaxError) as error:  # a damaged texture is an OSError or a SyntaxError of Pillow
-        raise InvalidRequest("file", f"it cannot be shown: {shortened(error)}") from error
+        is_ours = isinstance(error, Unreadable)
+        said = shortened(error) if is_ours else "a texture or its coordinates are damaged, or cut off"
+        raise InvalidRequest("file", f"it cannot be shown: {said}") from error
 
 
 def triangles(scene: trimesh.Scene) -> int:

@@ -12,6 +12,7 @@ from services.scenes.image_file import MAX_PIXELS
 from services.scenes.mesh import Bytes, Doubles, Floats, Longs, Part, fitted
 from services.scenes.normals import CREASE_ANGLE, smooth_normals
 from services.scenes.srgb import to_linear
+from services.scenes.unreadable import Unreadable
 
 MAX_TEXTURE = 1024
 """Largest side of a texture, pixels; larger textures are downscaled."""
@@ -37,7 +38,7 @@ class Surface:
 def read_surfaces(scene: trimesh.Scene, opacity: Mapping[str, float] | None = None) -> list[Surface]:
     """Returns all triangles of a loaded scene, with every instance transformed; points and lines are left out.
 
-    `opacity` holds opacities by material name, which the loader does not read (MTL `d` and `Tr`). Raises ValueError if
+    `opacity` holds opacities by material name, which the loader does not read (MTL `d` and `Tr`). Raises Unreadable if
     vertices are not finite or beyond MAX_COORDINATE, or if a face names a vertex that is not there.
     """
     surfaces = []
@@ -49,13 +50,13 @@ def read_surfaces(scene: trimesh.Scene, opacity: Mapping[str, float] | None = No
             continue
         # Checked before the matrix product, whose warnings about non-finite values would hide the cause.
         if not (np.isfinite(geometry.vertices).all() and np.isfinite(transform).all()):
-            raise ValueError("it has vertices that are not finite numbers")
+            raise Unreadable("it has vertices that are not finite numbers")
         if max(np.abs(geometry.vertices).max(), np.abs(transform).max()) > MAX_COORDINATE:
-            raise ValueError(f"it has coordinates beyond {MAX_COORDINATE:g}")
+            raise Unreadable(f"it has coordinates beyond {MAX_COORDINATE:g}")
         vertices = np.asarray(geometry.vertices, np.float64) @ transform[:3, :3].T + transform[:3, 3]
         faces = np.asarray(geometry.faces, np.int64)
         if faces.min() < 0 or faces.max() >= len(vertices):
-            raise ValueError("a face names a vertex that is not there")
+            raise Unreadable("a face names a vertex that is not there")
         surfaces.append(_surface(vertices, faces, geometry.visual, opacity or {}, textures))
     return surfaces
 
@@ -63,26 +64,26 @@ def read_surfaces(scene: trimesh.Scene, opacity: Mapping[str, float] | None = No
 def to_parts(surfaces: Sequence[Surface], crease: float = CREASE_ANGLE) -> tuple[Part, ...]:
     """Computes smooth normals over all surfaces together; returns the parts fitted to the frame, opaque parts first.
 
-    A change of material is not a crease. Vertices must be finite. Raises ValueError if there are no triangles with an
+    A change of material is not a crease. Vertices must be finite. Raises Unreadable if there are no triangles with an
     area.
     """
     surfaces = sorted(surfaces, key=lambda surface: bool(surface.color[3] < 1))
     offsets = np.cumsum([0, *(len(surface.vertices) for surface in surfaces)])
     counts = np.cumsum([0, *(len(surface.faces) for surface in surfaces)])
     if counts[-1] == 0:
-        raise ValueError("it has no triangles")
+        raise Unreadable("it has no triangles")
     vertices = np.concatenate([surface.vertices for surface in surfaces])
     faces = np.concatenate([surface.faces + offset for surface, offset in zip(surfaces, offsets, strict=False)])
     used = vertices[np.unique(faces)]
     extent = float((used.max(axis=0) - used.min(axis=0)).max())
     if extent < 1 / MAX_COORDINATE:
-        raise ValueError("all its vertices are at one point: it has no area")
+        raise Unreadable("all its vertices are at one point: it has no area")
     # Files use any unit; in the file's own unit areas could overflow or underflow.
     vertices = (vertices - used.mean(axis=0)) / extent
 
     smoothed = smooth_normals(vertices, faces, crease)
     if not len(smoothed.faces):
-        raise ValueError("none of its triangles has an area")
+        raise Unreadable("none of its triangles has an area")
     parts = []
     for k, surface in enumerate(surfaces):
         mine = smoothed.faces[(smoothed.kept >= counts[k]) & (smoothed.kept < counts[k + 1])]
@@ -123,7 +124,7 @@ def _surface(
         return Surface(vertices, faces, None, color.astype(np.float32), None)
     uv = np.nan_to_num(np.asarray(uv, np.float32), nan=0.0, posinf=0.0, neginf=0.0)
     if np.abs(uv).max(initial=0) > MAX_COORDINATE:
-        raise ValueError(f"it has texture coordinates beyond {MAX_COORDINATE:g}")
+        raise Unreadable(f"it has texture coordinates beyond {MAX_COORDINATE:g}")
     return Surface(vertices, faces, uv, color.astype(np.float32), textures.read(image))
 
 
@@ -151,11 +152,11 @@ class Textures:
         self._pixels = 0
 
     def read(self, image: Image.Image) -> Bytes:
-        """Returns the image, uint8 [h,w,4], at most MAX_TEXTURE a side. Raises ValueError beyond MAX_TEXTURE_SOURCE."""
+        """Returns the image, uint8 [h,w,4], at most MAX_TEXTURE a side. Raises Unreadable beyond MAX_TEXTURE_SOURCE."""
         if id(image) not in self._done:
             self._pixels += image.width * image.height
             if self._pixels > MAX_TEXTURE_SOURCE:
-                raise ValueError(f"its textures have more than {MAX_TEXTURE_SOURCE:,} pixels")
+                raise Unreadable(f"its textures have more than {MAX_TEXTURE_SOURCE:,} pixels")
             small = _eight_bits(image).convert("RGBA")
             small.thumbnail((MAX_TEXTURE, MAX_TEXTURE), Image.Resampling.BOX)
             self._done[id(image)] = image, np.array(small, dtype=np.uint8)

@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterator
 
 from services.scenes.named import Named
+from services.scenes.unreadable import Unreadable
 
 _ENCODINGS = (b"utf-8", b"us-ascii", b"ascii", b"iso-8859-1", b"windows-1252")
 _SLOTS = {
@@ -23,17 +24,17 @@ _SOURCE = re.compile(r"<(?:source|init_from)>([^<]*)|<instance_image\s+url=\"#([
 
 
 def check_xml(data: bytes) -> None:
-    """Raises ValueError for a document type, which is where entities are declared, or an unusual encoding.
+    """Raises Unreadable for a document type, which is where entities are declared, or an unusual encoding.
 
     Entities can name files and addresses, and a few of them stand for gigabytes; another encoding would hide them.
     """
     if b"\0" in data or data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        raise ValueError("its text is not UTF-8")
+        raise Unreadable("its text is not UTF-8")
     declared = re.match(rb"[\xef\xbb\xbf\s]*<\?xml[^>]*?encoding\s*=\s*[\"']([^\"']*)", data)
     if declared and declared[1].lower() not in _ENCODINGS:
-        raise ValueError(f"its encoding is {declared[1][:40].decode('latin-1')!r}; UTF-8 is read")
+        raise Unreadable(f"its encoding is {declared[1][:40].decode('latin-1')!r}; UTF-8 is read")
     if re.search(rb"<!\s*(?:DOCTYPE|ENTITY)", data, re.IGNORECASE):
-        raise ValueError("it declares a document type or entities, which are not read")
+        raise Unreadable("it declares a document type or entities, which are not read")
 
 
 def collada_images(data: bytes) -> list[Named]:

@@ -48,7 +48,7 @@ BODIES = {
     "a bad image": ("/v1/rerenderings", '{"image": {"job": "' + "k" * 1_000_000 + '"}}', 422),
     **{
         f"nested {depth} in {path} {place}": (path, text.replace("…", nested(depth)), status)
-        for depth, status in ((70, 422), (500, 422), (5000, 400))
+        for depth, status in ((70, 422), (500, 422), (5000, 422))
         for path, place, text in (
             ("/v1/jobs", "scene", '{"scene": …}'),
             ("/v1/jobs", "record", '{"record": {"mask": …}}'),
@@ -71,7 +71,7 @@ def test_a_bad_body_has_a_short_answer(client: Client, path: str, body: str, sta
 @pytest.mark.parametrize("depth", range(900, 1000, 9))
 def test_depths_at_which_the_stack_ends_somewhere_are_no_mistake_of_the_service(client: Client, depth: int) -> None:
     answer = client.post("/v1/jobs", content='{"record": {"mask": ' + nested(depth) + "}}", headers=JSON)
-    assert answer.status_code in (400, 422)
+    assert answer.status_code == 422
 
 
 HEADERS = {

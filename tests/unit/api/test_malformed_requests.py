@@ -60,7 +60,7 @@ JSON_TEXTS = {
     "infinity": (b'{"attack": {"epsilon": -Infinity}}', 422),
     "beyond float": (b'{"attack": {"epsilon": 1e999}}', 422),
     "beyond int": (b'{"seed": ' + b"9" * 1000 + b"}", 422),
-    "beyond what Python reads": (b'{"seed": ' + b"9" * 100_000 + b"}", 400),
+    "beyond what Python reads": (b'{"seed": ' + b"9" * 100_000 + b"}", 422),
     "no UTF-8": (b'{"name": "\xff\xfe"}', 400),
     "a byte order mark": (b"\xef\xbb\xbf{}", 422),
     "UTF-16": ('{"a": 1}'.encode("utf-16"), 422),
@@ -72,6 +72,7 @@ JSON_TEXTS = {
     "an attribute of classes": (b'{"__class__": {"__init__": 1}}', 422),
     "two documents": (b"{}{}", 400),
 }
+INTERNALS = ("UploadFile", "There was an error", "sys.", "Expecting", "codec", "<class", "Error)", "^[", "Headers(")
 POSTS = ("/v1/jobs", "/v1/campaigns", "/v1/rerenderings")
 
 
@@ -83,6 +84,75 @@ def test_a_body_that_is_no_request(client: Client, path: str, name: str) -> None
     assert answer.status_code == status, answer.text[:500]
     assert answer.headers["content-type"] == "application/problem+json"
     assert len(answer.content) < 5000
+    assert not [one for one in INTERNALS if one in answer.text], answer.text
+
+
+def part(head: str, data: str = "x") -> str:
+    return f"--b\r\ncontent-disposition: form-data; {head}\r\n\r\n{data}\r\n"
+
+
+FILE = part('name="file"; filename="m.obj"', "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+FORMS = {
+    "a text for a file": ("/v1/assets", part('name="file"'), "file.0", "must be a file"),
+    "a text beside a file": ("/v1/assets", FILE + part('name="file"'), "file.1", "must be a file"),
+    "a file for a text": (
+        "/v1/assets",
+        FILE + part('name="name"; filename="k"'),
+        "name",
+        'must be a text, not "a file"',
+    ),
+    "a file for a choice": ("/v1/assets", FILE + part('name="up"; filename="k"'), "up", "must be one of 'y' or 'z'"),
+    "too many files": (
+        "/v1/assets",
+        "".join(part(f'name="file"; filename="{k}.png"') for k in range(501)),
+        "file",
+        "must have at most 500 items, not 501",
+    ),
+    "a file for a request": ("/new", part('name="spec"; filename="s"'), "spec", "must be a text"),
+    "a file for a key": ("/sign-in", part('name="key"; filename="k"'), "key", "must be a text"),
+    "a file for an action": (
+        "/jobs/selected",
+        part('name="action"; filename="k"'),
+        "action",
+        "must be one of 'cancel'",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_a_form_with_a_wrong_part_is_answered_in_words(client: Client, name: str) -> None:
+    path, parts, field, said = FORMS[name]
+    kind = {"content-type": "multipart/form-data; boundary=b"}
+    answer = client.post(path, content=f"{parts}--b--\r\n", headers=kind)
+    assert answer.status_code == 422, answer.text
+    (error,) = answer.json()["errors"]
+    assert error["field"] == field
+    assert said in error["detail"]
+    assert not [one for one in INTERNALS if one in answer.text], answer.text
+
+
+@pytest.mark.parametrize(
+    ("body", "status", "said"),
+    [
+        ('{"scene": {"objects"', 400, "it is not JSON: a colon is missing at line 1, column 21"),
+        ('{"seed": ' + "9" * 5000 + "}", 422, "body: it has a number of more than 4,300 digits"),
+        ("[" * 5000 + "]" * 5000, 422, "body: it is nested deeper than 64 lists and objects"),
+        ('{"a": "\xe9"}', 400, "it is not UTF-8 text: byte 8 cannot be"),
+    ],
+    ids=["half", "a long number", "nested", "latin-1"],
+)
+@pytest.mark.parametrize("path", [*POSTS, "/v1/webhooks", "/v1/preview"])
+def test_a_body_that_cannot_be_read_is_answered_in_words(
+    client: Client, path: str, body: str, status: int, said: str
+) -> None:
+    answer = client.post(path, content=body.encode("latin-1"), headers={"content-type": "application/json"})
+    assert (answer.status_code, said in answer.json()["detail"]) == (status, True), answer.text
+
+
+def test_a_form_that_is_none_is_answered_in_words(client: Client) -> None:
+    answer = client.post("/v1/assets", content="x", headers={"content-type": "multipart/form-data; boundary=b"})
+    assert answer.status_code == 400
+    assert answer.json()["detail"].startswith("the body cannot be read as a form: ")
 
 
 HEADERS = {

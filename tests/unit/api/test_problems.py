@@ -16,7 +16,7 @@ PROBLEMS = {
     "wrong method": ("DELETE", "/v1/jobs", {}, 405),
     "not JSON": ("POST", "/v1/jobs", {"content": "{", "headers": JSON}, 400),
     "not UTF-8": ("POST", "/v1/jobs", {"content": b'{"\xff": 1}', "headers": JSON}, 400),
-    "nested without end": ("POST", "/v1/jobs", {"content": "[" * 200_000, "headers": JSON}, 400),
+    "nested without end": ("POST", "/v1/jobs", {"content": "[" * 200_000, "headers": JSON}, 422),
     "no body": ("POST", "/v1/jobs", {"headers": JSON}, 422),
     "a list": ("POST", "/v1/jobs", {"content": "[]", "headers": JSON}, 422),
     "too large": ("POST", "/v1/jobs", {"content": b" " * (2**20 + 1), "headers": JSON}, 413),

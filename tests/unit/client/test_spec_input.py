@@ -21,7 +21,7 @@ def test_dash_is_standard_input(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (b"{", "not JSON: Expecting property name enclosed in double quotes: line 1 column 2"),
+        (b"{", "not JSON: the name of a field, in double quotation marks, is missing at line 1, column 2"),
         (b"[]", "holds a JSON list; a spec is an object"),
         (b"\xff", "not UTF-8 text"),
         (b"[" * 200_000, "nested deeper than 64"),

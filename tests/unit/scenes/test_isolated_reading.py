@@ -148,7 +148,7 @@ def test_a_child_that_ends_without_an_answer_is_the_files_fault(monkeypatch, end
         end.close()
 
     monkeypatch.setattr(mine, "_hand_over", hand_over)
-    with pytest.raises(InvalidRequest, match="file: it could not be read within the time and the memory"):
+    with pytest.raises(InvalidRequest, match="could not be read within the time and the memory"):
         mine.read_mesh(bytes(2**20), "obj", MAX_FACES)
     child["thread"].join()
 

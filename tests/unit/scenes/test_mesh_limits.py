@@ -65,7 +65,7 @@ def test_polygons_count_as_the_triangles_they_become():
         ),
         ("off", "OFF\n3 1000000000000 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n", "declares"),
         ("off", "OFF\n1000000000000 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n", "declares"),
-        ("off", "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n", "range"),
+        ("off", "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 7\n", "damaged"),
         ("off", "OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 z\n3 0 1 2\n", "'z'"),
         ("stl", "solid a\nendsolid a\n", "no triangles"),
         ("stl", ASCII_STL.decode().replace("vertex", "vertex x", 1), "incomplete"),
