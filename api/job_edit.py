@@ -3,13 +3,24 @@
 import re
 from typing import Annotated
 
-from pydantic import ConfigDict, Field
+from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
 
 from services.strict import Strict
+from services.written_text import line, line_or_nothing, paragraphs
 
 TAG_PATTERN = re.compile(r'[^\s,:"\x00-\x1f\x7f-\x9f]{1,50}')
 MOST_TAGS = 20
-Tag = Annotated[str, Field(pattern=f"^{TAG_PATTERN.pattern}$")]
+Tag = Annotated[str, Field(pattern=f"^{TAG_PATTERN.pattern}$"), AfterValidator(line)]
+_TAG: TypeAdapter[str] = TypeAdapter(Tag)
+
+
+def is_tag(text: str) -> bool:
+    """Whether a job may have this tag."""
+    try:
+        _TAG.validate_python(text)
+    except ValidationError:
+        return False
+    return True
 
 
 class JobEdit(Strict):
@@ -17,13 +28,15 @@ class JobEdit(Strict):
 
     model_config = ConfigDict(extra="forbid")
 
-    title: Annotated[str, Field(max_length=100)] | None = Field(
+    title: Annotated[str, Field(max_length=100), AfterValidator(line_or_nothing)] | None = Field(
         None, description='a name that a person gives the job; "" or null for none'
     )
     tags: Annotated[list[Tag], Field(max_length=MOST_TAGS)] | None = Field(
         None, description="all tags of the job, each without spaces, commas, colons and quotation marks; null for none"
     )
-    note: Annotated[str, Field(max_length=10_000)] | None = Field(None, description='a text; "" or null for none')
+    note: Annotated[str, Field(max_length=10_000), AfterValidator(paragraphs)] | None = Field(
+        None, description='a text; "" or null for none'
+    )
 
     def changes(self) -> dict[str, object]:
         """The columns to write."""

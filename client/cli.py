@@ -122,6 +122,8 @@ def _is_outage(error: Exception) -> bool:
 
 
 def _end(code: int, *messages: str) -> NoReturn:
+    from services.written_text import visible
+
     for message in messages:
-        print(f"scene-attack: {message}", file=sys.stderr)
+        print(f"scene-attack: {visible(message)}", file=sys.stderr)
     sys.exit(code)

@@ -2,23 +2,34 @@
 
 import json
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
 from rich.text import Text
 
 from client.fitted_table import FittedTable
+from services.written_text import escaped, visible
+
+
+class PlainConsole(Console):
+    """A console that shows a replacement character for each that would steer the terminal: services may send any."""
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
+        """The pieces of what is printed."""
+        for piece in super().render(renderable, options):
+            yield piece if piece.control else Segment(visible(piece.text), piece.style)
 
 
 def out() -> Console:
     """The console of results, on stdout. Without a terminal it is 200 columns wide, so that no column is cut."""
-    return Console(width=None if sys.stdout.isatty() else 200)
+    return PlainConsole(width=None if sys.stdout.isatty() else 200)
 
 
 def err() -> Console:
     """The console of progress and remarks, on stderr."""
-    return Console(stderr=True, width=None if sys.stderr.isatty() else 200)
+    return PlainConsole(stderr=True, width=None if sys.stderr.isatty() else 200)
 
 
 def report_extensions() -> None:
@@ -43,7 +54,7 @@ def report_targets() -> None:
 
 def print_json(data: Any) -> None:
     """Prints one JSON document on stdout. Raises ValueError for a number that is not finite."""
-    print(json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False))
+    print(escaped(json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False)))
 
 
 def table(

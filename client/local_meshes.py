@@ -50,11 +50,11 @@ def bundle_at(path: Path) -> "Bundle":
     from services.scenes.sent_files import to_bundle
     from services.scenes.uploads import max_unpacked
     from services.settings import settings
+    from services.written_text import visible
 
     files = [(name, one.read_bytes()) for name, one in with_files_beside([path])]
-    return to_bundle(
-        files, None, path.name if len(files) > 1 else None, About(title=path.stem), max_unpacked(settings())
-    )
+    about = About(title=visible(path.stem)[:100])
+    return to_bundle(files, None, path.name if len(files) > 1 else None, about, max_unpacked(settings()))
 
 
 def _say(mesh: str, entry: "Entry") -> None:

@@ -13,8 +13,9 @@ from api.dashboard.pages import HEADERS
 from api.job_edit import JobEdit
 from api.retries import retry
 from api.state import KnownJob, ServicesDependency, no_such
-from services.errors import InvalidRequest
+from services.errors import InvalidFields
 from services.jobs.models import Job
+from services.pipeline.field_errors import invalid_fields
 
 router = APIRouter(include_in_schema=False)
 
@@ -51,8 +52,7 @@ def edit(
     try:
         changes = JobEdit.model_validate(said)
     except ValidationError as error:
-        first = error.errors()[0]
-        raise InvalidRequest(str(first["loc"][0]), first["msg"]) from error
+        raise InvalidFields(invalid_fields(error.errors(include_url=False), JobEdit.model_json_schema())) from error
     services.lists.edit(job.id, changes.changes())
     return _to(f"/jobs/{job.id}")
 

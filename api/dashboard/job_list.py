@@ -12,7 +12,7 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from api.authentication import CallerDependency
 from api.dashboard.pages import HEADERS, html
-from api.job_edit import MOST_TAGS, TAG_PATTERN
+from api.job_edit import MOST_TAGS, is_tag
 from api.job_places import SORT_PATTERN, read_cursor, write_cursor
 from api.retries import retry
 from api.state import Services, ServicesDependency
@@ -121,7 +121,7 @@ def act(
 ) -> Response:
     """Does something with the ticked jobs and redirects to the list; where some refuse, it shows the list and why."""
     refused = [] if job else ["no job is ticked"]
-    if action == "tag" and not TAG_PATTERN.fullmatch(tag):
+    if action == "tag" and not is_tag(tag):
         refused.append("a tag has 1 to 50 characters without spaces, commas, colons and quotation marks")
     for job_id in dict.fromkeys(job) if not refused else ():
         try:

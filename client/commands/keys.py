@@ -141,10 +141,14 @@ def _place() -> str:
 
 def _word(field: str, text: str, least: int = 1) -> str:
     from services.errors import InvalidRequest
+    from services.written_text import line_or_nothing
 
-    if not least <= len(text) <= LONGEST or not text.isprintable():
-        raise InvalidRequest(field, f"it has {least} to {LONGEST} characters that can be printed")
-    return text
+    if not least <= len(text) <= LONGEST:
+        raise InvalidRequest(field, f"it has {least} to {LONGEST} characters")
+    try:
+        return line_or_nothing(text)
+    except ValueError as error:
+        raise InvalidRequest(field, str(error)) from error
 
 
 def _shown(key: "AccessKey") -> dict[str, Any]:

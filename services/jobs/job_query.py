@@ -14,6 +14,7 @@ from services.attacks.verdict import Verdict
 from services.errors import InvalidRequest
 from services.jobs.models import State
 from services.suggestions import there_are
+from services.written_text import character, unfit
 
 LONGEST = 4000
 """Characters of the longest query. Each may take 12 bytes of an address, of which the head of a request has 64 kB."""
@@ -59,23 +60,23 @@ def parse_query(text: str) -> tuple[Term, ...]:
     """The terms of a query. Raises InvalidRequest("q"), which says where the query cannot be read and what is right."""
     if len(text) > LONGEST:
         raise InvalidRequest("q", f"a query has at most {LONGEST:,} characters, and this one {len(text):,}")
-    if "\0" in text:
-        raise _unread(text.index("\0"), "this is the character U+0000, which no text may have")
+    if found := unfit(text.replace("\n", " ").replace("\t", " ")):
+        raise _unread(found.start(), f"this is the character {character(found)}, which no name, title or tag has")
     terms, at = [], 0
     while at < len(text):
         if text[at].isspace():
             at += 1
             continue
-        found = _TERM.match(text, at)
-        assert found is not None  # every part of the pattern may be empty
-        if found.end() < len(text) and not text[found.end()].isspace():
-            raise _unread(text.index('"', found.end()), "this quotation mark has no second one")
-        terms.append(_term(found))
+        term = _TERM.match(text, at)
+        assert term is not None  # every part of the pattern may be empty
+        if term.end() < len(text) and not text[term.end()].isspace():
+            raise _unread(text.index('"', term.end()), "this quotation mark has no second one")
+        terms.append(_term(term))
         if len(terms) > MOST_TERMS:
             raise _unread(at, f"a query has at most {MOST_TERMS} conditions, and this is one more")
         if sum(len(term.values) for term in terms) > MOST_VALUES:
             raise _unread(at, f"a query has at most {MOST_VALUES} values, and these are more")
-        at = found.end()
+        at = term.end()
     return tuple(terms)
 
 

@@ -11,26 +11,20 @@ from pydantic import AfterValidator, Field, ValidationError, field_validator, mo
 
 from services.analysis.requests import AnalysisRequest
 from services.attacks.spec import AttackSettings, Goal, Seed
-from services.errors import InvalidFields, InvalidRequest, printable
+from services.errors import InvalidFields, InvalidRequest
 from services.pipeline.campaign_questions import Member, QuestionGrid
 from services.pipeline.campaign_scenes import MAX_LISTED, SceneGrid, once
 from services.pipeline.field_errors import invalid_fields
 from services.pipeline.spec import AnyAttack, AnyTolerance, JobSpec, TargetChoice, with_method
 from services.rendering.plan import DEFAULT_TOLERANCE
 from services.scenes.description import Model, Scene, absent
+from services.written_text import line
 
 MOST_GENERATED = 200
 """Jobs in a list whose scenes are to be generated, 10 ms each before the answer; a grid's are made afterwards."""
 
 
-def _shown(name: str) -> str:
-    """The name itself. Raises ValueError for control characters: terminals, which show names, would obey them."""
-    if printable(name) != name:
-        raise ValueError("it has characters that cannot be shown; use text of one line without control characters")
-    return name
-
-
-Name = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_shown)]
+Name = Annotated[str, Field(min_length=1, max_length=100), AfterValidator(line)]
 
 
 def _confident(value: object) -> bool:

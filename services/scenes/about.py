@@ -3,19 +3,25 @@
 import json
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-PRINTABLE = r"^[^\x00-\x1f\x7f-\x9f]*$"
-"""Text of one line, without the characters that steer a terminal."""
+from services.written_text import line
+
 Up = Literal["y", "z"]
 Title = Annotated[
-    str, Field(min_length=1, max_length=100, pattern=PRINTABLE, description="the name that people see beside the hash")
+    str,
+    Field(min_length=1, max_length=100, description="the name that people see beside the hash"),
+    AfterValidator(line),
 ]
 Licence = Annotated[
-    str, Field(min_length=1, max_length=100, pattern=PRINTABLE, description="the licence that it may be used under")
+    str,
+    Field(min_length=1, max_length=100, description="the licence that it may be used under"),
+    AfterValidator(line),
 ]
 Credit = Annotated[
-    str, Field(min_length=1, max_length=500, pattern=PRINTABLE, description="whom to name wherever it is shown")
+    str,
+    Field(min_length=1, max_length=500, description="whom to name wherever it is shown"),
+    AfterValidator(line),
 ]
 
 
@@ -27,10 +33,11 @@ class About(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    title: Title | None = None
+    # What is stored is read as it is: it was checked when it was sent, by the rules of its time.
+    title: str | None = None
     up: Up | None = None
-    licence: Licence | None = None
-    credit: Credit | None = None
+    licence: str | None = None
+    credit: str | None = None
 
     def digest_part(self) -> str:
         """What the hash of an upload covers of this; nothing if nothing is said."""

@@ -63,6 +63,8 @@ def test_the_text_of_a_key_is_all_of_stdout(data: Path) -> None:
         (["create", ""], "NAME"),
         (["create", "x" * 101], "NAME"),
         (["create", "alice", "--owner", "a\nb"], "--owner"),
+        (["create", "a\u202eb"], "NAME"),
+        (["create", " "], "NAME"),
         (["create", "alice", "--days", "0"], "--days"),
         (["create", "alice", "--days", "1e9"], "--days"),
         (["create", "alice", "--days", "nan"], "--days"),
