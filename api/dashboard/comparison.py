@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from itertools import zip_longest
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, HTTPException, Query, Response
+from fastapi import APIRouter, Query, Response
 
 from api.authentication import CallerDependency
 from api.dashboard.charts import Overlay, overlay
@@ -13,6 +13,7 @@ from api.dashboard.pages import html
 from api.dashboard.words import setting
 from api.state import ServicesDependency, no_such
 from services.attacks.verdict import with_outcome
+from services.errors import InvalidRequest
 from services.jobs.models import Job
 
 LETTERS = "ABCDEFGH"
@@ -75,10 +76,16 @@ def compare(
 
 
 def named(listed: str, ticked: Sequence[str], what: str) -> list[str]:
-    """The ids in a list with commas and of ticked boxes. Answers 422 unless they can be compared; `what` says how."""
-    ids = [*(one.strip() for one in listed.split(",") if one.strip()), *ticked]
+    """The ids in a list with commas and of ticked boxes. `what` is the field, and how it is written.
+
+    Raises InvalidRequest, which names the field, unless they can be compared.
+    """
+    ids = [one.strip() for one in (*(listed.split(",") if listed.strip() else ()), *ticked)]
+    field = what.partition(",")[0]
+    if not all(ids):
+        raise InvalidRequest(field, "one of the ids is empty")
     if not 2 <= len(ids) <= len(LETTERS):
-        raise HTTPException(422, f"name 2 to {len(LETTERS)} {what}; {len(ids)} are named")
+        raise InvalidRequest(field, f"name 2 to {len(LETTERS)} {what}; {len(ids)} are named")
     return ids
 
 

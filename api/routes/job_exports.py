@@ -3,13 +3,14 @@
 import csv
 import io
 import json
+import re
 from collections.abc import Iterator
 from datetime import datetime
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Depends, Query
 from fastapi.responses import StreamingResponse
-from pydantic import BaseModel, Field, StringConstraints
+from pydantic import AfterValidator, BaseModel, Field, WithJsonSchema
 
 from api.authentication import CallerDependency
 from api.routes.jobs import NEWEST, QueryText, Sort
@@ -21,7 +22,15 @@ from services.jobs.models import State
 
 AT_ONCE = 500
 """Jobs that are read from the database at once."""
-JobId = Annotated[str, StringConstraints(pattern="^[0-9a-f]{32}$")]
+
+
+def _job_id(text: str) -> str:
+    if not re.fullmatch("[0-9a-f]{32}", text):
+        raise ValueError("it is no id of a job, which has 32 hexadecimal digits")
+    return text
+
+
+JobId = Annotated[str, AfterValidator(_job_id), WithJsonSchema({"type": "string", "pattern": "^[0-9a-f]{32}$"})]
 Ticked = Annotated[list[JobId] | None, Query(max_length=200, description="ids of jobs, if only these are wanted")]
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
@@ -63,34 +72,34 @@ class JobTable(BaseModel):
 COLUMNS = tuple(JobRow.model_fields)
 
 
-@router.get("/jobs.csv", response_class=StreamingResponse, responses={200: {"content": {"text/csv": {}}}})
-def as_csv(
+def job_rows(
     services: ServicesDependency,
     caller: CallerDependency,
     q: QueryText = None,
     sort: Sort = NEWEST,
     job: Ticked = None,
-) -> StreamingResponse:
+) -> Iterator[dict[str, Any]]:
+    """The lines of the table, in the order of `sort`: the caller's jobs that meet the query, of `job` if it is given.
+
+    Raises InvalidRequest("q").
+    """
+    terms = parse_query(q or "")
+    return _jobs(services, caller, [*terms, *([] if job is None else [Term("id", "=", tuple(job))])], sort)
+
+
+JobRows = Annotated[Iterator[dict[str, Any]], Depends(job_rows)]
+
+
+@router.get("/jobs.csv", response_class=StreamingResponse, responses={200: {"content": {"text/csv": {}}}})
+def as_csv(rows: JobRows) -> StreamingResponse:
     """Every job that meets a query, as a table with one line each. p is a number, not in thousandths."""
-    found = _jobs(services, caller, _terms(q, job), sort)
-    return _file(_csv_lines(found), "text/csv; charset=utf-8", "jobs.csv")
+    return _file(_csv_lines(rows), "text/csv; charset=utf-8", "jobs.csv")
 
 
 @router.get("/jobs.json", response_class=StreamingResponse, responses={200: {"model": JobTable}})
-def as_json(
-    services: ServicesDependency,
-    caller: CallerDependency,
-    q: QueryText = None,
-    sort: Sort = NEWEST,
-    job: Ticked = None,
-) -> StreamingResponse:
+def as_json(rows: JobRows) -> StreamingResponse:
     """Every job that meets a query, with the columns of the table."""
-    found = _jobs(services, caller, _terms(q, job), sort)
-    return _file(_json_lines(found), "application/json", "jobs.json")
-
-
-def _terms(q: str | None, ticked: list[str] | None) -> list[Term]:
-    return [*parse_query(q or ""), *([Term("id", "=", tuple(ticked))] if ticked else [])]
+    return _file(_json_lines(rows), "application/json", "jobs.json")
 
 
 def _file(lines: Iterator[str], media_type: str, name: str) -> StreamingResponse:

@@ -117,7 +117,9 @@ async def page(
     q: QueryText = None,
     sort: Sort = NEWEST,
     state: State | None = None,
-    campaign: Annotated[str | None, Query(max_length=32, description="id of the campaign that queued the jobs")] = None,
+    campaign: Annotated[
+        str | None, Query(min_length=1, max_length=32, description="id of the campaign that queued the jobs")
+    ] = None,
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
     cursor: Annotated[str | None, Query(max_length=2000, description="`next` or `previous` of another page")] = None,
 ) -> Response:

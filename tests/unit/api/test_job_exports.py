@@ -28,3 +28,28 @@ def test_no_title_and_no_tags_are_a_formula(
     table = client.get("/v1/jobs.csv", params={"job": finished}).text
     [row] = csv.DictReader(io.StringIO(table, newline=""))
     assert (row["title"], row["tags"]) == (f"'{begin}cmd()", f"'{begin.strip()}cmd()")
+
+
+@pytest.mark.parametrize("query", ["job=", "job=&job=", "job=%20", "job=*", "q=id:", "q=id:%22%22"])
+@pytest.mark.parametrize("path", ["/v1/jobs.csv", "/v1/jobs.json"])
+def test_an_empty_id_is_not_every_job(client: httpx.Client, path: str, query: str) -> None:
+    answer = client.get(f"{path}?{query}")
+    assert answer.status_code == 422, answer.text
+    assert answer.json()["errors"][0]["field"] == ("q" if query.startswith("q") else "job.0")
+    assert "^[" not in answer.text
+
+
+@pytest.mark.parametrize(
+    ("query", "field"),
+    [
+        ("/v1/jobs?campaign=", "campaign"),
+        ("/compare?job=&job=", "jobs"),
+        ("/compare?jobs=", "jobs"),
+        ("/compare?jobs=a,,b", "jobs"),
+        ("/compare/campaigns?campaigns=,", "campaigns"),
+    ],
+)
+def test_no_id_of_a_list_is_empty(client: httpx.Client, query: str, field: str) -> None:
+    answer = client.get(query)
+    assert answer.status_code == 422, answer.text
+    assert [error["field"] for error in answer.json()["errors"]] == [field]

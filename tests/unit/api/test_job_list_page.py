@@ -8,6 +8,7 @@ import pytest
 from httpx import ASGITransport
 
 from api.dashboard.comparison import differences
+from services.errors import InvalidRequest
 from services.jobs.lists import JobLists
 from services.jobs.repository import Repository
 from services.pipeline.spec import parse
@@ -130,7 +131,8 @@ async def test_a_comparison_shows_what_differs_and_both_curves(repository: Repos
     assert len(tags.all("img")) - 1 == 6
     by_form = await send(repository, f"/compare?job={one.id}&job={other.id}&q=&sort=p&against=step")
     assert by_form.status_code == 200
-    assert (await send(repository, f"/compare?jobs={one.id}")).status_code == 422
+    with pytest.raises(InvalidRequest, match="jobs: name 2 to 8 jobs"):
+        await send(repository, f"/compare?jobs={one.id}")
     assert (await send(repository, f"/compare?jobs={one.id},unknown")).status_code == 404
 
 
