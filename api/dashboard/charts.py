@@ -82,14 +82,22 @@ class Overlay:
     y_ticks: list[Tick]
 
 
-def overlay(title: str, x_label: str, curves: Sequence[tuple[str, Sequence[tuple[float, float]]]]) -> Overlay | None:
-    """Lays out curves, each a name and points (x, y), over common axes; None if no point is finite."""
+def overlay(
+    title: str,
+    x_label: str,
+    curves: Sequence[tuple[str, Sequence[tuple[float, float]]]],
+    include: Sequence[float] = (),
+) -> Overlay | None:
+    """Lays out curves, each a name and points (x, y), over common axes; None if no point is finite.
+
+    The y axis has the values `include`.
+    """
     finite = [[point for point in points if isfinite(point[0]) and isfinite(point[1])] for _, points in curves]
     shown = [point for points in finite for point in points]
     if not shown:
         return None
     x_axis = _Axis([x for x, _ in shown], LEFT, WIDTH - RIGHT)
-    y_axis = _Axis([y for _, y in shown], HEIGHT - BOTTOM, TOP)
+    y_axis = _Axis([*(y for _, y in shown), *include], HEIGHT - BOTTOM, TOP)
     ends = [f"{name} {points[-1][1]:.3g}" for (name, _), points in zip(curves, finite, strict=True) if points]
     return Overlay(
         title=title,

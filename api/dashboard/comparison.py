@@ -1,6 +1,6 @@
 """The page that compares jobs: what differs in their requests, their results, images and curves."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
 from typing import Annotated, Any, Literal
@@ -10,20 +10,22 @@ from fastapi import APIRouter, Query, Response
 from api.authentication import CallerDependency
 from api.dashboard.charts import Overlay, overlay
 from api.dashboard.pages import html
+from api.dashboard.unfinished import all_events, trace_of_events
 from api.dashboard.words import setting
-from api.state import ServicesDependency, no_such
+from api.state import Services, ServicesDependency, no_such
 from services.attacks.verdict import with_outcome
 from services.errors import InvalidRequest
 from services.jobs.models import Job
 
 LETTERS = "ABCDEFGH"
 """Names of what is compared, at most so many: more colours cannot be told apart."""
-CURVES = {
-    "loss": "Probability to lower",
-    "advantage": "Log-probability advantage",
-    "perceptibility": "Perceptibility p",
-    "distance": "Distance ‖ΔY‖₂",
+CURVES: dict[str, tuple[str, tuple[float, ...]]] = {
+    "loss": ("Probability to lower", (0, 1)),
+    "advantage": ("Log-probability advantage", (0,)),
+    "perceptibility": ("Perceptibility p", (0,)),
+    "distance": ("Distance ‖ΔY‖₂", (0,)),
 }
+"""The title of each curve, and values that its axis has."""
 Against = Literal["step", "queries", "seconds"]
 ABSENT = "–"
 """What the table shows of a job whose request has no such field, or null there."""
@@ -38,12 +40,10 @@ class Compared:
     job: Job
     letter: str
     outcome: dict[str, Any] | None
-
-    @property
-    def trace(self) -> Sequence[Mapping[str, Any]]:
-        """The rows of the result's trace, empty without a result."""
-        found: Sequence[Mapping[str, Any]] = self.job.result["trace"] if self.job.result else ()
-        return found
+    trace: Sequence[Mapping[str, Any]]
+    """The rows of the result's trace, or those so far."""
+    images: Collection[str]
+    """Names of the images that there are."""
 
 
 @router.get("/compare")
@@ -61,8 +61,8 @@ def compare(
         found = caller.visible(services.repository.get(job_id, with_result=True))
         if found is None:
             raise no_such(f"job as {job_id}")
-        compared.append(Compared(found, letter, with_outcome(found.outcome)))
-    charts = [(name, curve) for name, title in CURVES.items() if (curve := _curve(compared, name, title, against))]
+        compared.append(_compared(services, found, letter))
+    charts = [(name, curve) for name in CURVES if (curve := _curve(compared, name, against))]
     return html(
         "compare.html",
         caller=caller,
@@ -73,6 +73,12 @@ def compare(
         charts=charts,
         rows=_table(compared, against),
     )
+
+
+def _compared(services: Services, job: Job, letter: str) -> Compared:
+    trace = job.result["trace"] if job.result else trace_of_events(all_events(services.repository, job.id))
+    images = {one.name for one in services.repository.artifacts(job.id) if one.media_type == "image/png"}
+    return Compared(job, letter, with_outcome(job.outcome), trace, images)
 
 
 def named(listed: str, ticked: Sequence[str], what: str) -> list[str]:
@@ -109,12 +115,13 @@ def _fields(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
         yield from _fields(one, f"{path}.{name}" if path else str(name))
 
 
-def _curve(compared: Sequence[Compared], name: str, title: str, against: str) -> Overlay | None:
+def _curve(compared: Sequence[Compared], name: str, against: str) -> Overlay | None:
+    title, include = CURVES[name]
     curves = [
         (one.letter, [(row[against], row[name]) for row in one.trace if name in row and against in row])
         for one in compared
     ]
-    return overlay(title, against, curves)
+    return overlay(title, against, curves, include)
 
 
 ROWS = 40

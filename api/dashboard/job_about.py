@@ -30,13 +30,15 @@ class About:
     retry_of: str | None
     retries: Sequence[str]
     """Ids of the jobs that repeat this one."""
+    went_on: bool
+    """Whether it began with the checkpoint of `retry_of`."""
     deletable: bool
 
 
-def about(job: Job, retries: Sequence[str]) -> About:
+def about(job: Job, retries: Sequence[str], went_on: bool) -> About:
     """What people have said about a job, and the jobs that repeat it."""
     deletable = job.state.terminal and job.campaign_id is None
-    return About(job.title, job.tags or [], job.note, job.retry_of, retries, deletable)
+    return About(job.title, job.tags or [], job.note, job.retry_of, retries, went_on, deletable)
 
 
 @router.post("/jobs/{job_id}/about")

@@ -1,7 +1,7 @@
 """Routes of the pages of jobs. A script keeps the pages up to date; they also work without it."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -13,11 +13,12 @@ from api.dashboard import views
 from api.dashboard.commands import commands
 from api.dashboard.job_about import about
 from api.dashboard.pages import HEADERS, STATIC, VERSION, html
+from api.dashboard.unfinished import all_events
 from api.routes.continuing import continued
 from api.state import KnownJob, Services, ServicesDependency, no_such
 from services.access.caller import Caller
 from services.jobs.artifacts import Damaged
-from services.jobs.models import Artifact, Event
+from services.jobs.models import Artifact
 from services.pipeline.result import BEST_SO_FAR
 
 _KINDS = {"css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
@@ -69,19 +70,12 @@ def _job(template: str, job_id: str, services: Services, caller: Caller, request
     found = caller.visible(services.repository.get(job_id, with_result=True))
     if found is None:
         raise no_such("job")
-    events = [] if found.result else _all_events(services, job_id)
+    events = [] if found.result else all_events(services.repository, job_id)
     artifacts = services.repository.artifacts(job_id)
     page = views.page(found, events, artifacts, _best_so_far(services, artifacts))
-    said = about(found, services.lists.retries(job_id, caller.only))
+    said = about(found, services.lists.retries(job_id, caller.only), page.went_on)
     sent_again = commands(found.spec, str(request.base_url).rstrip("/"), with_key=bool(caller.key))
     return html(template, caller=caller, page=page, about=said, commands=sent_again)
-
-
-def _all_events(services: Services, job_id: str) -> Iterator[Event]:
-    after = 0
-    while page := services.repository.events(job_id, after):
-        yield from page
-        after = page[-1].number
 
 
 def _best_so_far(services: Services, artifacts: Sequence[Artifact]) -> dict[str, Any] | None:

@@ -7,6 +7,7 @@ from typing import Any
 
 from api.dashboard.charts import Chart, chart
 from api.dashboard.questions import Question, SceneObject, objects, questions
+from api.dashboard.unfinished import trace_of_events
 from api.dashboard.upset import Upset, upset
 from services.attacks.verdict import judge, with_outcome
 from services.jobs.listed_job import ListedJob
@@ -75,6 +76,8 @@ class Page:
     """The best so far of a job that ended before its time (services.pipeline.best_so_far)."""
     continuable: bool
     """Whether another job can go on from its checkpoint."""
+    went_on: bool
+    """Whether it began with the checkpoint of the job that it repeats."""
     cancellable: bool
     analysed: bool
     """Whether the request asked for analyses, and they are made."""
@@ -119,6 +122,11 @@ def page(job: Job, events: Iterable[Event], artifacts: Sequence[Artifact], best:
     rows = subsets(job.result)
     names = {group: group_words(job.spec, group) for group in (rows[-1]["groups"] if rows else ())}
     shares = None if job.result is None else job.result.get("attribution")
+    has_checkpoint = any(one.name == CHECKPOINT for one in artifacts)
+    # It has a checkpoint from its beginning. One that only repeats has none with a result, and else its own later.
+    went_on = (
+        has_checkpoint and job.retry_of is not None and (job.result is not None or not trace or trace[0]["step"] > 0)
+    )
     return Page(
         line=line(job),
         spec=job.spec,
@@ -141,7 +149,8 @@ def page(job: Job, events: Iterable[Event], artifacts: Sequence[Artifact], best:
         artifacts=[one for one in artifacts if one.name not in shown],
         attention_files=[one for one in artifacts if one.name in shown],
         best=best,
-        continuable=job.state in (State.CANCELLED, State.FAILED) and any(one.name == CHECKPOINT for one in artifacts),
+        continuable=has_checkpoint and job.state in (State.CANCELLED, State.FAILED),
+        went_on=went_on,
         cancellable=not job.state.terminal and job.state != State.CANCELLING,
         analysed=job.result is not None and any(job.result.get("analyses", {}).values()),
         questions=asked,
@@ -164,19 +173,6 @@ def subsets(result: dict[str, Any] | None) -> list[dict[str, Any]]:
         return []
     truth, first = result.get("truth", ()), result["original"]["label"]
     return [one | {"outcome": judge(truth, first, one["label"], one["fooled"])} for one in result["subsets"]]
-
-
-def trace_of_events(events: Iterable[Event]) -> list[dict[str, Any]]:
-    """The trace so far. A resumed attempt repeats some steps; its rows replace the earlier rows of these steps."""
-    rows: list[dict[str, Any]] = []
-    for event in events:
-        if event.kind != "progress":
-            continue
-        for row in event.data["rows"]:
-            while rows and rows[-1]["step"] >= row["step"]:
-                rows.pop()
-            rows.append(row)
-    return rows
 
 
 def evenly(trace: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

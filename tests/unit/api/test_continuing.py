@@ -59,3 +59,26 @@ def test_the_button_of_the_page_leads_to_the_new_job(client: Client, services: S
     assert answer.status_code == 303
     assert client.get(answer.headers["location"]).status_code == 200
     assert "/continue" not in client.get(f"/jobs/{cancelled(services).id}").text
+    assert "Goes on from the checkpoint of" in client.get(answer.headers["location"]).text
+    repeated = client.post(f"/jobs/{job.id}/retry").headers["location"]
+    assert "Repeats" in client.get(repeated).text
+
+
+def test_a_job_without_a_result_is_compared_by_what_it_has(client: Client, services: Services) -> None:
+    row = {"queries": 4, "seconds": 0.1, "advantage": 1.5, "perceptibility": 0.25, "distance": 0.5, "loss": 0.99995}
+    jobs = []
+    for _ in range(2):
+        job, _ = services.repository.create(parse(SPHERE), 1000, None, lambda _: {})
+        assert job is not None
+        attempt = services.repository.lease(job.id, "test", 60)
+        assert attempt is not None
+        services.repository.progress(attempt, "attacking", 1, 2, [row | {"step": step} for step in (0, 1)])
+        services.repository.request_cancel(job.id)
+        files = [Artifact(job_id=job.id, name="attacked.png", sha256="ab" * 32, media_type="image/png", size=3)]
+        services.repository.cancelled(attempt, files)
+        jobs.append(job.id)
+    page = client.get(f"/compare?jobs={jobs[0]},{jobs[1]}").text
+    assert f"/v1/jobs/{jobs[1]}/artifacts/attacked.png" in page
+    assert "original.png" not in page
+    assert page.count("against queries; at the end: A") == 4
+    assert ">0.9999" not in page  # the axis of a probability is from 0 to 1

@@ -46,7 +46,7 @@ async def test_the_strip_and_the_totals(repository: Repository) -> None:
     add(repository)
     add(repository, parse({"scene": {"objects": [{"mesh": "primitive/cube"}]}}))
     text = Tags((await send(repository, "/?q=scene:piano")).text).text
-    assert "Running 1 Queued 2 Time left about 3.8 s Verified 1 of 1" in text
+    assert "Running 1 Queued 2 Time left about 3.8 s Fooled, verified 1 of 1" in text
     assert "3 jobs that meet the query; verified 1 of 1; 1,234 queries; 1.2 s of run time" in text
 
 
