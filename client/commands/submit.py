@@ -59,10 +59,9 @@ def follow(client: "ApiClient", job: dict[str, Any]) -> dict[str, Any]:
     """Shows the job's progress until it has ended; returns the finished job. Ctrl-C ends the showing, not the job."""
     from client.console import err
     from client.live import JobLine
-    from services.pipeline.names import attack_name, job_name
 
     try:
-        with JobLine(f"{job_name(job['spec'])}, {attack_name(job['spec'])}") as line:
+        with JobLine(f"{job['name']}, {job['attack']}") as line:
             for event in client.events(job["id"]):
                 if event.kind == "progress":
                     rows = event.data["rows"]
@@ -76,18 +75,19 @@ def follow(client: "ApiClient", job: dict[str, Any]) -> dict[str, Any]:
 
 
 def show(job: dict[str, Any]) -> None:
-    """Prints a job: its outcome if it succeeded, otherwise its state and the reason for a failure."""
+    """Prints a job: its outcome if it succeeded, otherwise its state and the reason for a failure; then what people
+    said of it.
+    """
     from client.console import err, out, state_text, table
     from client.outcomes import COLUMNS, SPARE, cells
     from client.question_tables import print_answered
-    from services.pipeline.names import attack_name, job_name
     from services.pipeline.question_record import QuestionResult
 
-    scene, attack = job_name(job["spec"]), attack_name(job["spec"])
+    scene, attack = job.get("title") or job["name"], job["attack"]
     if job.get("outcome"):
         out().print(table(COLUMNS, [cells(scene, attack, job["outcome"])], spare=SPARE))
         print_answered([QuestionResult.model_validate(one) for one in job["result"].get("questions", ())])
-        return
+        return _say(job)
     out().print(table(("id", "state", "scene", "attack"), [[job["id"], state_text(job["state"]), scene, attack]]))
     if job.get("waiting"):
         err().print(f"waits: {job['waiting']}", markup=False, highlight=False)
@@ -95,3 +95,13 @@ def show(job: dict[str, Any]) -> None:
         err().print(f"rejected: {error['field']}: {error['detail']}", markup=False, highlight=False)
     if job.get("failure"):
         err().print(f"failed ({job['failure']['kind']}): {job['failure']['detail']}", markup=False, highlight=False)
+    return _say(job)
+
+
+def _say(job: dict[str, Any]) -> None:
+    from client.console import out
+
+    if job.get("tags"):
+        out().print(f"tags: {' '.join(job['tags'])}", markup=False, highlight=False)
+    if job.get("note"):
+        out().print(f"note: {job['note']}", markup=False, highlight=False)

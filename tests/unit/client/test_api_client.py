@@ -211,6 +211,19 @@ def test_a_job_that_no_worker_can_run_says_why(client: ApiClient, script: Script
     assert f"waits: {why}" in shown.output
 
 
+def test_a_job_is_shown_as_people_call_it(client: ApiClient, script: Script) -> None:
+    spec = parse({"scene": {"objects": [{"mesh": f"sha256:{'0' * 64}"}]}}).model_dump(mode="json")
+    job = {"id": "1", "state": "failed", "name": "vase", "attack": "a", "spec": spec}
+    script.answers += [says(200, job), says(200, job | {"title": "Figure 3", "tags": ["paper"], "note": "Look twice."})]
+    plain, named = (
+        CliRunner().invoke(app, ["jobs", "show", "1" * 32, "--url", client.url], env={"COLUMNS": "200"}).output
+        for _ in range(2)
+    )
+    assert "vase" in plain
+    assert "sha256" not in plain
+    assert all(text in named for text in ("Figure 3", "tags: paper", "note: Look twice."))
+
+
 def test_nobody_there_is_not_ready() -> None:
     with ApiClient("http://127.0.0.1:1") as nobody:
         assert not nobody.ready()

@@ -23,7 +23,7 @@ class Interrupted:
 
 
 def test_a_job_of_a_service_goes_on(capfd: pytest.CaptureFixture[str]) -> None:
-    job = {"id": "0f3c", "spec": parse(SPHERE).model_dump(mode="json")}
+    job = {"id": "0f3c", "name": "sphere", "attack": "image fgsm", "spec": parse(SPHERE).model_dump(mode="json")}
     with pytest.raises(KeyboardInterrupt):
         submit.follow(cast(ApiClient, Interrupted()), job)
     assert "The job goes on. `scene-attack jobs watch 0f3c` follows it" in capfd.readouterr().err
