@@ -1,10 +1,15 @@
 """The page "New job" in a real browser, on the real stack."""
 
+import base64
 import json
 from collections.abc import Iterator
+from io import BytesIO
+from math import ceil
 from typing import Any
 
+import numpy as np
 import pytest
+from PIL import Image
 from playwright.sync_api import Browser, Page, expect
 
 from tests.integration.browser import launched
@@ -101,6 +106,48 @@ def test_a_job_is_made_with_the_form_beside_its_preview(stack: Stack, page: Page
     assert spec(page) == job["spec"]
 
 
+def noise(height: int, width: int) -> bytes:
+    buffer = BytesIO()
+    texels = np.random.default_rng(8).integers(0, 256, (height, width, 3), np.uint8)
+    Image.fromarray(texels).save(buffer, "PNG")
+    return buffer.getvalue()
+
+
+def test_a_picture_is_chosen_as_background(stack: Stack, page: Page) -> None:
+    page.goto(f"{stack.client.base_url}/new?mesh=primitive/sphere")
+    wait_for_answer(page)
+    plain = page.locator("#picture").evaluate(LIGHT)
+    box = page.locator("#f-scene\\.background-has")
+    box.evaluate(UNFOLD)
+    box.check()
+    chooser = page.locator("#f-scene\\.background\\.image")
+    chooser.evaluate(UNFOLD)
+    state = page.locator("#f-scene\\.background\\.image-state")
+    chooser.set_input_files({"name": "a.png", "mimeType": "image/png", "buffer": b"no picture"})
+    expect(state).to_contain_text("it is no PNG, JPEG or WebP file")
+    assert "image" not in spec(page)["scene"]["background"]
+
+    exact = noise(224, 224)
+    chooser.set_input_files({"name": "a.png", "mimeType": "image/png", "buffer": exact})
+    expect(state).to_contain_text(f"{ceil(len(exact) / 1000)} kB")
+    assert base64.b64decode(spec(page)["scene"]["background"]["image"]) == exact
+    wait_for_answer(page)
+    shown = page.locator("#picture").evaluate(LIGHT)
+    assert shown != plain
+
+    page.locator("#f-scene\\.background\\.image").set_input_files(
+        {"name": "large.png", "mimeType": "image/png", "buffer": noise(500, 900)}
+    )
+    expect(state).not_to_contain_text(f"{ceil(len(exact) / 1000)} kB")
+    with Image.open(BytesIO(base64.b64decode(spec(page)["scene"]["background"]["image"]))) as fitted:
+        assert fitted.size == (224, 224)
+    wait_for_answer(page)
+    assert page.locator("#picture").evaluate(LIGHT) not in (plain, shown)
+    page.get_by_role("button", name="Remove the picture").click()
+    assert "image" not in spec(page)["scene"]["background"]
+    expect(state).to_contain_text("No picture")
+
+
 def test_without_a_script_the_json_is_a_form(stack: Stack, browser: Browser) -> None:
     context = browser.new_context(java_script_enabled=False)
     page = context.new_page()
@@ -134,6 +181,8 @@ def test_the_whole_form_is_accessible(stack: Stack, browser: Browser, theme: Any
         expect(page.locator("#problems a")).to_have_count(4)
         for field in ("scene.objects.0.scale", "seed", "scene.camera.size", "attack.steps"):
             expect(page.locator(f"[id='f-{field}-error']")).not_to_be_empty()
+        page.locator("#f-scene\\.background-has").evaluate(UNFOLD)
+        page.locator("#f-scene\\.background-has").check()
         page.evaluate("for (const one of document.querySelectorAll('details')) one.open = true")
         save(page, f"new-errors-{theme}-{width}.png")
         page.evaluate(AXE)

@@ -1,4 +1,5 @@
 // Makes the fields of a request from its JSON schema. The request is the only state: a field shows a part of it.
+import { pictureField } from "./picture.js";
 import { at, fieldOf, put, read, resolved, written } from "./schema.js";
 
 // The fields that are shown at once, by path; those of an object that is not listed here are all shown.
@@ -110,6 +111,7 @@ export class Fields {
     if (kind === "list") return this.list(name, schema, path);
     if (place === "attack.groups") return this.groups(path);
     if (kind === "tuple") return this.tuple(name, schema, path);
+    if (place === "scene.background.image") return this.picture(name, schema, path);
     return this.single(name, schema, path, kind);
   }
 
@@ -200,6 +202,14 @@ export class Fields {
       return input;
     });
     return element("fieldset", { id, class: "inline" }, element("legend", {}, words(name)), ...inputs, this.hint(schema, id), this.error(id));
+  }
+
+  picture(name, schema, path) {
+    const id = `f-${path.join(".")}`;
+    const camera = (of) => at(of, ["scene", "camera", "size"]);
+    const size = () => camera(this.spec) ?? camera(this.filled) ?? this.defs.Camera.properties.size.default;
+    const made = pictureField(id, words(name), at(this.spec, path), size, (picture) => this.set(path, picture, true));
+    return element("div", { class: "field" }, ...made, this.hint(schema, id), this.error(id));
   }
 
   single(name, schema, path, kind) {
