@@ -18,6 +18,7 @@ from services.analysis.records import (
     Subset,
     Transferred,
 )
+from services.signed import signed
 
 STRONGEST = 20
 """Number of coordinates that a table shows, those of the largest Shapley values; the JSON has all."""
@@ -86,12 +87,13 @@ def _attribution(found: Attribution, title: str) -> FittedTable:
         rows.append(
             [
                 found.parts[i],
-                f"{found.log_odds.shapley[i]:+.3f}{error}",
-                f"{100 * found.probability.shapley[i]:+.2f} %",
+                f"{signed(found.log_odds.shapley[i], '.3f')}{error}",
+                f"{signed(100 * found.probability.shapley[i], '.2f')} %",
                 _strongest_partner(found, i),
             ]
         )
-    rows.append(["all", f"{found.log_odds.effect:+.3f}", f"{100 * found.probability.effect:+.2f} %", ""])
+    effect = signed(100 * found.probability.effect, ".2f")
+    rows.append(["all", signed(found.log_odds.effect, ".3f"), f"{effect} %", ""])
     columns = ("part", "log-odds of the goal's label>", "its probability>", "strongest interaction (log-odds)")
     return table(columns, rows, title=f"{title}, {how}, {found.images:,} images")
 
@@ -101,7 +103,7 @@ def _strongest_partner(found: Attribution, part: int) -> str:
     if matrix is None or len(matrix) < 2:
         return ""
     other = max((j for j in range(len(matrix)) if j != part), key=lambda j: abs(matrix[part][j]))
-    return f"{matrix[part][other]:+.3f} with {found.parts[other]}"
+    return f"{signed(matrix[part][other], '.3f')} with {found.parts[other]}"
 
 
 def _minimal(found: MinimalChange) -> Iterator[FittedTable]:

@@ -18,6 +18,7 @@ from services.access.caller import Caller
 from services.jobs.models import CampaignState, State
 from services.pipeline.names import group_words
 from services.pipeline.question_record import CHANGED
+from services.signed import signed
 
 HEADERS = {
     "Content-Security-Policy": (
@@ -79,6 +80,7 @@ _templates.globals |= {
     "static": static,
     "words": words,
     "group_words": group_words,
+    "signed": signed,
     "states": list(State),
 }
 _templates.globals["areas"] = AREAS

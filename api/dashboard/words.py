@@ -6,6 +6,7 @@ from datetime import datetime
 from typing import Any
 
 from services.attacks.verdict import WRONG_BEFORE as WRONG_BEFORE
+from services.signed import signed
 
 FAILURES = {
     "non-finite": "An image, loss or gradient was not a number, so the attack could not go on.",
@@ -73,7 +74,7 @@ def strongest_interaction(attribution: Mapping[str, Any], part: int) -> str:
     if not matrix or len(matrix) < 2:
         return ""
     other = max((j for j in range(len(matrix)) if j != part), key=lambda j: abs(matrix[part][j]))
-    return f"{matrix[part][other]:+.3f} with {attribution['parts'][other]}"
+    return f"{signed(matrix[part][other], '.3f')} with {attribution['parts'][other]}"
 
 
 def small(value: float | str) -> str:

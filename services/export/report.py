@@ -13,6 +13,7 @@ from services.export.parameters import ParameterTable
 from services.export.readme import bibtex, sentence
 from services.pipeline.names import attack_name, group_words, job_name
 from services.pipeline.result import Result
+from services.signed import signed
 
 WIDTH, HEIGHT = 420, 160
 """Size of a curve's box, SVG units."""
@@ -26,6 +27,7 @@ _templates = Environment(
     loader=PackageLoader(__package__), undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, autoescape=True
 )
 _templates.filters["zip"] = zip
+_templates.globals["signed"] = signed
 
 
 class Curve(BaseModel):
