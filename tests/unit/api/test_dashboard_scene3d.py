@@ -39,7 +39,7 @@ def ended(repository: Repository, spec: JobSpec, *names: str) -> Job:
 
 @pytest.mark.parametrize(("spec", "sides"), [(SPEC, ["before"]), (MOVED, ["before", "after"])])
 async def test_a_job_has_its_scene_and_links_to_it(repository: Repository, spec: JobSpec, sides: list[str]) -> None:
-    job = ended(repository, spec, "perturbation.safetensors")
+    job = ended(repository, spec, "perturbation.safetensors", "result.json")
     tags = Tags((await get(repository, f"/jobs/{job.id}")).text)
     files = {side: f"/v1/jobs/{job.id}/scene.glb?which={side}" for side in sides}
     (view,) = tags.all("scene-3d")
@@ -53,6 +53,26 @@ async def test_a_job_that_stored_no_perturbation_has_a_sentence(repository: Repo
     page = await get(repository, f"/jobs/{job.id}")
     assert "stored no perturbation" in Tags(page.text).text
     assert "scene.glb" not in page.text
+
+
+async def test_a_job_whose_result_is_no_file_asks_for_no_scene(repository: Repository) -> None:
+    job = ended(repository, MOVED, "perturbation.safetensors")
+    page = await get(repository, f"/jobs/{job.id}")
+    assert "stored no result as a file" in Tags(page.text).text
+    assert "scene.glb" not in page.text
+
+
+@pytest.mark.parametrize(
+    ("background", "said"), [({}, "the environment map, is not in this view"), ({"image": "AAAA"}, "a picture, is not")]
+)
+async def test_a_background_that_the_view_has_not_is_said(
+    repository: Repository, background: dict[str, str], said: str
+) -> None:
+    scene = {"objects": [{"mesh": "furniture/grand-piano"}]}
+    for behind, is_said in ((background, True), (None, False)):
+        spec = parse({"scene": scene | {"background": behind}, "attack": {"renderer": "pyrender"}})
+        job = ended(repository, spec, "perturbation.safetensors", "result.json")
+        assert (said in Tags((await get(repository, f"/jobs/{job.id}")).text).text) == is_said
 
 
 async def test_a_job_without_a_result_has_no_scene(repository: Repository) -> None:
