@@ -158,17 +158,17 @@ def delete(
 
 @app.command(epilog="Example: [bold]scene-attack assets environments[/bold]")
 def environments(as_json: JsonOption = False) -> None:
-    """List the environment maps."""
-    from client.console import out, print_json
+    """List the environment maps of this machine, with their creators and licences."""
+    from client.console import out, print_json, table
 
     library = _library()
     uploaded = [entry for entry in library.entries(category="upload") if entry.kind == "environment"]
     entries = [*library.environments(), *uploaded]
     if as_json:
-        print_json([entry.name for entry in entries])
+        print_json([entry.model_dump(mode="json") for entry in entries])
     else:
-        lines = [f"{entry.name}  {entry.title}" if entry in uploaded else entry.name for entry in entries]
-        out().print("\n".join(lines), markup=False, highlight=False)
+        rows = [[one.name, one.title, one.creator, one.licence, one.credit or ""] for one in entries]
+        out().print(table(("map", "title", "creator", "licence", "credit"), rows, spare=("credit", "title")))
 
 
 def _library() -> "Library":
