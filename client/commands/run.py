@@ -51,6 +51,8 @@ def run(
     from services.device import check_device
     from services.pipeline.names import attack_name, job_name
     from services.pipeline.spec import parse
+    from services.scenes.library import Library
+    from services.settings import settings
 
     check_device()
     keep_memory()
@@ -60,7 +62,8 @@ def run(
     check_free(out, job)
     prepare_folder(out)
     words = job.model_dump(mode="json")
-    name, attack = job_name(words), attack_name(words)
+    titles = Library(settings().cache_dir, settings().files).titles(thing.mesh for thing in job.scene.objects)
+    name, attack = job_name(words, titles), attack_name(words)
     try:
         with JobLine(f"{name}, {attack}") as line:
             result = _execute(job, out, line)

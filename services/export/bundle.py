@@ -24,6 +24,7 @@ from services.export.scene_glb import scene_glb
 from services.export.scene_values import moves_the_scene, scene_values
 from services.export.torch_values import as_colors, light_maps, normal_maps
 from services.pipeline.execute import PERTURBATION, RESULT
+from services.pipeline.names import job_name
 from services.pipeline.prepare import lit_by_map, resolved_scene
 from services.pipeline.result import Result
 from services.pipeline.spec import JobSpec, parse
@@ -43,6 +44,8 @@ Write = Callable[[str, bytes], None]
 class Finished:
     """A finished job: its result, its spec as it ran, its scene with the assets of today, and its perturbation."""
 
+    name: str
+    """The name of its scene or question."""
     result: Result
     spec: JobSpec
     scene: ResolvedScene
@@ -72,7 +75,8 @@ def read_finished(files: Files, library: Library) -> Finished:
     if missing := [group for group in spec.attack.groups if group not in perturbation]:
         raise InvalidRequest("result", f"its {PERTURBATION} has no {', '.join(missing)}")
     ordered = {group: perturbation[group] for group in spec.attack.groups}  # the file's order is that of a hash map
-    return Finished(result, spec, resolved_scene(spec, library), ordered)
+    titles = library.titles(thing.mesh for thing in spec.scene.objects)
+    return Finished(job_name(result.spec, titles), result, spec, resolved_scene(spec, library), ordered)
 
 
 def write_bundle(files: Files, library: Library, write: Write, job: str | None = None) -> None:
@@ -103,8 +107,8 @@ def write_bundle(files: Files, library: Library, write: Write, job: str | None =
     }
     table = parameter_table(done.scene, done.spec.attack.renderer, done.perturbation, of_groups)
     put("parameters.json", _json(table.model_dump(mode="json")))
-    put("report.html", report(done.result, table, files, job).encode())
-    put("README.md", readme(done.result, done.spec, done.scene, written, job).encode())
+    put("report.html", report(done.result, done.name, table, files, job).encode())
+    put("README.md", readme(done.result, done.name, done.spec, done.scene, written, job).encode())
 
 
 def _write_maps(done: Finished, put: Write) -> None:

@@ -8,7 +8,7 @@ from importlib.resources import files
 import torch
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from services.pipeline.names import attack_name, job_name
+from services.pipeline.names import attack_name
 from services.pipeline.prepare import lit_by_map
 from services.pipeline.result import Result
 from services.pipeline.spec import JobSpec
@@ -45,11 +45,13 @@ _templates = Environment(
 )
 
 
-def readme(result: Result, spec: JobSpec, scene: ResolvedScene, names: Sequence[str], job: str | None) -> str:
-    """The text, in Markdown. `names` are those of the other files."""
+def readme(
+    result: Result, name: str, spec: JobSpec, scene: ResolvedScene, names: Sequence[str], job: str | None
+) -> str:
+    """The text, in Markdown. `name` is that of the scene or question, and `names` are those of the other files."""
     mapped = lit_by_map(spec)
     return _templates.get_template("README.md").render(
-        name=job_name(result.spec),
+        name=name,
         attack=attack_name(result.spec),
         target=spec.target.name,
         job=job,

@@ -11,7 +11,7 @@ from services.attacks.trace import TraceRow
 from services.export.files import Files
 from services.export.parameters import ParameterTable
 from services.export.readme import bibtex, sentence
-from services.pipeline.names import attack_name, group_words, job_name
+from services.pipeline.names import attack_name, group_words
 from services.pipeline.result import Result
 from services.signed import signed
 
@@ -41,10 +41,10 @@ class Curve(BaseModel):
     highest: float
 
 
-def report(result: Result, table: ParameterTable, files: Files, job: str | None) -> str:
-    """The page as HTML. `files` has the job's images, which become a part of it."""
+def report(result: Result, name: str, table: ParameterTable, files: Files, job: str | None) -> str:
+    """The page as HTML. `name` is the scene's or question's; `files` has the images, which become a part of it."""
     return _templates.get_template("report.html").render(
-        name=job_name(result.spec),
+        name=name,
         attack=attack_name(result.spec),
         job=job,
         result=result,

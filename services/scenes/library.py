@@ -92,6 +92,11 @@ class Library:
         upload = _UPLOAD.fullmatch(name)
         return upload is not None and self._uploads.record(upload[1]) is not None
 
+    def titles(self, names: Iterable[str]) -> dict[str, str]:
+        """The titles that people gave uploads, by name; `names` may have others, which are left out."""
+        records = {name: self._uploads.record(found[1]) for name in names if (found := _UPLOAD.fullmatch(name))}
+        return {name: one.about.title for name, one in records.items() if one is not None and one.about.title}
+
     def remove_upload(self, name: str) -> None:
         """Removes the files of an uploaded mesh, if there are any. Other processes may keep it in memory."""
         upload = _UPLOAD.fullmatch(name)

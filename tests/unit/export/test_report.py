@@ -27,7 +27,7 @@ class Elements(HTMLParser):
 
 def test_the_report_has_its_images_in_it_and_asks_for_nothing_else() -> None:
     files = {"original.png": lambda: b"one", "attacked.png": lambda: b"two"}
-    page = Elements(report(Result.model_validate(result()), NO_PARAMETERS, files, "0f3c"))
+    page = Elements(report(Result.model_validate(result()), "vase", NO_PARAMETERS, files, "0f3c"))
     images = [attributes for tag, attributes in page.found if tag == "img"]
     assert [one["src"] for one in images] == ["data:image/png;base64,b25l", "data:image/png;base64,dHdv"]
     assert [one["alt"] for one in images] == ["Original", "Attacked"]
@@ -37,7 +37,7 @@ def test_the_report_has_its_images_in_it_and_asks_for_nothing_else() -> None:
 def test_words_of_others_are_text() -> None:
     given = result()
     given["attacked"]["label"] = HOSTILE
-    text = report(Result.model_validate(given), NO_PARAMETERS, {}, HOSTILE)
+    text = report(Result.model_validate(given), HOSTILE, NO_PARAMETERS, {}, HOSTILE)
     assert HOSTILE not in text
     assert "script" not in {tag for tag, _ in Elements(text).found}
 

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from services.errors import InvalidRequest
+from services.scenes.about import About
+from services.scenes.bundle import Bundle
 from services.scenes.environment import average
 from services.scenes.library import Library
 from services.scenes.primitives import PRIMITIVES
@@ -115,6 +117,13 @@ def test_an_upload_is_seen_by_another_library(tmp_path):
     assert entry in other.entries()
     assert other.mesh(entry.name).triangles == 4
     assert other.mesh(entry.name).sha256 == entry.name.removeprefix("sha256:")
+
+
+def test_people_s_titles_of_uploads(tmp_path):
+    library = Library(tmp_path / "cache", tmp_path / "data")
+    vase = library.add(Bundle("off", TETRAHEDRON, {}, About(title="vase"))).name
+    plain = library.add_mesh(TETRAHEDRON + b"\n", "off").name
+    assert library.titles([vase, plain, "primitive/sphere", "sha256:" + 64 * "0"]) == {vase: "vase"}
 
 
 def test_a_list_reads_the_uploads_that_may_be_seen_and_no_other(tmp_path, monkeypatch):
