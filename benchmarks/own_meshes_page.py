@@ -23,7 +23,6 @@ REASONS = {
     "BoxTextured.gltf": "The loader drops the sampler, by which the texture is mirrored where it repeats.",
     "ClearCoatTest.gltf": f"{TEXELS} Neither draws the clear coat.",
     "TestScene.gltf": "Stock pyrender’s shader multiplies the emission by its factor twice.",
-    "CesiumMilkTruck.glb": f"{TEXELS} Of 2,048 texels, we keep 1,024.",
     "AlphaBlendModeTest.glb": "Stock pyrender has no alpha cutoff, blends every material and draws some that blend "
     f"before what is behind them; the backs of double-sided faces keep the normal of the front. {TEXELS}",
     "featuretype.3MF": f"{GREY} {EDGES}",

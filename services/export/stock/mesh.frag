@@ -61,7 +61,7 @@ uniform int emissive_uv;
 in vec3 world_position;
 centroid in vec3 world_normal;
 centroid in vec4 world_tangent;
-centroid in vec4 uvs;
+in vec4 uvs;  // in the pixel's middle, as the mipmap needs it
 centroid in vec4 vertex_color;
 out vec4 frag_color;
 

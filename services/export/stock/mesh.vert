@@ -24,10 +24,10 @@ uniform mat4 M;
 uniform mat3 normal_from_mesh;
 
 out vec3 world_position;
+out vec4 uvs;
 // Without centroid, a pixel whose middle lies beyond the silhouette would take values from outside the triangle.
 centroid out vec3 world_normal;
 centroid out vec4 world_tangent;
-centroid out vec4 uvs;
 centroid out vec4 vertex_color;
 
 void main() {

@@ -5,10 +5,9 @@
 // - A face covers the samples inside of its three edges, exactly, in integers. A sample on an edge belongs to the face
 //   to the right of a left edge or above a bottom edge, so that one of two faces with a common edge has it.
 // - Depth is linear over the image. An opaque face has the samples at which it is nearest, the first drawn of equals.
-// - A face is shaded once per pixel. Its normal and texture are looked up in the pixel's centre if it is nearest at all
-//   four samples (or none) when it is drawn, else at the first at which it is. Its position and perspective
-//   are the centre's.
-// - A texture's coordinates change from pixel to pixel as between the first three such places of a block of 2 x 2.
+// - A face is shaded once per pixel. Its normal is that in the pixel's centre if it is nearest at all four samples (or
+//   none) when it is drawn, else at the first at which it is. Its position, perspective and texture are the centre's.
+// - A texture's coordinates change from pixel to pixel as between the centres of the first three of a block of 2 x 2.
 
 #pragma once
 
@@ -151,7 +150,7 @@ struct Visibility {
         return {SIDE * (columns[0] + block % wide) + number % SIDE, SIDE * (rows[0] + block / wide) + number / SIDE};
     }
 
-    // Where a face's normal and texture are looked up in a pixel of a fragment's block.
+    // Where a face's normal is looked up in a pixel of a fragment's block.
     std::pair<float, float> place(const Fragment &f, int number) const {
         const auto [left, bottom] = pixel(f.block, number);
         const uint32_t samples = f.nearest >> SAMPLES * number & 15;

@@ -59,7 +59,10 @@ struct Drawing {
 
     Texel texel(const Texture &texture, const Surface &surface, const Fragment &f, int pixel) const {
         if (!texture.levels) return Texel{} + 1;
-        const auto at = [&](int pixel) { return surface.at(seen.place(f, pixel)); };
+        const auto at = [&](int number) {
+            const auto [x, y] = seen.pixel(f.block, number);
+            return surface.at({x + 0.5f, y + 0.5f});
+        };
         const Floats first = at(0), here = pixel ? at(pixel) : first, right = at(1) - first, up = at(SIDE) - first;
         return sample(texture, here[UV], here[UV + 1], right[UV], right[UV + 1], up[UV], up[UV + 1]);
     }

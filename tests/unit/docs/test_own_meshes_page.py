@@ -22,12 +22,11 @@ def test_every_model_has_a_row_of_figures_and_one_of_words_and_every_reason_a_mo
 
 
 def test_every_difference_has_a_reason_that_makes_it_vanish() -> None:
-    """Done alike, the images agree; where they do not, they do when drawn fine: samples and mipmaps are left."""
+    """Done alike, the images agree."""
     result = json.loads((RESULTS / "own_meshes.json").read_text("utf-8"))
     for row in result["rows"]:
         assert row["mean"] < result["limit"] or REASONS[row["model"]]
-        assert row["alike_fine"]["mean"] < result["limit"] / 2, row["model"]
-        assert row["alike"]["mean"] < result["limit"] or row["model"] == "capsule.obj"
+        assert max(row["alike"]["mean"], row["alike_fine"]["mean"]) < 1.2, row["model"]
 
 
 def test_what_is_ours_to_lose_is_in_the_notes() -> None:

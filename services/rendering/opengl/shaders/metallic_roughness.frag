@@ -4,7 +4,7 @@
 // is laid out in: BASE_COLOR_MAP, METALLIC_ROUGHNESS_MAP, NORMAL_MAP, OCCLUSION_MAP, EMISSIVE_MAP (0: there is no map,
 // 1: TEXCOORD_0, 2: TEXCOORD_1).
 
-centroid in vec4 texture_uvs;    // both sets
+in vec4 texture_uvs;    // both sets
 centroid in vec4 vertex_color;   // linear
 centroid in vec4 world_tangent;  // along growing u, and the sign of the bitangent
 

@@ -11,7 +11,9 @@ uniform vec3 eye;
 uniform vec3 base_colors[IMAGES];    // linear, one for each image
 uniform float opacity;
 #if TEXTURED
-centroid in vec2 texture_uv;
+// In the pixel's middle, covered or not: the mipmap follows from differences to the pixels beside, which between covered
+// places are uneven, and so are the texels of small triangles there.
+in vec2 texture_uv;
 uniform sampler2D base_color_texture;  // sRGB, decoded before filtering
 #endif
 

@@ -24,10 +24,10 @@ invariant gl_Position;  // the same in all programs: what one draws another draw
 out vec3 world_position;
 centroid out vec3 world_normal;
 #if TEXTURED
-centroid out vec2 texture_uv;
+out vec2 texture_uv;
 #endif
 #if METALLIC_ROUGHNESS
-centroid out vec4 texture_uvs;
+out vec4 texture_uvs;
 centroid out vec4 vertex_color;
 centroid out vec4 world_tangent;
 #endif

@@ -22,8 +22,8 @@ from tests.unit.rendering.shapes import placed, scene
 
 LIGHTS = Lights(ambient=0.3, points=(PointLight(energy=9.0, position=(0.5, 0.8, 1.4)),))
 MENDED_LIMIT = 3.0
-"""Where stock pyrender is put right. The mask's edges are cut along faces there and by texels here: 2.1 on EGL, 2.6 on
-OSMesa, where stock pyrender does not multisample."""
+"""Where stock pyrender is put right. The mask's edges are cut along faces there and by texels here: 2.4 on EGL, and
+more on OSMesa, where stock pyrender does not multisample."""
 
 Numbers = tuple[float, ...]
 
