@@ -36,7 +36,15 @@ CONTENTS = {
     "mesh.vert": "its vertex shader",
     "mesh.frag": "its fragment shader: the shading model in one file",
     "report.html": "images, tables and curves on one page, which needs no other file",
-    "*.png": "what the network attends to",
+    "subset-*.png": "the image with only some of the changed groups: the row of that number, from 0, of `subsets` in "
+    "`result.json`",
+    "normals-tilt.png": "the angle by which each normal turned, from 0 (violet) to the largest (yellow)",
+    "map-before.png": "the intensities of the environment map as it was",
+    "map-after.png": "the same under attack, in the same scale",
+    "map-ratio.png": "the second divided by the first: red is brighter, blue is darker",
+    "attention-*-before.png": "what a function of a question's program attends to in the original image",
+    "attention-*-after.png": "the same in the attacked image",
+    "attention.safetensors": "the masks of these functions, float32 in [0,1]",
 }
 """What files are, by name or pattern; the first that fits."""
 
