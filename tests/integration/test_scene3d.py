@@ -101,6 +101,20 @@ def test_from_the_image_s_camera_the_view_is_the_image(
             assert np.abs(shown - image)[object_seen].mean() < 8  # its lights and materials, too
 
 
+def test_each_choice_stands_beside_its_words(stack: Stack, browser: Browser, jobs: dict[str, str]) -> None:
+    with looking(browser, stack) as page:
+        opened(page, stack, jobs["moved"])
+        for name in ("Original", "Attacked", "Both"):
+            choice = radio(page, name).bounding_box()
+            words = page.locator("scene-3d label", has_text=name).bounding_box()
+            assert choice is not None
+            assert words is not None
+            assert words["height"] < 2 * choice["height"], name  # one line
+            assert words["width"] > 2 * choice["width"], name
+        bar = page.locator("scene-3d .bar").evaluate("bar => [bar.scrollHeight, bar.clientHeight]")
+        assert bar[0] <= bar[1]
+
+
 def test_the_view_turns_and_zooms_by_pointer_keys_and_buttons(
     stack: Stack, browser: Browser, jobs: dict[str, str]
 ) -> None:
