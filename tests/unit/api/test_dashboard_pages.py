@@ -161,8 +161,10 @@ async def test_each_outcome_has_its_badge_and_its_sentence(repository: Repositor
     job = add(repository)
     met = outcome != "held"
     succeed(repository, job, result(outcome=outcome, fooled=met, verified=met, truth=["harp"]))
-    page, listed = Tags((await get(repository, f"/jobs/{job.id}")).text), Tags((await get(repository, "/")).text)
-    for tags in (page, listed):
+    paths = (f"/jobs/{job.id}", "/", f"/compare?job={job.id}&job={add(repository).id}")
+    page, listed, compared = [Tags((await get(repository, path)).text) for path in paths]
+    assert f"Fooled, verified {int(outcome == 'fooled')} of 1" in listed.text
+    for tags in (page, listed, compared):
         classes = [a.get("class") for a in tags.all("span")]
         assert f"badge {outcome}" in classes
         assert ("badge verified" in classes) == (outcome in ("fooled", "changed"))

@@ -47,7 +47,7 @@ async def test_the_strip_and_the_totals(repository: Repository) -> None:
     add(repository, parse({"scene": {"objects": [{"mesh": "primitive/cube"}]}}))
     text = Tags((await send(repository, "/?q=scene:piano")).text).text
     assert "Running 1 Queued 2 Time left about 3.8 s Fooled, verified 1 of 1" in text
-    assert "3 jobs that meet the query; verified 1 of 1; 1,234 queries; 1.2 s of run time" in text
+    assert "3 jobs that meet the query; fooled and verified 1 of 1; 1,234 queries; 1.2 s of run time" in text
 
 
 async def test_a_query_that_cannot_be_read_says_where(repository: Repository) -> None:
