@@ -11,7 +11,6 @@ from api.authentication import CallerDependency
 from api.dashboard.charts import Overlay, overlay
 from api.dashboard.pages import html
 from api.dashboard.unfinished import all_events, trace_of_events
-from api.dashboard.words import setting
 from api.state import Services, ServicesDependency, no_such
 from services.attacks.verdict import with_outcome
 from services.errors import InvalidRequest
@@ -100,10 +99,17 @@ def differences(specs: Sequence[Mapping[str, Any]]) -> list[tuple[str, list[str]
     flat = [dict(_fields(spec)) for spec in specs]
     paths = list(dict.fromkeys(path for one in flat for path in one))
     return [
-        (path, [ABSENT if one.get(path) is None else setting(one[path]) for one in flat])
+        (path, [_words(one.get(path)) for one in flat])
         for path in paths
         if any(path not in one or one[path] != flat[0].get(path) for one in flat)
     ]
+
+
+def _words(value: Any) -> str:
+    """A value of a request, exactly, as two that differ must not look alike; "{}" is an object of defaults alone."""
+    if value is None:
+        return ABSENT
+    return ", ".join(map(str, value)) or "none" if isinstance(value, list) else str(value)
 
 
 def _fields(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:

@@ -141,3 +141,8 @@ async def test_differences_are_by_field() -> None:
     other = {"a": {"b": 2, "c": [1, 3]}, "d": [{"e": 1}, {"e": 4}], "same": "x", "none": None}
     assert differences([first, other]) == [("a.b", ["1", "2"]), ("a.c", ["1, 2", "1, 3"]), ("d.1.e", ["–", "4"])]
     assert differences([first, first]) == []
+
+
+async def test_values_that_differ_look_different() -> None:
+    near, nearer = {"distance": 1.80001, "background": None}, {"distance": 1.8, "background": {}}
+    assert differences([near, nearer]) == [("distance", ["1.80001", "1.8"]), ("background", ["–", "{}"])]
