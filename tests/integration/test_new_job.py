@@ -148,6 +148,18 @@ def test_a_picture_is_chosen_as_background(stack: Stack, page: Page) -> None:
     expect(state).to_contain_text("No picture")
 
 
+def test_the_preview_stays_in_sight_on_a_low_screen(stack: Stack, page: Page) -> None:
+    page.set_viewport_size({"width": 1440, "height": 600})
+    page.goto(f"{stack.client.base_url}/new?mesh=primitive/sphere")
+    wait_for_answer(page)
+    page.locator("#f-attack\\.renderer").scroll_into_view_if_needed()  # far from both ends of the page
+    page.locator("#preview").hover()
+    page.mouse.wheel(0, 2000)
+    expect(page.locator("#plan")).to_be_in_viewport(ratio=1)
+    page.locator("#plan").click()
+    expect(page.locator("#cost li").last).to_be_in_viewport(ratio=0.9)
+
+
 def test_without_a_script_the_json_is_a_form(stack: Stack, browser: Browser) -> None:
     context = browser.new_context(java_script_enabled=False)
     page = context.new_page()

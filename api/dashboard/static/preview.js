@@ -88,6 +88,7 @@ export async function plan(text) {
   } catch {
     cost.replaceChildren(made("p", "The service does not answer."));
   }
+  cost.scrollIntoView({ block: "nearest" });
 }
 
 function costs({ plan, cost }) {
