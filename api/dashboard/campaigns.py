@@ -19,7 +19,7 @@ from services.errors import InvalidRequest
 from services.jobs.campaign_service import Counts
 from services.jobs.campaigns import Progress
 from services.jobs.models import Campaign, CampaignState
-from services.pipeline.campaign_select import ChosenView
+from services.pipeline.campaign_select import ChosenView, nothing_chosen
 
 PAGE = 30
 """Number of campaigns on one page of the list."""
@@ -55,6 +55,7 @@ class Page:
     corners: list[CurveRows]
     views: list[ChosenView]
     chosen: int
+    why_none: str | None
 
 
 @router.get("/campaigns")
@@ -145,6 +146,7 @@ def _campaign(
         corners=[_rows(cell, along) for along in ALONG for cell in result.table.cells if cell.success.of],
         views=attacked[:SHOWN],
         chosen=sum(view.chosen for view in result.views),
+        why_none=nothing_chosen(result.views) if found.selected_at else None,
     )
     if choice is None:
         return html(template, caller=caller, page=page)

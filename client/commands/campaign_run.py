@@ -37,6 +37,7 @@ def run(
     from client.console import out as stdout
     from services.device import check_device
     from services.pipeline.campaign_check import check_meshes, check_size
+    from services.pipeline.campaign_select import nothing_chosen
     from services.pipeline.campaign_spec import parse
     from services.scenes.catalogue import slugify
     from services.settings import settings
@@ -66,3 +67,5 @@ def run(
         stdout().print(results(found.table.model_dump(mode="json")))
     chosen = sum(view.chosen for view in found.views)
     err().print(f"{chosen} of {len(found.views)} views attacked. Files in {folder}", markup=False, highlight=False)
+    if why := nothing_chosen(found.views):
+        err().print(why, markup=False, highlight=False, soft_wrap=True)

@@ -18,12 +18,15 @@ PANEL = (4.2, 3.2)
 
 
 def draw(table: Table, curves: Sequence[MeanCurves], path: Path) -> None:
-    """Writes a PNG with a row for each target: success against queries and seconds, and the mean curves by step."""
+    """Writes a PNG with a row for each target: success against queries and seconds, and the mean curves by step.
+
+    Of a campaign that attacks no view, the row is empty.
+    """
     with mpl.rc_context({"font.size": 8, "axes.grid": True, "grid.alpha": 0.3}):
         rows, columns = max(1, len(table.targets)), 2 + len(LABELS)
         figure = Figure(figsize=(PANEL[0] * columns, PANEL[1] * rows), layout="constrained")
         axes = figure.subplots(rows, columns, squeeze=False)
-        for target, row in zip(table.targets, axes, strict=True):
+        for target, row in zip(table.targets, axes[: len(table.targets)], strict=True):
             own_cells = [cell for cell in table.cells if cell.target == target and cell.success.of]
             for panel, along in zip(row[:2], ("queries", "seconds"), strict=True):
                 _success(panel, target, along, own_cells)

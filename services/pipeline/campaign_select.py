@@ -11,6 +11,8 @@ from services.pipeline.campaign_spec import Selection
 from services.pipeline.names import scene_name
 from services.pipeline.spec import JobSpec
 
+UNKNOWN = "nobody knows its truth"
+
 
 class FirstAnswer(BaseModel):
     """The network's answer to the exact image of a view, as a worker found it."""
@@ -85,12 +87,22 @@ def _unfit(view: View, answer: FirstAnswer | None) -> str:
     if rules is None:
         return ""
     if rules.right and not answer.truth:
-        return "nobody knows its truth"
+        return UNKNOWN
     if rules.right and not answer.right:
         return f"the network says {answer.label}, which is wrong"
     if _confidence(answer) < rules.least_confidence:
         return f"the network is less sure than {rules.least_confidence:g}"
     return ""
+
+
+def nothing_chosen(views: Sequence[ChosenView]) -> str | None:
+    """The most frequent reasons why a campaign attacks none of its views, in a sentence; None if it attacks any."""
+    if not views or any(view.chosen for view in views):
+        return None
+    counted = Counter(view.why for view in views).most_common(3)
+    said = "; ".join(f"{why} ({count:,} of {len(views):,})" for why, count in counted)
+    hint = " The field goal.truth of a grid states it." if any(why == UNKNOWN for why, _ in counted) else ""
+    return f"No view is attacked: {said}.{hint}"
 
 
 def _of_another(unit: Sequence[View], why: Mapping[int, str]) -> str:

@@ -93,6 +93,11 @@ def test_the_drawn_curve_is_a_share_of_all_cases_that_were_right(
     assert along_queries == ([0.0, 3.0, 7.0, end], pytest.approx([0, 100 / 6, 50, 50]), "a (n = 6)")
 
 
+def test_a_campaign_that_attacks_nothing_has_empty_curves(tmp_path: Path) -> None:
+    draw(table("c", [], []), [], tmp_path / "curves.png")
+    assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
+
+
 def test_rows_and_columns_are_in_the_order_of_the_plan() -> None:
     found = table("c", PLANNED, CASES)
     assert (found.targets, found.attacks) == (["t", "u"], ["a", "b"])

@@ -64,6 +64,14 @@ async def test_a_finished_campaign_shows_its_table_curves_and_views(stage: Stage
     assert "3/3" in listed.text
 
 
+async def test_a_campaign_that_attacks_nothing_says_why(stage: Stage) -> None:
+    sphere, attacks = {"meshes": ["primitive/sphere"], "views": [0]}, [{"name": "a", "attack": {"renderer": "torch"}}]
+    campaign = stage.begin(spec(grids=[{"scenes": sphere, "attacks": attacks, "selection": {"least_confidence": 0.9}}]))
+    stage.finish(campaign)
+    page = await get(stage, f"/campaigns/{campaign}")
+    assert "No view is attacked: the network is less sure than 0.9 (1 of 1)." in page.text
+
+
 async def test_a_campaign_in_the_middle_shows_its_progress_and_is_reloaded(stage: Stage) -> None:
     campaign = stage.begin(spec(3))
     stage.selected(campaign)

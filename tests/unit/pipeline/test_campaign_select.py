@@ -3,7 +3,7 @@
 from typing import Any
 
 from services.pipeline.campaign_expand import views
-from services.pipeline.campaign_select import ChosenView, FirstAnswer, choose
+from services.pipeline.campaign_select import ChosenView, FirstAnswer, choose, nothing_chosen
 from services.pipeline.campaign_spec import parse
 
 MESHES = ["primitive/sphere", "primitive/cube", "primitive/cone"]
@@ -120,3 +120,13 @@ def test_shared_views_are_right_for_every_target_and_ranked_by_the_first() -> No
     assert chosen_views[8].why == "of two: the network says hat, which is wrong"
     assert chosen_views[10].why == "the network says hat, which is wrong"
     assert [chosen_views[n].why for n in (4, 6)] == ["there is a more confident view"] * 2
+
+
+def test_a_campaign_that_attacks_nothing_says_why() -> None:
+    unknown = {number: FirstAnswer(view=number, label="ball", confidence=0.9) for number in range(5)}
+    said = nothing_chosen(chosen({"least_confidence": 0.95}, answers=unknown))
+    assert said is not None
+    assert said.startswith("No view is attacked: nobody knows its truth (5 of 6); the network is less sure than 0.95")
+    assert "goal.truth" in said
+    assert nothing_chosen(chosen({})) is None
+    assert "goal.truth" not in (nothing_chosen(chosen({"least_confidence": 1, "right": False})) or "goal.truth")
