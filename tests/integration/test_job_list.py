@@ -186,6 +186,21 @@ def test_chosen_columns_are_kept(page: Page) -> None:
     expect(page.locator("#rows .c-method").first).to_be_visible()
 
 
+LONG = {"c-seconds": "13 min 36 s", "c-p": "166.45 (166.48\u00a0as\u00a0saved)", "c-created": "59 min ago"}
+"""Texts of the widest cells, those of jobs that attack poses."""
+
+
+def test_the_usual_columns_fit(page: Page) -> None:
+    page.goto("/?q=state:succeeded")
+    page.locator("#rows tr").first.wait_for()
+    for column, text in LONG.items():
+        page.locator(f"#rows .{column}").first.evaluate("(cell, text) => { cell.textContent = text }", text)
+    verdicts = '<span class="badge changed">changed</span> <span class="badge unverified">not verified</span>'
+    page.locator("#rows .c-outcome").first.evaluate("(cell, text) => { cell.innerHTML = text }", verdicts)
+    width, room = page.locator("main .scroll").evaluate("one => [one.scrollWidth, one.clientWidth]")
+    assert width <= room
+
+
 def test_cards_on_a_phone(page: Page) -> None:
     page.set_viewport_size({"width": 390, "height": 800})
     page.goto("/")
