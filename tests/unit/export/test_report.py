@@ -34,6 +34,13 @@ def test_the_report_has_its_images_in_it_and_asks_for_nothing_else() -> None:
     assert not [tag for tag, attributes in page.found if tag in ("script", "link", "iframe") or "href" in attributes]
 
 
+def test_groups_have_the_same_words_in_every_table() -> None:
+    text = report(Result.model_validate(result(steps=1)), NO_PARAMETERS, {}, "0f3c")
+    assert text.count('<th scope="row">surface normals</th>') == 2  # a subset and a share
+    assert '<th scope="row">normals</th>' not in text
+    assert "1 step," in text
+
+
 def test_words_of_others_are_text() -> None:
     given = result()
     given["attacked"]["label"] = HOSTILE
