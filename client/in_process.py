@@ -36,8 +36,9 @@ def attack(
     `labels` names its scores, by default "0" to "K-1". `preprocessing` has the fields of
     services.targets.preprocessing.Preprocessing: `input_size` (height and width, default 224×224), `mean`, `scale`,
     `resize`, `channels`. `scene` is the scene of a request and `spec` its other fields, such as `attack`, `goal` and
-    `seed`; docs/scene.md describes them. The files of a job are written into the folder `out` if it is given.
-    Raises InvalidRequest, which names the field, for anything that cannot run, and JobFailure for a run that fails.
+    `seed`; docs/scene.md describes them. A `mesh` may be a path relative to the working directory, "./chair.obj". The
+    files of a job are written into the folder `out` if it is given. Raises InvalidRequest, which names the field, for
+    anything that cannot run, and JobFailure for a run that fails.
     """
     from torch import nn
 
@@ -61,12 +62,14 @@ def attack(
 
 
 def _spec(scene: Mapping[str, Any], name: str, spec: Mapping[str, Any]) -> JobSpec:
+    from client.local_meshes import to_library, with_meshes_added
     from services.pipeline.spec import parse
 
     for field, argument in (("scene", "scene"), ("target", "model")):
         if field in spec:
             raise InvalidRequest(f"spec.{field}", f"is given by the argument `{argument}`; leave it out of the spec")
-    return parse({"scene": dict(scene), "target": {"name": name}, **spec})
+    data = {"scene": dict(scene), "target": {"name": name}, **spec}
+    return parse(with_meshes_added(data, Path.cwd(), to_library))
 
 
 def _preprocessing(given: Mapping[str, Any]) -> Preprocessing:

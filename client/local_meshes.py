@@ -1,14 +1,24 @@
-"""Meshes in files of this machine, which a spec names by their paths."""
+"""Meshes in files of this machine, which a request names by their paths."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from services.errors import InvalidRequest
 
 if TYPE_CHECKING:
+    from client.api_client import ApiClient
     from services.scenes.bundle import Bundle
-    from services.scenes.entries import Entry
+
+Adding = Callable[[Path], tuple[str, Sequence[str]]]
+"""Adds the mesh in a file. Returns its name in a scene, and what of the file is not shown. Raises InvalidRequest."""
+_PLACES = (
+    "scene.objects.*.mesh",
+    "jobs.*.scene.objects.*.mesh",
+    "grids.*.scenes.meshes.*",
+    "grids.*.scenes.*.objects.*.mesh",
+)
+"""Where a job and a campaign name meshes; a star stands for each item of a list."""
 
 
 def is_path(mesh: object) -> bool:
@@ -16,28 +26,61 @@ def is_path(mesh: object) -> bool:
     return isinstance(mesh, str) and mesh.startswith(("./", "../", "/"))
 
 
-def with_meshes_added(data: dict[str, Any], spec: str, add: "Callable[[Bundle], Entry]") -> dict[str, Any]:
-    """Adds the meshes that a request names by paths, relative to the file `spec` or, for "-", to the working directory.
+def folder_of(spec: str) -> Path:
+    """The folder that the paths in the file `spec` are relative to: its own or, for "-", the working directory."""
+    return Path.cwd() if spec == "-" else Path(spec).absolute().parent
+
+
+def with_meshes_added(data: dict[str, Any], folder: Path, add: Adding) -> dict[str, Any]:
+    """Adds the meshes that a job or a campaign names by paths relative to `folder`, each file once.
 
     Returns the request with their names. What a mesh does not show is said on standard error. Raises InvalidRequest,
     with the place in the request, if a file is not there or is no mesh.
     """
-    scene = data.get("scene")
-    objects = scene.get("objects") if isinstance(scene, dict) else None
-    if not isinstance(objects, list):
-        return data
-    folder = Path.cwd() if spec == "-" else Path(spec).absolute().parent
-    named = []
-    for k, thing in enumerate(objects):
-        if isinstance(thing, dict) and is_path(thing.get("mesh")):
+    added: dict[str, str] = {}
+
+    def named(mesh: str, place: str) -> str:
+        if mesh not in added:
             try:
-                entry = add(bundle_at(folder / thing["mesh"]))
+                added[mesh], notes = add(folder / mesh)
             except InvalidRequest as error:
-                raise InvalidRequest(f"scene.objects.{k}.mesh", f"{thing['mesh']}: {error.detail}") from error
-            _say(thing["mesh"], entry)
-            thing = thing | {"mesh": entry.name}
-        named.append(thing)
-    return data | {"scene": {**data["scene"], "objects": named}}
+                raise InvalidRequest(place, f"{mesh}: {error.detail}") from error
+            for note in notes:
+                _say(f"{mesh}: not shown: {note}")
+        return added[mesh]
+
+    for place in _PLACES:
+        data = _replaced(data, place.split("."), (), named)
+    return data
+
+
+def to_library(path: Path) -> tuple[str, Sequence[str]]:
+    """Adds a mesh to the uploads of this machine."""
+    from services.scenes.library import Library
+    from services.settings import settings
+
+    entry = Library(settings().cache_dir, settings().files).add(bundle_at(path))
+    return entry.name, entry.notes
+
+
+def to_service(client: "ApiClient") -> Adding:
+    """Returns what uploads a mesh to a service, and says so on standard error. The name is that of `to_library`."""
+
+    def add(path: Path) -> tuple[str, Sequence[str]]:
+        from client.mesh_files import with_files_beside
+        from client.request import ApiError
+
+        files = with_files_beside([path])
+        try:
+            entry = client.add_asset(files, mesh=_chosen(path, files), name=_title(path))
+        except ApiError as error:
+            if error.status != 422:
+                raise
+            raise InvalidRequest("mesh", str(error)) from error
+        _say(f"{path.name}: uploaded as {entry['name']}")
+        return entry["name"], entry["notes"]
+
+    return add
 
 
 def bundle_at(path: Path) -> "Bundle":
@@ -50,15 +93,35 @@ def bundle_at(path: Path) -> "Bundle":
     from services.scenes.sent_files import to_bundle
     from services.scenes.uploads import max_unpacked
     from services.settings import settings
-    from services.written_text import visible
 
     files = [(name, one.read_bytes()) for name, one in with_files_beside([path])]
-    about = About(title=visible(path.stem)[:100])
-    return to_bundle(files, None, path.name if len(files) > 1 else None, about, max_unpacked(settings()))
+    return to_bundle(files, None, _chosen(path, files), About(title=_title(path)), max_unpacked(settings()))
 
 
-def _say(mesh: str, entry: "Entry") -> None:
+def _chosen(path: Path, files: Sequence[object]) -> str | None:
+    """Which of the files is the mesh; one alone may be a zip file, which has it inside."""
+    return path.name if len(files) > 1 else None
+
+
+def _title(path: Path) -> str:
+    from services.written_text import visible
+
+    return visible(path.stem)[:100]
+
+
+def _replaced(data: Any, steps: Sequence[str], place: tuple[str, ...], named: Callable[[str, str], str]) -> Any:
+    """The data with a name for each path at the end of the steps; what has no such place is left to the parser."""
+    if not steps:
+        return named(data, ".".join(place)) if is_path(data) else data
+    step, rest = steps[0], steps[1:]
+    if step == "*" and isinstance(data, list | tuple):
+        return [_replaced(one, rest, (*place, str(k)), named) for k, one in enumerate(data)]
+    if step != "*" and isinstance(data, Mapping) and step in data:
+        return {**data, step: _replaced(data[step], rest, (*place, step), named)}
+    return data
+
+
+def _say(words: str) -> None:
     from client.console import err
 
-    for note in entry.notes:
-        err().print(f"{mesh}: not shown: {note}", markup=False, highlight=False)
+    err().print(words, markup=False, highlight=False, soft_wrap=True)

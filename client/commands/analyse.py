@@ -111,6 +111,7 @@ def rerender(
     from client.console import out as stdout
     from client.console import print_json
     from client.live import JobLine
+    from client.local_meshes import folder_of, to_library, with_meshes_added
     from services.analysis.requests import RerenderingRequest
     from services.device import check_device
     from services.errors import InvalidFields, InvalidRequest
@@ -118,7 +119,7 @@ def rerender(
     from services.pipeline.spec import parse
 
     check_device()
-    job = parse(spec_input.read(spec))
+    job = parse(with_meshes_added(spec_input.read(spec), folder_of(spec), to_library))
     try:
         request = RerenderingRequest.model_validate({"steps": steps, "rate": rate, "optimiser": optimiser})
     except ValidationError as error:

@@ -26,12 +26,13 @@ def plan(
     """
     from client import spec_input
     from client.console import err, print_json, report_extensions
+    from client.local_meshes import folder_of, to_library, with_meshes_added
     from services.device import check_device
     from services.pipeline.spec import parse
 
     check_device()
     report_extensions()
-    job = parse(spec_input.read(spec))
+    job = parse(with_meshes_added(spec_input.read(spec), folder_of(spec), to_library))
     with err().status("loading") as line:
         from client.commands.run import library
 

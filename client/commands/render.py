@@ -30,13 +30,14 @@ def render(
     from client import spec_input
     from client.commands.run import library
     from client.console import err, print_json, report_extensions
+    from client.local_meshes import folder_of, to_library, with_meshes_added
     from services.device import check_device
     from services.errors import InvalidRequest
     from services.pipeline.spec import parse
 
     check_device()
     report_extensions()
-    job = parse(spec_input.read(spec))
+    job = parse(with_meshes_added(spec_input.read(spec), folder_of(spec), to_library))
     if out is not None and not out.parent.is_dir():
         raise InvalidRequest("--out", f"there is no folder {out.parent}; make it first")
     with err().status("loading") as line:

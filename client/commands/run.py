@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from services.pipeline.execute import Progress
     from services.pipeline.result import Result
     from services.pipeline.spec import JobSpec
-    from services.scenes.bundle import Bundle
-    from services.scenes.entries import Entry
     from services.scenes.library import Library
 
 
@@ -44,7 +42,7 @@ def run(
     from client.console import err, print_json, report_extensions, table
     from client.console import out as stdout
     from client.live import JobLine
-    from client.local_meshes import with_meshes_added
+    from client.local_meshes import folder_of, to_library, with_meshes_added
     from client.outcomes import COLUMNS, cells, goal_line
     from client.question_tables import print_answered
     from client.result_folder import check_free
@@ -57,7 +55,7 @@ def run(
     check_device()
     keep_memory()
     report_extensions()
-    data = with_meshes_added(spec_input.read(spec, seed), spec, _added)
+    data = with_meshes_added(spec_input.read(spec, seed), folder_of(spec), to_library)
     job = parse(data)
     check_free(out, job)
     prepare_folder(out)
@@ -121,13 +119,6 @@ def replay(
         stdout().print(table(columns, [row]))
     if not same:
         raise typer.Exit(1)
-
-
-def _added(bundle: "Bundle") -> "Entry":
-    from services.scenes.library import Library
-    from services.settings import settings
-
-    return Library(settings().cache_dir, settings().files).add(bundle)
 
 
 def keep_memory() -> None:

@@ -1,19 +1,56 @@
 """Specs that name meshes by their paths on this machine."""
 
+import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from torch import nn
+from typer.testing import CliRunner
 
-from client.local_meshes import with_meshes_added
+from client import attack
+from client.api_client import ApiClient
+from client.cli import app
+from client.local_meshes import Adding, bundle_at, folder_of, to_library, with_meshes_added
 from services.errors import InvalidRequest
 from services.scenes.library import Library
+from services.settings import settings
+from tests.unit.client.test_api_client import Script, client, says, script
 from tests.unit.scenes.test_beside import MTL, OBJ, image
+
+__all__ = ["client", "script"]  # fixtures
+NAME = "sha256:" + "a" * 64
 
 
 @pytest.fixture
 def library(tmp_path: Path) -> Library:
     return Library(tmp_path / "cache", tmp_path / "data")
+
+
+def into(library: Library) -> Adding:
+    def add(path: Path) -> tuple[str, tuple[str, ...]]:
+        entry = library.add(bundle_at(path))
+        return entry.name, tuple(entry.notes)
+
+    return add
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A folder with a mesh and its material; uploads of this machine are beside it."""
+    (tmp_path / "chair.obj").write_bytes(OBJ)
+    (tmp_path / "my chair.mtl").write_bytes(MTL)
+    monkeypatch.setenv("SCENE_ATTACK_DATA", str(tmp_path / "data"))
+    settings.cache_clear()
+    yield tmp_path
+    monkeypatch.undo()
+    settings.cache_clear()
+
+
+def written(folder: Path, data: dict[str, Any]) -> str:
+    (folder / "spec.json").write_text(json.dumps(data), "utf-8")
+    return str(folder / "spec.json")
 
 
 def request_with(*meshes: object) -> dict[str, Any]:
@@ -28,7 +65,7 @@ def test_paths_are_relative_to_the_spec_and_bring_their_files(
     for name, data in {"chair.obj": OBJ, "my chair.mtl": MTL, "tex/wood.png": image()}.items():
         (tmp_path / "models" / name).write_bytes(data)
     given = request_with("../models/chair.obj", "primitive/cube")
-    found = with_meshes_added(given, str(tmp_path / "specs" / "job.json"), library.add)
+    found = with_meshes_added(given, tmp_path / "specs", into(library))
     first, second = found["scene"]["objects"]
     assert given == request_with("../models/chair.obj", "primitive/cube"), "what was given is not changed"
     assert found | {"scene": None} == given | {"scene": None}
@@ -39,7 +76,7 @@ def test_paths_are_relative_to_the_spec_and_bring_their_files(
     assert "texture tex/wood.png" in entry.used
     assert "not shown: bump map bumps.png missing" in capsys.readouterr().err
     assert any(part.textured for part in library.mesh(first["mesh"]).parts)
-    assert with_meshes_added(given, str(tmp_path / "specs" / "job.json"), library.add) == found
+    assert with_meshes_added(given, tmp_path / "specs", into(library)) == found
 
 
 def test_paths_of_standard_input_are_relative_to_the_working_directory(
@@ -47,7 +84,7 @@ def test_paths_of_standard_input_are_relative_to_the_working_directory(
 ) -> None:
     (tmp_path / "chair.obj").write_bytes(OBJ)
     monkeypatch.chdir(tmp_path)
-    found = with_meshes_added(request_with("./chair.obj"), "-", library.add)
+    found = with_meshes_added(request_with("./chair.obj"), folder_of("-"), into(library))
     assert found["scene"]["objects"][0]["mesh"].startswith("sha256:")
 
 
@@ -57,10 +94,83 @@ def test_a_file_that_is_no_mesh_is_refused_with_its_place(
 ) -> None:
     (tmp_path / "bad.obj").write_bytes(b"hello")
     with pytest.raises(InvalidRequest, match=said) as error:
-        with_meshes_added(request_with("primitive/cube", name), str(tmp_path / "job.json"), library.add)
+        with_meshes_added(request_with("primitive/cube", name), tmp_path, into(library))
     assert error.value.field == "scene.objects.1.mesh"
 
 
 @pytest.mark.parametrize("data", [{}, {"scene": 3}, {"scene": {"objects": "x"}}, {"scene": {"objects": [3, {}]}}])
 def test_what_is_no_request_is_left_to_the_parser(library: Library, data: dict[str, Any]) -> None:
-    assert with_meshes_added(data, "-", library.add) == data
+    assert with_meshes_added(data, Path(), into(library)) == data
+
+
+def test_a_campaign_names_a_file_in_every_place_where_it_has_meshes(folder: Path, library: Library) -> None:
+    scene = request_with("./chair.obj")["scene"]
+    grids = [{"scenes": {"meshes": ["primitive/cube", "./chair.obj"]}}, {"scenes": [{"ground": None}, scene]}]
+    asked: list[Path] = []
+
+    def add(path: Path) -> tuple[str, tuple[str, ...]]:
+        asked.append(path)
+        return NAME, ()
+
+    found = with_meshes_added({"grids": grids, "jobs": [{"scene": scene}]}, folder, add)
+    assert json.dumps(found).count(NAME) == 3
+    assert "chair.obj" not in json.dumps(found)
+    assert asked == [folder / "chair.obj"], "it is added once"
+    (folder / "chair.obj").unlink()
+    with pytest.raises(InvalidRequest, match="there is no file") as error:
+        with_meshes_added({"grids": grids}, folder, into(library))
+    assert error.value.field == "grids.0.scenes.meshes.1"
+
+
+@pytest.mark.parametrize("command", [["submit"], ["campaign", "submit"]], ids=" ".join)
+def test_a_mesh_is_uploaded_before_it_is_submitted(
+    client: ApiClient, script: Script, folder: Path, command: list[str]
+) -> None:
+    job = request_with("./chair.obj")
+    script.answers = [says(201, {"name": NAME, "notes": ["bump map missing"]}), says(202, {"id": "b" * 32})]
+    spec = written(folder, job if command == ["submit"] else {"jobs": [job]})
+    done = CliRunner().invoke(app, [*command, spec, "--url", client.url])
+    assert done.exit_code == 0, done.output
+    assert f"chair.obj: uploaded as {NAME}" in done.stderr
+    assert "./chair.obj: not shown: bump map missing" in done.stderr
+    assert [path.partition("?")[0] for _, path, _ in script.seen] == [
+        "/v1/assets",
+        f"/v1/{'jobs' if command == ['submit'] else 'campaigns'}",
+    ]
+    assert b'filename="my chair.mtl"' in script.bodies[0]
+    sent = json.loads(script.bodies[1])
+    [thing] = (sent if command == ["submit"] else sent["jobs"][0])["scene"]["objects"]
+    assert thing == {"mesh": NAME, "scale": 2}
+
+
+def test_a_mesh_that_the_service_refuses_has_its_place(client: ApiClient, script: Script, folder: Path) -> None:
+    script.answers = [says(422, {"detail": "file: no vertices"}, "application/problem+json")]
+    done = CliRunner().invoke(app, ["submit", written(folder, request_with("./chair.obj")), "--url", client.url])
+    assert isinstance(done.exception, InvalidRequest)
+    assert (done.exception.field, "./chair.obj: file: no vertices" in done.exception.detail) == (
+        "scene.objects.0.mesh",
+        True,
+    )
+
+
+@pytest.mark.parametrize("command", ["plan", "render"])
+def test_a_scene_with_a_file_is_looked_at(folder: Path, command: str) -> None:
+    job = request_with("./chair.obj") | {"attack": {"renderer": "pyrender", "queries": 20}}
+    job["scene"]["camera"] = {"size": [16, 16]}
+    job["scene"].pop("ground")
+    done = CliRunner().invoke(app, [command, written(folder, job), "--json"])
+    assert done.exit_code == 0, done.output
+    assert "./chair.obj: not shown: bump map bumps.png missing" in done.stderr
+
+
+def test_attack_takes_a_file_of_the_working_directory(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    scene = {"camera": {"size": [16, 16]}, "objects": [{"mesh": "./chair.obj"}]}
+    network = nn.Sequential(nn.Flatten(), nn.Linear(3 * 16 * 16, 2))
+    found = attack(
+        scene,
+        network,
+        {"attack": {"renderer": "pyrender", "steps": 1, "queries": 4}},
+        preprocessing={"input_size": [16, 16]},
+    )
+    assert found.spec["scene"]["objects"][0]["mesh"] == to_library(folder / "chair.obj")[0]
