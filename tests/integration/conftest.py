@@ -17,7 +17,8 @@ import psutil
 import pytest
 
 TERMINAL = ("succeeded", "failed", "rejected", "cancelled")
-PATIENCE = 120.0
+PATIENCE = 300.0
+"""Seconds; a loaded machine takes minutes for what is a matter of seconds."""
 
 
 def until(look: Callable[[], Any], what: str, seconds: float = PATIENCE) -> Any:

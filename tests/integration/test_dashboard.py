@@ -12,7 +12,7 @@ from tests.integration.specs import ENDLESS, QUICK
 
 pytestmark = pytest.mark.integration
 
-PATIENCE = 60_000
+PATIENCE = 300_000
 SEEDED = """
 from services.questions.answers import ANSWERS
 from services.targets.iep.card import CARD

@@ -13,11 +13,11 @@ from api.state import Services
 from benchmarks.job_list import fill
 from services.settings import Settings
 from tests.integration.browser import launched
+from tests.integration.test_dashboard import PATIENCE
 from tests.unit.api.conftest import serving
 
 pytestmark = pytest.mark.integration
 JOBS = 5000
-PATIENCE = 60_000
 """Milliseconds."""
 
 

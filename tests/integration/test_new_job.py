@@ -15,10 +15,10 @@ from playwright.sync_api import Browser, Page, expect
 from tests.integration.browser import launched
 from tests.integration.conftest import Stack
 from tests.integration.test_accessibility import AXE, RUN, THEMES, WIDTHS, save, watched
+from tests.integration.test_dashboard import PATIENCE
 
 pytestmark = pytest.mark.integration
 
-PATIENCE = 120_000
 LIGHT = "canvas => [...canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data].join()"
 """The pixels of the preview."""
 UNFOLD = "one => { while ((one = one.parentElement.closest('details'))) one.open = true }"
