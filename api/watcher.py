@@ -4,15 +4,15 @@ A stream reads what happened before it began by itself. What follows is read onc
 """
 
 import asyncio
-import time
-from collections import Counter, deque
+from collections import deque
 from collections.abc import AsyncGenerator, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.concurrency import run_in_threadpool
 
+from api.stream_keys import StreamKeys
 from services.access.keys import AccessKeys
 from services.jobs.models import Event, Job
 from services.jobs.repository import News, Repository
@@ -20,8 +20,6 @@ from services.logs import logger
 
 POLL_SECONDS = 0.2
 """Time between two reads of the record."""
-KEY_SECONDS = 2.0
-"""Time between two looks at whether the keys of the streams are still valid."""
 KEPT = 64
 """Number of a job's last events that are kept for its streams; one that falls further behind reads the record."""
 READ = 8
@@ -69,11 +67,7 @@ class Watcher:
 
     def __init__(self, repository: Repository, keys: AccessKeys) -> None:
         self._repository = repository
-        self._keys = keys
-        self._callers: Counter[str] = Counter()
-        """The prefixes of the streams' keys, each with the number of its streams."""
-        self._ended: set[str] = set()
-        """Those of them that have ended."""
+        self._keys = StreamKeys(keys)
         self._followed: dict[str, _Followed] = {}
         self._task: asyncio.Task[None] | None = None
 
@@ -90,8 +84,8 @@ class Watcher:
         """Yields the job's events with a number above `after` as they are recorded, until the job has ended, or the key
         with the prefix `key` if one is given ("": until there is a key).
         """
-        with self._following(job) as followed, self._calling(key):
-            while key not in self._ended:
+        with self._following(job) as followed, nullcontext() if key is None else self._keys.waiting(key):
+            while not self._keys.ended(key):
                 if after >= followed.last:
                     if followed.ended:
                         return
@@ -136,26 +130,11 @@ class Watcher:
             if not followed.streams:
                 del self._followed[job.id]
 
-    @contextmanager
-    def _calling(self, key: str | None) -> Iterator[None]:
-        if key is None:
-            yield
-            return
-        self._callers[key] += 1
-        try:
-            yield
-        finally:
-            self._callers[key] -= 1
-            if not self._callers[key]:
-                del self._callers[key]
-                self._ended.discard(key)
-
     async def _watch(self) -> None:
-        looked = float("-inf")
         while self._followed:
-            if time.monotonic() - looked >= KEY_SECONDS:
-                looked = time.monotonic()
-                await self._look_at_keys()
+            if await self._keys.look():
+                for followed in self._followed.values():
+                    followed.wake()
             seen = {job_id: followed.last for job_id, followed in self._followed.items() if not followed.ended}
             try:
                 news = await run_in_threadpool(self._repository.news, seen)
@@ -166,17 +145,3 @@ class Watcher:
                     if job_id in self._followed:
                         self._followed[job_id].add(found)
             await asyncio.sleep(POLL_SECONDS)
-
-    async def _look_at_keys(self) -> None:
-        asked = set(self._callers)
-        if not asked:
-            return
-        try:
-            ended = await run_in_threadpool(self._keys.ended, asked)
-        except SQLAlchemyError as error:
-            log.warning("keys of event streams not checked", error=str(error))
-            return
-        self._ended |= ended & set(self._callers)
-        if ended:
-            for followed in self._followed.values():
-                followed.wake()

@@ -148,7 +148,7 @@ def test_a_stream_of_a_deleted_job_ends(repository: Repository, engine: Engine) 
 def test_a_stream_ends_with_its_key_and_others_go_on(
     repository: Repository, engine: Engine, monkeypatch: pytest.MonkeyPatch, has_key: bool
 ) -> None:
-    monkeypatch.setattr(module, "KEY_SECONDS", 0.0)
+    monkeypatch.setattr("api.stream_keys.KEY_SECONDS", 0.0)
     keys = AccessKeys(engine)
     prefixes = [keys.create(name, "alice", {Scope.JOBS_READ})[0].prefix for name in "ab"] if has_key else ["", ""]
     reads = []
