@@ -5,21 +5,18 @@ Every change of a job is one transaction together with its event; a result and i
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
 from functools import partial
 from hashlib import sha256
 from typing import Any
 
-from sqlalchemy import Row, Select, func, select, text, tuple_
+from sqlalchemy import Select, func, select, text
 from sqlalchemy.orm import Session, defer, undefer
 
 from services.errors import QuotaExceeded
 from services.jobs.asset_uses import check_held, uploads_of
-from services.jobs.listed_job import LISTED
 from services.jobs.models import Artifact, Event, IdempotencyKey, Job, JobKind, State
 from services.jobs.placement import NO_DEMAND, Demand
 from services.jobs.turns import Turns
-from services.jobs.utc_time import place
 from services.pipeline.names_known import check_meshes
 from services.pipeline.spec import JobSpec, digest
 from services.pipeline.warning import JobWarning
@@ -150,32 +147,6 @@ class Repository(Turns):
         """A job of any kind, without its result, or None if the id is unknown."""
         with self._read() as session:
             return session.get(Job, job_id)
-
-    def page(
-        self,
-        state: State | None,
-        limit: int,
-        before: tuple[datetime, str] | None,
-        campaign: str | None = None,
-        owner: str | None = None,
-    ) -> list[Row[Any]]:
-        """At most `limit` attacks without their requests and results, newest first, older than `before`, a job's
-        (created_at, id). If given, only those in `state`, those that a campaign queued, and those of an owner.
-
-        A row has the attributes of a job that are columns. Reading rows takes a third of the time of making jobs.
-        """
-        query = select(*LISTED).where(Job.kind == JobKind.ATTACK)
-        query = query.order_by(Job.created_at.desc(), Job.id.desc()).limit(limit)
-        if campaign is not None:
-            query = query.where(Job.campaign_id == campaign)
-        if owner is not None:
-            query = query.where(Job.owner == owner)
-        if state is not None:
-            query = query.where(Job.state == state)
-        if before is not None:
-            query = query.where(tuple_(Job.created_at, Job.id) < place(before))
-        with self._read() as session:
-            return list(session.execute(query))
 
     def request_cancel(self, job_id: str) -> Job | None:
         """Cancels a queued job at once, and asks a running job to stop; leaves other jobs as they are.

@@ -11,10 +11,11 @@ from httpx import Client
 
 from api.state import Services
 from tests.unit.api.conftest import SPHERE
+from tests.unit.jobs.records import attacks
 
 
 def count(services: Services) -> int:
-    return len(services.repository.page(None, 10_000, None))
+    return len(attacks(services.repository))
 
 
 def refused(client: Client, services: Services, body: str) -> list[dict[str, str]]:

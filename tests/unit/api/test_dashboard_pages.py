@@ -15,6 +15,7 @@ from services.pipeline.result import Result
 from services.pipeline.spec import parse
 from services.pipeline.warning import JobWarning
 from tests.unit.api.dashboard_records import SPEC, add, app, record, result, row, start, succeed
+from tests.unit.jobs.records import attacks
 
 HOSTILE = "<script>alert(1)</script>\"'&"
 
@@ -73,7 +74,7 @@ async def test_list_shows_state_and_outcome_newest_first(repository: Repository)
     add(repository)
     tags = Tags((await get(repository, "/")).text)
     assert [a["href"] for a in tags.all("a") if (a["href"] or "").startswith("/jobs/")] == [
-        f"/jobs/{job.id}" for job in repository.page(None, 10, None)
+        f"/jobs/{job.id}" for job in attacks(repository)
     ]
     badges = [a["class"] for a in tags.all("span") if (a.get("class") or "").startswith("badge state")]
     assert badges == ["badge state-queued", "badge state-failed", "badge state-succeeded"]

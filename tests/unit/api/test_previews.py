@@ -15,6 +15,7 @@ from api.state import Services
 from api.warm_process import TooSlow
 from services.analysis.images import pixels
 from services.pipeline.prepare import prepare
+from tests.unit.jobs.records import attacks
 from tests.unit.jobs.small import LIBRARY, SPHERE, spec
 
 PATH = "/v1/preview"
@@ -22,7 +23,7 @@ BODY: dict[str, Any] = {"scene": SPHERE, "attack": {"steps": 3}, "seed": 5}
 
 
 def test_it_shows_what_a_job_begins_with_and_queues_nothing(client: Client, services: Services) -> None:
-    before = services.repository.page(None, 200, None)
+    before = attacks(services.repository)
     answer = client.post(PATH, json=BODY)
     assert answer.status_code == 200, answer.text
     found = answer.json()
@@ -36,7 +37,7 @@ def test_it_shows_what_a_job_begins_with_and_queues_nothing(client: Client, serv
     assert found["plan"]["renderer"] == "torch"
     assert found["cost"]["steps"] == 3
     assert found["warnings"]
-    assert [job.id for job in services.repository.page(None, 200, None)] == [job.id for job in before]
+    assert [job.id for job in attacks(services.repository)] == [job.id for job in before]
 
 
 def test_the_plan_may_be_left_out(client: Client) -> None:

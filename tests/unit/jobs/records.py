@@ -3,6 +3,9 @@
 from typing import Any
 
 from services.jobs.attempts import Attempt
+from services.jobs.job_query import parse_query
+from services.jobs.listed_job import ListedJob
+from services.jobs.lists import JobLists
 from services.jobs.models import Artifact, Job, State
 from services.jobs.repository import Repository
 from services.pipeline.spec import JobSpec, parse
@@ -15,6 +18,12 @@ def add(repository: Repository, spec: JobSpec = SPEC, *, checked: bool = True) -
     job, _ = repository.create(spec, 1000, None, lambda job: {"id": job.id}, checked=checked)
     assert job is not None
     return job
+
+
+def attacks(repository: Repository, query: str = "", owner: str | None = None) -> list[ListedJob]:
+    """The attacks in the record that meet a query, newest first."""
+    lists = JobLists(repository._reads)  # noqa: SLF001 - the same record
+    return list(lists.page(parse_query(query), 10_000, owner=owner).jobs)
 
 
 def start(repository: Repository, job: Job, owner: str = "w", seconds: float = 20) -> Attempt:

@@ -19,7 +19,7 @@ from services.jobs.database import connect, migrate
 from services.jobs.models import Artifact, State
 from services.jobs.repository import Repository
 from services.settings import Settings
-from tests.unit.jobs.records import OUTCOME, add, start
+from tests.unit.jobs.records import OUTCOME, add, attacks, start
 
 Restore = Callable[[Settings, Path], Settings]
 
@@ -96,7 +96,7 @@ def test_a_copy_made_while_jobs_end_has_every_file_it_names(
     assert made.files >= made.jobs - 1, "one may have been running"
     engine = connect(restore(service, tmp_path / "copy"))
     there = Repository(engine)
-    listed = there.page(None, 1000, None)
+    listed = attacks(there)
     assert len(listed) == made.jobs
     ended = [job for job in listed if job.state is State.SUCCEEDED]
     assert len(ended) >= made.jobs - 1

@@ -17,7 +17,7 @@ from services.pipeline.result import Result
 from services.pipeline.spec import JobSpec
 from services.pipeline.spec import parse as parse_job
 from tests.unit.jobs.campaign_stage import QUEUED, Stage, spec
-from tests.unit.jobs.records import add
+from tests.unit.jobs.records import add, attacks
 
 
 @pytest.fixture
@@ -60,8 +60,8 @@ def test_a_campaign_is_selected_run_and_finished(stage: Stage) -> None:
     assert all(case.success and case.right and case.run_seconds == 0.0 for case in cases)
     assert len(stage.campaigns.curves(campaign)) == CHUNK + 1
     # selection jobs are in no list
-    assert len(stage.repository.page(None, 1000, None)) == CHUNK + 1
-    assert {job.campaign_id for job in stage.repository.page(None, 1000, None, campaign)} == {campaign}
+    assert len(attacks(stage.repository)) == CHUNK + 1
+    assert {job.campaign_id for job in attacks(stage.repository, f"campaign:{campaign}")} == {campaign}
     stage.feeder.tick()
     assert stage.state(campaign) is CampaignState.FINISHED
 
@@ -173,26 +173,24 @@ def test_a_cancelled_campaign_cancels_its_jobs(stage: Stage) -> None:
 def test_an_earlier_result_of_the_same_request_is_taken(stage: Stage) -> None:
     first = stage.begin(spec(3))
     stage.finish(first)
-    count = len(stage.repository.page(None, 1000, None))
+    count = len(attacks(stage.repository))
     again = stage.begin(spec(4, name="again"))
     stage.finish(again)
-    assert len(stage.repository.page(None, 1000, None)) == count + 1
+    assert len(attacks(stage.repository)) == count + 1
     assert [case.reused for case in stage.campaigns.cases(again)[1]] == [True] * 3 + [False]
     other = stage.begin(spec(3, name="afresh", reuse=False))
     stage.finish(other)
-    assert len(stage.repository.page(None, 1000, None)) == count + 4
+    assert len(attacks(stage.repository)) == count + 4
 
 
 def test_another_owners_result_is_not_taken(stage: Stage) -> None:
     stage.finish(stage.begin(spec(2), "alice"))
-    count = len(stage.repository.page(None, 1000, None, owner="bob"))
+    count = len(attacks(stage.repository, owner="bob"))
     for owner, reused in (("bob", False), ("", False), ("alice", True)):
         again = stage.begin(spec(2), owner)
         stage.finish(again)
         assert [case.reused for case in stage.campaigns.cases(again)[1]] == [reused] * 2
-    assert (
-        len(stage.repository.page(None, 1000, None, owner="bob")) == count + 2
-    )  # jobs belong to whom the campaign does
+    assert len(attacks(stage.repository, owner="bob")) == count + 2  # jobs belong to whom the campaign does
 
 
 @pytest.mark.parametrize("part", ["weights_sha256", "backend", "scene_sha256", "versions"])

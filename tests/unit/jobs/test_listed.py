@@ -11,7 +11,7 @@ from services.jobs.database import MIGRATIONS, connect, migrate
 from services.jobs.listed import LONGEST, listed
 from services.jobs.repository import Repository
 from services.settings import Settings
-from tests.unit.jobs.records import SPEC, add
+from tests.unit.jobs.records import SPEC, add, attacks
 
 ASKED: dict[str, Any] = SPEC.model_dump(mode="json") | {
     "target": {"name": "iep", "question": "How many cubes are there?", "questions": []}
@@ -39,7 +39,7 @@ def test_a_scene_of_many_meshes_is_cut() -> None:
 
 def test_lists_read_neither_request_nor_result(repository: Repository) -> None:
     add(repository)
-    [job] = repository.page(None, 9, None)
+    [job] = attacks(repository)
     assert (job.name, job.seed) == ("sphere", 7)
     for column in ("spec", "result"):
         with pytest.raises(AttributeError):

@@ -1,19 +1,22 @@
-from services.jobs.models import State
+from sqlalchemy import Engine
+
+from services.jobs.lists import JobLists
 from services.jobs.repository import Repository
 from tests.unit.jobs.conftest import Clock
-from tests.unit.jobs.records import add, start
+from tests.unit.jobs.records import add, attacks, start
 
 
-def test_pages_show_each_job_once_while_others_are_added(repository: Repository, clock: Clock) -> None:
+def test_pages_show_each_job_once_while_others_are_added(repository: Repository, engine: Engine, clock: Clock) -> None:
     first = []
     for n in range(7):
         first.append(add(repository).id)
         clock.advance(n % 2)  # some at the same moment
     seen: list[str] = []
-    before = None
-    while jobs := repository.page(None, 2, before):
-        seen += [job.id for job in jobs]
-        before = (jobs[-1].created_at, jobs[-1].id)
+    lists = JobLists(engine)
+    page = lists.page((), 2)
+    while page.jobs:
+        seen += [job.id for job in page.jobs]
+        page = lists.page((), 2, after=page.last)
         clock.advance(1)
         add(repository)
     assert sorted(seen) == sorted(first)
@@ -25,5 +28,5 @@ def test_pages_are_newest_first_and_by_state(repository: Repository, clock: Cloc
         jobs.append(add(repository))
         clock.advance(1)
     start(repository, jobs[1])
-    assert [job.id for job in repository.page(None, 9, None)] == [job.id for job in reversed(jobs)]
-    assert [job.id for job in repository.page(State.RUNNING, 9, None)] == [jobs[1].id]
+    assert [job.id for job in attacks(repository)] == [job.id for job in reversed(jobs)]
+    assert [job.id for job in attacks(repository, "state:running")] == [jobs[1].id]

@@ -14,7 +14,7 @@ from services.jobs.campaign_feed import CHUNK, Feeder
 from services.jobs.models import Job, State
 from services.jobs.repository import Repository
 from tests.unit.jobs.campaign_stage import Stage, spec
-from tests.unit.jobs.records import add, start
+from tests.unit.jobs.records import add, attacks, start
 
 POSTGRESQL = pytest.mark.parametrize("database", ["postgresql"], indirect=True)
 
@@ -60,7 +60,7 @@ def test_supervisors_that_take_back_at_once_count_a_death_once(repository: Repos
     with ThreadPoolExecutor(4) as pool:
         taken = [job_id for some in pool.map(lambda _: repository.take_back(3), range(4)) for job_id in some]
     assert sorted(taken) == sorted(job.id for job in jobs)
-    assert {job.lost for job in repository.page(None, 9, None)} == {1}
+    assert {job.lost for job in attacks(repository)} == {1}
 
 
 def test_supervisors_that_feed_at_once_queue_each_view_once(engine: Engine, repository: Repository) -> None:
