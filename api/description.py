@@ -15,7 +15,7 @@ a problem document (RFC 9457). Angles are in radians, lengths in scene units, co
 """
 
 ERRORS = {
-    "400": "The request could not be read.",
+    "400": "The request could not be read: the body, or the head, which may have 64 KiB.",
     "401": "A key is needed, and none was sent that is known, not revoked and not expired.",
     "403": "The key's scopes do not allow this, or another web site made a browser send it.",
     "404": "The path names nothing that exists.",
@@ -71,14 +71,16 @@ def _errors(schema: dict[str, Any]) -> None:
                     "description": ERRORS[status],
                     "content": {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/ProblemDetails"}}},
                 }
+            # What is no HTTP never comes to the code that writes problem documents.
+            answers["400"]["content"]["text/plain"] = {"schema": {"type": "string"}}
 
 
 def _possible(method: str, path: str, operation: dict[str, Any]) -> list[str]:
-    found = ["401", "403", "429"] if operation["security"] else []
+    found = ["400", *(["401", "403", "429"] if operation["security"] else [])]
     if "{" in path:
         found.append("404")
     if "requestBody" in operation:
-        found += ["400", "408", "413", "415", "422", "503"]
+        found += ["408", "413", "415", "422", "503"]
     elif "422" in operation["responses"]:
         found.append("422")
     if method == "delete" and "webhooks" not in operation["tags"]:

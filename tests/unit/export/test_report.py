@@ -35,7 +35,7 @@ def test_the_report_has_its_images_in_it_and_asks_for_nothing_else() -> None:
 
 
 def test_groups_have_the_same_words_in_every_table() -> None:
-    text = report(Result.model_validate(result(steps=1)), NO_PARAMETERS, {}, "0f3c")
+    text = report(Result.model_validate(result(steps=1)), "vase", NO_PARAMETERS, {}, "0f3c")
     assert text.count('<th scope="row">surface normals</th>') == 2  # a subset and a share
     assert '<th scope="row">normals</th>' not in text
     assert "1 step," in text
