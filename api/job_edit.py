@@ -10,7 +10,17 @@ from services.written_text import line, line_or_nothing, paragraphs
 
 TAG_PATTERN = re.compile(r'[^\s,:"\x00-\x1f\x7f-\x9f]{1,50}')
 MOST_TAGS = 20
-Tag = Annotated[str, Field(pattern=f"^{TAG_PATTERN.pattern}$"), AfterValidator(line)]
+
+
+def _tag(text: str) -> str:
+    if TAG_PATTERN.fullmatch(line(text)) is None:
+        raise ValueError(
+            f"a tag has 1 to 50 characters, without spaces, commas, colons and quotation marks, not {text[:60]!r}"
+        )
+    return text
+
+
+Tag = Annotated[str, Field(json_schema_extra={"pattern": f"^{TAG_PATTERN.pattern}$"}), AfterValidator(_tag)]
 _TAG: TypeAdapter[str] = TypeAdapter(Tag)
 
 

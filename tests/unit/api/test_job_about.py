@@ -63,3 +63,11 @@ def test_a_job_that_has_ended_can_be_deleted_from_its_page(client: httpx.Client,
     assert (answer.status_code, answer.headers["location"]) == (303, "/")
     assert client.get(f"/v1/jobs/{finished}").status_code == 404
     assert client.get("/v1/jobs", params={"q": "tag:gone"}).json()["items"] == []
+
+
+def test_a_tag_that_is_none_is_answered_in_words(client: httpx.Client, queued: str) -> None:
+    answer = client.patch(f"/v1/jobs/{queued}", json={"tags": ["paper", "two words"]})
+    assert answer.status_code == 422
+    (error,) = answer.json()["errors"]
+    assert error["field"] == "tags.1"
+    assert error["detail"].startswith("a tag has 1 to 50 characters, without spaces")
