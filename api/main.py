@@ -19,6 +19,7 @@ from api import dashboard
 from api.audit import Audit
 from api.authentication import Authentication
 from api.conditional import Compression, Conditional
+from api.dashboard import asset_form
 from api.dashboard.error_pages import ErrorPages, show_mistakes
 from api.description import describe
 from api.exporter import Exporter
@@ -92,6 +93,8 @@ MIGRATION_SECONDS = 10.0
 RETRY_SECONDS = 1.0
 """Time between two tries to open a database that is away."""
 
+_UPLOADS = (assets.PATH, asset_form.PATH)
+"""The paths that take files."""
 log = logger(__name__)
 
 
@@ -190,10 +193,10 @@ def create_app(values: Settings | None = None) -> FastAPI:
             Middleware(KnownHosts, hosts=chosen.own_hosts),
             Middleware(SameSite),
             Middleware(Authentication, rate=RequestRate(chosen.owner_requests)),
-            Middleware(OpenUploads, path=assets.PATH),
+            Middleware(OpenUploads, paths=_UPLOADS),
             Middleware(NoNul),
             Middleware(Utf8Forms),
-            Middleware(BodyLimit, uploads={assets.PATH: chosen.max_upload_bytes}),
+            Middleware(BodyLimit, uploads=dict.fromkeys(_UPLOADS, chosen.max_upload_bytes)),
         ],
     )
     for part in (

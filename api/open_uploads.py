@@ -4,6 +4,7 @@ The bytes of an upload that is read or waits are in a temporary file, which in a
 """
 
 from collections import Counter
+from collections.abc import Collection
 
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -18,17 +19,19 @@ RETRY_SECONDS = 5
 
 
 class OpenUploads:
-    """Answers 429 to an upload to `path` of a client that has `most` open: the same owner, or address without keys."""
+    """Answers 429 to an upload to one of `paths` of a client that has `most` open on all of them: the same owner, or
+    address without keys.
+    """
 
-    def __init__(self, app: ASGIApp, path: str, most: int = MOST) -> None:
+    def __init__(self, app: ASGIApp, paths: Collection[str], most: int = MOST) -> None:
         self.app = app
-        self.path = path
+        self.paths = paths
         self.most = most
         self._open: Counter[str] = Counter()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """ASGI."""
-        if scope["type"] != "http" or scope["method"] != "POST" or scope["path"] != self.path:
+        if scope["type"] != "http" or scope["method"] != "POST" or scope["path"] not in self.paths:
             return await self.app(scope, receive, send)
         caller = scope["state"]["caller"]
         assert isinstance(caller, Caller)  # the route needs a key, or there is none

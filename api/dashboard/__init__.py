@@ -4,6 +4,7 @@ from fastapi import APIRouter
 
 from api.dashboard import (
     accuracy,
+    asset_form,
     assets,
     campaign_comparison,
     campaigns,
@@ -28,6 +29,7 @@ router.include_router(new_job.router)
 router.include_router(job_about.router)
 router.include_router(campaigns.router)
 router.include_router(assets.router)
+router.include_router(asset_form.router)
 router.include_router(targets.router)
 router.include_router(accuracy.router)
 router.include_router(reference.router)

@@ -1,5 +1,6 @@
 """Routes of the dashboard's pages about assets: the meshes and environment maps that a scene can name."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import degrees
 from typing import Annotated, Literal
@@ -15,7 +16,8 @@ from api.routes.artifacts import VerifiedFile
 from api.routes.connection import while_connected
 from api.schemas import Uploaded
 from api.state import Services, ServicesDependency, no_such
-from services.access.caller import Caller
+from services.access.caller import Caller, Scope
+from services.errors import InvalidRequest
 from services.jobs.asset_record import FirstAnswer
 from services.jobs.models import Job
 from services.scenes.entries import Entry
@@ -27,7 +29,8 @@ JOBS = 24
 
 Kind = Literal["furniture", "primitive", "upload", "environment"]
 Text = Annotated[str, Query(max_length=200)]
-
+EVERYTHING: Mapping[str, str] = {"kind": "", "category": "", "licence": "", "q": ""}
+NOTHING_SAID: Mapping[str, str] = {"mesh": "", "name": "", "up": "", "licence": "", "credit": ""}
 
 router = APIRouter(include_in_schema=False)
 
@@ -60,12 +63,26 @@ def assets(
     page: Annotated[int, Query(ge=1, le=10_000)] = 1,
 ) -> Response:
     """A grid of assets, narrowed by kind, category, licence and words."""
+    return grid(services, caller, {"kind": kind or "", "category": category, "licence": licence, "q": q}, page)
+
+
+def grid(
+    services: Services,
+    caller: Caller,
+    chosen: Mapping[str, str],
+    page: int,
+    *,
+    errors: Sequence[InvalidRequest] = (),
+    said: Mapping[str, str] = NOTHING_SAID,
+) -> Response:
+    """The page of the assets that meet `chosen`, with the form that adds one: what was said in it and was wrong."""
     everything = _entries(services, caller)
-    words = q.lower().split()
+    kind, category, licence = chosen["kind"], chosen["category"], chosen["licence"]
+    words = chosen["q"].lower().split()
     found = [
         entry
         for entry in everything
-        if kind in (None, entry.kind)
+        if kind in ("", entry.kind)
         and category in ("", entry.category)
         and licence in ("", entry.licence)
         and all(word in f"{entry.name} {entry.title} {entry.creator}".lower() for word in words)
@@ -73,11 +90,14 @@ def assets(
     begin = (page - 1) * PAGE
     entries = found[begin : begin + PAGE]
     answers = services.asset_records.first_answers([entry.name for entry in entries], caller.only)
-    chosen = {"kind": kind or "", "category": category, "licence": licence, "q": q}
     pages = {"newer": page - 1 if page > 1 else None, "older": page + 1 if begin + PAGE < len(found) else None}
     return html(
         "assets.html",
-        caller=caller,
+        422 if errors else 200,
+        caller,
+        may_add=caller.may(Scope.ASSETS_WRITE),
+        errors=errors,
+        said=said,
         shown=[Shown(entry, picture(entry), answers.get(entry.name, [])) for entry in entries],
         count=len(found),
         begin=begin,
@@ -140,5 +160,5 @@ def picture(entry: Entry) -> str | None:
     return Uploaded.of(entry).thumbnail if entry.name.startswith("sha256:") else None
 
 
-def _address(chosen: dict[str, str], page: int) -> str:
+def _address(chosen: Mapping[str, str], page: int) -> str:
     return "/assets?" + urlencode({name: value for name, value in chosen.items() if value} | {"page": page})

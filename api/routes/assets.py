@@ -1,6 +1,7 @@
 """Routes for meshes and environment maps that users upload."""
 
 import base64
+from collections.abc import Sequence
 from functools import partial
 from typing import Annotated
 
@@ -14,11 +15,13 @@ from api.mesh_uploads import Sent
 from api.routes.connection import while_connected
 from api.routes.jobs import client_of
 from api.schemas import AssetList, Uploaded
-from api.state import ServicesDependency, no_such
+from api.state import Services, ServicesDependency, no_such
+from services.access.caller import Caller
 from services.logs import logger
 from services.pipeline.thumbnail import picture_of, thumbnail_spec
 from services.scenes.about import About, Credit, Licence, Title, Up
 from services.scenes.bundle import MAX_FILES, MAX_NAME
+from services.scenes.entries import Entry
 
 PATH = "/v1/assets"
 Digest = Annotated[str, Path(description="the 64 digits after `sha256:` in the upload's name")]
@@ -73,11 +76,24 @@ async def upload(
     """Checks a mesh or an environment map and stores it, with the files that a mesh names, under a hash of all of it.
     Scenes name it by the `name` in the answer, which also says what of the files is `used`, and in `notes` what is not.
     """
-    await run_in_threadpool(services.quotas.check_upload, caller.owner, sum(one.size or 0 for one in file))
     about = About(title=name, up=up, licence=licence, credit=credit)
-    sent = Sent([(one.filename or "", one.file) for one in file], kind, mesh, about)
+    return Uploaded.of(await store(services, caller, request, file, kind, mesh, about))
+
+
+async def store(
+    services: Services,
+    caller: Caller,
+    request: Request,
+    files: Sequence[UploadFile],
+    kind: str | None,
+    mesh: str | None,
+    about: About,
+) -> Entry:
+    """Checks and stores the files of a form for its caller. Raises InvalidRequest, QuotaExceeded and Unavailable."""
+    await run_in_threadpool(services.quotas.check_upload, caller.owner, sum(one.size or 0 for one in files))
+    sent = Sent([(one.filename or "", one.file) for one in files], kind, mesh, about)
     adding = partial(services.assets.adding, caller.owner)
-    return Uploaded.of(await services.uploads.add(sent, client_of(request, caller), adding))
+    return await services.uploads.add(sent, client_of(request, caller), adding)
 
 
 @router.get("")
