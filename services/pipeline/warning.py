@@ -23,7 +23,7 @@ def warnings(first: str, confidence: float, truth: tuple[str, ...], right: bool)
     said = f"{first!r} ({confidence:.2f})"
     found = []
     if not truth:
-        text = f"nobody has said what this scene shows; the network says {said}, and leaving that counts as `changed`"
+        text = f"nobody has said what this scene shows; the network says {said}, and leaving that counts as “changed”"
         found.append(JobWarning(code="truth-unknown", field="goal.truth", text=text))
     elif not right:
         true = " or ".join(map(repr, truth))
