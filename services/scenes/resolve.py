@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from math import sin
@@ -71,6 +71,8 @@ class ResolvedScene:
     source_map: Floats | None = None
     picture: Doubles | None = None
     """The picture behind the objects, displayed values [H, W, 3] in [0,1]; None if the scene has none."""
+    titles: Mapping[str, str] = field(default_factory=dict)
+    """What people call the uploads among the meshes, by name."""
     measured: dict[Hashable, Any] = field(init=False, repr=False, default_factory=dict)
     """What `once` found. A changed copy of the scene begins without."""
 
@@ -168,6 +170,7 @@ def resolve(scene: Scene, library: Library) -> ResolvedScene:
         sha256=sha256,
         source_map=source.radiance,
         picture=_picture(scene),
+        titles=library.titles(placed.mesh for placed in scene.objects),
     )
 
 

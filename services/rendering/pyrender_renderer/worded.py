@@ -41,7 +41,7 @@ def worded(scene: ResolvedScene, renderer: Renderer, perturbation: Mapping[str, 
         for mesh, placed in zip(scene.meshes, things, strict=True)
     ]
     around = lengths[0] if len(lengths) == 1 else None
-    names, axes = object_names(scene.description), scene.view[:3, :3].T
+    names, axes = object_names(scene.description, scene.titles), scene.view[:3, :3].T
     found: list[Change] = []
     for group, moved in perturbation.items():
         initial, change = renderer.initial()[group].double().numpy(), moved.double().numpy()

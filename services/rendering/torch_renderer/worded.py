@@ -42,7 +42,7 @@ def worded(scene: ResolvedScene, renderer: Renderer, perturbation: Mapping[str, 
         )
         found.append(Change(group=group, subject=name, sentence=f"{verb} {sizes}", values=values, images=shown))
     if "material" in perturbation:
-        names = object_names(scene.description)
+        names = object_names(scene.description, scene.titles)
         found += map(material, names, initial["material"], perturbation["material"])
     return found
 

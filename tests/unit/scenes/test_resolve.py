@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 from services.errors import InvalidRequest
+from services.scenes.about import About
+from services.scenes.bundle import Bundle
 from services.scenes.description import Scene
 from services.scenes.environment import average
 from services.scenes.resolve import canonical_json, resolve
+from tests.unit.scenes.test_library import TETRAHEDRON
 
 
 def scene(*objects, **more):
@@ -126,3 +129,9 @@ def test_the_digest_moves_with_the_contents_of_a_map(library, assets, tmp_path):
     (tmp_path / "environments" / "studio.exr").write_bytes((assets / "environments" / "city.exr").read_bytes())
     other = Library(tmp_path, tmp_path / "data")
     assert resolve(scene(), other).sha256 != resolve(scene(), library).sha256
+
+
+def test_uploads_have_the_titles_that_people_gave_them(library):
+    vase = library.add(Bundle("off", TETRAHEDRON, {}, About(title="vase"))).name
+    found = resolve(scene({"mesh": vase}, {"mesh": "primitive/cube", "translation": [0.5, 0, 0]}), library)
+    assert found.titles == {vase: "vase"}
