@@ -8,7 +8,7 @@ from safetensors.torch import load_file
 from benchmarks.study.fooled_first import fooled_first
 from benchmarks.study.record import Asked
 from services.pipeline.described import can_carry, described
-from services.pipeline.execute import PERTURBATION
+from services.pipeline.perturbation_file import PERTURBATION
 from services.pipeline.question_record import ATTENTION, QuestionResult
 from services.pipeline.result import Result
 from services.pipeline.spec import JobSpec

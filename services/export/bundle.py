@@ -23,8 +23,9 @@ from services.export.report import report
 from services.export.scene_glb import scene_glb
 from services.export.scene_values import moves_the_scene, scene_values
 from services.export.torch_values import as_colors, light_maps, normal_maps
-from services.pipeline.execute import PERTURBATION, RESULT
+from services.pipeline.execute import RESULT
 from services.pipeline.names import job_name
+from services.pipeline.perturbation_file import PERTURBATION
 from services.pipeline.prepare import lit_by_map, resolved_scene
 from services.pipeline.result import Result
 from services.pipeline.spec import JobSpec, parse
@@ -75,8 +76,8 @@ def read_finished(files: Files, library: Library) -> Finished:
     if missing := [group for group in spec.attack.groups if group not in perturbation]:
         raise InvalidRequest("result", f"its {PERTURBATION} has no {', '.join(missing)}")
     ordered = {group: perturbation[group] for group in spec.attack.groups}  # the file's order is that of a hash map
-    titles = library.titles(thing.mesh for thing in spec.scene.objects)
-    return Finished(job_name(result.spec, titles), result, spec, resolved_scene(spec, library), ordered)
+    scene = resolved_scene(spec, library)
+    return Finished(job_name(result.spec, scene.titles), result, spec, scene, ordered)
 
 
 def write_bundle(files: Files, library: Library, write: Write, job: str | None = None) -> None:

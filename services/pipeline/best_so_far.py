@@ -4,14 +4,12 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from services.analysis import images
 from services.analysis.answers import answer
 from services.analysis.perceptibility import of_float_images, of_images
-from services.analysis.physical import change_images, changes_in_words
+from services.analysis.physical import changes_in_words
 from services.analysis.records import Answer
 from services.attacks import checkpoint
-from services.pipeline.execute import PERTURBATION
-from services.pipeline.perturbation_file import save_perturbation
+from services.pipeline.change_files import save_change
 from services.pipeline.prepare import prepare_exactly
 from services.pipeline.result import BEST_SO_FAR
 from services.pipeline.spec import JobSpec
@@ -43,8 +41,7 @@ class BestSoFar(BaseModel):
 def best_so_far(spec: JobSpec, path: Path, out: Path, library: Library) -> BestSoFar | None:
     """Renders the best perturbation of the checkpoint `path` and asks the network; returns None without a checkpoint.
 
-    Writes best-so-far.json, perturbation.safetensors, original.png, attacked.png and perturbation.png into `out`, as
-    `execute` does those of a result. Raises what `prepare_exactly` does.
+    Writes best-so-far.json and what was changed into `out`. Raises what `prepare_exactly` does.
     """
     found = checkpoint.best(path)
     if found is None:
@@ -66,11 +63,6 @@ def best_so_far(spec: JobSpec, path: Path, out: Path, library: Library) -> BestS
         perceptibility=of_images(prepared.original, attacked),
         changes=changes_in_words(prepared.scene, prepared.renderer, stored),
     )
-    images.save_png(prepared.original, out / "original.png")
-    images.save_png(attacked, out / "attacked.png")
-    images.save_png(images.magnified(prepared.original, attacked), out / "perturbation.png")
-    for name, image in change_images(prepared.renderer, stored).items():
-        images.save_png(image, out / name)
-    save_perturbation(stored, prepared.renderer, out / PERTURBATION)
+    save_change(prepared, stored, attacked, out)
     (out / BEST_SO_FAR).write_text(best.model_dump_json(indent=1) + "\n", "utf-8")
     return best

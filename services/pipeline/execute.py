@@ -14,7 +14,7 @@ from services.analysis.answers import answer
 from services.analysis.attribution import of_subsets
 from services.analysis.expectation import held_over
 from services.analysis.perceptibility import beyond, of_float_images, of_groups, of_images
-from services.analysis.physical import change_images, changes_in_words
+from services.analysis.physical import changes_in_words
 from services.analysis.subsets import ScoredImage, subsets
 from services.attacks.loop import Budget, run, sampled_error
 from services.attacks.masking import check_masking
@@ -25,10 +25,10 @@ from services.attacks.trace import TraceRow
 from services.attacks.verdict import judge
 from services.errors import Cancelled, named
 from services.pipeline.analyse import Report, Subject, analyse
+from services.pipeline.change_files import save_change
 from services.pipeline.expectations import with_cost
 from services.pipeline.extensions import ATTACKS, EXTENSIONS, TARGETS
 from services.pipeline.leaving_out import LeavingOut, leaving_out
-from services.pipeline.perturbation_file import save_perturbation
 from services.pipeline.prepare import Prepared, lit_by_map, prepare
 from services.pipeline.question_result import outcome_of, question_results
 from services.pipeline.result import Provenance, Result, subset_image
@@ -39,7 +39,6 @@ from services.rendering.plan import Plan
 from services.scenes.library import Library
 from services.versions import versions
 
-PERTURBATION = "perturbation.safetensors"
 RESULT = "result.json"
 _VERSIONED = ("scene-attack", "torch", "numpy", "pyrender-maintained", "PyOpenGL", "trimesh", "OpenEXR", "safetensors")
 
@@ -215,12 +214,7 @@ def _write(
         trace=found.trace,
         provenance=provenance(prepared),
     )
-    images.save_png(original, out / "original.png")
-    images.save_png(attacked, out / "attacked.png")
-    images.save_png(images.magnified(original, attacked), out / "perturbation.png")
-    for name, image in change_images(prepared.renderer, found.stored).items():
-        images.save_png(image, out / name)
-    save_perturbation(found.stored, prepared.renderer, out / PERTURBATION)
+    save_change(prepared, found.stored, attacked, out)
     trace = ",\n".join(row.model_dump_json() for row in found.trace)
     (out / "trace.json").write_text(f"[{trace}]\n", "utf-8")
     (out / RESULT).write_text(result.model_dump_json(indent=1) + "\n", "utf-8")

@@ -8,6 +8,8 @@ from safetensors.torch import save_file
 from services.rendering.declaration import RENDERERS
 from services.rendering.protocol import Parameters, Renderer
 
+PERTURBATION = "perturbation.safetensors"
+
 
 def save_perturbation(perturbation: Parameters, renderer: Renderer, path: Path) -> None:
     """Writes one tensor for each group: its change from the scene's own values, `describe` as metadata."""

@@ -11,7 +11,8 @@ from torch import Tensor
 from services.analysis.images import load_png
 from services.errors import InvalidRequest
 from services.pipeline.error_words import in_words
-from services.pipeline.execute import PERTURBATION, RESULT
+from services.pipeline.execute import RESULT
+from services.pipeline.perturbation_file import PERTURBATION
 from services.pipeline.result import Result
 from services.rendering.protocol import Parameters
 

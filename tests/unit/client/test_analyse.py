@@ -12,7 +12,8 @@ from services.analysis.records import Rerendering
 from services.analysis.requests import AnalysisRequest
 from services.errors import InvalidRequest
 from services.pipeline.analyse_stored import StoredAnalysis, analyse_stored
-from services.pipeline.execute import PERTURBATION, execute
+from services.pipeline.execute import execute
+from services.pipeline.perturbation_file import PERTURBATION
 from services.pipeline.prepare import prepare
 from tests.unit.client.test_cli import cli
 from tests.unit.jobs.small import LIBRARY, SPHERE, spec
