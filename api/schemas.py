@@ -246,9 +246,9 @@ def _shown(error: str | None) -> str | None:
     return None if error is None else without_folders(error)
 
 
-def cursor_after(job: ListedJob | Campaign) -> str:
-    """The cursor of the page that begins after this job or campaign."""
-    return base64.urlsafe_b64encode(f"{job.created_at.isoformat()} {job.id}".encode()).decode().rstrip("=")
+def cursor_after(campaign: Campaign) -> str:
+    """The cursor of the page that begins after this campaign."""
+    return base64.urlsafe_b64encode(f"{campaign.created_at.isoformat()} {campaign.id}".encode()).decode().rstrip("=")
 
 
 def read_cursor(cursor: str) -> tuple[datetime, str]:

@@ -10,7 +10,7 @@ from fastapi import APIRouter, Query, Response
 from api.authentication import CallerDependency
 from api.dashboard.charts import Overlay, overlay
 from api.dashboard.pages import html
-from api.dashboard.unfinished import all_events, trace_of_events
+from api.dashboard.traces import all_events, trace_of
 from api.state import Services, ServicesDependency, no_such
 from services.attacks.verdict import with_outcome
 from services.errors import InvalidRequest
@@ -75,7 +75,7 @@ def compare(
 
 
 def _compared(services: Services, job: Job, letter: str) -> Compared:
-    trace = job.result["trace"] if job.result else trace_of_events(all_events(services.repository, job.id))
+    trace = trace_of(job, all_events(services.repository, job.id))
     images = {one.name for one in services.repository.artifacts(job.id) if one.media_type == "image/png"}
     return Compared(job, letter, with_outcome(job.outcome), trace, images)
 

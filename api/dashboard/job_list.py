@@ -12,7 +12,7 @@ from fastapi.sse import EventSourceResponse, ServerSentEvent
 
 from api.authentication import CallerDependency
 from api.dashboard.pages import HEADERS, html
-from api.job_edit import MOST_TAGS, is_tag
+from api.job_edit import MOST_TAGS, TAG_WORDS, is_tag
 from api.job_places import SORT_PATTERN, read_cursor, write_cursor
 from api.retries import retry
 from api.state import Services, ServicesDependency
@@ -122,7 +122,7 @@ def act(
     """Does something with the ticked jobs and redirects to the list; where some refuse, it shows the list and why."""
     refused = [] if job else ["no job is ticked"]
     if action == "tag" and not is_tag(tag):
-        refused.append("a tag has 1 to 50 characters without spaces, commas, colons and quotation marks")
+        refused.append(TAG_WORDS)
     for job_id in dict.fromkeys(job) if not refused else ():
         try:
             _act(services, caller, action, job_id, tag)

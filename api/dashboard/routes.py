@@ -13,7 +13,7 @@ from api.dashboard import views
 from api.dashboard.commands import commands
 from api.dashboard.job_about import about
 from api.dashboard.pages import HEADERS, STATIC, VERSION, html
-from api.dashboard.unfinished import all_events
+from api.dashboard.traces import all_events
 from api.routes.continuing import continued
 from api.state import KnownJob, Services, ServicesDependency, no_such
 from services.access.caller import Caller
@@ -70,7 +70,7 @@ def _job(template: str, job_id: str, services: Services, caller: Caller, request
     found = caller.visible(services.repository.get(job_id, with_result=True))
     if found is None:
         raise no_such("job")
-    events = [] if found.result else all_events(services.repository, job_id)
+    events = all_events(services.repository, job_id)
     artifacts = services.repository.artifacts(job_id)
     page = views.page(found, events, artifacts, _best_so_far(services, artifacts))
     said = about(found, services.lists.retries(job_id, caller.only), page.went_on)

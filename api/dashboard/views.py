@@ -7,7 +7,7 @@ from typing import Any
 
 from api.dashboard.charts import Chart, chart
 from api.dashboard.questions import Question, SceneObject, objects, questions
-from api.dashboard.unfinished import trace_of_events
+from api.dashboard.traces import trace_of
 from api.dashboard.upset import Upset, upset
 from services.attacks.verdict import judge, with_outcome
 from services.jobs.listed_job import ListedJob
@@ -114,7 +114,7 @@ def page(job: Job, events: Iterable[Event], artifacts: Sequence[Artifact], best:
     """The data that a job's page shows. The trace is the result's or, if there is none yet, that of the events; `best`
     is what a job had found that ended before its time.
     """
-    trace = job.result["trace"] if job.result else trace_of_events(events)
+    trace = trace_of(job, events)
     height, width = job.spec["scene"]["camera"]["size"]
     asked = questions(job.result, job.spec, question_names(job.spec))
     shown = {name for one in asked for of in one.result.attention for name in (of.before, of.after)}
