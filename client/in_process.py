@@ -42,9 +42,8 @@ def attack(
     """
     from torch import nn
 
+    from client.local_meshes import local_library
     from services.pipeline.execute import execute
-    from services.scenes.library import Library
-    from services.settings import settings
     from services.targets.custom.in_process import describe, target_of
     from services.targets.registry import registered
 
@@ -56,9 +55,8 @@ def attack(
     else:
         target = model
     job = _spec(scene, name, spec or {})
-    library = Library(settings().cache_dir, settings().files)
     with registered(describe(name, target), target), TemporaryDirectory() as folder:
-        return execute(job, Path(folder) if out is None else Path(out), library, progress=progress)
+        return execute(job, Path(folder) if out is None else Path(out), local_library(), progress=progress)
 
 
 def _spec(scene: Mapping[str, Any], name: str, spec: Mapping[str, Any]) -> JobSpec:

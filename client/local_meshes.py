@@ -9,6 +9,7 @@ from services.errors import InvalidRequest
 if TYPE_CHECKING:
     from client.api_client import ApiClient
     from services.scenes.bundle import Bundle
+    from services.scenes.library import Library
 
 Adding = Callable[[Path], tuple[str, Sequence[str]]]
 """Adds the mesh in a file. Returns its name in a scene, and what of the file is not shown. Raises InvalidRequest."""
@@ -29,6 +30,13 @@ def is_path(mesh: object) -> bool:
 def folder_of(spec: str) -> Path:
     """The folder that the paths in the file `spec` are relative to: its own or, for "-", the working directory."""
     return Path.cwd() if spec == "-" else Path(spec).absolute().parent
+
+
+def read_with_meshes(spec: str, seed: int | None = None) -> dict[str, Any]:
+    """The request in the file `spec`, as `spec_input.read` has it, with its meshes added to this machine's uploads."""
+    from client import spec_input
+
+    return with_meshes_added(spec_input.read(spec, seed), folder_of(spec), to_library)
 
 
 def with_meshes_added(data: dict[str, Any], folder: Path, add: Adding) -> dict[str, Any]:
@@ -56,11 +64,16 @@ def with_meshes_added(data: dict[str, Any], folder: Path, add: Adding) -> dict[s
 
 def to_library(path: Path) -> tuple[str, Sequence[str]]:
     """Adds a mesh to the uploads of this machine."""
+    entry = local_library().add(bundle_at(path))
+    return entry.name, entry.notes
+
+
+def local_library() -> "Library":
+    """The meshes and maps of this machine."""
     from services.scenes.library import Library
     from services.settings import settings
 
-    entry = Library(settings().cache_dir, settings().files).add(bundle_at(path))
-    return entry.name, entry.notes
+    return Library(settings().cache_dir, settings().files)
 
 
 def to_service(client: "ApiClient") -> Adding:
@@ -69,10 +82,11 @@ def to_service(client: "ApiClient") -> Adding:
     def add(path: Path) -> tuple[str, Sequence[str]]:
         from client.mesh_files import with_files_beside
         from client.request import ApiError
+        from services.scenes.about import title_of
 
         files = with_files_beside([path])
         try:
-            entry = client.add_asset(files, mesh=_chosen(path, files), name=_title(path))
+            entry = client.add_asset(files, mesh=_chosen(path, files), name=title_of(path))
         except ApiError as error:
             if error.status != 422:
                 raise
@@ -89,24 +103,18 @@ def bundle_at(path: Path) -> "Bundle":
     Raises InvalidRequest.
     """
     from client.mesh_files import with_files_beside
-    from services.scenes.about import About
+    from services.scenes.about import About, title_of
     from services.scenes.sent_files import to_bundle
     from services.scenes.uploads import max_unpacked
     from services.settings import settings
 
     files = [(name, one.read_bytes()) for name, one in with_files_beside([path])]
-    return to_bundle(files, None, _chosen(path, files), About(title=_title(path)), max_unpacked(settings()))
+    return to_bundle(files, None, _chosen(path, files), About(title=title_of(path)), max_unpacked(settings()))
 
 
 def _chosen(path: Path, files: Sequence[object]) -> str | None:
     """Which of the files is the mesh; one alone may be a zip file, which has it inside."""
     return path.name if len(files) > 1 else None
-
-
-def _title(path: Path) -> str:
-    from services.written_text import visible
-
-    return visible(path.stem)[:100]
 
 
 def _replaced(data: Any, steps: Sequence[str], place: tuple[str, ...], named: Callable[[str, str], str]) -> Any:

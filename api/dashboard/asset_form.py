@@ -16,9 +16,8 @@ from api.routes.assets import form_body, store
 from api.state import ServicesDependency
 from services.errors import InvalidFields, InvalidRequest
 from services.pipeline.field_errors import invalid_fields
-from services.scenes.about import About, Credit, Licence, Title, Up
+from services.scenes.about import About, Credit, Licence, Title, Up, title_of
 from services.scenes.bundle import MAP_KINDS, MAX_FILES, MAX_NAME, MESH_KINDS
-from services.written_text import visible
 
 PATH = "/assets"
 router = APIRouter(include_in_schema=False)
@@ -76,5 +75,5 @@ def _title(sent: Sequence[UploadFile]) -> str | None:
     """The name of the first file that may be the mesh or the map, without its ending."""
     for path in (PurePosixPath(one.filename or "") for one in sent):
         if path.suffix.lower().removeprefix(".") in (*MESH_KINDS, *MAP_KINDS, "zip", "zae"):
-            return visible(path.stem)[:100] or None
+            return title_of(path) or None
     return None

@@ -105,13 +105,12 @@ def rerender(
     """
     from pydantic import ValidationError
 
-    from client import spec_input
     from client.analysis_tables import rerendering_table
     from client.commands.run import library
     from client.console import out as stdout
     from client.console import print_json
     from client.live import JobLine
-    from client.local_meshes import folder_of, to_library, with_meshes_added
+    from client.local_meshes import read_with_meshes
     from services.analysis.requests import RerenderingRequest
     from services.device import check_device
     from services.errors import InvalidFields, InvalidRequest
@@ -119,7 +118,7 @@ def rerender(
     from services.pipeline.spec import parse
 
     check_device()
-    job = parse(with_meshes_added(spec_input.read(spec), folder_of(spec), to_library))
+    job = parse(read_with_meshes(spec))
     try:
         request = RerenderingRequest.model_validate({"steps": steps, "rate": rate, "optimiser": optimiser})
     except ValidationError as error:

@@ -2,14 +2,11 @@
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from client.commands.options import DEFAULT_URL, JsonOption, UrlOption
-
-if TYPE_CHECKING:
-    from services.scenes.library import Library
 
 app = typer.Typer(help="The meshes and environment maps that scenes are made of.", no_args_is_help=True)
 
@@ -28,8 +25,9 @@ def list_assets(
 ) -> None:
     """List the meshes of this machine, with their creators and licences."""
     from client.console import err, out, print_json, table
+    from client.local_meshes import local_library
 
-    found = _library().entries(category=category, creator=creator, licence=licence, search=search)
+    found = local_library().entries(category=category, creator=creator, licence=licence, search=search)
     entries = [entry for entry in found if entry.kind != "environment"]
     if as_json:
         print_json([entry.model_dump(mode="json") for entry in entries])
@@ -43,8 +41,9 @@ def list_assets(
 def show(mesh: Annotated[str, typer.Argument(help="A name from `assets list`.")], as_json: JsonOption = False) -> None:
     """Show one mesh: its parts, size, hash and creator."""
     from client.console import out, print_json, table
+    from client.local_meshes import local_library
 
-    library = _library()
+    library = local_library()
     loaded, entry = library.mesh(mesh), library.entry(mesh)
     facts: dict[str, Any] = {
         "mesh": mesh,
@@ -160,8 +159,9 @@ def delete(
 def environments(as_json: JsonOption = False) -> None:
     """List the environment maps of this machine, with their creators and licences."""
     from client.console import out, print_json, table
+    from client.local_meshes import local_library
 
-    library = _library()
+    library = local_library()
     uploaded = [entry for entry in library.entries(category="upload") if entry.kind == "environment"]
     entries = [*library.environments(), *uploaded]
     if as_json:
@@ -169,10 +169,3 @@ def environments(as_json: JsonOption = False) -> None:
     else:
         rows = [[one.name, one.title, one.creator, one.licence, one.credit or ""] for one in entries]
         out().print(table(("map", "title", "creator", "licence", "credit"), rows, spare=("credit", "title")))
-
-
-def _library() -> "Library":
-    from services.scenes.library import Library
-    from services.settings import settings
-
-    return Library(settings().cache_dir, settings().files)

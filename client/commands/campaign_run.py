@@ -29,13 +29,12 @@ def run(
 
     If it is interrupted, the same command goes on with what is left.
     """
-    from client import spec_input
     from client.campaign_live import CampaignLine
     from client.campaign_tables import results
     from client.commands.run import keep_memory, library, prepare_folder
     from client.console import err, print_json, report_extensions
     from client.console import out as stdout
-    from client.local_meshes import folder_of, to_library, with_meshes_added
+    from client.local_meshes import read_with_meshes
     from services.device import check_device
     from services.pipeline.campaign_check import check_meshes, check_size
     from services.pipeline.campaign_select import nothing_chosen
@@ -46,7 +45,7 @@ def run(
     check_device()
     keep_memory()
     report_extensions()
-    campaign = parse(with_meshes_added(spec_input.read(spec), folder_of(spec), to_library))
+    campaign = parse(read_with_meshes(spec))
     check_size(campaign, settings().max_campaign_jobs)
     folder = out or Path("out") / (slugify(campaign.name) or "campaign")
     prepare_folder(folder)

@@ -24,15 +24,14 @@ def plan(
     Of a question about the image it prints the program, the right answer and what limits the search. The command runs
     no attack and does not ask the network. It rasterises the scene and measures errors of tables.
     """
-    from client import spec_input
     from client.console import err, print_json, report_extensions
-    from client.local_meshes import folder_of, to_library, with_meshes_added
+    from client.local_meshes import read_with_meshes
     from services.device import check_device
     from services.pipeline.spec import parse
 
     check_device()
     report_extensions()
-    job = parse(with_meshes_added(spec_input.read(spec), folder_of(spec), to_library))
+    job = parse(read_with_meshes(spec))
     with err().status("loading") as line:
         from client.commands.run import library
 

@@ -27,17 +27,16 @@ def render(
 
     It is what POST /v1/preview answers. A job that cannot run ends with the same error as in `run`.
     """
-    from client import spec_input
     from client.commands.run import library
     from client.console import err, print_json, report_extensions
-    from client.local_meshes import folder_of, to_library, with_meshes_added
+    from client.local_meshes import read_with_meshes
     from services.device import check_device
     from services.errors import InvalidRequest
     from services.pipeline.spec import parse
 
     check_device()
     report_extensions()
-    job = parse(with_meshes_added(spec_input.read(spec), folder_of(spec), to_library))
+    job = parse(read_with_meshes(spec))
     if out is not None and not out.parent.is_dir():
         raise InvalidRequest("--out", f"there is no folder {out.parent}; make it first")
     with err().status("loading") as line:

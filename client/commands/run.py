@@ -37,30 +37,26 @@ def run(
     If it is interrupted, the same command resumes it. The exit code is 0 if the job ran to its end, whether the network
     was fooled or held. A directory that holds the result of another job is refused.
     """
-    from client import spec_input
     from client.analysis_tables import print_analyses, print_subsets
     from client.console import err, print_json, report_extensions, table
     from client.console import out as stdout
     from client.live import JobLine
-    from client.local_meshes import folder_of, to_library, with_meshes_added
+    from client.local_meshes import local_library, read_with_meshes
     from client.outcomes import COLUMNS, cells, goal_line
     from client.question_tables import print_answered
     from client.result_folder import check_free
     from services.device import check_device
     from services.pipeline.names import attack_name, job_name
     from services.pipeline.spec import parse
-    from services.scenes.library import Library
-    from services.settings import settings
 
     check_device()
     keep_memory()
     report_extensions()
-    data = with_meshes_added(spec_input.read(spec, seed), folder_of(spec), to_library)
-    job = parse(data)
+    job = parse(read_with_meshes(spec, seed))
     check_free(out, job)
     prepare_folder(out)
     words = job.model_dump(mode="json")
-    titles = Library(settings().cache_dir, settings().files).titles(thing.mesh for thing in job.scene.objects)
+    titles = local_library().titles(thing.mesh for thing in job.scene.objects)
     name, attack = job_name(words, titles), attack_name(words)
     try:
         with JobLine(f"{name}, {attack}") as line:
@@ -155,11 +151,11 @@ def library() -> "Library":
 
     gc.freeze()
     gc.enable()
-    from services.scenes.library import Library
+    from client.local_meshes import local_library
     from services.settings import settings
 
     torch.set_num_threads(settings().threads)
-    return Library(settings().cache_dir, settings().files)
+    return local_library()
 
 
 def _execute(spec: "JobSpec", out: Path, line: "JobLine") -> "Result":

@@ -1,16 +1,18 @@
 """What people say of a file that they upload: its name, which way is up, and whose it is."""
 
 import json
+from pathlib import PurePath
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from services.written_text import line
+from services.written_text import line, visible
 
+LONGEST_TITLE = 100
 Up = Literal["y", "z"]
 Title = Annotated[
     str,
-    Field(min_length=1, max_length=100, description="the name that people see beside the hash"),
+    Field(min_length=1, max_length=LONGEST_TITLE, description="the name that people see beside the hash"),
     AfterValidator(line),
 ]
 Licence = Annotated[
@@ -23,6 +25,11 @@ Credit = Annotated[
     Field(min_length=1, max_length=500, description="whom to name wherever it is shown"),
     AfterValidator(line),
 ]
+
+
+def title_of(file: PurePath) -> str:
+    """The name that an upload has from its file's, if its sender says none; "" if nothing of that is left."""
+    return visible(file.stem)[:LONGEST_TITLE]
 
 
 class About(BaseModel):
