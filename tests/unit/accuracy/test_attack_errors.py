@@ -1,11 +1,14 @@
 """The errors of images of whole attacks: short attacks on small scenes, and the committed report of the long ones."""
 
 import json
+from collections.abc import Mapping
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
+from torch import Tensor
 
 from services.accuracy import attack_errors as attack_errors_module
 from services.accuracy.attack_errors import (
@@ -53,6 +56,25 @@ def test_an_estimate_that_does_not_hold_is_counted(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(attack_errors_module, "TorchRenderer", Optimist)
     found = attack_errors(case, library(), steps=1)
     assert found.beyond == found.images == 2
+
+
+class Spotted(TorchRenderer):
+    """A renderer whose images are wrong by 0.2 in one value."""
+
+    def render(self, parameters: Mapping[str, Tensor]) -> Tensor:
+        spot = torch.zeros(*self.size, 3)
+        spot[0, 0, 0] = 0.2
+        return super().render(parameters) + (0.0 if self.plan.tolerance == "exact" else spot)
+
+
+def test_the_error_of_an_image_is_that_of_its_worst_value() -> None:
+    """The value is of the ground, where the renderer itself makes no error but that of float32."""
+    [case] = islice(adversarial_scenes(), 4, 5)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(attack_errors_module, "TorchRenderer", Spotted)
+        found = attack_errors(case, library(), steps=1)
+    assert found.worst == pytest.approx(0.2, abs=1e-6)
+    assert found.beyond == 2
 
 
 def test_the_committed_report_says_that_no_image_was_beyond() -> None:

@@ -61,3 +61,10 @@ def test_a_defence_that_ignores_the_image_cannot_be_fooled() -> None:
     assert found.steps == 5
     assert found.goal_probability == pytest.approx([found.goal_probability[0]] * 6)
     assert found.perceptibility > 0
+
+
+def test_an_attack_of_many_steps_ends_at_the_limit() -> None:
+    """Against a defence that ignores the image the gradient is always the same, and no value of the start is near 0 or
+    1: after 15 steps each value is off by exactly U, so that p is √3 · U."""
+    found = attacked(RigidRenderer(), 15)
+    assert found.perceptibility == pytest.approx(3**0.5 * LIMIT, rel=1e-6)

@@ -14,6 +14,7 @@ from services.attacks.surrogate import Surrogate
 from services.rendering.protocol import InactiveCoordinate
 from tests.unit.attacks.small import (
     Ahead,
+    FreeRenderer,
     LinearRenderer,
     LinearTarget,
     OpaqueCurvedRenderer,
@@ -111,6 +112,38 @@ def test_a_prior_that_is_the_gradient_needs_no_random_directions() -> None:
     steepest = float(autograd(guided, torch.zeros(60)).abs().sum()) * 0.05 / 4
     assert found["guided"] == pytest.approx(steepest, rel=0.02)
     assert found["blind"] < 0.6 * steepest
+
+
+def test_the_priors_images_are_as_far_off_as_random_ones_and_along_the_gradient() -> None:
+    """In units of the half-steps the surrogate's direction is its gradient, as long as a direction of signs: √9."""
+    case = problem(FreeRenderer(), epsilon={"a": 0.1, "b": 0.1})
+    case.surrogate = Surrogate(case.target, case.goal)
+    half_steps = {"a": 1e-3, "b": 4e-3}
+    given = PRgf.model_construct(pairs=0, surrogate="other", delta=half_steps, learning_rate={"a": 0.01, "b": 0.01})
+    method = PRgfMethod(given, case)
+    method.start(case)
+    view, rendered, render = case.view(method.perturbation), [], case.render
+
+    def recording(parameters: Any) -> torch.Tensor:
+        rendered.append(torch.cat([parameters[group].detach().flatten(1) for group in case.groups], dim=1))
+        return render(parameters)
+
+    case.render = recording  # type: ignore[method-assign]
+    method.advance(case, view, 0)
+    units = case.layout.spread(half_steps)
+    direction = margin_gradient(case) * units
+    moves = units * direction / direction.norm() * 3
+    torch.testing.assert_close(rendered[-1], torch.stack([moves, -moves]), rtol=1e-4, atol=1e-12)
+
+
+def margin_gradient(case: AttackProblem) -> torch.Tensor:
+    """The gradient of the margin of the labels to leave over the largest other, at the scene itself, by autograd."""
+    leaf = torch.zeros(9, dtype=torch.float64, requires_grad=True)
+    scores = case.target.logits(case.renderer.render(case.layout.unflatten(leaf[None])))[0]
+    [first] = case.goal.leave
+    others = torch.cat([scores[:first], scores[first + 1 :]])
+    (gradient,) = torch.autograd.grad(scores[first] - others.max(), leaf)
+    return gradient
 
 
 def test_a_prior_without_direction_is_left_out() -> None:

@@ -97,6 +97,15 @@ def test_variations_depend_on_seed_and_step_alone_and_fill_the_range() -> None:
         assert abs(float(values.mean())) < 4.5 * half / 3**0.5 / 20  # 4.5 standard errors of a uniform's mean
 
 
+def test_the_numbers_of_a_variation_are_independent() -> None:
+    """Correlations of 400 draws of independent numbers have a standard error of 1/20; 4.5 of them are allowed."""
+    asked = Expectation(azimuth=10, elevation=4, roll=2, distance=0.2, intensity=0.5)
+    names = ("azimuth", "elevation", "roll", "distance", "intensity")
+    drawn = [draw_variation(asked, 1, "step", step, 0) for step in range(400)]
+    values = torch.tensor([[getattr(one, name) for one in drawn] for name in names], dtype=torch.float64)
+    assert float((torch.corrcoef(values) - torch.eye(5)).abs().max()) < 4.5 / 20
+
+
 def attack(name: str, expectation: Expectation | None) -> AttackState:
     renderer = Pixels(dtype=torch.float32)
     given = {"method": name, "renderer": "image", "epsilon": {"image": 0.05}, "steps": 6, "expectation": expectation}

@@ -4,8 +4,9 @@ import pytest
 import torch
 from torch import Tensor
 
+from services.attacks.differences import CANDIDATES, estimate
 from services.attacks.zoo import Zoo, ZooMethod
-from tests.unit.attacks.small import FreeRenderer, LinearRenderer, problem
+from tests.unit.attacks.small import CurvedRenderer, FreeRenderer, LinearRenderer, LinearTarget, autograd, problem
 
 
 def settings(**changes: object) -> Zoo:
@@ -120,3 +121,35 @@ def test_each_group_has_its_own_half_step_and_rate() -> None:
         assert float(max(one[group] for one in seen)) == pytest.approx(delta, rel=1e-4)
         wanted = -rates[group] * leaves[group].grad[0].sign()  # type: ignore[index]
         torch.testing.assert_close(method.perturbation[group].double(), wanted, rtol=1e-4, atol=1e-7)
+
+
+class Odd(CurvedRenderer):
+    """Its image's change is an odd function of the parameters, which have no bounds: 0.4 sin(15 A x)."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.weights = {group: 5 * weight for group, weight in self.weights.items()}
+        self.base = 0.0 * self.base
+
+    def bounds(self) -> dict[str, tuple[Tensor, Tensor]]:
+        return FreeRenderer.bounds(self)  # type: ignore[arg-type]
+
+
+def test_half_steps_are_measured_away_from_the_start() -> None:
+    """Where the objective is λ‖ΔY‖² alone, both sides of a difference at the start are equal, whatever the half-step.
+    Ten learning rates from it they are not, and a half-step chosen there is small enough for the curvature.
+    """
+    case = problem(Odd(), LinearTarget(scale=0.0), weight=30.0)
+    rate = 2e-3
+    found = ZooMethod(settings(delta="measured", learning_rate=rate), case).start(case)["delta"]
+    at = 10 * rate * torch.tensor([1.0, -1, 1, 1, -1, 1, -1, -1, 1], dtype=torch.float64)
+    every = torch.arange(9)
+    truth = autograd(case, at)
+
+    def error(step: float) -> float:
+        steps = torch.full((9,), step, dtype=torch.float64)
+        return float((estimate(case, at, every, steps, 0.0).gradients - truth).norm() / truth.norm())
+
+    assert error(CANDIDATES[0]) > 0.1  # the largest, which is chosen where nothing changes
+    for step in found.values():  # type: ignore[attr-defined]
+        assert error(step) < 0.01

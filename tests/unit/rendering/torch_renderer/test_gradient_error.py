@@ -5,7 +5,13 @@ import torch
 from torch import Tensor
 
 from services.rendering.torch_renderer.declaration import TORCH
-from services.rendering.torch_renderer.renderer import TorchRenderer
+from services.rendering.torch_renderer.environment_light import illumination
+from services.rendering.torch_renderer.gradient_error import gradient_errors
+from services.rendering.torch_renderer.presets import preset
+from services.rendering.torch_renderer.renderer import TorchRenderer, sky_of
+from services.rendering.torch_renderer.shader import Recipe, Surface
+from services.rendering.torch_renderer.units import MATERIAL_UNIT
+from tests.unit.rendering.shading import sky
 from tests.unit.rendering.torch_renderer.planned import on_sphere
 
 GROUPS = TORCH.group_names
@@ -49,3 +55,21 @@ def test_wrong_signs_are_a_share_of_the_coordinates(
     wrong = float(((own.sign() != exact.sign()) & there).sum() / there.sum())
     assert wrong > 1e-3
     assert wrong / 1.7 < renderer.plan.gradients[0].wrong_signs < 1.7 * wrong
+
+
+def test_a_gradient_that_vanishes_in_float32_has_the_wrong_sign() -> None:
+    """Every other pixel has a base colour of 1e-60, which is 0 in float32. Its gradient is 0 there and not in float64,
+    so half of the signs are wrong, and the few that float32 rounds to the other side."""
+    light = illumination(torch.as_tensor(sky()))
+    random = torch.Generator().manual_seed(3)
+    angles = (torch.rand(20, 2, generator=random, dtype=torch.float64) - 0.5).repeat_interleave(2, dim=0)
+    colors = torch.tensor([[0.2] * 3, [1e-60] * 3], dtype=torch.float64).repeat(20, 1)
+    surface = Surface("", angles, colors, preset("matte", "material") * MATERIAL_UNIT)
+    every = torch.ones(surface.material.shape[:2], dtype=torch.bool)
+    recipes = [
+        Recipe(torch.arange(32), False, every, ~every, "summed", moving=True, dtype=dtype)
+        for dtype in (torch.float32, torch.float64)
+    ]
+    own_sky = sky_of(light, torch.eye(3, dtype=torch.float64))
+    [found] = gradient_errors(surface, own_sky, light.intensity.flatten(), ("normals",), *recipes)
+    assert found.wrong_signs == pytest.approx(0.5, abs=0.02)

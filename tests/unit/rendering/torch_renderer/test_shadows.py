@@ -149,3 +149,16 @@ def test_a_lone_ball_has_the_very_image_that_it_has_without_shadows() -> None:
         images.append(renderer.render({}))
     assert torch.equal(*images)
     assert WHOLE == 255
+
+
+def test_a_matte_scene_in_partial_shadow_looks_the_same_from_near_and_from_afar() -> None:
+    """For a near viewer every pixel is summed with its own visibility, without regions in light and in shadow.
+
+    A quarter of a step of 8 bits is allowed: `matte` is Lambertian but for an exponent of e⁻³⁰. Four samples of each
+    texel make half of the visibilities partial.
+    """
+    images = []
+    for viewer in ("distant", "perspective"):
+        scene, gbuffer = lit(viewer, material="matte", size=(24, 32))
+        images.append(TorchRenderer(scene, gbuffer, tolerance="exact").render({})[0])
+    assert float((images[0] - images[1]).abs().max()) < 1e-3
