@@ -30,7 +30,7 @@ BESIDE: Mapping[str, tuple[str, ...]] = {
 MAX_FILES = 500
 """Files of one upload."""
 MAX_NAME = 255
-PARSER = 1
+PARSER = 2
 """Version of what reads uploads. Increase it with any change to the mesh that some file gives."""
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from services.errors import InvalidRequest
 from services.scenes.archive import SIGNATURE, unpack_archive
 from services.scenes.gltf_file import GltfFile, elements, json_of, size
-from services.scenes.unreadable import Unreadable
+from services.scenes.unreadable import TooLarge, Unreadable
 from services.scenes.xml_file import check_xml
 
 _SIZES = {
@@ -241,13 +241,13 @@ def _check_numbers(text: bytes) -> None:
 
 def _check_triangle_count(triangles: int, max_faces: int) -> None:
     if triangles > max_faces:
-        raise Unreadable(f"it declares {triangles:,} triangles; at most {max_faces:,} are taken")
+        raise TooLarge(triangles, "triangles", max_faces)
 
 
 def _check_vertex_count(vertices: int, max_faces: int) -> None:
     # A triangle has three vertices, so more than three per triangle are unused.
     if vertices > 3 * max_faces:
-        raise Unreadable(f"it declares {vertices:,} vertices; at most {3 * max_faces:,} are taken")
+        raise TooLarge(vertices, "vertices", 3 * max_faces)
 
 
 CHECKS: dict[str, Callable[[bytes, int], None]] = {
@@ -260,5 +260,5 @@ CHECKS: dict[str, Callable[[bytes, int], None]] = {
     "dae": _dae,
     "3mf": _3mf,
 }
-"""Validators by file kind. Each takes the bytes and the largest number of triangles, and raises Unreadable (or another
-exception of its parsing) if the file cannot be valid."""
+"""Validators by file kind. Each takes the bytes and the largest number of triangles, and raises TooLarge for more, and
+Unreadable (or another exception of its parsing) if the file cannot be valid."""

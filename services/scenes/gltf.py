@@ -5,7 +5,7 @@ defines the defaults where they are left out (flat normals; tangents along the t
 specification, 3.5 to 3.9.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import fields
 from typing import Any
 
@@ -14,9 +14,10 @@ import numpy as np
 from services.scenes.gltf_file import STRIP, TRIANGLES, GltfFile, elements, numbers
 from services.scenes.gltf_materials import Material, read_material
 from services.scenes.mesh import Doubles, Longs, MaterialSettings, MetallicRoughness, Part, fitted
+from services.scenes.rounding import rounding_note
 from services.scenes.surfaces import MAX_COORDINATE, Textures
 from services.scenes.tangents import derive_tangents
-from services.scenes.unreadable import Unreadable
+from services.scenes.unreadable import TooLarge, Unreadable
 
 MAX_PARTS = 2_000
 """Largest number of primitives in the scene; each is a part, which is drawn by itself."""
@@ -26,11 +27,13 @@ _MIN_HEIGHT = 1e-6
 """Ratio of a triangle's height to its longest edge below which a normal from float32 coordinates is noise."""
 
 
-def read_gltf(file: GltfFile, max_faces: int) -> tuple[Part, ...]:
-    """Returns the parts of a file's scene, fitted to the frame; alpha-blended parts come last.
+def read_gltf(file: GltfFile, max_faces: int, note: Callable[[str], None] = lambda _: None) -> tuple[Part, ...]:
+    """Returns the parts of a file's scene, fitted to the frame; alpha-blended parts come last. `note` is given what
+    is not shown.
 
     Raises Unreadable, which names the element of the file, for invalid elements (`GltfFile`, `read_material`), for
-    vertices that are not finite or beyond MAX_COORDINATE, and for more than `max_faces` triangles or none with an area.
+    vertices that are not finite or beyond MAX_COORDINATE, and for no triangle with an area; TooLarge for more than
+    `max_faces` triangles.
     """
     placed = list(_instances(file))
     primitives: dict[int, list[_Primitive]] = {}
@@ -43,7 +46,7 @@ def read_gltf(file: GltfFile, max_faces: int) -> tuple[Part, ...]:
             primitives[index] = [primitive for primitive in read if primitive is not None]
         count += sum(len(primitive.faces) for primitive in primitives[index])
     if count > max_faces:
-        raise Unreadable(f"it has {count:,} triangles; at most {max_faces:,} are taken")
+        raise TooLarge(count, "triangles", max_faces)
     parts = []
     if (total := sum(len(primitives[index]) for index, _ in placed)) > MAX_PARTS:
         raise Unreadable(f"its scene has {total:,} primitives; at most {MAX_PARTS:,} are taken")
@@ -56,7 +59,7 @@ def read_gltf(file: GltfFile, max_faces: int) -> tuple[Part, ...]:
     if not parts:
         raise Unreadable("it has no triangles")
     _check_texels([materials[primitive.material] for primitive in parts])
-    return _parts(parts, [materials[primitive.material] for primitive in parts])
+    return _parts(parts, [materials[primitive.material] for primitive in parts], note)
 
 
 class _Primitive:
@@ -175,7 +178,7 @@ def _primitive(file: GltfFile, where: str, entry: dict[str, Any], accessors: dic
     return whole.taken(used, local.reshape(-1, 3))
 
 
-def _parts(primitives: list[_Primitive], materials: list[Material]) -> tuple[Part, ...]:
+def _parts(primitives: list[_Primitive], materials: list[Material], note: Callable[[str], None]) -> tuple[Part, ...]:
     """Returns the parts without degenerate triangles, fitted to the frame. Raises Unreadable if no triangle is left."""
     points = np.concatenate([primitive.vertices for primitive in primitives])
     if not np.isfinite(points).all() or np.abs(points).max() > MAX_COORDINATE:
@@ -186,17 +189,21 @@ def _parts(primitives: list[_Primitive], materials: list[Material]) -> tuple[Par
     # Files use any unit; in the file's own unit areas could overflow or underflow.
     middle = points.mean(axis=0)
     parts = []
+    shown = 0
     for primitive, material in zip(primitives, materials, strict=True):
         primitive.vertices = (primitive.vertices - middle) / extent
         corners = primitive.vertices[primitive.faces]
         edges = corners - np.roll(corners, 1, axis=1)
         across = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
         proper = across > _MIN_HEIGHT * (edges**2).sum(axis=2).max(axis=1)
+        shown += int(proper.sum())
         if proper.any():
             used, local = np.unique(primitive.faces[proper], return_inverse=True)
             parts.append(_part(primitive.taken(used, local.reshape(-1, 3)), material))
     if not parts:
         raise Unreadable("none of its triangles has an area")
+    if said := rounding_note(points, sum(len(primitive.faces) for primitive in primitives), shown):
+        note(said)
     return fitted(tuple(sorted(parts, key=_blends)))
 
 

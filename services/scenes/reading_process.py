@@ -136,8 +136,9 @@ def read(request: dict[str, Any], data: bytes) -> tuple[dict[str, Any], bytes]:
             start += length
         data = data[start:]
         files = Beside(others, kind, data)
-        parts = read_mesh(data, kind, request["max_faces"], files, request["up"])
-        return {}, pack(parts, report(data, kind, files, parts))
+        notes: list[str] = []
+        parts = read_mesh(data, kind, request["max_faces"], files, request["up"], notes.append)
+        return {}, pack(parts, report(data, kind, files, parts, notes))
     if "map" in request:
         texels = read_map(data, request["map"])
         return {"size": texels.shape[:2]}, texels.tobytes()

@@ -22,9 +22,13 @@ _3MF = {b"<basematerials": "materials", b":colorgroup": "colours", b":texture2d"
 _NOT_DRAWN = {"animations": "animations", "skins": "skins", "cameras": "cameras"}
 
 
-def report(data: bytes, kind: str, beside: Beside, parts: Sequence[Part]) -> Report:
-    """Returns what became of what a mesh file holds and names. `parts` are those that were read from it."""
+def report(data: bytes, kind: str, beside: Beside, parts: Sequence[Part], notes: Sequence[str]) -> Report:
+    """Returns what became of what a mesh file holds and names.
+
+    `parts` are those that were read from it, and `notes` what was said of it then to be not shown.
+    """
     used, dropped = _files(beside, any(part.textured for part in parts))
+    dropped = [*notes, *dropped]
     if kind == "obj" and re.search(rb"(?m)^[ \t]*v(?:[ \t]+[-+.\deE]+){6}", data):
         hidden = beside.libraries() or re.search(rb"(?m)^[ \t]*f[ \t]+-?\d+/-?\d", data)
         (dropped if hidden else used).append("vertex colours")

@@ -1,6 +1,6 @@
 """Converts a file's triangles and materials to the parts of a mesh."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +11,7 @@ from PIL import Image
 from services.scenes.image_file import MAX_PIXELS
 from services.scenes.mesh import Bytes, Doubles, Floats, Longs, Part, fitted
 from services.scenes.normals import CREASE_ANGLE, smooth_normals
+from services.scenes.rounding import rounding_note
 from services.scenes.srgb import to_linear
 from services.scenes.unreadable import Unreadable
 
@@ -61,11 +62,13 @@ def read_surfaces(scene: trimesh.Scene, opacity: Mapping[str, float] | None = No
     return surfaces
 
 
-def to_parts(surfaces: Sequence[Surface], crease: float = CREASE_ANGLE) -> tuple[Part, ...]:
+def to_parts(
+    surfaces: Sequence[Surface], crease: float = CREASE_ANGLE, note: Callable[[str], None] = lambda _: None
+) -> tuple[Part, ...]:
     """Computes smooth normals over all surfaces together; returns the parts fitted to the frame, opaque parts first.
 
-    A change of material is not a crease. Vertices must be finite. Raises Unreadable if there are no triangles with an
-    area.
+    A change of material is not a crease. Vertices must be finite. `note` is given what is not shown. Raises Unreadable
+    if there are no triangles with an area.
     """
     surfaces = sorted(surfaces, key=lambda surface: bool(surface.color[3] < 1))
     offsets = np.cumsum([0, *(len(surface.vertices) for surface in surfaces)])
@@ -79,9 +82,11 @@ def to_parts(surfaces: Sequence[Surface], crease: float = CREASE_ANGLE) -> tuple
     if extent < 1 / MAX_COORDINATE:
         raise Unreadable("all its vertices are at one point: it has no area")
     # Files use any unit; in the file's own unit areas could overflow or underflow.
-    vertices = (vertices - used.mean(axis=0)) / extent
+    at_origin = (vertices - used.mean(axis=0)) / extent
 
-    smoothed = smooth_normals(vertices, faces, crease)
+    smoothed = smooth_normals(at_origin, faces, crease)
+    if said := rounding_note(used, len(faces), len(smoothed.faces)):
+        note(said)
     if not len(smoothed.faces):
         raise Unreadable("none of its triangles has an area")
     parts = []
@@ -94,7 +99,7 @@ def to_parts(surfaces: Sequence[Surface], crease: float = CREASE_ANGLE) -> tuple
         uv = None if surface.uv is None else surface.uv[source - offsets[k]]
         parts.append(
             Part(
-                vertices=vertices[source].astype(np.float32),
+                vertices=at_origin[source].astype(np.float32),
                 normals=smoothed.normals[index].astype(np.float32),
                 faces=local.reshape(-1, 3).astype(np.int32),
                 uv=uv,

@@ -19,7 +19,7 @@ from services.scenes.about import NOTHING_SAID, About
 from services.scenes.bundle import MAP_KINDS, PARSER, Bundle
 from services.scenes.environment import EnvironmentMap, radiance_of
 from services.scenes.isolated_reading import reader
-from services.scenes.mesh import Mesh, Part
+from services.scenes.mesh import Mesh
 from services.scenes.phrases import Report
 from services.scenes.store import load_parts, mesh_path, save_parts
 from services.settings import Settings, settings
@@ -28,16 +28,15 @@ from services.settings import Settings, settings
 class Upload(BaseModel):
     """Metadata of an uploaded mesh, stored beside it as JSON. `size` is in bytes.
 
-    sha256: the name, see `Bundle.sha256`. Uploads of scene-attack 0.1 have no parser and no mesh_sha256; their name is
-    the SHA-256 of the bytes alone. mesh_sha256: the SHA-256 of the parsed mesh's file.
+    sha256: the name, see `Bundle.sha256`. mesh_sha256: the SHA-256 of the file of what was parsed.
     """
 
     model_config = ConfigDict(frozen=True)
 
     sha256: str
     kind: str
-    parser: int | None = None
-    mesh_sha256: str | None = None
+    parser: int
+    mesh_sha256: str
     size: int
     triangles: int
     about: About = NOTHING_SAID
@@ -157,10 +156,7 @@ class Uploads:
         kept = self._kept(upload.sha256)
         parts = load_parts(kept)
         if parts is None:
-            if upload.mesh_sha256 is None:
-                save_parts(kept, self._parsed_again(upload))
-            else:
-                atomic_write.write(kept, self._read(f"{upload.sha256}.npz", upload.mesh_sha256, upload))
+            atomic_write.write(kept, self._read(f"{upload.sha256}.npz", upload.mesh_sha256, upload))
             parts = load_parts(kept)
         if parts is None:
             raise JobFailure("asset-missing", f"the parsed mesh of the upload {upload.sha256} cannot be read any more")
@@ -169,18 +165,9 @@ class Uploads:
     def load_map(self, upload: Upload) -> EnvironmentMap:
         """Returns an uploaded environment map. Raises JobFailure("asset-missing") if its file is missing or changed."""
         name = f"{upload.sha256}.npz"
-        with np.load(BytesIO(self._read(name, upload.mesh_sha256 or "", upload)), allow_pickle=False) as arrays:
+        with np.load(BytesIO(self._read(name, upload.mesh_sha256, upload)), allow_pickle=False) as arrays:
             radiance = radiance_of(arrays["texels"])
         return EnvironmentMap(f"sha256:{upload.sha256}", radiance, upload.sha256, upload.about.credit)
-
-    def _parsed_again(self, upload: Upload) -> tuple[Part, ...]:
-        """Parses an upload whose mesh was not kept, which scene-attack 0.1 read as PARSER 1 does."""
-        if PARSER != 1:
-            raise JobFailure(
-                "asset-missing", f"the upload {upload.sha256} is of scene-attack 0.1; upload its file again"
-            )
-        data = self._read(upload.sha256, upload.sha256, upload)
-        return reader().read_mesh(data, upload.kind, settings().max_faces)[0]
 
     def _read(self, name: str, sha256: str, upload: Upload) -> bytes:
         try:

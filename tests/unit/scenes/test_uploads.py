@@ -11,7 +11,6 @@ from services.scenes import bundle, uploads
 from services.scenes.library import Library
 from services.settings import Settings
 from tests.unit.scenes.mesh_files import ASCII_PLY, ASCII_STL, BOXES
-from tests.unit.scenes.old_uploads import add_as_before
 
 
 def test_the_limits_of_uploads_are_those_of_the_settings(tmp_path, monkeypatch):
@@ -30,14 +29,14 @@ def test_an_upload_is_stored_once_under_the_hash_of_kind_parser_and_bytes(tmp_pa
     first, second = library.add_mesh(BOXES["stl"], "stl"), library.add_mesh(BOXES["stl"], "stl")
     assert first == second
     assets = tmp_path / "data" / "assets"
-    digest = hashlib.sha256(b"stl 1\n" + BOXES["stl"]).hexdigest()
+    digest = hashlib.sha256(b"stl 2\n" + BOXES["stl"]).hexdigest()
     assert first.name == f"sha256:{digest}"
     assert sorted(path.name for path in assets.iterdir()) == [digest, f"{digest}.json", f"{digest}.npz"]
     assert (assets / digest).read_bytes() == BOXES["stl"]
     assert json.loads((assets / f"{digest}.json").read_bytes()) == {
         "sha256": digest,
         "kind": "stl",
-        "parser": 1,
+        "parser": 2,
         "mesh_sha256": hashlib.sha256((assets / f"{digest}.npz").read_bytes()).hexdigest(),
         "size": len(BOXES["stl"]),
         "triangles": 12,
@@ -66,7 +65,7 @@ def test_a_later_parser_makes_other_names_and_leaves_the_meshes_of_old_ones(tmp_
     library = Library(tmp_path / "cache", tmp_path / "data")
     first = library.add_mesh(BOXES["obj"], "obj")
     for module in (bundle, uploads):
-        monkeypatch.setattr(module, "PARSER", 2)
+        monkeypatch.setattr(module, "PARSER", 3)
     for path in (tmp_path / "cache" / "meshes").glob("*.npz"):
         path.unlink()
     monkeypatch.setattr(uploads, "reader", lambda: pytest.fail("it was parsed again"))
@@ -74,26 +73,10 @@ def test_a_later_parser_makes_other_names_and_leaves_the_meshes_of_old_ones(tmp_
     assert later.mesh(first.name).triangles == 12
     monkeypatch.undo()
     for module in (bundle, uploads):
-        monkeypatch.setattr(module, "PARSER", 2)
+        monkeypatch.setattr(module, "PARSER", 3)
     second = later.add_mesh(BOXES["obj"], "obj")
     assert second.name != first.name
     assert {entry.name for entry in later.entries(category="upload")} == {first.name, second.name}
-
-
-def test_the_names_of_old_uploads_go_on_meaning_their_meshes(tmp_path, monkeypatch):
-    name = add_as_before(tmp_path / "data" / "assets", BOXES["obj"], "obj")
-    library = Library(tmp_path / "cache", tmp_path / "data")
-    new = library.add_mesh(BOXES["obj"], "obj")
-    assert new.name != name
-    assert [entry.name for entry in library.entries(category="upload")] == sorted([name, new.name])
-    assert library.mesh(name).sha256 == name.removeprefix("sha256:")
-    assert np.array_equal(library.mesh(name).parts[0].vertices, library.mesh(new.name).parts[0].vertices)
-    for module in (bundle, uploads):
-        monkeypatch.setattr(module, "PARSER", 2)
-    for path in (tmp_path / "cache" / "meshes").glob("*.npz"):
-        path.unlink()
-    with pytest.raises(JobFailure, match=r"asset-missing.*upload its file again"):
-        Library(tmp_path / "cache", tmp_path / "data").mesh(name)
 
 
 @pytest.mark.parametrize(
@@ -143,13 +126,12 @@ def test_another_machine_has_the_same_uploads(tmp_path, s3_url):
 
 
 @pytest.mark.parametrize("damage", ["gone", "changed"])
-@pytest.mark.parametrize("old", [False, True])
-def test_an_upload_that_was_lost_is_a_missing_asset(tmp_path, damage, old):
+def test_an_upload_that_was_lost_is_a_missing_asset(tmp_path, damage):
     library, assets = Library(tmp_path / "cache", tmp_path / "data"), tmp_path / "data" / "assets"
-    name = add_as_before(assets, BOXES["ply"], "ply") if old else library.add_mesh(BOXES["ply"], "ply").name
+    name = library.add_mesh(BOXES["ply"], "ply").name
     for path in (tmp_path / "cache").glob("meshes/*.npz"):
         path.unlink()
-    file = assets / f"{name.removeprefix('sha256:')}{'' if old else '.npz'}"
+    file = assets / f"{name.removeprefix('sha256:')}.npz"
     file.unlink() if damage == "gone" else file.write_bytes(BOXES["obj"])
     with pytest.raises(JobFailure, match=f"asset-missing.*{damage}"):
         library.mesh(name)
