@@ -29,8 +29,9 @@ class _Unparsed:
         return core_schema.any_schema()
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
-        """The schema of the model."""
-        return handler(self.model.__pydantic_core_schema__)
+        """A reference to the schema of the model."""
+        # Pydantic refers to a model that is part of another schema, and would write out one that stands alone.
+        return handler(core_schema.definitions_schema(self.model.__pydantic_core_schema__, []))
 
 
 def body_of(model: type[Parsed]) -> Callable[..., Parsed]:

@@ -21,7 +21,7 @@ from api.authentication import Authentication
 from api.conditional import Compression, Conditional
 from api.dashboard import asset_form
 from api.dashboard.error_pages import ErrorPages, show_mistakes
-from api.description import describe
+from api.description import TAGS, describe
 from api.exporter import Exporter
 from api.hosts import KnownHosts
 from api.limits import BodyLimit, NoNul, Utf8Forms
@@ -178,6 +178,9 @@ def create_app(values: Settings | None = None) -> FastAPI:
         version=version("scene-attack"),
         lifespan=lifespan,
         separate_input_output_schemas=False,
+        # A route's function has the name of the operation, which `client.operations` and generated clients have too.
+        generate_unique_id_function=lambda route: route.name,
+        openapi_tags=TAGS,
         docs_url=None,  # api.dashboard.reference is the page
         redoc_url=None,
         middleware=[

@@ -88,6 +88,16 @@ class AssetList(TypedDict):
     """Uploaded meshes and environment maps."""
     items: list[Uploaded]
 
+class AssetUpload(TypedDict):
+    """A mesh or an environment map, with what is said of it."""
+    file: list[str]
+    kind: NotRequired[str | None]
+    mesh: NotRequired[str | None]
+    name: NotRequired[str | None]
+    up: NotRequired[Literal['y', 'z'] | None]
+    licence: NotRequired[str | None]
+    credit: NotRequired[str | None]
+
 class Attended(TypedDict):
     """The files that show what a function of a program attends to: grey images, white where an object of its set
     is.
@@ -115,15 +125,6 @@ class BadField(TypedDict):
     """A field of a request with an invalid value."""
     field: str
     detail: str
-
-class Body_upload_v1_assets_post(TypedDict):
-    file: list[str]
-    kind: NotRequired[str | None]
-    mesh: NotRequired[str | None]
-    name: NotRequired[str | None]
-    up: NotRequired[Literal['y', 'z'] | None]
-    licence: NotRequired[str | None]
-    credit: NotRequired[str | None]
 
 class Call(TypedDict):
     """A function of a question's program, as in CLEVR's question files; its generator's words for the fields count."""
@@ -518,6 +519,12 @@ class Item(TypedDict):
     of: int
     why: str
     error: NotRequired[float]
+
+class JobEdit(TypedDict):
+    """Changes of what people have said about a job. Fields that are left out stay as they are."""
+    title: NotRequired[str | None]
+    tags: NotRequired[list[str] | None]
+    note: NotRequired[str | None]
 
 class JobPage(TypedDict):
     """A page of the list of jobs."""
@@ -1245,6 +1252,10 @@ class ViewList(TypedDict):
 class WebhookList(TypedDict):
     """Webhooks, oldest first."""
     items: list[WebhookView]
+
+class WebhookRequest(TypedDict):
+    """Whom to tell."""
+    url: str
 
 class WebhookView(TypedDict):
     """A webhook."""

@@ -87,15 +87,15 @@ class ApiClient:
         found: Answer = answer_of(self._http.request(**request.arguments()))
         return found
 
-    def submit(self, spec: Mapping[str, Any], priority: str | None = None) -> dict[str, Any]:
+    def submit_job(self, spec: Mapping[str, Any], priority: str | None = None) -> dict[str, Any]:
         """Queues a job and returns it; `priority` is high, normal or low."""
         return self._json(self._http.post("/v1/jobs", json=spec, params=_given(priority=priority), timeout=_CHECK))
 
-    def job(self, job_id: str) -> dict[str, Any]:
+    def get_job(self, job_id: str) -> dict[str, Any]:
         """One job, with its spec, state and, when it has succeeded, its result."""
         return self._json(self._http.get(f"/v1/jobs/{job_id}"))
 
-    def jobs(
+    def list_jobs(
         self,
         limit: int = 20,
         state: str | None = None,
@@ -117,17 +117,17 @@ class ApiClient:
             if cursor is None:
                 return
 
-    def cancel(self, job_id: str) -> dict[str, Any]:
+    def cancel_job(self, job_id: str) -> dict[str, Any]:
         """Asks a job to stop and returns it; has no effect on a job that has ended."""
         return self._json(self._http.post(f"/v1/jobs/{job_id}/cancel"))
 
-    def delete(self, job_id: str) -> None:
+    def delete_job(self, job_id: str) -> None:
         """Deletes a job that has ended."""
         response = self._http.delete(f"/v1/jobs/{job_id}")
         if response.is_error:
             raise refusal(response)
 
-    def events(self, job_id: str, after: str | None = None) -> Iterator[Event]:
+    def stream_job_events(self, job_id: str, after: str | None = None) -> Iterator[Event]:
         """The job's events, each once and in order, until it has ended; a dropped connection is taken up again."""
         reconnects = Reconnects()
         while True:
@@ -153,17 +153,17 @@ class ApiClient:
                 error = broken
             sleep(reconnects.pause(error))
 
-    def artifacts(self, job_id: str) -> list[dict[str, Any]]:
+    def list_artifacts(self, job_id: str) -> list[dict[str, Any]]:
         """The files of a finished job: name, sha256, media type, size."""
         return list(self._json(self._http.get(f"/v1/jobs/{job_id}/artifacts"))["items"])
 
-    def download(self, job_id: str, name: str, to: Path) -> None:
+    def download_artifact(self, job_id: str, name: str, to: Path) -> None:
         """Writes one artifact to the file `to`, which appears only when it is complete."""
-        self._save(operations.artifact(job_id, name), to)
+        self._save(operations.download_artifact(job_id, name), to)
 
-    def export(self, job_id: str, to: Path) -> None:
+    def download_export(self, job_id: str, to: Path) -> None:
         """Writes the zip file of a finished job's export to `to`, which appears only when it is complete."""
-        self._save(operations.export(job_id), to)
+        self._save(operations.download_export(job_id), to)
 
     def _save(self, request: Request[bytes], to: Path) -> None:
         with self._http.stream(**request.arguments()) as response:
@@ -174,7 +174,7 @@ class ApiClient:
                 for chunk in response.iter_bytes():
                     file.write(chunk)
 
-    def add_asset(
+    def upload_asset(
         self, files: Sequence[tuple[str, Path]], kind: str | None = None, mesh: str | None = None, **about: str | None
     ) -> dict[str, Any]:
         """Uploads a mesh and returns its library entry.
@@ -188,7 +188,7 @@ class ApiClient:
             data = _given(kind=kind, mesh=mesh, **about)
             return self._json(self._http.post("/v1/assets", files=parts, data=data, timeout=_CHECK))
 
-    def assets(self) -> list[dict[str, Any]]:
+    def list_assets(self) -> list[dict[str, Any]]:
         """The library entries of the meshes that were uploaded."""
         return list(self._json(self._http.get("/v1/assets"))["items"])
 
@@ -203,23 +203,19 @@ class ApiClient:
         given = _given(priority=priority)
         return self._json(self._http.post("/v1/campaigns", json=spec, params=given, timeout=_CHECK))
 
-    def campaign(self, campaign_id: str) -> dict[str, Any]:
+    def get_campaign(self, campaign_id: str) -> dict[str, Any]:
         """One campaign, with its request, progress and outcomes."""
         return self._json(self._http.get(f"/v1/campaigns/{campaign_id}"))
 
-    def campaigns(self, limit: int = 20, cursor: str | None = None) -> dict[str, Any]:
+    def list_campaigns(self, limit: int = 20, cursor: str | None = None) -> dict[str, Any]:
         """A page of campaigns, newest first."""
         return self._json(self._http.get("/v1/campaigns", params=_given(limit=limit, cursor=cursor)))
 
-    def move_campaign(self, campaign_id: str, how: str) -> dict[str, Any]:
-        """Changes a campaign's state and returns it; `how` is pause, resume or cancel."""
-        return self._json(self._http.post(f"/v1/campaigns/{campaign_id}/{how}"))
-
-    def campaign_table(self, campaign_id: str) -> dict[str, Any]:
+    def get_campaign_table(self, campaign_id: str) -> dict[str, Any]:
         """The table, the mean curves and the views of a campaign."""
         return self._json(self._http.get(f"/v1/campaigns/{campaign_id}/table.json"))
 
-    def campaign_jobs(self, campaign_id: str, after: int = -1) -> dict[str, Any]:
+    def list_campaign_jobs(self, campaign_id: str, after: int = -1) -> dict[str, Any]:
         """A page of a campaign's planned jobs, with numbers above `after`."""
         return self._json(self._http.get(f"/v1/campaigns/{campaign_id}/jobs", params={"after": after}))
 

@@ -44,11 +44,11 @@ class AsyncJob(JobFields):
 
     async def file(self, name: str) -> bytes:
         """The bytes of one of the job's files."""
-        return await self._client.call(operations.artifact(self.id, name))
+        return await self._client.call(operations.download_artifact(self.id, name))
 
     async def files(self) -> list[str]:
         """The names of the job's files; none until it has succeeded."""
-        return [one["name"] for one in (await self._client.call(operations.artifacts(self.id)))["items"]]
+        return [one["name"] for one in (await self._client.call(operations.list_artifacts(self.id)))["items"]]
 
     async def download(self, folder: Path | str) -> list[Path]:
         """Writes all files of the job into a folder, as `scene-attack run --out` does, and returns their paths."""
@@ -61,12 +61,12 @@ class AsyncJob(JobFields):
 
     async def refresh(self) -> AsyncJob:
         """Asks the service for the job's state and result; returns this job."""
-        self.data = await self._client.call(operations.job(self.id))
+        self.data = await self._client.call(operations.get_job(self.id))
         return self
 
     async def watch(self) -> AsyncIterator[Event]:
         """The job's events, each once and in order, until it has ended; a dropped connection is taken up again."""
-        async for event in self._client.events(self.id):
+        async for event in self._client.stream_job_events(self.id):
             yield event
         await self.refresh()
 
@@ -96,7 +96,7 @@ class AsyncJob(JobFields):
 
 
 class AsyncClient:
-    """As `Client`, for asyncio: `async with AsyncClient() as client: job = await client.submit(spec)`."""
+    """As `Client`, for asyncio: `async with AsyncClient() as client: job = await client.submit_job(spec)`."""
 
     def __init__(
         self, url: str | None = None, *, key: str | None = None, transport: httpx.AsyncBaseTransport | None = None
@@ -117,11 +117,11 @@ class AsyncClient:
         found: Answer = answer_of(await self._http.request(**request.arguments()))
         return found
 
-    async def events(self, job_id: str, after: str | None = None) -> AsyncIterator[Event]:
+    async def stream_job_events(self, job_id: str, after: str | None = None) -> AsyncIterator[Event]:
         """A job's events, each once and in order, until it has ended; a dropped connection is taken up again."""
         reconnects = Reconnects()
         while True:
-            asked = operations.events(job_id, last_event_id=after).arguments()
+            asked = operations.stream_job_events(job_id, last_event_id=after).arguments()
             error: Exception | None = None
             try:
                 async with aconnect_sse(self._http, **asked) as stream:
@@ -143,15 +143,15 @@ class AsyncClient:
                 error = broken
             await sleep(reconnects.pause(error))
 
-    async def submit(self, spec: JobSpec | Mapping[str, Any], *, priority: Priority | None = None) -> AsyncJob:
+    async def submit_job(self, spec: JobSpec | Mapping[str, Any], *, priority: Priority | None = None) -> AsyncJob:
         """Queues a job; ApiError with status 422 names every invalid field."""
-        return AsyncJob(await self.call(operations.submit(spec, priority=priority)), self)
+        return AsyncJob(await self.call(operations.submit_job(spec, priority=priority)), self)
 
-    async def job(self, job_id: str) -> AsyncJob:
+    async def get_job(self, job_id: str) -> AsyncJob:
         """One job by its id."""
-        return AsyncJob(await self.call(operations.job(job_id)), self)
+        return AsyncJob(await self.call(operations.get_job(job_id)), self)
 
-    async def jobs(
+    async def list_jobs(
         self,
         *,
         q: str | None = None,
@@ -164,7 +164,7 @@ class AsyncClient:
         """
         cursor = None
         while True:
-            page = await self.call(operations.jobs(q=q, sort=sort, state=state, campaign=campaign, cursor=cursor))
+            page = await self.call(operations.list_jobs(q=q, sort=sort, state=state, campaign=campaign, cursor=cursor))
             for one in page["items"]:
                 yield one
             cursor = page["next"]
@@ -175,32 +175,32 @@ class AsyncClient:
         """Starts a campaign."""
         return await self.call(operations.submit_campaign(spec, priority=priority))
 
-    async def campaign(self, campaign_id: str) -> CampaignView:
+    async def get_campaign(self, campaign_id: str) -> CampaignView:
         """One campaign, with its request, progress and outcomes."""
-        return await self.call(operations.campaign(campaign_id))
+        return await self.call(operations.get_campaign(campaign_id))
 
-    async def campaigns(self) -> AsyncIterator[CampaignSummary]:
+    async def list_campaigns(self) -> AsyncIterator[CampaignSummary]:
         """All campaigns, newest first."""
         cursor = None
         while True:
-            page = await self.call(operations.campaigns(cursor=cursor))
+            page = await self.call(operations.list_campaigns(cursor=cursor))
             for one in page["items"]:
                 yield one
             cursor = page["next"]
             if cursor is None:
                 return
 
-    async def add_asset(self, path: Path | str, kind: str | None = None, **about: str | None) -> Uploaded:
+    async def upload_asset(self, path: Path | str, kind: str | None = None, **about: str | None) -> Uploaded:
         """Uploads a mesh with the files beside it that it names, or an environment map, whose `name` goes into scenes.
 
         `kind` is its format, by default the file's ending; `about` has `mesh`, its name among several in a zip file,
         and what is said of it: `name`, `up`, `licence` and `credit`.
         """
-        return await self.call(operations.add_asset(Path(path), kind, **about))
+        return await self.call(operations.upload_asset(Path(path), kind, **about))
 
-    async def assets(self) -> list[Uploaded]:
+    async def list_assets(self) -> list[Uploaded]:
         """The meshes that were uploaded."""
-        return (await self.call(operations.assets()))["items"]
+        return (await self.call(operations.list_assets()))["items"]
 
     async def delete_asset(self, name: str) -> None:
         """Deletes an uploaded mesh by its name. ApiError with status 409 while a job or campaign refers to it."""

@@ -39,14 +39,14 @@ def submit_campaign(
     )
 
 
-def campaigns(
+def list_campaigns(
     *, state: CampaignState | None = None, limit: int | None = None, cursor: str | None = None
 ) -> Request[CampaignPage]:
     """A page of the campaigns, newest first."""
     return Request("GET", "/v1/campaigns", params={"state": state, "limit": limit, "cursor": cursor})
 
 
-def campaign(campaign_id: str) -> Request[CampaignView]:
+def get_campaign(campaign_id: str) -> Request[CampaignView]:
     """One campaign, with its request, progress and outcomes."""
     return Request("GET", "/v1/campaigns/{campaign_id}", {"campaign_id": campaign_id})
 
@@ -66,32 +66,34 @@ def cancel_campaign(campaign_id: str) -> Request[CampaignView]:
     return Request("POST", "/v1/campaigns/{campaign_id}/cancel", {"campaign_id": campaign_id})
 
 
-def campaign_views(campaign_id: str) -> Request[ViewList]:
+def list_campaign_views(campaign_id: str) -> Request[ViewList]:
     """The views of a campaign with the networks' first answers, and why some are not attacked."""
     return Request("GET", "/v1/campaigns/{campaign_id}/views", {"campaign_id": campaign_id})
 
 
-def campaign_jobs(campaign_id: str, *, limit: int | None = None, after: int | None = None) -> Request[CampaignJobPage]:
+def list_campaign_jobs(
+    campaign_id: str, *, limit: int | None = None, after: int | None = None
+) -> Request[CampaignJobPage]:
     """A page of a campaign's planned jobs, with numbers above `after`."""
     path, params = {"campaign_id": campaign_id}, {"limit": limit, "after": after}
     return Request("GET", "/v1/campaigns/{campaign_id}/jobs", path, params)
 
 
-def campaign_table(campaign_id: str) -> Request[CampaignResult]:
+def get_campaign_table(campaign_id: str) -> Request[CampaignResult]:
     """The table, the mean curves and the views of a campaign."""
     return Request("GET", "/v1/campaigns/{campaign_id}/table.json", {"campaign_id": campaign_id})
 
 
-def campaign_table_csv(campaign_id: str) -> Request[str]:
+def get_campaign_table_csv(campaign_id: str) -> Request[str]:
     """The table of a campaign as CSV."""
     return Request("GET", "/v1/campaigns/{campaign_id}/table.csv", {"campaign_id": campaign_id})
 
 
-def campaign_table_latex(campaign_id: str) -> Request[str]:
+def get_campaign_table_latex(campaign_id: str) -> Request[str]:
     """The table of a campaign as LaTeX."""
     return Request("GET", "/v1/campaigns/{campaign_id}/table.tex", {"campaign_id": campaign_id})
 
 
-def cases_csv(campaign_id: str) -> Request[str]:
+def get_campaign_cases_csv(campaign_id: str) -> Request[str]:
     """The jobs of a campaign that have ended, as CSV."""
     return Request("GET", "/v1/campaigns/{campaign_id}/cases.csv", {"campaign_id": campaign_id})

@@ -40,13 +40,13 @@ def service_results(client: "ApiClient", campaign_id: str) -> Iterator[tuple[Res
             continue
         with TemporaryDirectory() as folder:
             for name in IMAGES:
-                client.download(planned["job"], name, Path(folder) / name)
-            yield Result.model_validate(client.job(planned["job"])["result"]), Path(folder)
+                client.download_artifact(planned["job"], name, Path(folder) / name)
+            yield Result.model_validate(client.get_job(planned["job"])["result"]), Path(folder)
 
 
 def _planned(client: "ApiClient", campaign_id: str) -> Iterator[dict[str, Any]]:
     after: int | None = -1
     while after is not None:
-        page = client.campaign_jobs(campaign_id, after)
+        page = client.list_campaign_jobs(campaign_id, after)
         yield from page["items"]
         after = page["next"]

@@ -47,18 +47,18 @@ class Client:
         self._api.__exit__(kind, error, trace)
 
     def call(self, request: Request[Answer]) -> Answer:
-        """The answer to any request of `client.operations`, typed: `client.call(operations.targets())["items"]`."""
+        """The typed answer to any request of `client.operations`: `client.call(operations.list_targets())["items"]`."""
         return self._api.call(request)
 
-    def submit(self, spec: JobSpec | Mapping[str, Any], *, priority: Priority | None = None) -> Job:
+    def submit_job(self, spec: JobSpec | Mapping[str, Any], *, priority: Priority | None = None) -> Job:
         """Queues a job; ApiError with status 422 names every invalid field."""
-        return Job(self.call(operations.submit(spec, priority=priority)), self._api)
+        return Job(self.call(operations.submit_job(spec, priority=priority)), self._api)
 
-    def job(self, job_id: str) -> Job:
+    def get_job(self, job_id: str) -> Job:
         """One job by its id."""
-        return Job(self.call(operations.job(job_id)), self._api)
+        return Job(self.call(operations.get_job(job_id)), self._api)
 
-    def jobs(
+    def list_jobs(
         self,
         *,
         q: str | None = None,
@@ -71,7 +71,7 @@ class Client:
         """
         cursor = None
         while True:
-            page = self.call(operations.jobs(q=q, sort=sort, state=state, campaign=campaign, cursor=cursor))
+            page = self.call(operations.list_jobs(q=q, sort=sort, state=state, campaign=campaign, cursor=cursor))
             yield from page["items"]
             cursor = page["next"]
             if cursor is None:
@@ -81,31 +81,31 @@ class Client:
         """Starts a campaign."""
         return self.call(operations.submit_campaign(spec, priority=priority))
 
-    def campaign(self, campaign_id: str) -> CampaignView:
+    def get_campaign(self, campaign_id: str) -> CampaignView:
         """One campaign, with its request, progress and outcomes."""
-        return self.call(operations.campaign(campaign_id))
+        return self.call(operations.get_campaign(campaign_id))
 
-    def campaigns(self) -> Iterator[CampaignSummary]:
+    def list_campaigns(self) -> Iterator[CampaignSummary]:
         """All campaigns, newest first."""
         cursor = None
         while True:
-            page = self.call(operations.campaigns(cursor=cursor))
+            page = self.call(operations.list_campaigns(cursor=cursor))
             yield from page["items"]
             cursor = page["next"]
             if cursor is None:
                 return
 
-    def add_asset(self, path: Path | str, kind: str | None = None, **about: str | None) -> Uploaded:
+    def upload_asset(self, path: Path | str, kind: str | None = None, **about: str | None) -> Uploaded:
         """Uploads a mesh with the files beside it that it names, or an environment map, whose `name` goes into scenes.
 
         `kind` is its format, by default the file's ending; `about` has `mesh`, its name among several in a zip file,
         and what is said of it: `name`, `up`, `licence` and `credit`.
         """
-        return self.call(operations.add_asset(Path(path), kind, **about))
+        return self.call(operations.upload_asset(Path(path), kind, **about))
 
-    def assets(self) -> list[Uploaded]:
+    def list_assets(self) -> list[Uploaded]:
         """The meshes that were uploaded."""
-        return self.call(operations.assets())["items"]
+        return self.call(operations.list_assets())["items"]
 
     def delete_asset(self, name: str) -> None:
         """Deletes an uploaded mesh by its name. ApiError with status 409 while a job or campaign refers to it."""

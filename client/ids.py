@@ -19,12 +19,12 @@ Page = Mapping[str, Any]
 
 def job_id(client: "ApiClient", text: str) -> str:
     """The id of the job that `text` is, or is the beginning of. Raises InvalidRequest("ID") if that is not one job."""
-    return _whole(text, "job", lambda digits, cursor: client.jobs(PAGE, cursor=cursor, q=f"id:{digits}"))
+    return _whole(text, "job", lambda digits, cursor: client.list_jobs(PAGE, cursor=cursor, q=f"id:{digits}"))
 
 
 def campaign_id(client: "ApiClient", text: str) -> str:
     """As `job_id`, of a campaign."""
-    return _whole(text, "campaign", lambda _, cursor: client.campaigns(PAGE, cursor))
+    return _whole(text, "campaign", lambda _, cursor: client.list_campaigns(PAGE, cursor))
 
 
 def _whole(text: str, kind: str, page: Callable[[str, str | None], Page]) -> str:

@@ -107,29 +107,29 @@ class Job(JobFields):
 
     def file(self, name: str) -> bytes:
         """The bytes of one of the job's files, e.g. "perturbation.safetensors"."""
-        return self._api.call(operations.artifact(self.id, name))
+        return self._api.call(operations.download_artifact(self.id, name))
 
     def files(self) -> list[str]:
         """The names of the job's files; none until it has succeeded."""
-        return [one["name"] for one in self._api.call(operations.artifacts(self.id))["items"]]
+        return [one["name"] for one in self._api.call(operations.list_artifacts(self.id))["items"]]
 
     def download(self, folder: Path | str) -> list[Path]:
         """Writes all files of the job into a folder, as `scene-attack run --out` does, and returns their paths."""
         paths = []
         for name in self.files():
             path = Path(folder) / Path(name).name  # a service can name no file outside the folder
-            self._api.download(self.id, name, path)
+            self._api.download_artifact(self.id, name, path)
             paths.append(path)
         return paths
 
     def refresh(self) -> Job:
         """Asks the service for the job's state and result; returns this job."""
-        self.data = self._api.call(operations.job(self.id))
+        self.data = self._api.call(operations.get_job(self.id))
         return self
 
     def watch(self) -> Iterator[Event]:
         """The job's events, each once and in order, until it has ended; a dropped connection is taken up again."""
-        yield from self._api.events(self.id)
+        yield from self._api.stream_job_events(self.id)
         self.refresh()
 
     def wait(self) -> Job:

@@ -86,7 +86,7 @@ def to_service(client: "ApiClient") -> Adding:
 
         files = with_files_beside([path])
         try:
-            entry = client.add_asset(files, mesh=_chosen(path, files), name=title_of(path))
+            entry = client.upload_asset(files, mesh=_chosen(path, files), name=title_of(path))
         except ApiError as error:
             if error.status != 422:
                 raise

@@ -1,6 +1,6 @@
 """The operations of the HTTP API: each function gives the request of one, with the type of its answer.
 
-A client sends them: `client.call(operations.targets())`. A parameter that is None is left out of the request.
+A client sends them: `client.call(operations.list_targets())`. A parameter that is None is left out of the request.
 """
 
 from __future__ import annotations
@@ -9,15 +9,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from client.campaign_operations import campaign as campaign
-from client.campaign_operations import campaign_jobs as campaign_jobs
-from client.campaign_operations import campaign_table as campaign_table
-from client.campaign_operations import campaign_table_csv as campaign_table_csv
-from client.campaign_operations import campaign_table_latex as campaign_table_latex
-from client.campaign_operations import campaign_views as campaign_views
-from client.campaign_operations import campaigns as campaigns
 from client.campaign_operations import cancel_campaign as cancel_campaign
-from client.campaign_operations import cases_csv as cases_csv
+from client.campaign_operations import get_campaign as get_campaign
+from client.campaign_operations import get_campaign_cases_csv as get_campaign_cases_csv
+from client.campaign_operations import get_campaign_table as get_campaign_table
+from client.campaign_operations import get_campaign_table_csv as get_campaign_table_csv
+from client.campaign_operations import get_campaign_table_latex as get_campaign_table_latex
+from client.campaign_operations import list_campaign_jobs as list_campaign_jobs
+from client.campaign_operations import list_campaign_views as list_campaign_views
+from client.campaign_operations import list_campaigns as list_campaigns
 from client.campaign_operations import pause_campaign as pause_campaign
 from client.campaign_operations import resume_campaign as resume_campaign
 from client.campaign_operations import submit_campaign as submit_campaign
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     )
 
 
-def submit(
+def submit_job(
     spec: JobSpec | Mapping[str, Any],
     *,
     priority: Priority | None = None,
@@ -67,7 +67,7 @@ def submit(
     )
 
 
-def jobs(
+def list_jobs(
     *,
     q: str | None = None,
     sort: str | None = None,
@@ -81,17 +81,17 @@ def jobs(
     return Request("GET", "/v1/jobs", params=params)
 
 
-def jobs_json(*, q: str | None = None, sort: str | None = None, job: list[str] | None = None) -> Request[JobTable]:
+def get_job_table(*, q: str | None = None, sort: str | None = None, job: list[str] | None = None) -> Request[JobTable]:
     """Every job that meets a query, or those of the ids in `job`, as lines of a table."""
     return Request("GET", "/v1/jobs.json", params={"q": q, "sort": sort, "job": job})
 
 
-def jobs_csv(*, q: str | None = None, sort: str | None = None, job: list[str] | None = None) -> Request[str]:
+def get_job_table_csv(*, q: str | None = None, sort: str | None = None, job: list[str] | None = None) -> Request[str]:
     """The table of `jobs_json` as CSV."""
     return Request("GET", "/v1/jobs.csv", params={"q": q, "sort": sort, "job": job})
 
 
-def job(job_id: str) -> Request[JobView]:
+def get_job(job_id: str) -> Request[JobView]:
     """One job, with its request and, when it has succeeded, its result."""
     return Request("GET", "/v1/jobs/{job_id}", {"job_id": job_id})
 
@@ -121,29 +121,29 @@ def continue_job(job_id: str) -> Request[JobView]:
     return Request("POST", "/v1/jobs/{job_id}/continue", {"job_id": job_id})
 
 
-def events(job_id: str, *, last_event_id: str | None = None) -> Request[bytes]:
+def stream_job_events(job_id: str, *, last_event_id: str | None = None) -> Request[bytes]:
     """A job's server-sent events after one of them; `Job.watch` reads them and takes up a dropped connection."""
     return Request("GET", "/v1/jobs/{job_id}/events", {"job_id": job_id}, headers={"Last-Event-ID": last_event_id})
 
 
-def artifacts(job_id: str) -> Request[ArtifactList]:
+def list_artifacts(job_id: str) -> Request[ArtifactList]:
     """The list of a finished job's files."""
     return Request("GET", "/v1/jobs/{job_id}/artifacts", {"job_id": job_id})
 
 
-def artifact(job_id: str, name: str, *, if_none_match: str | None = None) -> Request[bytes]:
+def download_artifact(job_id: str, name: str, *, if_none_match: str | None = None) -> Request[bytes]:
     """The bytes of one file of a job."""
     path, headers = {"job_id": job_id, "name": name}, {"If-None-Match": if_none_match}
     return Request("GET", "/v1/jobs/{job_id}/artifacts/{name}", path, headers=headers)
 
 
-def export(job_id: str, *, if_none_match: str | None = None) -> Request[bytes]:
+def download_export(job_id: str, *, if_none_match: str | None = None) -> Request[bytes]:
     """A zip file of a finished job: its scene before and after as glTF, maps, tables and a report."""
     path, headers = {"job_id": job_id}, {"If-None-Match": if_none_match}
     return Request("GET", "/v1/jobs/{job_id}/export", path, headers=headers, seconds=CHECK_SECONDS)
 
 
-def scene(
+def download_scene(
     job_id: str, *, which: Literal["before", "after"] | None = None, if_none_match: str | None = None
 ) -> Request[bytes]:
     """A finished job's scene before or after the attack as a glb file."""
@@ -151,32 +151,32 @@ def scene(
     return Request("GET", "/v1/jobs/{job_id}/scene.glb", path, {"which": which}, headers, seconds=CHECK_SECONDS)
 
 
-def preview(spec: JobSpec | Mapping[str, Any], *, plan: bool | None = None) -> Request[PreviewView]:
+def preview_job(spec: JobSpec | Mapping[str, Any], *, plan: bool | None = None) -> Request[PreviewView]:
     """The picture of a request, what the network says of it, and its plan, without an attack."""
     return Request("POST", "/v1/preview", params={"plan": plan}, json=spec, seconds=CHECK_SECONDS)
 
 
-def rerender(body: RerenderingBody) -> Request[RerenderingView]:
+def rerender_image(body: RerenderingBody) -> Request[RerenderingView]:
     """Renders the scene of an image again and asks the network about both; takes up to five minutes."""
     return Request("POST", "/v1/rerenderings", json=body, seconds=CHECK_SECONDS)
 
 
-def assets() -> Request[AssetList]:
+def list_assets() -> Request[AssetList]:
     """The meshes that were uploaded."""
     return Request("GET", "/v1/assets")
 
 
-def asset(name: str) -> Request[Uploaded]:
+def get_asset(name: str) -> Request[Uploaded]:
     """An uploaded mesh or environment map by its name, "sha256:" and 64 digits."""
     return Request("GET", "/v1/assets/{sha256}", {"sha256": name.removeprefix("sha256:")})
 
 
-def thumbnail(name: str) -> Request[bytes]:
+def download_thumbnail(name: str) -> Request[bytes]:
     """The picture of an upload, a PNG image."""
     return Request("GET", "/v1/assets/{sha256}/thumbnail", {"sha256": name.removeprefix("sha256:")})
 
 
-def add_asset(
+def upload_asset(
     path: Path,
     kind: str | None = None,
     *,
@@ -203,7 +203,7 @@ def delete_asset(name: str) -> Request[None]:
     return Request("DELETE", "/v1/assets/{sha256}", {"sha256": name.removeprefix("sha256:")})
 
 
-def scenes(
+def get_scene_library(
     *, category: str | None = None, creator: str | None = None, licence: str | None = None, search: str | None = None
 ) -> Request[SceneLibrary]:
     """The meshes that match, and all environment maps."""
@@ -211,17 +211,17 @@ def scenes(
     return Request("GET", "/v1/scenes", params=params)
 
 
-def targets() -> Request[TargetList]:
+def list_targets() -> Request[TargetList]:
     """The networks that can be attacked."""
     return Request("GET", "/v1/targets")
 
 
-def webhooks() -> Request[WebhookList]:
+def list_webhooks() -> Request[WebhookList]:
     """The webhooks of the caller."""
     return Request("GET", "/v1/webhooks")
 
 
-def add_webhook(url: str) -> Request[NewWebhook]:
+def create_webhook(url: str) -> Request[NewWebhook]:
     """Registers a URL that is told when jobs and campaigns end. The answer's `secret` is shown this once."""
     return Request("POST", "/v1/webhooks", json={"url": url})
 
@@ -231,21 +231,21 @@ def delete_webhook(webhook_id: str) -> Request[None]:
     return Request("DELETE", "/v1/webhooks/{webhook_id}", {"webhook_id": webhook_id})
 
 
-def deliveries(webhook_id: str) -> Request[DeliveryList]:
+def list_deliveries(webhook_id: str) -> Request[DeliveryList]:
     """The last hundred messages of a webhook."""
     return Request("GET", "/v1/webhooks/{webhook_id}/deliveries", {"webhook_id": webhook_id})
 
 
-def health() -> Request[Health]:
+def get_health() -> Request[Health]:
     """Whether the process answers."""
     return Request("GET", "/healthz")
 
 
-def readiness() -> Request[Readiness]:
+def get_readiness() -> Request[Readiness]:
     """Whether the service can take jobs and run them; ApiError with status 503 if it cannot."""
     return Request("GET", "/readyz")
 
 
-def metrics() -> Request[str]:
+def get_metrics() -> Request[str]:
     """The metrics, in Prometheus' text format."""
     return Request("GET", "/metrics")

@@ -58,7 +58,7 @@ async def submit(
     try:
         parsed = await run_in_threadpool(_parsed, spec)
         priority = Demand(Priority.NORMAL)
-        body = await jobs.submit(parsed, services, caller, request, Response(), None, priority, None)
+        body = await jobs.submit_job(parsed, services, caller, request, Response(), None, priority, None)
     except Refused as refused:
         return _page(caller, spec, refused.errors, 422)
     except InvalidRequest as error:

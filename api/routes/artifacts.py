@@ -12,7 +12,7 @@ from api.conditional import matches
 from api.schemas import ArtifactList, ArtifactView
 from api.state import KnownJob, ServicesDependency, no_such
 
-router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
+router = APIRouter(prefix="/v1/jobs", tags=["artifacts"])
 
 _ANSWERS: dict[int | str, dict[str, Any]] = {
     200: {"content": {"application/octet-stream": {}, "application/json": {}, "image/png": {}}},
@@ -35,14 +35,16 @@ class VerifiedFile(FileResponse):
 
 
 @router.get("/{job_id}/artifacts")
-def listing(job: KnownJob, services: ServicesDependency) -> ArtifactList:
+def list_artifacts(job: KnownJob, services: ServicesDependency) -> ArtifactList:
     """Lists the files of a job; of one that has not ended the list is empty but for a checkpoint to go on from."""
     return ArtifactList(items=[ArtifactView.of(artifact) for artifact in services.repository.artifacts(job.id)])
 
 
-@router.head("/{job_id}/artifacts/{name}", response_class=FileResponse, responses=_ANSWERS)
+@router.head(
+    "/{job_id}/artifacts/{name}", operation_id="get_artifact_headers", response_class=FileResponse, responses=_ANSWERS
+)
 @router.get("/{job_id}/artifacts/{name}", response_class=FileResponse, responses=_ANSWERS)
-def download(
+def download_artifact(
     job: KnownJob, name: str, services: ServicesDependency, if_none_match: Annotated[str | None, Header()] = None
 ) -> Response:
     """Downloads a file; HEAD answers the same without the file.

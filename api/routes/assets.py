@@ -25,7 +25,7 @@ from services.scenes.entries import Entry
 
 PATH = "/v1/assets"
 Digest = Annotated[str, Path(description="the 64 digits after `sha256:` in the upload's name")]
-router = APIRouter(prefix=PATH, tags=["scenes"])
+router = APIRouter(prefix=PATH, tags=["assets"])
 log = logger(__name__)
 
 
@@ -42,7 +42,7 @@ def form_body(request: Request) -> None:
 
 
 @router.post("", status_code=201, dependencies=[Depends(form_body)])
-async def upload(
+async def upload_asset(
     services: ServicesDependency,
     caller: CallerDependency,
     request: Request,
@@ -97,7 +97,7 @@ async def store(
 
 
 @router.get("")
-def listing(services: ServicesDependency, caller: CallerDependency) -> AssetList:
+def list_assets(services: ServicesDependency, caller: CallerDependency) -> AssetList:
     """Lists the uploaded meshes and environment maps."""
     may_see = services.assets.visible(caller)
     entries = services.library.entries(category="upload", may_see=may_see)
@@ -116,7 +116,7 @@ KnownUpload = Annotated[str, Depends(known_upload)]
 
 
 @router.get("/{sha256}")
-def read(name: KnownUpload, services: ServicesDependency) -> Uploaded:
+def get_asset(name: KnownUpload, services: ServicesDependency) -> Uploaded:
     """Returns an upload's name, licence and credit, and what is shown of its files."""
     entry = services.library.entry(name)
     if entry is None:  # it was deleted meanwhile
@@ -125,7 +125,7 @@ def read(name: KnownUpload, services: ServicesDependency) -> Uploaded:
 
 
 @router.get("/{sha256}/thumbnail", response_class=Response, responses={200: {"content": {"image/png": {}}}})
-async def thumbnail(
+async def download_thumbnail(
     name: KnownUpload, services: ServicesDependency, caller: CallerDependency, request: Request
 ) -> Response:
     """Returns a picture of an upload, a PNG image that never changes: a mesh in the default light, or a map as it is.
@@ -147,7 +147,7 @@ async def thumbnail(
 
 
 @router.delete("/{sha256}", status_code=204)
-def delete(
+def delete_asset(
     sha256: Digest,
     services: ServicesDependency,
     caller: CallerDependency,

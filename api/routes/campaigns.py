@@ -47,7 +47,7 @@ WholeCampaign = Annotated[Campaign, Depends(whole_campaign)]
 
 
 @router.post("", status_code=202, response_model=CampaignView, dependencies=[Depends(json_body)])
-async def submit(
+async def submit_campaign(
     spec: Annotated[CampaignSpec, Depends(body_of(CampaignSpec))],
     services: ServicesDependency,
     caller: CallerDependency,
@@ -89,7 +89,7 @@ async def _check(spec: CampaignSpec, services: Services, caller: Caller, client:
 
 
 @router.get("")
-def page(
+def list_campaigns(
     services: ServicesDependency,
     caller: CallerDependency,
     state: CampaignState | None = None,
@@ -107,13 +107,13 @@ def page(
 
 
 @router.get("/{campaign_id}")
-def get(campaign: WholeCampaign, services: ServicesDependency) -> CampaignView:
+def get_campaign(campaign: WholeCampaign, services: ServicesDependency) -> CampaignView:
     """Returns one campaign, with its progress, its outcomes so far and the time left."""
     return _view(campaign, services)
 
 
 @router.post("/{campaign_id}/pause", status_code=202)
-def pause(campaign: WholeCampaign, services: ServicesDependency) -> CampaignView:
+def pause_campaign(campaign: WholeCampaign, services: ServicesDependency) -> CampaignView:
     """Holds a campaign's queued jobs back, also over restarts; jobs that run go on to their end.
 
     A campaign that is paused or has ended stays as it is.
@@ -123,14 +123,14 @@ def pause(campaign: WholeCampaign, services: ServicesDependency) -> CampaignView
 
 
 @router.post("/{campaign_id}/resume", status_code=202)
-def resume(campaign: WholeCampaign, services: ServicesDependency) -> CampaignView:
+def resume_campaign(campaign: WholeCampaign, services: ServicesDependency) -> CampaignView:
     """Lets a paused campaign go on. A campaign that is not paused stays as it is."""
     services.campaigns.record.resume(campaign.id)
     return _view(_again(campaign, services), services)
 
 
 @router.post("/{campaign_id}/cancel", status_code=202)
-def cancel(campaign: WholeCampaign, services: ServicesDependency) -> CampaignView:
+def cancel_campaign(campaign: WholeCampaign, services: ServicesDependency) -> CampaignView:
     """Ends a campaign: queued jobs are cancelled at once, running ones stop within a step. Results so far stay.
 
     A campaign that has ended stays as it is.
@@ -140,13 +140,13 @@ def cancel(campaign: WholeCampaign, services: ServicesDependency) -> CampaignVie
 
 
 @router.get("/{campaign_id}/views")
-def views(campaign: WholeCampaign) -> ViewList:
+def list_campaign_views(campaign: WholeCampaign) -> ViewList:
     """Lists all views with the networks' first answers, and says of those that are not attacked why."""
     return ViewList.model_validate({"items": campaign.views or []})
 
 
 @router.get("/{campaign_id}/jobs")
-def jobs(
+def list_campaign_jobs(
     campaign: WholeCampaign,
     services: ServicesDependency,
     limit: Annotated[int, Query(ge=1, le=500)] = 100,
@@ -159,25 +159,25 @@ def jobs(
 
 
 @router.get("/{campaign_id}/table.json")
-def table_json(campaign: WholeCampaign, services: ServicesDependency) -> CampaignResult:
+def get_campaign_table(campaign: WholeCampaign, services: ServicesDependency) -> CampaignResult:
     """Returns the table of the jobs that have ended, the mean curves of their traces, and all views."""
     return services.campaigns.result(campaign)
 
 
 @router.get("/{campaign_id}/table.csv", response_class=Response, responses={200: {"content": {"text/csv": {}}}})
-def table_csv(campaign: WholeCampaign, services: ServicesDependency) -> Response:
+def get_campaign_table_csv(campaign: WholeCampaign, services: ServicesDependency) -> Response:
     """Returns the table as CSV, one line for each target and attack."""
     return Response(to_csv(services.campaigns.result(campaign, curves=False).table), media_type="text/csv")
 
 
 @router.get("/{campaign_id}/table.tex", response_class=Response, responses={200: {"content": {"text/x-tex": {}}}})
-def table_tex(campaign: WholeCampaign, services: ServicesDependency) -> Response:
+def get_campaign_table_latex(campaign: WholeCampaign, services: ServicesDependency) -> Response:
     """Returns the table as LaTeX, in the paper's layout, for the package booktabs."""
     return Response(to_latex(services.campaigns.result(campaign, curves=False).table), media_type="text/x-tex")
 
 
 @router.get("/{campaign_id}/cases.csv", response_class=Response, responses={200: {"content": {"text/csv": {}}}})
-def cases_csv(campaign: WholeCampaign, services: ServicesDependency) -> Response:
+def get_campaign_cases_csv(campaign: WholeCampaign, services: ServicesDependency) -> Response:
     """Returns the jobs that have ended as CSV, one line for each, with scene, seed, outcome, p, queries and seconds."""
     return Response(cases_to_csv(services.campaigns.cases(campaign)), media_type="text/csv")
 

@@ -34,7 +34,7 @@ def resume_after(
     response_class=EventSourceResponse,
     responses={204: {"description": "no event will follow the last one seen; do not come back"}},
 )
-async def stream(
+async def stream_job_events(
     job: KnownJob,
     services: ServicesDependency,
     caller: CallerDependency,

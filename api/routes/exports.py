@@ -15,7 +15,7 @@ from api.state import KnownJob, Services, ServicesDependency
 from services.export import BUNDLE
 from services.jobs.models import Job
 
-router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
+router = APIRouter(prefix="/v1/jobs", tags=["artifacts"])
 
 RESULT = "result.json"
 IfNoneMatch = Annotated[str | None, Header()]
@@ -29,7 +29,7 @@ def _answers(media_type: str) -> dict[int | str, dict[str, Any]]:
 
 
 @router.get("/{job_id}/export", response_class=FileResponse, responses=_answers("application/zip"))
-async def export(
+async def download_export(
     request: Request, job: KnownJob, services: ServicesDependency, if_none_match: IfNoneMatch = None
 ) -> Response:
     """Downloads everything of a finished job in one zip file.
@@ -43,7 +43,7 @@ async def export(
 
 
 @router.get("/{job_id}/scene.glb", response_class=FileResponse, responses=_answers("model/gltf-binary"))
-async def scene(
+async def download_scene(
     request: Request,
     job: KnownJob,
     services: ServicesDependency,

@@ -9,11 +9,11 @@ from api.schemas import ExtensionView, Health, Readiness, TargetFolderView
 from api.state import ServicesDependency
 from services.pipeline.extensions import EXTENSIONS, TARGET_FOLDERS
 
-router = APIRouter(tags=["health"])
+router = APIRouter(tags=["service"])
 
 
 @router.get("/healthz")
-async def healthz() -> Health:
+async def get_health() -> Health:
     """Answers 200 if this process is alive; checks nothing else."""
     return Health(status="ok")
 
@@ -24,7 +24,7 @@ async def healthz() -> Health:
         503: {"model": Readiness, "description": "the database, Redis, the data directory or a worker is missing"}
     },
 )
-def readyz(services: ServicesDependency, response: Response, caller: KnownCaller) -> Readiness:
+def get_readiness(services: ServicesDependency, response: Response, caller: KnownCaller) -> Readiness:
     """Answers 200 if database and Redis answer, the data directory can be written and a worker is alive, otherwise 503,
     and says which are missing.
     """

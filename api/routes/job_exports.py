@@ -91,13 +91,13 @@ JobRows = Annotated[Iterator[dict[str, Any]], Depends(job_rows)]
 
 
 @router.get("/jobs.csv", response_class=StreamingResponse, responses={200: {"content": {"text/csv": {}}}})
-def as_csv(rows: JobRows) -> StreamingResponse:
+def get_job_table_csv(rows: JobRows) -> StreamingResponse:
     """Every job that meets a query, as a table with one line each. p is a number, not in thousandths."""
     return _file(_csv_lines(rows), "text/csv; charset=utf-8", "jobs.csv")
 
 
 @router.get("/jobs.json", response_class=StreamingResponse, responses={200: {"model": JobTable}})
-def as_json(rows: JobRows) -> StreamingResponse:
+def get_job_table(rows: JobRows) -> StreamingResponse:
     """Every job that meets a query, with the columns of the table."""
     return _file(_json_lines(rows), "application/json", "jobs.json")
 

@@ -59,7 +59,7 @@ def client_of(request: Request, caller: Caller) -> str:
 
 
 @router.post("", status_code=202, response_model=JobView, dependencies=[Depends(json_body)])
-async def submit(
+async def submit_job(
     spec: Annotated[JobSpec, Depends(body_of(JobSpec))],
     services: ServicesDependency,
     caller: CallerDependency,
@@ -111,7 +111,7 @@ def _answer(job: Job) -> dict[str, Any]:
 
 
 @router.get("", response_model=JobPage)
-async def page(
+async def list_jobs(
     services: ServicesDependency,
     caller: CallerDependency,
     q: QueryText = None,
@@ -142,7 +142,7 @@ async def page(
 
 
 @router.get("/{job_id}", response_model=JobView)
-async def get(job_id: str, services: ServicesDependency, caller: CallerDependency) -> Response:
+async def get_job(job_id: str, services: ServicesDependency, caller: CallerDependency) -> Response:
     """Returns one job, with its result once it succeeded."""
 
     def read() -> str | None:
@@ -168,7 +168,7 @@ def _json(text: str) -> Response:
 
 
 @router.patch("/{job_id}")
-def edit(
+def edit_job(
     job: KnownJob,
     _: Annotated[None, Depends(json_body)],
     changes: Annotated[JobEdit, Depends(body_of(JobEdit))],
@@ -194,13 +194,13 @@ def retry_job(job: KnownJob, services: ServicesDependency, caller: CallerDepende
 
 
 @router.delete("/{job_id}", status_code=204)
-def delete(job: KnownJob, services: ServicesDependency) -> None:
+def delete_job(job: KnownJob, services: ServicesDependency) -> None:
     """Deletes a job that has ended, with its files. Answers 409 while it has not, or if a campaign refers to it."""
     services.housekeeping.delete(job.id)
 
 
 @router.post("/{job_id}/cancel", status_code=202)
-def cancel(job: KnownJob, services: ServicesDependency) -> JobView:
+def cancel_job(job: KnownJob, services: ServicesDependency) -> JobView:
     """Asks a job to stop: a queued job is cancelled at once, and a running job stops within a step.
 
     A job that has ended stays as it is. A repeated request has no further effect.

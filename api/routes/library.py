@@ -10,7 +10,7 @@ from api.schemas import SceneLibrary
 from api.state import ServicesDependency
 from services.targets.info import TargetInfo, available
 
-router = APIRouter(prefix="/v1", tags=["scenes"])
+router = APIRouter(prefix="/v1")
 
 Filter = Annotated[str | None, Query(max_length=200)]
 
@@ -21,8 +21,8 @@ class TargetList(BaseModel):
     items: list[TargetInfo]
 
 
-@router.get("/scenes", response_model=SceneLibrary)
-def scenes(
+@router.get("/scenes", tags=["assets"], response_model=SceneLibrary)
+def get_scene_library(
     services: ServicesDependency,
     caller: CallerDependency,
     category: Filter = None,
@@ -42,7 +42,7 @@ def scenes(
     return Response(listed.model_dump_json(), media_type="application/json")  # the framework would validate it again
 
 
-@router.get("/targets")
-def targets() -> TargetList:
+@router.get("/targets", tags=["targets"])
+def list_targets() -> TargetList:
     """Lists the networks that can be attacked."""
     return TargetList(items=available())

@@ -3,11 +3,11 @@
 from fastapi import APIRouter, Request, Response
 from prometheus_client.exposition import choose_encoder
 
-router = APIRouter(tags=["health"])
+router = APIRouter(tags=["service"])
 
 
 @router.get("/metrics", response_class=Response, responses={200: {"content": {"text/plain": {}}}})
-def metrics(request: Request) -> Response:
+def get_metrics(request: Request) -> Response:
     """Reports metrics for Prometheus: the requests of this process, and the queue, jobs and workers of the service.
 
     Counters of jobs, steps, queries and stages are kept in the database: they are the same from every process, and

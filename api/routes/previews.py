@@ -28,7 +28,7 @@ class PreviewView(Preview):
 
 
 @router.post("", dependencies=[Depends(json_body)])
-async def preview(
+async def preview_job(
     spec: Annotated[JobSpec, Depends(body_of(JobSpec))],
     services: ServicesDependency,
     caller: CallerDependency,

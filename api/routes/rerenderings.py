@@ -21,7 +21,7 @@ from services.pipeline.names_known import check_names
 from services.pipeline.spec import JobSpec, TargetChoice
 from services.scenes.description import Model, Scene
 
-router = APIRouter(prefix="/v1/rerenderings", tags=["defence"])
+router = APIRouter(prefix="/v1/rerenderings", tags=["defences"])
 
 
 class ImageOfScene(Model):
@@ -55,7 +55,7 @@ class RerenderingView(BaseModel):
 
 
 @router.post("", dependencies=[Depends(json_body)])
-async def rerender(
+async def rerender_image(
     request: Request,
     body: Annotated[RerenderingBody, Depends(body_of(RerenderingBody))],
     services: ServicesDependency,

@@ -82,7 +82,7 @@ class DeliveryList(BaseModel):
 
 
 @router.post("", status_code=201, dependencies=[Depends(json_body)])
-def create(
+def create_webhook(
     asked: Annotated[WebhookRequest, Depends(body_of(WebhookRequest))],
     services: ServicesDependency,
     caller: CallerDependency,
@@ -99,13 +99,13 @@ def create(
 
 
 @router.get("")
-def listing(services: ServicesDependency, caller: CallerDependency) -> WebhookList:
+def list_webhooks(services: ServicesDependency, caller: CallerDependency) -> WebhookList:
     """Lists the webhooks, without their secrets."""
     return WebhookList(items=[WebhookView.of(one) for one in services.webhooks.all(caller.only)])
 
 
 @router.get("/{webhook_id}/deliveries")
-def deliveries(webhook_id: str, services: ServicesDependency, caller: CallerDependency) -> DeliveryList:
+def list_deliveries(webhook_id: str, services: ServicesDependency, caller: CallerDependency) -> DeliveryList:
     """Lists the last hundred messages to a webhook; those that have ended are kept for a week."""
     if webhook_id not in {one.id for one in services.webhooks.all(caller.only)}:
         raise no_such("webhook")
@@ -113,7 +113,7 @@ def deliveries(webhook_id: str, services: ServicesDependency, caller: CallerDepe
 
 
 @router.delete("/{webhook_id}", status_code=204, response_class=Response)
-def remove(webhook_id: str, services: ServicesDependency, caller: CallerDependency) -> None:
+def delete_webhook(webhook_id: str, services: ServicesDependency, caller: CallerDependency) -> None:
     """Deletes a webhook, with the messages that were still to be sent."""
     if not services.webhooks.remove(webhook_id, caller.only):
         raise no_such("webhook")

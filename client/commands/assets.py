@@ -107,7 +107,7 @@ def add(
     sent = with_files_beside(files)
     with ApiClient(url) as client:
         title = name or Path(mesh or files[0]).stem
-        entry = client.add_asset(sent, kind, mesh, name=title, up=up, licence=licence, credit=credit)
+        entry = client.upload_asset(sent, kind, mesh, name=title, up=up, licence=licence, credit=credit)
     if as_json:
         print_json(entry)
     else:
@@ -125,7 +125,7 @@ def uploads(url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
     from client.console import out, print_json, table
 
     with ApiClient(url) as client:
-        entries = client.assets()
+        entries = client.list_assets()
     if as_json:
         print_json(entries)
     else:

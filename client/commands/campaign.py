@@ -1,14 +1,21 @@
 """The commands `campaign`: many attacks that belong together, in this process or at a service."""
 
+from __future__ import annotations
+
 import re
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from client.commands import campaign_run
 from client.commands.options import DEFAULT_URL, JsonOption, PriorityOption, UrlOption
 from services.errors import InvalidRequest
+
+if TYPE_CHECKING:
+    from client.answers import CampaignView
+    from client.request import Request
 
 app = typer.Typer(
     help="Run many attacks that belong together, and make the paper's table of them.", no_args_is_help=True
@@ -55,7 +62,7 @@ def list_campaigns(
     from client.ids import SHORT
 
     with ApiClient(url) as client:
-        page = client.campaigns(limit)
+        page = client.list_campaigns(limit)
     if as_json:
         print_json(page)
         return
@@ -82,25 +89,31 @@ def show(campaign_id: CampaignId, url: UrlOption = DEFAULT_URL, as_json: JsonOpt
     from client.ids import campaign_id as whole_id
 
     with ApiClient(url) as client:
-        _print(client.campaign(whole_id(client, campaign_id)), as_json)
+        _print(client.get_campaign(whole_id(client, campaign_id)), as_json)
 
 
 @app.command(epilog="Example: [bold]scene-attack campaign pause 0f3c…[/bold]")
 def pause(campaign_id: CampaignId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
     """Hold a campaign's queued jobs back. Jobs that run go on to their end."""
-    _move(campaign_id, "pause", url, as_json)
+    from client import operations
+
+    _move(operations.pause_campaign, campaign_id, url, as_json)
 
 
 @app.command(epilog="Example: [bold]scene-attack campaign resume 0f3c…[/bold]")
 def resume(campaign_id: CampaignId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
     """Let a paused campaign go on."""
-    _move(campaign_id, "resume", url, as_json)
+    from client import operations
+
+    _move(operations.resume_campaign, campaign_id, url, as_json)
 
 
 @app.command(epilog="Example: [bold]scene-attack campaign cancel 0f3c…[/bold]")
 def cancel(campaign_id: CampaignId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
     """End a campaign and its jobs; the results so far stay."""
-    _move(campaign_id, "cancel", url, as_json)
+    from client import operations
+
+    _move(operations.cancel_campaign, campaign_id, url, as_json)
 
 
 @app.command(
@@ -122,7 +135,7 @@ def table(
     from client.ids import campaign_id as whole_id
 
     with ApiClient(url) as client:
-        found = client.campaign_table(whole_id(client, campaign_id))
+        found = client.get_campaign_table(whole_id(client, campaign_id))
     if as_json:
         print_json(found)
     else:
@@ -166,15 +179,16 @@ def export(
         out().print(f"{maite}  {count} adversaries", markup=False, highlight=False)
 
 
-def _move(campaign_id: str, how: str, url: str, as_json: bool) -> None:
+def _move(operation: Callable[[str], Request[CampaignView]], campaign_id: str, url: str, as_json: bool) -> None:
     from client.api_client import ApiClient
     from client.ids import campaign_id as whole_id
 
     with ApiClient(url) as client:
-        _print(client.move_campaign(whole_id(client, campaign_id), how), as_json)
+        campaign = client.call(operation(whole_id(client, campaign_id)))
+    _print(campaign, as_json)
 
 
-def _print(found: dict[str, Any], as_json: bool) -> None:
+def _print(found: Mapping[str, Any], as_json: bool) -> None:
     from client.campaign_tables import campaign_state, duration
     from client.console import out, print_json
     from client.console import table as text_table

@@ -46,7 +46,7 @@ def demo(
         say.print(f"service at {url}, its log in {data / 'service.log'}", markup=False, highlight=False)
         with ApiClient(url) as client:
             _clear(client)
-            jobs = _watch(client, [client.submit(spec)["id"] for spec in specs()])
+            jobs = _watch(client, [client.submit_job(spec)["id"] for spec in specs()])
         out().print(_table(jobs))
         out().print(successes(job["outcome"] for job in jobs if job.get("outcome")), highlight=False)
         for job in jobs:
@@ -64,8 +64,8 @@ def demo(
 def _clear(client: "ApiClient") -> None:
     """Cancels what a demonstration that was broken off has left behind."""
     for state in ("queued", "running"):
-        for job in client.jobs(limit=200, state=state)["items"]:
-            client.cancel(job["id"])
+        for job in client.list_jobs(limit=200, state=state)["items"]:
+            client.cancel_job(job["id"])
 
 
 def _watch(client: "ApiClient", ids: list[str]) -> list[dict[str, Any]]:
@@ -78,7 +78,7 @@ def _watch(client: "ApiClient", ids: list[str]) -> list[dict[str, Any]]:
     console, told = err(), dict.fromkeys(ids, "")
     with Live(console=console, auto_refresh=False, transient=True) as live:
         while True:
-            jobs = [client.job(job_id) for job_id in ids]
+            jobs = [client.get_job(job_id) for job_id in ids]
             if console.is_terminal:
                 live.update(_table(jobs), refresh=True)
             else:

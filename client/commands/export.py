@@ -84,10 +84,10 @@ def _export_job(job: str, to: Path | None, url: str) -> Path:
         whole = job_id(client, job)
         to = to or Path(f"scene-attack-{whole[:SHORT]}.zip")
         if to.suffix == ".zip":
-            client.export(whole, to)
+            client.download_export(whole, to)
             return to
         archive = Path(folder) / "export.zip"
-        client.export(whole, archive)
+        client.download_export(whole, archive)
         to.mkdir(parents=True, exist_ok=True)
         with ZipFile(archive) as found:
             for entry in found.infolist():

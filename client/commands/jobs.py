@@ -110,7 +110,7 @@ def show(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = Fals
     from client.ids import job_id as whole_id
 
     with ApiClient(url) as client:
-        job = client.job(whole_id(client, job_id))
+        job = client.get_job(whole_id(client, job_id))
     if as_json:
         print_json(job)
     else:
@@ -126,7 +126,7 @@ def watch(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = Fal
     from client.ids import job_id as whole_id
 
     with ApiClient(url) as client:
-        job = submit.follow(client, client.job(whole_id(client, job_id)))
+        job = submit.follow(client, client.get_job(whole_id(client, job_id)))
     if as_json:
         print_json(job)
     else:
@@ -143,7 +143,7 @@ def cancel(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = Fa
     from client.ids import job_id as whole_id
 
     with ApiClient(url) as client:
-        job = client.cancel(whole_id(client, job_id))
+        job = client.cancel_job(whole_id(client, job_id))
     if as_json:
         print_json(job)
     else:
@@ -199,7 +199,7 @@ def edit(
     with ApiClient(url) as client:
         whole = whole_id(client, job_id)
         if tag or untag:
-            had = client.call(operations.job(whole)).get("tags", [])
+            had = client.call(operations.get_job(whole)).get("tags", [])
             changes["tags"] = sorted({*had, *(tag or ())} - {*(untag or ())})
         job = client.call(operations.edit_job(whole, changes))
     if as_json:
@@ -218,7 +218,7 @@ def delete(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = Fa
 
     with ApiClient(url) as client:
         whole = whole_id(client, job_id)
-        client.delete(whole)
+        client.delete_job(whole)
     if as_json:
         print_json({"id": whole, "deleted": True})
     else:
@@ -245,11 +245,11 @@ def download(
     prepare_folder(to)
     with ApiClient(url) as client:
         whole = whole_id(client, job_id)
-        artifacts = client.artifacts(whole)
+        artifacts = client.list_artifacts(whole)
         check_same_files(to, artifacts)
         for artifact in artifacts:
             name = Path(artifact["name"]).name  # a service can name no file outside the directory
-            client.download(whole, name, to / name)
+            client.download_artifact(whole, name, to / name)
             if not as_json:
                 out().print(f"{to / name}  {artifact['size']:,} bytes", markup=False, highlight=False)
     if as_json:

@@ -39,7 +39,7 @@ def submit(
 
     data = spec_input.read(spec, seed)
     with ApiClient(url) as client:
-        job = client.submit(with_meshes_added(data, folder_of(spec), to_service(client)), priority)
+        job = client.submit_job(with_meshes_added(data, folder_of(spec), to_service(client)), priority)
         warn(job.get("warnings", ()))
         if not job.get("checked", True):
             err().print("accepted before its check had ended; a worker checks it first")
@@ -63,7 +63,7 @@ def follow(client: "ApiClient", job: dict[str, Any]) -> dict[str, Any]:
 
     try:
         with JobLine(f"{job['name']}, {job['attack']}") as line:
-            for event in client.events(job["id"]):
+            for event in client.stream_job_events(job["id"]):
                 if event.kind == "progress":
                     rows = event.data["rows"]
                     last = rows[-1] if rows else None
@@ -72,7 +72,7 @@ def follow(client: "ApiClient", job: dict[str, Any]) -> dict[str, Any]:
         said = f"The job goes on. `scene-attack jobs watch {job['id']}` follows it, `jobs cancel` ends it."
         err().print(said, markup=False, highlight=False, soft_wrap=True)
         raise
-    return client.job(job["id"])
+    return client.get_job(job["id"])
 
 
 def show(job: dict[str, Any]) -> None:

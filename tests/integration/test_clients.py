@@ -15,7 +15,7 @@ pytestmark = pytest.mark.integration
 
 def test_a_program_runs_a_job_and_reads_its_images(stack: Stack, tmp_path: Path) -> None:
     with Client(str(stack.client.base_url)) as service:
-        job = service.submit(QUICK).wait()
+        job = service.submit_job(QUICK).wait()
         assert job.state == "succeeded", job.failure
         assert job.trace.to_frame()["step"].is_monotonic_increasing
         assert sorted(job.subsets[-1]["groups"]) == sorted(job.result["group_perceptibility"])
@@ -23,10 +23,10 @@ def test_a_program_runs_a_job_and_reads_its_images(stack: Stack, tmp_path: Path)
         assert job.images.original.size == job.images.attacked.size == size
         assert (np.asarray(job.images.original) != np.asarray(job.images.attacked)).any()
         assert {path.name for path in job.download(tmp_path)} == set(job.files())
-        assert job.id in {one["id"] for one in service.jobs(state="succeeded")}
-        assert service.call(operations.readiness())["ready"]
+        assert job.id in {one["id"] for one in service.list_jobs(state="succeeded")}
+        assert service.call(operations.get_readiness())["ready"]
         with pytest.raises(ApiError, match=r"scene\.objects\.0\.mesh.*attack\.steps|attack\.steps.*mesh"):
-            service.submit({"scene": {"objects": [{"mesh": 3}]}, "attack": {"steps": -1}})
+            service.submit_job({"scene": {"objects": [{"mesh": 3}]}, "attack": {"steps": -1}})
         job.delete()
         with pytest.raises(ApiError, match="no such job"):
             job.refresh()
@@ -35,7 +35,7 @@ def test_a_program_runs_a_job_and_reads_its_images(stack: Stack, tmp_path: Path)
 def test_asyncio_follows_several_jobs_at_once(stack: Stack) -> None:
     async def run() -> tuple[str, str]:
         async with AsyncClient(str(stack.client.base_url)) as service:
-            quick, endless = await asyncio.gather(service.submit(QUICK), service.submit(ENDLESS))
+            quick, endless = await asyncio.gather(service.submit_job(QUICK), service.submit_job(ENDLESS))
             waited = asyncio.create_task(endless.wait())
             await quick.wait()
             await endless.cancel()

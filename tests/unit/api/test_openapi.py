@@ -1,3 +1,4 @@
+import re
 from pathlib import Path
 
 import yaml
@@ -28,3 +29,18 @@ def test_errors_are_described_as_problems() -> None:
     for status in ("413", "415", "422", "503"):
         assert list(operations[status]["content"]) == ["application/problem+json"]
     assert set(operations["400"]["content"]) == {"application/problem+json", "text/plain"}  # the parser's own
+
+
+def test_operations_and_schemas_have_names_that_a_person_gave() -> None:
+    described = yaml.safe_load(COMMITTED.read_text())
+    operations = [one for methods in described["paths"].values() for one in methods.values()]
+    names = [one["operationId"] for one in operations]
+    assert len(set(names)) == len(names)
+    for name in names:
+        # The framework's own names end in the path and the method.
+        assert re.fullmatch(r"[a-z]+(_[a-z]+)+", name), name
+        assert not re.search(r"_v1_|_(get|post|patch|delete|head)$", name), name
+    assert {tag for one in operations for tag in one["tags"]} == {tag["name"] for tag in described["tags"]}
+    assert all(re.fullmatch("[A-Za-z]+", name) for name in described["components"]["schemas"])
+    bodies = [kind["schema"] for one in operations for kind in one.get("requestBody", {}).get("content", {}).values()]
+    assert all(list(schema) == ["$ref"] for schema in bodies)

@@ -101,14 +101,14 @@ def progress(number: int) -> tuple[int, str, dict[str, object]]:
 
 def test_a_dropped_stream_is_taken_up_after_the_last_event(client: ApiClient, script: Script) -> None:
     script.answers = [streams(RUNNING, progress(2), drop=True), streams(DONE)]
-    assert [event.number for event in client.events("j")] == ["1", "2", "3"]
+    assert [event.number for event in client.stream_job_events("j")] == ["1", "2", "3"]
     assert "Last-Event-ID" not in script.seen[0][2]
     assert script.seen[1][2]["Last-Event-ID"] == "2"
 
 
 def test_a_stream_that_ends_before_the_job_is_taken_up_too(client: ApiClient, script: Script) -> None:
     script.answers = [streams(RUNNING), streams(progress(2)), streams(DONE)]
-    assert [event.kind for event in client.events("j")] == ["state", "progress", "state"]
+    assert [event.kind for event in client.stream_job_events("j")] == ["state", "progress", "state"]
     assert [headers.get("Last-Event-ID") for _, _, headers in script.seen] == [None, "1", "2"]
 
 
@@ -120,25 +120,25 @@ def test_signs_of_life_are_not_events(client: ApiClient, script: Script) -> None
         handler.wfile.write(b'id: 1\nevent: state\ndata: {"state": "running"}\n\n: ping\n\n: ping\n\n')
 
     script.answers = [answer, streams(DONE)]
-    assert [event.number for event in client.events("j")] == ["1", "3"]
+    assert [event.number for event in client.stream_job_events("j")] == ["1", "3"]
 
 
 def test_nothing_left_to_hear_is_the_end(client: ApiClient, script: Script) -> None:
     script.answers = [lambda handler: (handler.send_response(204), handler.end_headers())[0]]
-    assert list(client.events("j", after="3")) == []
+    assert list(client.stream_job_events("j", after="3")) == []
 
 
 def test_a_stream_that_never_gets_anywhere_is_given_up(client: ApiClient, script: Script) -> None:
     script.answers = [streams(drop=True)] * 30
     with pytest.raises(httpx.TransportError):
-        list(client.events("j"))
+        list(client.stream_job_events("j"))
     assert len(script.seen) == 9
 
 
 def test_an_unknown_job_is_refused_at_once(client: ApiClient, script: Script) -> None:
     script.answers = [says(404, {"status": 404, "title": "Not Found", "detail": "there is no such job"})]
     with pytest.raises(ApiError, match="there is no such job") as refused:
-        list(client.events("j"))
+        list(client.stream_job_events("j"))
     assert refused.value.status == 404
 
 
@@ -150,7 +150,7 @@ def test_a_refusal_names_every_bad_field(client: ApiClient, script: Script) -> N
     }
     script.answers = [says(422, problem, "application/problem+json")]
     with pytest.raises(ApiError) as refused:
-        client.submit({})
+        client.submit_job({})
     assert str(refused.value) == "scene.objects.0.mesh: no; seed: negative"
     assert refused.value.problem == problem
 
@@ -158,7 +158,7 @@ def test_a_refusal_names_every_bad_field(client: ApiClient, script: Script) -> N
 def test_an_error_that_is_no_problem_document_is_still_an_error(client: ApiClient, script: Script) -> None:
     script.answers = [says(502, b"<html>bad gateway", "text/html")]
     with pytest.raises(ApiError, match="HTTP 502"):
-        client.job("j")
+        client.get_job("j")
 
 
 def test_a_download_that_breaks_leaves_no_file(client: ApiClient, script: Script, tmp_path: Path) -> None:
@@ -170,9 +170,9 @@ def test_a_download_that_breaks_leaves_no_file(client: ApiClient, script: Script
 
     script.answers = [broken, says(200, b"whole", "image/png")]
     with pytest.raises(httpx.TransportError):
-        client.download("j", "attacked.png", tmp_path / "attacked.png")
+        client.download_artifact("j", "attacked.png", tmp_path / "attacked.png")
     assert not (tmp_path / "attacked.png").exists()
-    client.download("j", "attacked.png", tmp_path / "attacked.png")
+    client.download_artifact("j", "attacked.png", tmp_path / "attacked.png")
     assert (tmp_path / "attacked.png").read_bytes() == b"whole"
     assert [path.name for path in tmp_path.iterdir()] == ["attacked.png"]
 
@@ -187,8 +187,8 @@ def test_an_upload_is_deleted_by_its_name(client: ApiClient, script: Script) -> 
 
 def test_a_priority_is_sent_if_one_is_given(client: ApiClient, script: Script) -> None:
     script.answers += [says(202, {"id": "1"})] * 4
-    client.submit({}, "high")
-    client.submit({})
+    client.submit_job({}, "high")
+    client.submit_job({})
     client.submit_campaign({}, "normal")
     command = ["submit", "-", "--priority", "low", "--url", client.url]
     done = CliRunner().invoke(app, command, input='{"scene": {}}')
@@ -245,5 +245,5 @@ def test_the_key_of_the_environment_is_sent_and_follows_no_redirect(
     monkeypatch.setenv("SCENE_ATTACK_KEY", key)
     script.answers = [elsewhere, says(200, {})]
     with ApiClient(client.url) as keyed, pytest.raises(httpx.DecodingError, match="sends on to http"):
-        keyed.job("j")
+        keyed.get_job("j")
     assert [headers.get("Authorization") for _, _, headers in script.seen] == [sent]

@@ -39,7 +39,7 @@ def test_a_job_is_submitted_watched_and_read(client: ApiClient, script: Script) 
         says(200, png(), "image/png"),
     ]  # fmt: skip
     with Client(client.url) as service:
-        job = service.submit({"scene": {}}, priority="high").wait()
+        job = service.submit_job({"scene": {}}, priority="high").wait()
         assert job.verified
         assert job.subsets == SUBSETS
         assert job.trace == [{"step": 0}]
@@ -65,7 +65,7 @@ def test_the_same_by_asyncio(client: ApiClient, script: Script, monkeypatch: pyt
 
     async def run() -> None:
         async with AsyncClient(client.url) as service:
-            job = await (await service.submit({"scene": {}})).wait()
+            job = await (await service.submit_job({"scene": {}})).wait()
             assert job.subsets == SUBSETS
             for _ in range(2):
                 assert (np.asarray(await job.images.attacked) == PIXELS).all()
@@ -90,7 +90,7 @@ def test_a_stream_that_never_gets_anywhere_is_given_up_by_asyncio_too(
 
     async def run() -> None:
         async with AsyncClient(client.url) as service:
-            await (await service.submit({})).wait()
+            await (await service.submit_job({})).wait()
 
     with pytest.raises(async_client.httpx.TransportError, match="keeps ending"):
         asyncio.run(run())
@@ -103,10 +103,10 @@ def test_all_pages_of_a_list_are_read(client: ApiClient, script: Script) -> None
 
     async def by_asyncio() -> list[str]:
         async with AsyncClient(client.url) as service:
-            return [job["id"] async for job in service.jobs(state="failed")]
+            return [job["id"] async for job in service.list_jobs(state="failed")]
 
     with Client(client.url) as service:
-        assert [job["id"] for job in service.jobs(state="failed")] == ["1", "2"]
+        assert [job["id"] for job in service.list_jobs(state="failed")] == ["1", "2"]
     assert asyncio.run(by_asyncio()) == ["1", "2"]
     assert [path for _, path, _ in script.seen] == ["/v1/jobs?state=failed", "/v1/jobs?state=failed&cursor=c"] * 2
 
@@ -114,8 +114,8 @@ def test_all_pages_of_a_list_are_read(client: ApiClient, script: Script) -> None
 def test_every_operation_can_be_called(client: ApiClient, script: Script) -> None:
     script.answers = [says(200, {"items": []}), says(200, b"a,b\n", "text/csv"), says(204, b"")]
     with Client(client.url) as service:
-        assert service.call(operations.targets())["items"] == []
-        assert service.call(operations.campaign_table_csv("1")) == "a,b\n"
+        assert service.call(operations.list_targets())["items"] == []
+        assert service.call(operations.get_campaign_table_csv("1")) == "a,b\n"
         service.call(operations.delete_webhook("1"))
 
 
@@ -130,7 +130,7 @@ def test_files_are_written_into_the_folder_whatever_their_names(
             await async_client.AsyncJob(SUCCEEDED, service).download(tmp_path / "two")  # type: ignore[arg-type]
 
     with Client(client.url) as service:
-        service.job("0f3c").download(tmp_path / "one")
+        service.get_job("0f3c").download(tmp_path / "one")
     asyncio.run(by_asyncio())
     for folder in ("one", "two"):
         assert (np.asarray(images(tmp_path / folder).attacked) == PIXELS).all()
@@ -150,14 +150,14 @@ def test_a_job_without_a_result_says_why(
 ) -> None:
     script.answers = [says(200, JOB | {"state": state, "failure": failure})]
     with Client(client.url) as service, pytest.raises(Unfinished) as error:
-        _ = service.job("0f3c").result
+        _ = service.get_job("0f3c").result
     assert str(error.value) == said
 
 
 def test_rows_become_a_frame(client: ApiClient, script: Script, monkeypatch: pytest.MonkeyPatch) -> None:
     script.answers = [says(200, SUCCEEDED)]
     with Client(client.url) as service:
-        rows = service.job("0f3c").subsets
+        rows = service.get_job("0f3c").subsets
     frame = rows.to_frame()
     assert list(frame.columns) == ["groups", "perceptibility"]
     assert frame["perceptibility"].sum() == 0.75
@@ -171,7 +171,7 @@ def test_the_key_and_the_url_may_be_given(client: ApiClient, script: Script, mon
     monkeypatch.setenv("SCENE_ATTACK_KEY", "sa_other")
     script.answers = [says(404, {"detail": "there is no such job"})]
     with Client(key="sa_mine") as service, pytest.raises(ApiError, match="no such job"):
-        service.job("1")
+        service.get_job("1")
     assert script.seen[0][2]["Authorization"] == "Bearer sa_mine"
     with pytest.raises(InvalidRequest, match="no address of a service"):
         Client("localhost:8008")
@@ -187,12 +187,12 @@ def test_a_job_is_queued_again_and_continued(client: ApiClient, script: Script) 
     answers = [says(200, JOB), says(202, JOB | {"id": "1a"}), says(202, JOB | {"id": "2b"})]
     script.answers = [*answers, *answers]
     with Client(client.url) as service:
-        job = service.job("0f3c")
+        job = service.get_job("0f3c")
         assert (job.retry().id, job.continue_().id, job.id) == ("1a", "2b", "0f3c")
 
     async def run() -> tuple[str, str]:
         async with AsyncClient(client.url) as service:
-            job = await service.job("0f3c")
+            job = await service.get_job("0f3c")
             return (await job.retry()).id, (await job.continue_()).id
 
     assert asyncio.run(run()) == ("1a", "2b")

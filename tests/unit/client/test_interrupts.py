@@ -17,7 +17,7 @@ SPHERE = {"scene": {"objects": [{"mesh": "primitive/sphere"}]}}
 class Interrupted:
     """The events of a job, while which Ctrl-C is pressed."""
 
-    def events(self, _: str) -> Iterator[Event]:
+    def stream_job_events(self, _: str) -> Iterator[Event]:
         yield Event("1", "progress", {"phase": "attacking", "step": 3, "steps": 9, "rows": []})
         raise KeyboardInterrupt
 

@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 import yaml
 
-from client import campaign_operations, operations, write_answers
+from client import AsyncClient, Client, campaign_operations, operations, write_answers
+from client.api_client import ApiClient
 from client.request import Request
 
 ROOT = Path(__file__).parents[3]
@@ -46,6 +47,18 @@ def test_every_operation_has_one_function(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(FUNCTIONS))
+def test_a_function_has_the_name_of_its_operation(name: str, tmp_path: Path) -> None:
+    request = example(FUNCTIONS[name], tmp_path)
+    assert OPERATIONS[request.method, request.route]["operationId"] == name
+
+
+@pytest.mark.parametrize("kind", [ApiClient, AsyncClient, Client])
+def test_a_method_of_a_client_has_the_name_of_its_operation(kind: type) -> None:
+    methods = {name for name in vars(kind) if not name.startswith("_")}
+    assert methods - set(FUNCTIONS) <= {"call", "url", "all_jobs", "ready"}
+
+
+@pytest.mark.parametrize("name", sorted(FUNCTIONS))
 def test_a_function_has_every_parameter_and_the_type_of_the_answer(name: str, tmp_path: Path) -> None:
     function = FUNCTIONS[name]
     request = example(function, tmp_path)
@@ -74,12 +87,12 @@ def answer(content: dict[str, Any]) -> str:
 
 
 def test_a_name_in_a_path_is_quoted() -> None:
-    assert operations.artifact("../keys", "a b").address == "/v1/jobs/..%2Fkeys/artifacts/a%20b"
+    assert operations.download_artifact("../keys", "a b").address == "/v1/jobs/..%2Fkeys/artifacts/a%20b"
 
 
 def test_what_is_not_given_is_not_sent() -> None:
-    assert operations.jobs(limit=3).arguments() == {"method": "GET", "url": "/v1/jobs", "params": {"limit": 3}}
-    sent = operations.submit({}, wait=2.0).arguments()
+    assert operations.list_jobs(limit=3).arguments() == {"method": "GET", "url": "/v1/jobs", "params": {"limit": 3}}
+    sent = operations.submit_job({}, wait=2.0).arguments()
     assert sent["headers"] == {"Prefer": "wait=2"}
     assert "params" not in sent
 
@@ -88,6 +101,6 @@ def test_a_mesh_is_sent_with_the_files_that_it_names(tmp_path: Path) -> None:
     (tmp_path / "chair.obj").write_text("mtllib chair.mtl\n")
     (tmp_path / "chair.mtl").write_text("newmtl a\n")
     (tmp_path / "other.mtl").write_text("newmtl b\n")
-    sent = operations.add_asset(tmp_path / "chair.obj", name="Chair", up="z").arguments()
+    sent = operations.upload_asset(tmp_path / "chair.obj", name="Chair", up="z").arguments()
     assert sent["files"] == [("file", ("chair.obj", b"mtllib chair.mtl\n")), ("file", ("chair.mtl", b"newmtl a\n"))]
     assert sent["data"] == {"name": "Chair", "up": "z"}
