@@ -107,7 +107,7 @@ class ApiClient:
         given = _given(limit=limit, state=state, cursor=cursor, q=q, sort=sort)
         return self._json(self._http.get("/v1/jobs", params=given))
 
-    def all_jobs(self, **asked: str | None) -> Iterator[dict[str, Any]]:
+    def all_jobs(self, **asked: str | list[str] | None) -> Iterator[dict[str, Any]]:
         """All jobs that meet `state`, `campaign` and `q`, in the order `sort`, in as many requests as are needed."""
         cursor = None
         while True:
@@ -230,6 +230,6 @@ class ApiClient:
         return object_of(response)
 
 
-def _given(**values: str | int | None) -> dict[str, str | int]:
+def _given(**values: str | int | list[str] | None) -> dict[str, str | int | list[str]]:
     """The query parameters that were given."""
     return {name: value for name, value in values.items() if value is not None}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from asyncio import sleep, to_thread
-from collections.abc import AsyncIterator, Coroutine, Mapping
+from collections.abc import AsyncIterator, Coroutine, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
@@ -156,7 +156,7 @@ class AsyncClient:
         *,
         q: str | None = None,
         sort: str | None = None,
-        state: State | None = None,
+        state: State | Sequence[State] | None = None,
         campaign: str | None = None,
     ) -> AsyncIterator[JobSummary]:
         """All jobs that meet a query such as "renderer:torch verified", newest first or sorted ("p", "-queries"), but

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -63,7 +63,7 @@ class Client:
         *,
         q: str | None = None,
         sort: str | None = None,
-        state: State | None = None,
+        state: State | Sequence[State] | None = None,
         campaign: str | None = None,
     ) -> Iterator[JobSummary]:
         """All jobs that meet a query such as "renderer:torch verified", newest first or sorted ("p", "-queries"), but

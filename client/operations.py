@@ -5,7 +5,7 @@ A client sends them: `client.call(operations.list_targets())`. A parameter that 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -71,7 +71,7 @@ def list_jobs(
     *,
     q: str | None = None,
     sort: str | None = None,
-    state: State | None = None,
+    state: State | Sequence[State] | None = None,
     campaign: str | None = None,
     limit: int | None = None,
     cursor: str | None = None,

@@ -116,7 +116,7 @@ async def list_jobs(
     caller: CallerDependency,
     q: QueryText = None,
     sort: Sort = NEWEST,
-    state: State | None = None,
+    state: Annotated[list[State] | None, Query(description="repeated, it lists jobs in any of these states")] = None,
     campaign: Annotated[
         str | None, Query(min_length=1, max_length=32, description="id of the campaign that queued the jobs")
     ] = None,
@@ -125,7 +125,8 @@ async def list_jobs(
 ) -> Response:
     """Lists the jobs that meet a query, newest first or in another order."""
     terms = [*parse_query(q or "")]
-    terms += [Term(name, "=", (one,)) for name, one in (("state", state), ("campaign", campaign)) if one is not None]
+    terms += [Term("state", "=", tuple(state))] if state else []
+    terms += [Term("campaign", "=", (campaign,))] if campaign is not None else []
     place = read_cursor(cursor, sort)
 
     def read() -> str:

@@ -35,7 +35,8 @@ def list_jobs(
     state: Annotated[
         str | None,
         typer.Option(
-            help="List only jobs in this state: queued, running, cancelling, succeeded, failed, rejected or cancelled."
+            help="List only jobs in this state, or in one of these, as running,queued: queued, running, cancelling, "
+            "succeeded, failed, rejected or cancelled."
         ),
     ] = None,
     query: Annotated[
@@ -71,7 +72,8 @@ def list_jobs(
 
     with ApiClient(url) as client:
         about = None if campaign is None else campaign_id(client, campaign)
-        matching = client.all_jobs(state=state, campaign=about, q=query, sort=sort)
+        states = None if state is None else [one.strip() for one in state.split(",")]
+        matching = client.all_jobs(state=states, campaign=about, q=query, sort=sort)
         found = list(matching if whole else islice(matching, limit + 1))
     more = not whole and len(found) > limit
     found = found[:limit] if more else found

@@ -113,6 +113,9 @@ def test_pages_by_state(client: Client) -> None:
     client.post(f"/v1/jobs/{job['id']}/cancel")
     page = client.get("/v1/jobs", params={"state": "cancelled", "limit": 1}).json()
     assert [found["id"] for found in page["items"]] == [job["id"]]
+    queued = submit(client)
+    either = client.get("/v1/jobs", params={"state": ["queued", "cancelled"], "limit": 2}).json()
+    assert [found["id"] for found in either["items"]] == [queued["id"], job["id"]]
 
 
 @pytest.mark.parametrize("cursor", ["x", "!!", "bm90IGEgY3Vyc29y", "MjAyNi0wMS0wMVQwMDowMDowMCBhYmM"])
@@ -123,7 +126,7 @@ def test_a_cursor_of_ones_own_making_is_refused(client: Client, cursor: str) -> 
 
 
 @pytest.mark.parametrize(
-    ("params", "field"), [({"limit": 0}, "limit"), ({"limit": 1000}, "limit"), ({"state": "done"}, "state")]
+    ("params", "field"), [({"limit": 0}, "limit"), ({"limit": 1000}, "limit"), ({"state": "done"}, "state.0")]
 )
 def test_bad_parameters_are_named(client: Client, params: dict[str, str], field: str) -> None:
     answer = client.get("/v1/jobs", params=params)

@@ -91,6 +91,11 @@ def test_filters_are_sent(client: ApiClient, script: Script) -> None:
     assert script.seen[0][1] == f"/v1/jobs?limit=200&state=failed&campaign={ONE}&q=verified&sort=p"
 
 
+def test_states_are_sent_one_by_one(client: ApiClient, script: Script) -> None:
+    listed(client, script, "--state", "running, queued")
+    assert script.seen[0][1] == "/v1/jobs?limit=200&state=running&state=queued&sort=-created"
+
+
 def test_a_folder_of_another_job_is_not_written(client: ApiClient, script: Script, tmp_path: Path) -> None:
     (tmp_path / "result.json").write_text("{}")
     script.answers = [says(200, {"items": [{"name": "result.json", "sha256": "0" * 64, "size": 2}]})]
