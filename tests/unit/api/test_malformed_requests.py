@@ -241,11 +241,25 @@ RAW = {
 }
 
 
+def closes(connection: socket.socket) -> bool:
+    try:
+        return connection.recv(1) == b""
+    except ConnectionResetError:  # it had not read all that was sent
+        return True
+
+
 @pytest.mark.parametrize("name", RAW)
 def test_bytes_that_are_hardly_http(client: Client, name: str) -> None:
     sent, status = RAW[name]
     with socket.create_connection((client.base_url.host, client.base_url.port), timeout=60) as connection:
         connection.sendall(sent)
         said = connection.recv(65536)
-    assert int(said.split(b" ", 2)[1]) == status, said[:500]
+        closed = status != 400 or closes(connection)
+    head, _, body = said.partition(b"\r\n\r\n")
+    assert int(head.split(b" ", 2)[1]) == status, said[:500]
+    # docs/api.md says so: the server below the application knows no problem documents.
+    kind = {400: b"text/plain", 404: b"application/problem+json", 200: b"application/json"}[status]
+    assert b"\r\ncontent-type: " + kind in head
+    assert body
+    assert closed
     assert client.get("/healthz").status_code == 200

@@ -64,7 +64,9 @@ def answer(connection: socket.socket) -> bytes:
 @pytest.mark.parametrize("head", [b"", b"GET", b"GET / HTTP/1.1\r\nHost: localhost\r\nA: b"])
 def test_a_head_that_does_not_end_is_given_up(connection: socket.socket, head: bytes) -> None:
     connection.sendall(head)
-    assert answer(connection).startswith(b"HTTP/1.1 408 ")
+    said = answer(connection)
+    assert said.startswith(b"HTTP/1.1 408 ")
+    assert said.endswith(b"\r\ncontent-length: 0\r\n\r\n")
 
 
 def test_a_second_request_that_does_not_end_is_given_up(connection: socket.socket) -> None:
