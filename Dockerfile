@@ -8,7 +8,7 @@ RUN apt-get update \
 
 WORKDIR /app
 # Packages, meshes and environment maps change seldom: they are layers of their own.
-COPY requirements.txt pyproject.toml README.md LICENSE NOTICE ./
+COPY requirements.txt requirements-torch.txt pyproject.toml README.md LICENSE NOTICE ./
 COPY scripts/setup scripts/assets.sha256 scripts/
 COPY services/__init__.py services/
 COPY api/__init__.py api/

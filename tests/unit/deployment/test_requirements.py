@@ -22,7 +22,7 @@ DIRECT = {
 
 def pins(path: str) -> dict[str, Version]:
     """The exact versions in a requirements file for this Python, by canonical name; included files are left out."""
-    lines = [line for line in (ROOT / path).read_text().splitlines() if line and not line.startswith(("#", "-r"))]
+    lines = [line.removesuffix(" \\") for line in (ROOT / path).read_text().splitlines() if line[:1].isalpha()]
     found = [one for one in map(Requirement, lines) if one.marker is None or one.marker.evaluate()]
     assert all(str(one.specifier).startswith("==") for one in found)
     names = [canonicalize_name(one.name) for one in found]
@@ -49,7 +49,7 @@ def pulled_in(direct: list[str]) -> set[str]:
 
 @pytest.mark.parametrize("path", DIRECT)
 def test_each_direct_dependency_has_a_lower_bound_that_its_pin_satisfies(path: str) -> None:
-    everything = pins("requirements.txt") | pins(path)
+    everything = pins("requirements.txt") | pins("requirements-torch.txt") | pins(path)
     for text in DIRECT[path]:
         need = Requirement(text)
         assert [one.operator for one in need.specifier] == [">="], text
@@ -57,16 +57,28 @@ def test_each_direct_dependency_has_a_lower_bound_that_its_pin_satisfies(path: s
 
 
 def test_the_runtime_pins_are_what_the_runtime_dependencies_pull_in() -> None:
-    assert set(pins("requirements.txt")) == pulled_in(DIRECT["requirements.txt"])
+    # A build of torch for CUDA also needs NVIDIA's libraries and Triton, in versions that it names exactly.
+    needed = {
+        one for one in pulled_in(DIRECT["requirements.txt"]) if not one.startswith(("cuda-", "nvidia-", "triton"))
+    }
+    assert set(pins("requirements.txt") | pins("requirements-torch.txt")) == needed
 
 
 def test_the_development_pins_are_what_the_extra_pulls_in_beside_them() -> None:
     try:
-        wanted = pulled_in(DIRECT["requirements-dev.txt"]) - set(pins("requirements.txt"))
+        wanted = pulled_in(DIRECT["requirements-dev.txt"]) - set(pins("requirements.txt")) - {"torch"}
     except PackageNotFoundError as missing:
         pytest.fail(f"run scripts/setup --test: {missing}")
     assert set(pins("requirements-dev.txt")) == wanted
     assert "-r requirements.txt" in (ROOT / "requirements-dev.txt").read_text().splitlines()
+
+
+@pytest.mark.parametrize("path", [*DIRECT, "benchmarks/requirements.txt"])
+def test_each_pin_has_the_hashes_of_its_files(path: str) -> None:
+    text = re.sub(r"^(#|-r ).*\n", "", (ROOT / path).read_text(), flags=re.MULTILINE)
+    pin = r"[a-z][^\\\n]+==[^\\\n]+"
+    hashes = r"( \\\n    --hash=sha256:[0-9a-f]{64})+\n"
+    assert re.sub(f"^{pin}{hashes}", "", text, flags=re.MULTILINE) == "", "write them with scripts/write-hashes"
 
 
 def test_the_extra_for_benchmarks_is_among_their_requirements() -> None:
