@@ -9,8 +9,8 @@ import numpy as np
 from PIL import Image
 from playwright.sync_api import Browser, Locator, Page, expect
 
+from tests.integration.browser import fresh_page
 from tests.integration.conftest import Stack
-from tests.integration.test_dashboard import PATIENCE
 
 SOFTWARE = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 READ_BACK = "GPU stall due to ReadPixels"
@@ -22,16 +22,13 @@ GROUND = (51, 102, 153)
 @contextmanager
 def looking(browser: Browser, stack: Stack, **context: Any) -> Iterator[Page]:
     """A page whose browser writes nothing of its own into its console, and asks nobody but the service."""
-    opened = browser.new_context(**context)
-    page = opened.new_page()
-    page.set_default_timeout(PATIENCE)
     said: list[str] = []
-    page.on("console", lambda message: None if READ_BACK in message.text else said.append(message.text))
-    page.on("pageerror", lambda error: said.append(str(error)))
     asked: list[str] = []
-    page.on("request", lambda request: asked.append(request.url))
-    yield page
-    opened.close()
+    with fresh_page(browser, **context) as page:
+        page.on("console", lambda message: None if READ_BACK in message.text else said.append(message.text))
+        page.on("pageerror", lambda error: said.append(str(error)))
+        page.on("request", lambda request: asked.append(request.url))
+        yield page
     assert said == []
     assert [url for url in asked if not url.startswith(str(stack.client.base_url))] == []
 
@@ -40,7 +37,7 @@ def opened(page: Page, stack: Stack, job: str) -> None:
     """The page of a job with its scene drawn once."""
     page.goto(f"{stack.client.base_url}/jobs/{job}")
     page.locator("#scene3d-details > summary").click()
-    expect(page.locator("scene-3d")).to_have_attribute("data-drawings", "1", timeout=PATIENCE)
+    expect(page.locator("scene-3d")).to_have_attribute("data-drawings", "1")
     expect(page.locator("scene-3d [role=status]")).to_contain_text("arrow keys")
 
 

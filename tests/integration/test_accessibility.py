@@ -12,7 +12,7 @@ import pytest
 from playwright.sync_api import Browser, ConsoleMessage, Page
 
 from tests.dashboard_pages import ELSEWHERE, PAGES
-from tests.integration.browser import launched
+from tests.integration.browser import fresh_page, launched
 from tests.integration.conftest import Stack, until
 from tests.integration.specs import GROUPS, QUICK
 
@@ -69,8 +69,7 @@ def test_a_page_is_accessible(
     stack: Stack, browser: Browser, filled: dict[str, str], name: str, theme: Any, width: int
 ) -> None:
     address = (PAGES | ELSEWHERE)[name].format(**filled)
-    with browser.new_context(color_scheme=theme, viewport={"width": width, "height": 900}) as context:
-        page = context.new_page()
+    with fresh_page(browser, color_scheme=theme, viewport={"width": width, "height": 900}) as page:
         complaints = watched(page, str(stack.client.base_url))
         page.goto(f"{stack.client.base_url}{address}")
         page.wait_for_load_state("load")

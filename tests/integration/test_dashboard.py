@@ -6,13 +6,12 @@ from typing import Any
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from tests.integration.browser import launched
+from tests.integration.browser import fresh_page, job_state, launched, wait_for_images
 from tests.integration.conftest import Stack, serving
 from tests.integration.specs import ENDLESS, QUICK
 
 pytestmark = pytest.mark.integration
 
-PATIENCE = 300_000
 SEEDED = """
 from services.questions.answers import ANSWERS
 from services.targets.iep.card import CARD
@@ -44,7 +43,6 @@ ASKED: dict[str, Any] = {
     },
     "attack": {"renderer": "image", "base_renderer": "pyrender", "steps": 2},
 }
-LOADED = "images => images.every(image => image.complete && image.naturalWidth > 0)"
 
 COVERED = """panes => panes.every(pane => {
   const [image, mask] = [...pane.querySelectorAll('img')].map(one => one.getBoundingClientRect());
@@ -62,14 +60,11 @@ def browser() -> Iterator[Browser]:
 @pytest.fixture
 def page(browser: Browser) -> Iterator[Page]:
     """A page of a fresh profile; whatever the browser complains about fails the test."""
-    context = browser.new_context()
-    page = context.new_page()
-    page.set_default_timeout(PATIENCE)
     complaints: list[str] = []
-    page.on("console", lambda message: complaints.append(message.text) if message.type != "log" else None)
-    page.on("pageerror", lambda error: complaints.append(str(error)))
-    yield page
-    context.close()
+    with fresh_page(browser) as page:
+        page.on("console", lambda message: complaints.append(message.text) if message.type != "log" else None)
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        yield page
     assert complaints == []
 
 
@@ -102,8 +97,7 @@ def test_list_and_job_page_of_a_finished_job(stack: Stack, page: Page) -> None:
     expect(page.locator("h1")).to_have_text("sphere")
     images = page.locator(".images img")
     expect(images).to_have_count(3)
-    page.wait_for_load_state("networkidle")
-    assert images.evaluate_all(LOADED)
+    wait_for_images(images)
     expect(page.get_by_role("img", name="Log-probability advantage").first).to_be_visible()
     curves = page.locator(".charts.by-step svg")
     expect(curves).to_have_count(4)
@@ -123,17 +117,17 @@ def test_list_and_job_page_of_a_finished_job(stack: Stack, page: Page) -> None:
 def test_a_running_job_moves_and_can_be_cancelled_from_its_page(stack: Stack, page: Page, endless: str) -> None:
     job_id = endless
     page.goto(f"{stack.client.base_url}/jobs/{job_id}")
-    expect(page.locator(".badge")).to_have_text("running", timeout=PATIENCE)
+    expect(job_state(page)).to_have_text("running")
     progress = page.locator("#live progress")
-    expect(progress).to_be_visible(timeout=PATIENCE)
+    expect(progress).to_be_visible()
     before = progress.evaluate("bar => bar.value")
     page.wait_for_function("before => document.querySelector('#live progress')?.value > before", arg=before)
     page.get_by_role("radio", name="seconds").check()
     now = page.locator("#live progress").evaluate("bar => bar.value")
     page.wait_for_function("now => document.querySelector('#live progress')?.value > now", arg=now)
     assert page.get_by_role("radio", name="seconds").is_checked()  # what the reader chose outlives an update
-    page.get_by_role("button", name="Cancel").click()
-    expect(page.locator(".badge")).to_have_text("cancelled", timeout=PATIENCE)
+    page.get_by_role("button", name="Cancel this job").click()
+    expect(job_state(page)).to_have_text("cancelled")
     assert stack.ended(job_id)["state"] == "cancelled"
 
 
@@ -141,7 +135,7 @@ def test_the_list_moves_by_itself(stack: Stack, page: Page) -> None:
     page.goto(f"{stack.client.base_url}/")
     job_id = stack.submit(QUICK)
     row = page.locator("tbody tr", has=page.locator(f'a[href="/jobs/{job_id}"]'))
-    expect(row.locator(".badge").first).to_have_text("succeeded", timeout=PATIENCE)
+    expect(row.locator(".badge").first).to_have_text("succeeded")
 
 
 def test_a_question_s_page_shows_what_its_functions_attend_to(answering: Stack, page: Page) -> None:
@@ -160,8 +154,7 @@ def look_at_a_program(page: Page, functions: int, attending: int) -> None:
     expect(panes).to_have_count(2 * attending)
     for pane in panes.all():
         pane.scroll_into_view_if_needed()  # images are loaded when they come into view
-    page.wait_for_load_state("networkidle")
-    assert page.locator(".attended img").evaluate_all(LOADED)
+    wait_for_images(page.locator(".attended img"))
     assert panes.evaluate_all(COVERED)
     joined, first = page.locator(".step").last.bounding_box(), page.locator(".step").first.bounding_box()
     assert joined is not None
@@ -180,12 +173,10 @@ def look_at_a_program(page: Page, functions: int, attending: int) -> None:
 def test_pages_work_without_script(stack: Stack, browser: Browser, endless: str) -> None:
     job_id = endless
     stack.attacking(job_id)
-    context = browser.new_context(java_script_enabled=False)
-    page = context.new_page()
-    page.goto(f"{stack.client.base_url}/jobs/{job_id}")
-    with page.expect_navigation():  # the form's answer is the page again; a reload must not run into it
-        page.get_by_role("button", name="Cancel").click()
-    stack.ended(job_id)
-    page.goto(f"{stack.client.base_url}/jobs/{job_id}")
-    expect(page.locator(".badge")).to_have_text("cancelled")
-    context.close()
+    with fresh_page(browser, java_script_enabled=False) as page:
+        page.goto(f"{stack.client.base_url}/jobs/{job_id}")
+        with page.expect_navigation():  # the form's answer is the page again; a reload must not run into it
+            page.get_by_role("button", name="Cancel this job").click()
+        stack.ended(job_id)
+        page.goto(f"{stack.client.base_url}/jobs/{job_id}")
+        expect(job_state(page)).to_have_text("cancelled")

@@ -9,10 +9,9 @@ from PIL import Image
 from playwright.sync_api import Browser, Page, expect
 
 from services.attacks.checkpoint import saved_step
-from tests.integration.browser import launched
+from tests.integration.browser import fresh_page, launched, wait_for_images
 from tests.integration.conftest import Stack, until
 from tests.integration.specs import ENDLESS, GROUPS, QUICK
-from tests.integration.test_dashboard import LOADED, PATIENCE
 
 pytestmark = pytest.mark.integration
 
@@ -36,16 +35,12 @@ def browser() -> Iterator[Browser]:
 @pytest.fixture
 def page(browser: Browser) -> Iterator[Page]:
     """A page that may use the clipboard; whatever the browser complains about fails the test."""
-    context = browser.new_context(
-        permissions=["clipboard-read", "clipboard-write"], viewport={"width": 1000, "height": 1000}
-    )
-    page = context.new_page()
-    page.set_default_timeout(PATIENCE)
     complaints: list[str] = []
-    page.on("console", lambda message: complaints.append(message.text) if message.type != "log" else None)
-    page.on("pageerror", lambda error: complaints.append(str(error)))
-    yield page
-    context.close()
+    allowed = ["clipboard-read", "clipboard-write"]
+    with fresh_page(browser, permissions=allowed, viewport={"width": 1000, "height": 1000}) as page:
+        page.on("console", lambda message: complaints.append(message.text) if message.type != "log" else None)
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        yield page
     assert complaints == []
 
 
@@ -150,8 +145,7 @@ def test_an_update_leaves_viewer_focus_scroll_and_open_parts(stack: Stack, page:
     scale = page.locator("before-after canvas").get_attribute("data-scale")
     page.locator("#plan-details > summary").click()
     page.get_by_role("radio", name="seconds").focus()
-    page.mouse.wheel(0, 200)
-    page.wait_for_function("window.scrollY > 0")
+    page.evaluate("window.scrollBy({ top: 200, behavior: 'instant' })")
     before = page.evaluate("[window.scrollY, window.kept = document.querySelector('before-after canvas')][0]")
     page.evaluate("update()")
     expect(page.locator("h1")).to_have_text("another name")
@@ -177,7 +171,7 @@ def test_a_running_job_s_page_keeps_its_nodes(stack: Stack, page: Page) -> None:
     try:
         page.goto(f"{stack.client.base_url}/jobs/{job_id}")
         bar = page.locator("#live progress")
-        expect(bar).to_be_visible(timeout=PATIENCE)
+        expect(bar).to_be_visible()
         page.locator("#copy-id").focus()
         now = page.evaluate(
             "(window.kept = document.querySelector('#copy-id'), document.querySelector('#live progress').value)"
@@ -203,19 +197,17 @@ def test_buttons_copy_the_id_and_the_request(stack: Stack, page: Page, job: dict
 
 
 def test_without_script_the_images_stand_side_by_side(stack: Stack, browser: Browser, job: dict[str, Any]) -> None:
-    context = browser.new_context(java_script_enabled=False, viewport={"width": 1440, "height": 900})
-    page = context.new_page()
-    page.goto(f"{stack.client.base_url}/jobs/{job['id']}")
-    images = page.locator(".images img")
-    expect(images).to_have_count(3)
-    assert images.evaluate_all(LOADED)
-    boxes = [one.bounding_box() for one in images.all()]
-    assert len({box["y"] for box in boxes if box is not None}) == 1
-    expect(page.locator(".viewer")).to_be_hidden()
-    expect(page.locator("button[data-copy]").first).to_be_hidden()
-    page.locator("#provenance-details > summary").click()
-    expect(page.locator("#provenance-details dl")).to_be_visible()
-    context.close()
+    with fresh_page(browser, java_script_enabled=False, viewport={"width": 1440, "height": 900}) as page:
+        page.goto(f"{stack.client.base_url}/jobs/{job['id']}")
+        images = page.locator(".images img")
+        expect(images).to_have_count(3)
+        wait_for_images(images)
+        boxes = [one.bounding_box() for one in images.all()]
+        assert len({box["y"] for box in boxes if box is not None}) == 1
+        expect(page.locator(".viewer")).to_be_hidden()
+        expect(page.locator("button[data-copy]").first).to_be_hidden()
+        page.locator("#provenance-details > summary").click()
+        expect(page.locator("#provenance-details dl")).to_be_visible()
 
 
 def test_the_commands_are_copied(stack: Stack, page: Page, job: dict[str, Any]) -> None:
@@ -236,7 +228,7 @@ def test_the_changes_of_several_groups_in_words_images_and_a_plot(stack: Stack, 
         expect(said).to_have_text(f"{change['subject']} {change['sentence']}")
     images = page.locator(".changed-images img")
     expect(images).to_have_count(4)  # tilt; map before, after and their ratio
-    page.wait_for_function(f"({LOADED})([...document.querySelectorAll('.changed-images img')])")
+    wait_for_images(images)
     expect(page.locator(".polar svg")).to_have_count(3)
     plot = page.locator(".upset svg")
     expect(plot.locator(".bar")).to_have_count(8)

@@ -9,12 +9,11 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from services.attacks.checkpoint import saved_step
-from tests.integration.browser import launched
+from tests.integration.browser import job_state, launched
 from tests.integration.conftest import Stack, until
 from tests.integration.scene3d_view import SOFTWARE, drawn_after, looking
 from tests.integration.specs import long
 from tests.integration.test_accessibility import save
-from tests.integration.test_dashboard import PATIENCE
 
 pytestmark = pytest.mark.integration
 
@@ -44,7 +43,7 @@ def test_from_the_form_to_the_files(stack: Stack, page: Page, tmp_path: Path) ->
     save(page, "journey-succeeded.png")
     page.get_by_role("button", name="Retry").click()
     repeated = another_job(page, done)
-    expect(page.locator("before-after canvas")).to_be_visible(timeout=PATIENCE)
+    expect(page.locator("before-after canvas")).to_be_visible()
 
     page.goto("/?q=state:succeeded&sort=-p")
     for job in (done, repeated):
@@ -55,7 +54,7 @@ def test_from_the_form_to_the_files(stack: Stack, page: Page, tmp_path: Path) ->
 
     page.goto(f"/jobs/{done}")
     page.locator("#scene3d-details > summary").click()
-    expect(page.locator("scene-3d")).to_have_attribute("data-drawings", "1", timeout=PATIENCE)
+    expect(page.locator("scene-3d")).to_have_attribute("data-drawings", "1")
     page.locator("scene-3d canvas").focus()
     drawn_after(page, lambda: page.keyboard.press("ArrowLeft"))
     with page.expect_download() as download:
@@ -77,7 +76,7 @@ def submitted(page: Page, spec: dict[str, object]) -> str:
     """The id of a job that is submitted with the form, whose page is then open."""
     page.goto("/new")
     page.locator("#spec").fill(json.dumps(spec))
-    expect(page.locator("#preview-state")).to_contain_text("The network says", timeout=PATIENCE)
+    expect(page.locator("#preview-state")).to_contain_text("The network says")
     page.locator("#submit").click()
     return another_job(page, "new")
 
@@ -88,8 +87,8 @@ def another_job(page: Page, before: str) -> str:
 
 
 def cancelled(page: Page) -> None:
-    page.get_by_role("button", name="Cancel").click()
-    expect(page.locator(".badges .badge")).to_have_text("cancelled", timeout=PATIENCE)
+    page.get_by_role("button", name="Cancel this job").click()
+    expect(job_state(page)).to_have_text("cancelled")
 
 
 def watched_to_its_end(page: Page) -> None:
@@ -97,6 +96,6 @@ def watched_to_its_end(page: Page) -> None:
     page.locator("#copy-id").focus()
     page.evaluate("getSelection().selectAllChildren(document.querySelector('h1'))")
     chosen = page.evaluate("getSelection().toString()")
-    expect(page.locator("before-after canvas")).to_be_visible(timeout=PATIENCE)
+    expect(page.locator("before-after canvas")).to_be_visible()
     assert page.evaluate("document.activeElement.id") == "copy-id"
     assert page.evaluate("getSelection().toString()") == chosen != ""

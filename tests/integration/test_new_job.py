@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from playwright.sync_api import Browser, Page, expect
+from playwright.sync_api import Browser, ConsoleMessage, Page, expect
 
-from tests.integration.browser import launched
+from tests.integration.browser import fresh_page, launched
 from tests.integration.conftest import Stack, until
 from tests.integration.test_accessibility import AXE, RUN, THEMES, WIDTHS, save, watched
-from tests.integration.test_dashboard import PATIENCE
 
 pytestmark = pytest.mark.integration
 
@@ -34,17 +33,16 @@ def browser() -> Iterator[Browser]:
 @pytest.fixture
 def page(browser: Browser) -> Iterator[Page]:
     """A page of a fresh profile. Refused requests are what is tested; any other complaint fails the test."""
-    context = browser.new_context(viewport={"width": 1440, "height": 1000})
-    page = context.new_page()
-    page.set_default_timeout(PATIENCE)
-    expect.set_options(timeout=PATIENCE)
     complaints: list[str] = []
-    page.on(
-        "console", lambda one: complaints.append(one.text) if one.type == "error" and "422" not in one.text else None
-    )
-    page.on("pageerror", lambda error: complaints.append(str(error)))
-    yield page
-    context.close()
+
+    def listen(message: ConsoleMessage) -> None:
+        if message.type == "error" and "422" not in message.text:
+            complaints.append(message.text)
+
+    with fresh_page(browser, viewport={"width": 1440, "height": 1000}) as page:
+        page.on("console", listen)
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        yield page
     assert complaints == []
 
 
@@ -170,27 +168,21 @@ def test_the_preview_stays_in_sight_on_a_low_screen(stack: Stack, page: Page) ->
 
 
 def test_without_a_script_the_json_is_a_form(stack: Stack, browser: Browser) -> None:
-    context = browser.new_context(java_script_enabled=False)
-    page = context.new_page()
-    page.set_default_timeout(PATIENCE)
-    page.goto(f"{stack.client.base_url}/new?mesh=primitive/sphere")
-    page.locator("#spec").fill("{}")
-    page.locator("#submit").click()
-    expect(page.locator("#problems")).to_contain_text("scene")
-    page.locator("#spec").fill('{"scene": {"objects": [{"mesh": "primitive/sphere"}]}, "attack": {"steps": 1}}')
-    page.locator("#submit").click()
-    page.wait_for_url("**/jobs/*")
-    context.close()
+    with fresh_page(browser, java_script_enabled=False) as page:
+        page.goto(f"{stack.client.base_url}/new?mesh=primitive/sphere")
+        page.locator("#spec").fill("{}")
+        page.locator("#submit").click()
+        expect(page.locator("#problems")).to_contain_text("scene")
+        page.locator("#spec").fill('{"scene": {"objects": [{"mesh": "primitive/sphere"}]}, "attack": {"steps": 1}}')
+        page.locator("#submit").click()
+        page.wait_for_url("**/jobs/*")
 
 
 @pytest.mark.parametrize("width", WIDTHS)
 @pytest.mark.parametrize("theme", THEMES)
 def test_the_whole_form_is_accessible(stack: Stack, browser: Browser, theme: Any, width: int) -> None:
     """With its preview, every fold open, a list of errors, and messages at fields of all kinds."""
-    with browser.new_context(color_scheme=theme, viewport={"width": width, "height": 900}) as context:
-        page = context.new_page()
-        page.set_default_timeout(PATIENCE)
-        expect.set_options(timeout=PATIENCE)
+    with fresh_page(browser, color_scheme=theme, viewport={"width": width, "height": 900}) as page:
         complaints = watched(page, str(stack.client.base_url))
         page.goto(f"{stack.client.base_url}/new?mesh=primitive/sphere")
         wait_for_answer(page)

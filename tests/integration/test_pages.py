@@ -6,14 +6,13 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from tests.integration.browser import launched
-from tests.integration.conftest import Stack
+from tests.integration.browser import fresh_page, launched, wait_for_images
+from tests.integration.conftest import Stack, until
 from tests.integration.test_accessibility import filled, watched
 from tests.unit.scenes.test_beside import MTL, OBJ
 
 pytestmark = pytest.mark.integration
 __all__ = ["filled"]
-LOADED = "images => images.every(image => image.complete && image.naturalWidth > 0)"
 
 
 @pytest.fixture(scope="module")
@@ -25,12 +24,9 @@ def browser() -> Iterator[Browser]:
 @pytest.fixture(params=[True, False], ids=["script", "no script"])
 def page(request: pytest.FixtureRequest, stack: Stack, browser: Browser) -> Iterator[Page]:
     """A page with and without JavaScript; whatever the browser complains about fails the test."""
-    context = browser.new_context(base_url=str(stack.client.base_url), java_script_enabled=request.param)
-    page = context.new_page()
-    page.set_default_timeout(60_000)
-    complaints = watched(page, str(stack.client.base_url))
-    yield page
-    context.close()
+    with fresh_page(browser, base_url=str(stack.client.base_url), java_script_enabled=request.param) as page:
+        complaints = watched(page, str(stack.client.base_url))
+        yield page
     assert [one for one in complaints if "422" not in one] == []  # the browser logs the status of a form's page
 
 
@@ -43,8 +39,7 @@ def test_a_campaign_s_cell_opens_its_images(page: Page, filled: dict[str, str]) 
     table.get_by_role("link").first.click()
     images = page.locator("#opened + .pairs img")
     expect(images).to_have_count(2)
-    page.wait_for_load_state("networkidle")
-    assert images.evaluate_all(LOADED)
+    wait_for_images(images)
     page.get_by_role("radio", name="p", exact=True).check()
     expect(page.locator(".charts.by-p")).to_be_visible()
     expect(page.locator(".charts.by-step")).to_be_hidden()
@@ -71,12 +66,12 @@ def test_a_mesh_is_added_on_the_page_of_assets(page: Page, tmp_path: Path) -> No
     page.get_by_label("Files").set_input_files(tmp_path / "broken.obj")
     page.get_by_label("Credit").fill("Vase by Ada")
     page.get_by_role("button", name="Add", exact=True).click()
-    expect(page.get_by_role("alert")).to_contain_text("no vertices", timeout=60_000)
+    expect(page.get_by_role("alert")).to_contain_text("no vertices")
     expect(page.get_by_label("Credit")).to_have_value("Vase by Ada")
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     page.get_by_label("Files").set_input_files([tmp_path / "vase.obj", tmp_path / "my chair.mtl"])
     page.get_by_role("button", name="Add", exact=True).click()
-    expect(page.get_by_role("heading", level=1)).to_have_text("vase", timeout=60_000)
+    expect(page.get_by_role("heading", level=1)).to_have_text("vase")
     expect(page.locator(".facts").first).to_contain_text("Vase by Ada")
     expect(page.locator(".facts").first).to_contain_text("material library my chair.mtl")
 
@@ -96,15 +91,14 @@ def test_another_plot_is_chosen(page: Page) -> None:
     before = marks.count()
     section.get_by_label("Groups").select_option("normals")
     section.get_by_role("button", name="Show").click()
+    until(lambda: 0 < marks.count() < before, "a plot of fewer marks")
     expect(section.get_by_label("Groups")).to_have_value("normals")
-    assert 0 < marks.count() < before
     section.get_by_text("The plot as a table").click()
     expect(section.get_by_role("row").nth(1)).to_be_visible()
 
 
 def test_a_key_hides_its_series_and_a_point_is_read_out(stack: Stack, browser: Browser) -> None:
-    with browser.new_context(base_url=str(stack.client.base_url)) as context:
-        page = context.new_page()
+    with fresh_page(browser, base_url=str(stack.client.base_url)) as page:
         page.goto("/accuracy")
         plot = page.locator('[data-plot="shading"]')
         points = plot.locator("[data-points]").first

@@ -24,7 +24,6 @@ from tests.integration.scene3d_view import (
     stored,
 )
 from tests.integration.test_accessibility import AXE, RUN, THEMES, WIDTHS
-from tests.integration.test_dashboard import PATIENCE
 from tests.integration.test_export import textured_glb
 
 pytestmark = pytest.mark.integration
@@ -245,7 +244,7 @@ def test_an_asset_turns_on_its_page(stack: Stack, browser: Browser) -> None:
     with looking(browser, stack) as page:
         page.goto(f"{stack.client.base_url}/assets/furniture/drill")
         page.locator("#scene3d-details > summary").click()
-        expect(page.locator("scene-3d")).to_have_attribute("data-drawings", "1", timeout=PATIENCE)
+        expect(page.locator("scene-3d")).to_have_attribute("data-drawings", "1")
         first = drawn_after(page, lambda: page.get_by_role("button", name="Return").click())
         page.locator("scene-3d canvas").focus()
         turned = drawn_after(page, lambda: page.keyboard.press("ArrowRight"))

@@ -13,9 +13,10 @@ from services.access.caller import Scope
 from services.access.keys import AccessKeys
 from services.jobs.database import connect, migrate
 from services.settings import Settings
+from tests.integration.browser import fresh_page, job_state
 from tests.integration.conftest import Stack, serving
 from tests.integration.specs import ENDLESS
-from tests.integration.test_dashboard import PATIENCE, browser
+from tests.integration.test_dashboard import browser
 
 __all__ = ["browser"]
 
@@ -48,11 +49,8 @@ def closed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Closed]:
 @pytest.fixture
 def page(browser: Browser) -> Iterator[Page]:
     """A page of a fresh profile. The browser may complain here: refusals are what is tested."""
-    context = browser.new_context()
-    page = context.new_page()
-    page.set_default_timeout(PATIENCE)
-    yield page
-    context.close()
+    with fresh_page(browser) as page:
+        yield page
 
 
 @pytest.fixture
@@ -76,10 +74,10 @@ def test_a_person_signs_in_follows_a_job_cancels_it_and_signs_out(closed: Closed
     expect(page.get_by_role("alert")).to_contain_text("No such key")
     sign_in(page, closed, closed.key)
     page.locator(f'a[href="/jobs/{job}"]').click()
-    expect(page.locator(".badge").first).to_have_text("running", timeout=PATIENCE)
+    expect(job_state(page)).to_have_text("running")
     assert page.evaluate("document.cookie") == ""
     page.get_by_role("button", name="Cancel this job").click()
-    expect(page.locator(".badge").first).to_have_text("cancelled", timeout=PATIENCE)
+    expect(job_state(page)).to_have_text("cancelled")
     page.get_by_role("button", name="Sign out").click()
     expect(page).to_have_title("Sign in · scene-attack")
     page.goto(f"{closed.stack.client.base_url}/jobs/{job}")
