@@ -84,9 +84,9 @@ from services.jobs.storage import Storage
 from services.jobs.target_record import TargetRecords
 from services.jobs.webhooks import Webhooks
 from services.logs import configure, logger
-from services.pipeline.extensions import log_extensions
+from services.pipeline.extensions import log_extensions, set_up
 from services.scenes.library import Library
-from services.settings import Settings, settings
+from services.settings import Settings
 
 MIGRATION_SECONDS = 10.0
 """Longest wait for the database at the start, after which requests are answered, if only by 503."""
@@ -98,44 +98,43 @@ _UPLOADS = (assets.PATH, asset_form.PATH)
 log = logger(__name__)
 
 
-def create_app(values: Settings | None = None) -> FastAPI:
-    """Creates the app, with `values` or else the environment's settings.
+def create_app(values: Settings) -> FastAPI:
+    """Creates the app.
 
     The app opens the database, Redis and its preflight process when it starts, and closes them when it ends.
     """
-    chosen = values or settings()
     metrics = RequestMetrics()
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
-        engine = connect_database(chosen)
-        migration = asyncio.create_task(_migrate(engine, chosen))
+        engine = connect_database(values)
+        migration = asyncio.create_task(_migrate(engine, values))
         tasks = [asyncio.create_task(_show_life()), migration]
         await asyncio.wait([migration], timeout=MIGRATION_SECONDS)
         repository, owned, keys = Repository(engine), OwnedAssets(engine), AccessKeys(engine)
-        redis = connect_redis(chosen.redis_url)
+        redis = connect_redis(values.redis_url)
         queue = Queue(redis)
-        preflight = Preflight(chosen)
+        preflight = Preflight(values)
         preflight.start()
-        previewer = Previewer(chosen)
-        rerenderer = Rerenderer(chosen)
-        exporter = Exporter(chosen)
-        library = Library(chosen.cache_dir, chosen.files)
-        uploads = MeshUploads(library, chosen)
+        previewer = Previewer(values)
+        rerenderer = Rerenderer(values)
+        exporter = Exporter(values)
+        library = Library(values.cache_dir, values.files)
+        uploads = MeshUploads(library, values)
         uploads.start()
         watcher, lists = Watcher(repository, keys), JobLists(engine)
         list_watcher = ListWatcher(lists, keys)
-        store = ArtifactStore(chosen.files)
+        store = ArtifactStore(values.files)
         app.state.services = Services(
             keys=keys,
             sessions=Sessions(engine),
             assets=owned,
-            quotas=Quotas(owned, chosen.owner_queued, chosen.owner_campaigns, chosen.owner_upload_bytes),
+            quotas=Quotas(owned, values.owner_queued, values.owner_campaigns, values.owner_upload_bytes),
             repository=repository,
             reading=Reading(engine),
             lists=lists,
             queue=queue,
-            submissions=Submissions(repository, queue, chosen.max_queued),
+            submissions=Submissions(repository, queue, values.max_queued),
             store=store,
             library=library,
             preflight=preflight,
@@ -149,11 +148,11 @@ def create_app(values: Settings | None = None) -> FastAPI:
             watcher=watcher,
             list_watcher=list_watcher,
             webhooks=Webhooks(engine),
-            webhook_hosts=chosen.allowed_webhook_hosts,
-            storage=Storage(chosen.data_dir, store),
-            housekeeping=Housekeeping(engine, store, chosen.data_dir),
+            webhook_hosts=values.allowed_webhook_hosts,
+            storage=Storage(values.data_dir, store),
+            housekeeping=Housekeeping(engine, store, values.data_dir),
             deleted_assets=DeletedAssets(engine, library),
-            max_campaign_jobs=chosen.max_campaign_jobs,
+            max_campaign_jobs=values.max_campaign_jobs,
         )
         service_metrics = ServiceMetrics(Figures(engine), queue, watcher.streams)
         metrics.registry.register(service_metrics)
@@ -193,13 +192,13 @@ def create_app(values: Settings | None = None) -> FastAPI:
             Middleware(Answers),
             Middleware(Audit),
             Middleware(BodyPace),
-            Middleware(KnownHosts, hosts=chosen.own_hosts),
+            Middleware(KnownHosts, hosts=values.own_hosts),
             Middleware(SameSite),
-            Middleware(Authentication, rate=RequestRate(chosen.owner_requests)),
+            Middleware(Authentication, rate=RequestRate(values.owner_requests)),
             Middleware(OpenUploads, paths=_UPLOADS),
             Middleware(NoNul),
             Middleware(Utf8Forms),
-            Middleware(BodyLimit, uploads=dict.fromkeys(_UPLOADS, chosen.max_upload_bytes)),
+            Middleware(BodyLimit, uploads=dict.fromkeys(_UPLOADS, values.max_upload_bytes)),
         ],
     )
     for part in (
@@ -243,16 +242,16 @@ async def _migrate(engine: Engine, values: Settings) -> None:
             await asyncio.sleep(RETRY_SECONDS)
 
 
-def run(listener: socket.socket | None = None) -> int:
+def run(values: Settings, listener: socket.socket | None = None) -> int:
     """Serves until SIGTERM or SIGINT, on a socket already listening or else on the settings' address.
 
     Raises InvalidRequest if the device of the settings is not there, there is no URL of a Redis, the address is taken,
     or other machines reach it and there is no key.
     """
-    check_device()
     configure("api")
     tracing.configure("api")
-    values = settings()
+    set_up(values)
+    check_device()
     check_listening(values)
     # What cannot be is refused here: the server would show a traceback.
     connect_redis(values.redis_url).close()
@@ -278,6 +277,4 @@ def run(listener: socket.socket | None = None) -> int:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 1:
-        sys.exit(run(socket.socket(fileno=int(sys.argv[1]))))
-    sys.exit(run())
+    sys.exit(run(Settings(), socket.socket(fileno=int(sys.argv[1])) if len(sys.argv) > 1 else None))

@@ -5,12 +5,12 @@ import sys
 import yaml
 
 from api.main import create_app
-from services.settings import Settings
+from services.settings import DEFAULTS
 
 
 def document() -> str:
     """The OpenAPI document of the API as YAML."""
-    schema = create_app(Settings()).openapi()
+    schema = create_app(DEFAULTS).openapi()
     return yaml.safe_dump(schema, sort_keys=False, allow_unicode=True, width=120)
 
 

@@ -12,10 +12,10 @@ from pathlib import Path
 import torch
 from rich.progress import track
 
+from client.settings import settings_to_run
 from services.accuracy.attack_errors import AttackErrors, adversarial_scenes, attack_errors, random_scenes
 from services.accuracy.provenance import PACKAGES, backend
 from services.scenes.library import Library
-from services.settings import settings
 from services.versions import versions
 
 HERE = Path(__file__).parent
@@ -40,7 +40,8 @@ def main() -> None:
         "seed": options.seed,
     }
     found = _earlier(options.out, made_by)
-    library = Library(settings().cache_dir, settings().data_dir)
+    settings = settings_to_run()
+    library = Library(settings.cache_dir, settings.data_dir)
     for case in track([case for case in cases if case.name not in found], "attacking"):
         row = found[case.name] = attack_errors(case, library)
         _write(options.out, made_by, list(found.values()), len(cases))

@@ -20,9 +20,9 @@ from torch import Tensor
 
 from benchmarks.iep_variants import VARIANTS, Variant
 from benchmarks.report import RESULTS, save
+from client.settings import settings_to_run
 from services.questions.answers import ANSWERS
 from services.scenes.library import Library
-from services.settings import settings
 from services.targets.iep.checkpoint import load
 from services.targets.iep.engine import Engine
 from services.training.iep import features
@@ -55,7 +55,8 @@ def main() -> None:
     scenes = SHARD * (options.shards + options.held_out)
     recipe = replace(RECIPE, shares={"pyrender": 1.0}, scenes={"train": scenes})
     data = DataFolder(options.folder / "data", recipe, options.seed)
-    library = Library(settings().cache_dir, settings().data_dir)
+    settings = settings_to_run()
+    library = Library(settings.cache_dir, settings.data_dir)
     data.draw_missing(["train"], library, _say, lambda: False, options.processes)
     features.write_missing(options.folder / "features", shipped.trunk, data, "train", _say, lambda: False)
     pieces = data.pieces("train")

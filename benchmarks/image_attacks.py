@@ -22,6 +22,7 @@ from torch import Tensor
 from benchmarks.peers import Lite0, reach
 from benchmarks.report import RESULTS, save
 from benchmarks.views import right
+from client.settings import settings_to_run
 from services.analysis.perceptibility import of_images
 from services.attacks.fgsm import Fgsm, FgsmMethod
 from services.attacks.goal import ResolvedGoal
@@ -33,7 +34,6 @@ from services.pipeline.spec import parse
 from services.rendering.color import from_bytes, to_bytes
 from services.rendering.image_renderer import ImageRenderer
 from services.scenes.library import Library
-from services.settings import settings
 from services.targets import registry
 from services.targets.protocol import Target
 
@@ -121,9 +121,10 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=RESULTS / "image_attacks.json")
     options = parser.parse_args()
     reach()
-    torch.set_num_threads(settings().threads)
+    settings = settings_to_run()
+    torch.set_num_threads(settings.threads)
     target = registry.load("efficientnet-lite0")
-    subjects, views = _images(Library(settings().cache_dir, settings().data_dir), options.views)
+    subjects, views = _images(Library(settings.cache_dir, settings.data_dir), options.views)
     attacks = {"ours, momentum 0": ours(0.0), OURS: ours(0.9)}
     for format_name, memory_format in FORMATS.items():
         network = Lite0(memory_format)

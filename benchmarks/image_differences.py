@@ -20,17 +20,17 @@ from rich.table import Table
 
 from benchmarks.report import RESULTS, save
 from benchmarks.views import right
+from client.settings import settings_to_run
 from services.attacks.loop import Budget, run
 from services.attacks.problem import AttackProblem
 from services.attacks.seeds import generator
+from services.attacks.spec import ATTACKS
 from services.attacks.state import AttackState
-from services.pipeline.extensions import ATTACKS
 from services.pipeline.prepare import Prepared, prepare
 from services.pipeline.spec import parse
 from services.rendering.opengl import context
 from services.rendering.pyrender_renderer.declaration import PYRENDER
 from services.scenes.library import Library
-from services.settings import settings
 
 SEED = 0
 TIMES = 10
@@ -54,8 +54,9 @@ def main() -> None:
     parser.add_argument("--zoo-steps", type=int, default=100, help="largest number of steps of zoo (default 100)")
     parser.add_argument("--out", type=Path, default=RESULTS / "image_differences.json")
     options = parser.parse_args()
-    torch.set_num_threads(settings().threads)
-    library = Library(settings().cache_dir, settings().data_dir)
+    settings = settings_to_run()
+    torch.set_num_threads(settings.threads)
+    library = Library(settings.cache_dir, settings.data_dir)
     views = list(right(library, options.first + options.views))[options.first :]
     steps = {"fgsm": options.fgsm_steps, "zoo": options.zoo_steps, "zoo, paper": options.zoo_steps}
     moved = {group: median(_p_of_step(library, *view, group) for view in views) for group in PYRENDER.group_names}

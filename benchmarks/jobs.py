@@ -28,13 +28,13 @@ from torch import Tensor
 from benchmarks.peers import Lite0
 from benchmarks.report import RESULTS, save, shortest
 from benchmarks.rounded_gradient import ATTACKS
+from client.settings import settings_to_run
 from services.jobs.child import ALLOCATOR
 from services.jobs.warm_up import warm_up
 from services.pipeline.execute import Progress, execute
 from services.pipeline.prepare import prepare
 from services.pipeline.spec import JobSpec, parse
 from services.scenes.library import Library
-from services.settings import settings
 from services.targets import registry
 
 STILL = 1e-9
@@ -77,8 +77,9 @@ def _in_a_process(attack: str, size: int, steps: int, repeats: int) -> dict[str,
 
 def _measure(attack: str, size: int, steps: int, repeats: int) -> dict[str, Any]:
     """Of `repeats` jobs beside as many passes of the network; with 0, of one job and its memory only."""
-    warm_up(settings())
-    library = Library(settings().cache_dir, settings().data_dir)
+    settings = settings_to_run()
+    warm_up(settings)
+    library = Library(settings.cache_dir, settings.data_dir)
     chosen = ATTACKS[attack]
     groups = chosen.get("groups", ["image"])
     assert isinstance(groups, list)

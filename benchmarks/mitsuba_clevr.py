@@ -24,6 +24,7 @@ import torch
 
 from benchmarks.mitsuba_scenes import Image, interior, thing
 from benchmarks.report import RESULTS, save
+from client.settings import settings_to_run
 from services.rendering.color import to_display
 from services.rendering.opengl.gbuffer import rasterise
 from services.rendering.pyrender_renderer.renderer import EXPOSURE, PyrenderRenderer
@@ -33,7 +34,6 @@ from services.scenes.clevr.description import describe
 from services.scenes.clevr.generator import generate
 from services.scenes.library import Library
 from services.scenes.resolve import ResolvedScene, resolve
-from services.settings import settings
 
 SCENES, SEED = 10, 7
 SAMPLES = {"layers": 16, "presets": 10}
@@ -50,7 +50,8 @@ def main() -> None:
     options = parser.parse_args()
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as directory:
-        library = Library(settings().cache_dir, Path(directory) / "data")
+        settings = settings_to_run()
+        library = Library(settings.cache_dir, Path(directory) / "data")
         scenes = [resolve(describe(generate(SEED, k)), library) for k in range(options.scenes)]
         under_points = [_requested(scene, k, Path(directory)) for k, scene in enumerate(scenes)]
         under_maps = [_under_map(scene, k, Path(directory)) for k, scene in enumerate(scenes)]

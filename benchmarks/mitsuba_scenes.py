@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from benchmarks.mitsuba_direct import MODELS
 from benchmarks.report import RESULTS, save
+from client.settings import settings_to_run
 from services.rendering.color import to_display
 from services.rendering.opengl.gbuffer import rasterise
 from services.rendering.pyrender_renderer.renderer import EXPOSURE, PyrenderRenderer
@@ -29,7 +30,6 @@ from services.scenes.description import Scene
 from services.scenes.library import Library
 from services.scenes.mesh import FIT_RADIUS
 from services.scenes.resolve import PlacedMesh, ResolvedScene, resolve
-from services.settings import settings
 
 SCENES = 10
 SIZE = (240, 320)
@@ -65,7 +65,8 @@ def main() -> None:
     options = parser.parse_args()
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as directory:
-        library = Library(settings().cache_dir, Path(directory) / "data")
+        settings = settings_to_run()
+        library = Library(settings.cache_dir, Path(directory) / "data")
         scenes = [resolve(described(seed), library) for seed in range(options.scenes)]
         found = {model: mitsuba(scenes, model, Path(directory)) for model in MODELS}
     for seed, scene in enumerate(scenes):

@@ -37,6 +37,7 @@ from services.scenes.library import Library
 from services.scenes.mesh import FIT_RADIUS
 from services.scenes.resolve import resolve
 from services.scenes.view import camera_to_world
+from services.settings import DEFAULTS
 
 MODELS = (
     "trimesh/models/fuze.obj",
@@ -101,7 +102,7 @@ def ours(path: Path, factor: int = 1) -> tuple[dict[str, Any], Image, str]:
     `factor` times as large, and averaged."""
     with tempfile.TemporaryDirectory() as directory:
         library = Library(Path(directory) / "cache", Path(directory) / "data")
-        entry = library.add(bundle_at(path))
+        entry = library.add(bundle_at(path, DEFAULTS))
         surface = {} if path.suffix in GLTF else {"metallic": 0.0, "roughness": 1.0}
         placed = SceneObject.model_validate({"mesh": entry.name, **surface})
         camera = SCENE.camera.model_copy(update={"size": _larger(factor)})

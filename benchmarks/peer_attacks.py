@@ -26,21 +26,21 @@ from torch import Tensor
 from benchmarks.peers import Lite0, reach
 from benchmarks.report import RESULTS, save
 from benchmarks.views import VIEWS
+from client.settings import settings_to_run
 from services.attacks.goal import ResolvedGoal
 from services.attacks.loop import AttackRun, Budget, run_together
 from services.attacks.method import Method
 from services.attacks.problem import AttackProblem, ask, gradients
 from services.attacks.quantize import quantize
+from services.attacks.spec import ATTACKS
 from services.attacks.verifier import Verifier
 from services.errors import InvalidRequest
-from services.pipeline.extensions import ATTACKS
 from services.pipeline.prepare import prepare
 from services.pipeline.spec import parse
 from services.rendering.color import from_bytes, to_bytes
 from services.rendering.image_renderer import ImageRenderer
 from services.rendering.protocol import Parameters
 from services.scenes.library import Library
-from services.settings import settings
 from services.targets import registry
 from services.targets.protocol import Target
 
@@ -212,9 +212,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, default=RESULTS / "peer_attacks.json")
     options = parser.parse_args(arguments)
     reach()
-    torch.set_num_threads(settings().threads)
+    settings = settings_to_run()
+    torch.set_num_threads(settings.threads)
     target, plain = registry.load("efficientnet-lite0"), Lite0(torch.channels_last)
-    saved, labels, names = right_images(Library(settings().cache_dir, settings().data_dir), options.images)
+    saved, labels, names = right_images(Library(settings.cache_dir, settings.data_dir), options.images)
     case = Case(saved, labels, options.epsilon / 255, target, plain)
     rows = [row("none", case, saved)]
     for name, images in one_step_and_momentum(case, 0.25 * case.epsilon, 8).items():

@@ -21,11 +21,11 @@ import torch
 from torch import Tensor
 
 from benchmarks.report import RESULTS, save
+from client.settings import settings_to_run
 from services.jobs.child import ALLOCATOR
 from services.questions.generator import QuestionGenerator
 from services.questions.program import Program
 from services.scenes.clevr.generator import generate
-from services.settings import settings
 from services.targets.iep.assembly import Question, assemble
 from services.targets.iep.network import Network
 
@@ -44,7 +44,8 @@ def main() -> None:
     options = parser.parse_args()
     if any(os.environ.get(name) != value for name, value in ALLOCATOR.items()):
         os.execve(sys.executable, [sys.executable, "-m", "benchmarks.questions", *sys.argv[1:]], os.environ | ALLOCATOR)
-    torch.set_num_threads(settings().threads)
+    settings = settings_to_run()
+    torch.set_num_threads(settings.threads)
     torch.manual_seed(SEED)
     network = Network().eval().requires_grad_(False)
     programs = mixed(COUNT, SEED)

@@ -15,6 +15,7 @@ from rich.progress import track
 
 from benchmarks.report import RESULTS, save
 from benchmarks.views import right
+from client.settings import settings_to_run
 from services.analysis.perceptibility import of_images
 from services.attacks.fgsm import FgsmMethod
 from services.attacks.loop import Budget, run
@@ -22,7 +23,6 @@ from services.attacks.problem import AttackProblem, Evaluation, ask, gradients
 from services.pipeline.prepare import Prepared, prepare
 from services.pipeline.spec import JobSpec, parse
 from services.scenes.library import Library
-from services.settings import settings
 
 ATTACKS: dict[str, dict[str, object]] = {
     "image": {"renderer": "image"},
@@ -55,8 +55,9 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=120, help="most steps of an attack (default 120)")
     parser.add_argument("--out", type=Path, default=RESULTS / "rounded_gradient.json")
     options = parser.parse_args()
-    torch.set_num_threads(settings().threads)
-    library = Library(settings().cache_dir, settings().data_dir)
+    settings = settings_to_run()
+    torch.set_num_threads(settings.threads)
+    library = Library(settings.cache_dir, settings.data_dir)
     rows: list[Row] = []
     for mesh, label in track(list(right(library, options.views)), "attacking"):
         for attack in options.attacks:

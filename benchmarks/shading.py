@@ -22,13 +22,13 @@ from torch import Tensor
 
 from benchmarks.plain_shading import PlainShading
 from benchmarks.report import RESULTS, save, shortest
+from client.settings import settings_to_run
 from services.attacks.seeds import generator
 from services.pipeline.spec import parse
 from services.rendering.factory import build
 from services.rendering.protocol import Parameters, Renderer
 from services.scenes.library import Library
 from services.scenes.resolve import ResolvedScene, resolve
-from services.settings import settings
 
 GROUPS: dict[str, tuple[str, ...]] = {
     "all": ("normals", "illumination", "material"),
@@ -66,7 +66,8 @@ def main() -> None:
     parser.add_argument("--no-mitsuba", action="store_true")
     parser.add_argument("--out", type=Path, default=RESULTS / "shading.json")
     options = parser.parse_args()
-    torch.set_num_threads(settings().threads)
+    settings = settings_to_run()
+    torch.set_num_threads(settings.threads)
     scene = _scene(options)
     truth = PlainShading.of(scene, torch.float64)
     rows = [_plain(scene, "one shot", None, 1), _plain(scene, "chunked", CHUNK, 2)]
@@ -90,7 +91,8 @@ def main() -> None:
 def _scene(options: argparse.Namespace) -> ResolvedScene:
     thing = {"mesh": options.mesh, "material": options.material, "scale": options.scale, "color": [0.8, 0.6, 0.4]}
     spec = parse({"scene": {"objects": [thing], "camera": {"size": [448, 448]}}})
-    return resolve(spec.scene, Library(settings().cache_dir, settings().data_dir))
+    settings = settings_to_run()
+    return resolve(spec.scene, Library(settings.cache_dir, settings.data_dir))
 
 
 def _plain(scene: ResolvedScene, name: str, chunk: int | None, repeats: int) -> Row:

@@ -20,19 +20,20 @@ from time import monotonic
 import torch
 
 from benchmarks.report import RESULTS, save
+from client.settings import settings_to_run
 from services.attacks.loop import Budget, run
 from services.attacks.problem import AttackProblem
 from services.attacks.seeds import derived
+from services.attacks.spec import ATTACKS
 from services.errors import InvalidRequest
-from services.pipeline.extensions import ATTACKS, TARGETS
 from services.pipeline.prepare import Prepared, prepare
 from services.pipeline.spec import parse
 from services.rendering.opengl import context
 from services.rendering.pyrender_renderer.declaration import PYRENDER
 from services.scenes.furniture_kinds import PREFIX
 from services.scenes.library import Library
-from services.settings import settings
 from services.targets import registry
+from services.targets.info import TARGETS
 from services.targets.truth import truth_labels
 from services.training.split import committed
 
@@ -59,8 +60,9 @@ def main() -> None:
     parser.add_argument("--renderers", nargs="+", default=list(EPSILON), choices=EPSILON)
     parser.add_argument("--out", type=Path, default=RESULTS / "surrogates.json")
     options = parser.parse_args()
-    torch.set_num_threads(settings().threads)
-    library = Library(settings().cache_dir, settings().data_dir)
+    settings = settings_to_run()
+    torch.set_num_threads(settings.threads)
+    library = Library(settings.cache_dir, settings.data_dir)
     backend = f"{context.gl_backend()}; torch {torch.__version__} {torch.get_num_threads()} threads"
     rows: list[dict[str, object]] = []
     weights = {name: registry.load(name).weights_sha256 for name in (ALEXNET, RESNET, LITE0)}

@@ -26,6 +26,7 @@ from rich.table import Table
 from benchmarks.peers import Lite0
 from benchmarks.report import RESULTS, save
 from benchmarks.views import right
+from client.settings import settings_to_run
 from services.attacks.problem import AttackProblem
 from services.attacks.zoo import ZooMethod
 from services.jobs.child import ALLOCATOR
@@ -38,7 +39,6 @@ from services.rendering.pyrender_renderer.rasteriser import SAMPLES
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.scenes.library import Library
 from services.scenes.resolve import ResolvedScene
-from services.settings import settings
 
 SEED = 0
 LIMIT = 1.5
@@ -54,8 +54,9 @@ def main() -> None:
     options = parser.parse_args()
     if any(os.environ.get(name) != value for name, value in ALLOCATOR.items()):
         os.execve(sys.executable, [sys.executable, "-m", "benchmarks.zoo_step", *sys.argv[1:]], os.environ | ALLOCATOR)
-    torch.set_num_threads(settings().threads)
-    library = Library(settings().cache_dir, settings().data_dir)
+    settings = settings_to_run()
+    torch.set_num_threads(settings.threads)
+    library = Library(settings.cache_dir, settings.data_dir)
     rows = [_measure(library, mesh, label, options.repeats) for mesh, label in right(library, options.views)]
     _show(rows)
     backend = f"{context.gl_backend()}; torch {torch.__version__} {torch.get_num_threads()} threads"

@@ -204,11 +204,12 @@ def meshes(settings: Settings) -> Iterator[Finding]:
     yield Finding("meshes", level, text, "" if level == "ok" else f"{SETUP}; until then scenes have primitives only")
 
 
-def additions(_: Settings) -> Iterator[Finding]:
+def additions(settings: Settings) -> Iterator[Finding]:
     """Extensions, and networks of one's own, that were left out."""
-    from services.pipeline.extensions import EXTENSIONS, TARGET_FOLDERS
+    from services.pipeline.extensions import loaded_extensions, set_up, target_folders
 
-    for kind, found in (("extension", EXTENSIONS), ("target", TARGET_FOLDERS)):
+    set_up(settings)
+    for kind, found in (("extension", loaded_extensions()), ("target", target_folders())):
         for one in found:
             if one.error is None:
                 yield Finding(f"{kind} {one.name}", "ok", "loaded")

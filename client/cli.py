@@ -89,21 +89,14 @@ def main() -> None:
 def _end_with(error: Exception) -> NoReturn:
     """Ends with a message for a bad setting or an error of a service; raises any other error again."""
     from httpx import HTTPError
-    from pydantic import ValidationError
 
     from client.api_client import ApiError
     from client.no_answer import why
-    from services.settings import Settings
 
     if isinstance(error, ApiError):
         hint = "; the command line sends the one in SCENE_ATTACK_KEY" if error.status == 401 else ""
         said = [f"{one.get('field')}: {one.get('detail')}" for one in error.problem.get("errors") or ()]
         _end(2 if 400 <= error.status < 500 else 1, *(f"refused: {one}{hint}" for one in said or [str(error)]))
-    if isinstance(error, ValidationError) and error.title == Settings.__name__:
-        from services.pipeline.error_words import in_words
-
-        wrong = error.errors(include_url=False)
-        _end(2, *(f"bad input: SCENE_ATTACK_{str(one['loc'][0]).upper()}: {in_words(one)}" for one in wrong))
     if isinstance(error, HTTPError):
         _end(1, why(error))
     if isinstance(error, OSError) and error.strerror:  # a full disk, a folder that cannot be written, a store

@@ -35,9 +35,9 @@ def err() -> Console:
 def report_extensions() -> None:
     """Prints on stderr the extensions that were left out, with the reasons."""
     from services.errors import printable
-    from services.pipeline.extensions import EXTENSIONS
+    from services.pipeline.extensions import loaded_extensions
 
-    for extension in EXTENSIONS:
+    for extension in loaded_extensions():
         if extension.error is not None:
             file = printable(str(extension.path))
             err().print(f"extension left out: {file}: {extension.error}", markup=False, highlight=False)
@@ -45,9 +45,9 @@ def report_extensions() -> None:
 
 def report_targets() -> None:
     """Prints on stderr the folders of networks that were left out. A request that names one is told the reason."""
-    from services.pipeline.extensions import TARGET_FOLDERS
+    from services.pipeline.extensions import target_folders
 
-    for folder in TARGET_FOLDERS:
+    for folder in target_folders():
         if folder.error is not None:
             err().print(f"target left out: {folder.name}: {folder.error}", markup=False, highlight=False)
 

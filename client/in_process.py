@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from services.pipeline.execute import Progress
     from services.pipeline.result import Result
     from services.pipeline.spec import JobSpec
+    from services.settings import Settings
     from services.targets.preprocessing import Preprocessing
     from services.targets.protocol import Target
 
@@ -37,16 +38,21 @@ def attack(
     services.targets.preprocessing.Preprocessing: `input_size` (height and width, default 224×224), `mean`, `scale`,
     `resize`, `channels`. `scene` is the scene of a request and `spec` its other fields, such as `attack`, `goal` and
     `seed`; docs/scene.md describes them. A `mesh` may be a path relative to the working directory, "./chair.obj". The
-    files of a job are written into the folder `out` if it is given. Raises InvalidRequest, which names the field, for
+    files of a job are written into the folder `out` if it is given. Meshes, device and the like are those of the
+    SCENE_ATTACK_ variables. Raises InvalidRequest, which names the field, for
     anything that cannot run, and JobFailure for a run that fails.
     """
     from torch import nn
 
     from client.local_meshes import local_library
+    from client.settings import read_settings
     from services.pipeline.execute import execute
+    from services.pipeline.extensions import set_up
     from services.targets.custom.in_process import describe, target_of
     from services.targets.registry import registered
 
+    settings = read_settings()
+    set_up(settings)
     if isinstance(model, nn.Module):
         chosen = _preprocessing(preprocessing or {})
         target: Target = target_of(name, model, tuple(labels) or _numbers(model, chosen), chosen)
@@ -54,12 +60,12 @@ def attack(
         raise InvalidRequest("labels", "a target has labels and preprocessing of its own; leave both out")
     else:
         target = model
-    job = _spec(scene, name, spec or {})
+    job = _spec(scene, name, spec or {}, settings)
     with registered(describe(name, target), target), TemporaryDirectory() as folder:
-        return execute(job, Path(folder) if out is None else Path(out), local_library(), progress=progress)
+        return execute(job, Path(folder) if out is None else Path(out), local_library(settings), progress=progress)
 
 
-def _spec(scene: Mapping[str, Any], name: str, spec: Mapping[str, Any]) -> JobSpec:
+def _spec(scene: Mapping[str, Any], name: str, spec: Mapping[str, Any], settings: Settings) -> JobSpec:
     from client.local_meshes import to_library, with_meshes_added
     from services.pipeline.spec import parse
 
@@ -67,7 +73,7 @@ def _spec(scene: Mapping[str, Any], name: str, spec: Mapping[str, Any]) -> JobSp
         if field in spec:
             raise InvalidRequest(f"spec.{field}", f"is given by the argument `{argument}`; leave it out of the spec")
     data = {"scene": dict(scene), "target": {"name": name}, **spec}
-    return parse(with_meshes_added(data, Path.cwd(), to_library))
+    return parse(with_meshes_added(data, Path.cwd(), to_library(settings)))
 
 
 def _preprocessing(given: Mapping[str, Any]) -> Preprocessing:

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from client.api_client import ApiClient
     from services.scenes.bundle import Bundle
     from services.scenes.library import Library
+    from services.settings import Settings
 
 Adding = Callable[[Path], tuple[str, Sequence[str]]]
 """Adds the mesh in a file. Returns its name in a scene, and what of the file is not shown. Raises InvalidRequest."""
@@ -32,11 +33,11 @@ def folder_of(spec: str) -> Path:
     return Path.cwd() if spec == "-" else Path(spec).absolute().parent
 
 
-def read_with_meshes(spec: str, seed: int | None = None) -> dict[str, Any]:
+def read_with_meshes(spec: str, settings: "Settings", seed: int | None = None) -> dict[str, Any]:
     """The request in the file `spec`, as `spec_input.read` has it, with its meshes added to this machine's uploads."""
     from client import spec_input
 
-    return with_meshes_added(spec_input.read(spec, seed), folder_of(spec), to_library)
+    return with_meshes_added(spec_input.read(spec, seed), folder_of(spec), to_library(settings))
 
 
 def with_meshes_added(data: dict[str, Any], folder: Path, add: Adding) -> dict[str, Any]:
@@ -62,18 +63,21 @@ def with_meshes_added(data: dict[str, Any], folder: Path, add: Adding) -> dict[s
     return data
 
 
-def to_library(path: Path) -> tuple[str, Sequence[str]]:
-    """Adds a mesh to the uploads of this machine."""
-    entry = local_library().add(bundle_at(path))
-    return entry.name, entry.notes
+def to_library(settings: "Settings") -> Adding:
+    """Returns what adds a mesh to the uploads of this machine."""
+
+    def add(path: Path) -> tuple[str, Sequence[str]]:
+        entry = local_library(settings).add(bundle_at(path, settings), settings)
+        return entry.name, entry.notes
+
+    return add
 
 
-def local_library() -> "Library":
+def local_library(settings: "Settings") -> "Library":
     """The meshes and maps of this machine."""
     from services.scenes.library import Library
-    from services.settings import settings
 
-    return Library(settings().cache_dir, settings().files)
+    return Library(settings.cache_dir, settings.files)
 
 
 def to_service(client: "ApiClient") -> Adding:
@@ -97,7 +101,7 @@ def to_service(client: "ApiClient") -> Adding:
     return add
 
 
-def bundle_at(path: Path) -> "Bundle":
+def bundle_at(path: Path, limits: "Settings") -> "Bundle":
     """Returns the mesh in a file, or in a zip file, with the files beside it that it names. Its title is its name.
 
     Raises InvalidRequest.
@@ -106,10 +110,9 @@ def bundle_at(path: Path) -> "Bundle":
     from services.scenes.about import About, title_of
     from services.scenes.sent_files import to_bundle
     from services.scenes.uploads import max_unpacked
-    from services.settings import settings
 
     files = [(name, one.read_bytes()) for name, one in with_files_beside([path])]
-    return to_bundle(files, None, _chosen(path, files), About(title=title_of(path)), max_unpacked(settings()))
+    return to_bundle(files, None, _chosen(path, files), About(title=title_of(path)), max_unpacked(limits))
 
 
 def _chosen(path: Path, files: Sequence[object]) -> str | None:

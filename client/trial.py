@@ -8,11 +8,14 @@ import shutil
 from collections.abc import Callable
 
 from services.errors import InvalidRequest, JobFailure, printable, summary
-from services.settings import settings
+from services.pipeline.extensions import set_up
+from services.process import options
+from services.settings import Settings
 
 
 def main() -> None:
     """Tries everything; an error of one thing does not keep the others from being tried."""
+    set_up(Settings())
     _try("device", _device, "set SCENE_ATTACK_DEVICE to auto or cpu")
     _try("OpenGL", _opengl, "install what it names; SCENE_ATTACK_GL says which platform is tried")
     _try("kernels", _kernels, "install g++, then run scripts/setup")
@@ -52,7 +55,7 @@ def _kernels() -> tuple[str, str]:
     compiler = shutil.which("g++")
     if backend != "torch":
         return "ok", backend
-    if settings().kernel == "torch":
+    if options().kernel == "torch":
         return "ok", "torch, as SCENE_ATTACK_KERNEL says"
     return "warn", f"none, so torch does their work some ten times slower; compiler: {compiler or 'none'}"
 

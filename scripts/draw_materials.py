@@ -10,6 +10,7 @@ from pathlib import Path
 import torch
 from PIL import Image
 
+from client.settings import settings_to_run
 from services.rendering.color import to_bytes
 from services.rendering.opengl.gbuffer import rasterise
 from services.rendering.torch_renderer.presets import presets
@@ -17,7 +18,6 @@ from services.rendering.torch_renderer.renderer import TorchRenderer
 from services.scenes.description import Scene
 from services.scenes.library import Library
 from services.scenes.resolve import resolve
-from services.settings import settings
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -29,7 +29,8 @@ def main() -> None:
     parser.add_argument("--mesh", default="primitive/sphere", help="one row of images per preset shows this mesh")
     parser.add_argument("--size", type=int, default=160, help="pixels a side of one image")
     arguments = parser.parse_args()
-    library = Library(settings().cache_dir, settings().data_dir)
+    settings = settings_to_run()
+    library = Library(settings.cache_dir, settings.data_dir)
     rows = []
     for material in presets():
         row = []

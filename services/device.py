@@ -8,7 +8,7 @@ import os
 from typing import TYPE_CHECKING
 
 from services.errors import InvalidRequest
-from services.settings import settings
+from services.process import options
 
 if TYPE_CHECKING:
     import torch
@@ -21,7 +21,7 @@ def device() -> "torch.device":
     """
     import torch
 
-    wanted = settings().device
+    wanted = options().device
     if wanted == "cpu" or (wanted == "auto" and not torch.cuda.is_available()):
         return torch.device("cpu")
     count = torch.cuda.device_count() if torch.cuda.is_available() else 0
@@ -35,7 +35,7 @@ def device() -> "torch.device":
 
 def check_device() -> None:
     """Raises InvalidRequest, naming the setting, where the device is not there. Imports torch only to look for CUDA."""
-    if settings().device not in ("auto", "cpu"):
+    if options().device not in ("auto", "cpu"):
         device()
 
 

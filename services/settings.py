@@ -1,7 +1,9 @@
-"""Reads settings from environment variables (prefix SCENE_ATTACK_); the defaults work on a laptop."""
+"""The settings of an operator, read from environment variables (prefix SCENE_ATTACK_); the defaults work on a laptop.
+
+A process or a command makes its `Settings()` once, where it begins, and passes them on as an argument.
+"""
 
 import os
-from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
@@ -202,7 +204,5 @@ def _hosts(text: str | None) -> frozenset[str]:
     return frozenset(host.lower() for host in _listed(text))
 
 
-@lru_cache(maxsize=1)
-def settings() -> Settings:
-    """Returns the process's settings, read from the environment once."""
-    return Settings()
+DEFAULTS = Settings.model_construct()
+"""The defaults, whatever the environment says."""

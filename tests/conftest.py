@@ -7,9 +7,13 @@ import pytest
 from redis import Redis
 from redis.exceptions import RedisError
 
+from services.pipeline.extensions import set_up
+from services.settings import Settings
 from tests import object_store, postgresql
 from tests.postgresql import Postgresql
 from worker.redis_server import EmbeddedRedis
+
+set_up(Settings())
 
 
 @pytest.fixture(scope="session")

@@ -13,7 +13,7 @@ from services.jobs.database import connect
 from services.jobs.webhook_sending import SECONDS, send
 from services.jobs.webhooks import Message, Webhooks
 from services.logs import bound, configure, logger
-from services.settings import Settings, settings
+from services.settings import Settings
 
 AT_ONCE = 32
 PER_OWNER = 4
@@ -66,7 +66,7 @@ class Sender:
 def main() -> None:
     """Sends until SIGTERM or SIGINT."""
     configure("deliveries")
-    values = settings()
+    values = Settings()
     webhooks = Webhooks(connect(values))
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):

@@ -31,13 +31,13 @@ from services.logs import bound, configure, logger
 from services.pipeline.campaign_expand import View
 from services.pipeline.campaign_views import first_answers
 from services.pipeline.execute import Progress, execute
-from services.pipeline.extensions import TARGETS
 from services.pipeline.outcome import outcome
 from services.pipeline.result import Result
 from services.pipeline.spec import JobSpec, digest, parse
 from services.pipeline.warning import JobWarning
 from services.scenes.library import Library
-from services.settings import Settings, settings
+from services.settings import Settings
+from services.targets.info import TARGETS
 from worker.kept_files import KeptFiles
 
 REPORT_SECONDS = 0.25
@@ -239,7 +239,7 @@ def main() -> None:
     configure("job")
     tracing.configure("job")
     give_way()
-    values = settings()
+    values = Settings()
     connection = connect()
     inbox = requests(connection)
     log.info("warm", gl=warm_up(values))

@@ -21,21 +21,22 @@ from services.jobs.queue import connect as connect_redis
 from services.jobs.reconciler import Reconciler
 from services.jobs.repository import Repository
 from services.logs import configure, logger
+from services.process import use
 from services.scenes.library import Library
-from services.settings import Settings, settings
+from services.settings import Settings
 from worker.supervisor import Program, Supervisor
 
 log = logger(__name__)
 
 
-def run() -> int:
+def run(values: Settings) -> int:
     """Supervises the workers until SIGTERM or SIGINT. Returns the exit status.
 
     Raises InvalidRequest if the device of the settings is not there, or the URL of Redis is missing or none.
     """
+    use(values)
     check_device()
     configure("worker-supervisor")
-    values = settings()
     connect_redis(values.redis_url).close()  # refuses a URL that cannot be, before anything is made
     engine = connect_database(values)
     migrate(engine, values)
@@ -106,4 +107,4 @@ def housekeeping(values: Settings, engine: Engine) -> Callable[[], None]:
 
 
 if __name__ == "__main__":
-    sys.exit(run())
+    sys.exit(run(Settings()))

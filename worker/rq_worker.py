@@ -24,7 +24,7 @@ from services.jobs.database import connect as connect_database
 from services.jobs.placement import ANY_WORKER, Priority
 from services.jobs.repository import Repository
 from services.logs import configure, logger
-from services.settings import settings
+from services.settings import Settings
 from worker.runner import RETRY_SECONDS, Runner
 
 log = logger(__name__)
@@ -142,7 +142,7 @@ def main() -> None:
     """Runs jobs until SIGTERM or SIGINT; exits with status 1 if the job process cannot be started."""
     configure("worker")
     tracing.configure("worker")
-    values = settings()
+    values = Settings()
     name = sys.argv[1]
     runner = Runner(values, Repository(connect_database(values)), name)
     assert values.redis_url is not None

@@ -14,7 +14,8 @@ from services.jobs.database import migrate
 from services.jobs.queue import connect as connect_redis
 from services.jobs.repository import Repository
 from services.logs import configure, logger
-from services.settings import Settings, settings
+from services.process import use
+from services.settings import Settings
 from worker.main import housekeeping, workers
 from worker.redis_server import EmbeddedRedis, remove_abandoned
 from worker.supervisor import Program, Supervisor
@@ -28,6 +29,7 @@ def serve(values: Settings) -> int:
     Raises InvalidRequest if the address is taken or the device of the settings is not there, or if other machines reach
     the address and there is no key.
     """
+    use(values)
     check_device()
     check_listening(values)
     if values.redis_url is not None:
@@ -108,7 +110,7 @@ class _Announcement:
 
 def main() -> int:
     """`python -m worker.stack`."""
-    return serve(settings())
+    return serve(Settings())
 
 
 if __name__ == "__main__":

@@ -16,11 +16,12 @@ from api.dashboard.pages import HEADERS, html
 from api.routes import jobs
 from api.state import Services, ServicesDependency, no_such
 from services.access.caller import Caller
+from services.attacks.spec import ATTACKS
 from services.errors import InvalidRequest
 from services.jobs.placement import Demand, Priority
 from services.json_text import NotJson, read_json
-from services.pipeline.extensions import ATTACKS, RENDERERS
 from services.pipeline.spec import JobSpec, problems
+from services.rendering.declaration import RENDERERS
 from services.targets.info import available
 
 FIRST = ("furniture/grand-piano", "furniture/soccer-ball", "primitive/sphere")

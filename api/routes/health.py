@@ -7,7 +7,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from api.authentication import KnownCaller
 from api.schemas import ExtensionView, Health, Readiness, TargetFolderView
 from api.state import ServicesDependency
-from services.pipeline.extensions import EXTENSIONS, TARGET_FOLDERS
+from services.pipeline.extensions import loaded_extensions, target_folders
 
 router = APIRouter(tags=["service"])
 
@@ -41,8 +41,8 @@ def get_readiness(services: ServicesDependency, response: Response, caller: Know
     storage = services.storage.usable()
     ready = database and redis and storage and workers > 0
     response.status_code = 200 if ready else 503
-    extensions = None if caller is None else [ExtensionView.of(extension) for extension in EXTENSIONS]
-    targets = None if caller is None else [TargetFolderView.of(folder) for folder in TARGET_FOLDERS]
+    extensions = None if caller is None else [ExtensionView.of(extension) for extension in loaded_extensions()]
+    targets = None if caller is None else [TargetFolderView.of(folder) for folder in target_folders()]
     return Readiness(
         ready=ready,
         database=database,

@@ -31,14 +31,12 @@ def stability(
 
     from client.console import err, print_json, table
     from client.console import out as stdout
+    from client.settings import settings_to_run
     from services.accuracy.stability.case import Case
     from services.accuracy.stability.cases import cases, run
     from services.accuracy.stability.report import report, write
-    from services.device import check_device
-    from services.settings import settings
 
-    check_device()
-    torch.set_num_threads(settings().threads)
+    torch.set_num_threads(settings_to_run().threads)
     chosen = cases(quick)
     with err().status("") as line:
         numbers = iter(range(1, len(chosen) + 1))
@@ -93,19 +91,17 @@ def work_precision(
 
     from client.console import err, print_json
     from client.console import out as stdout
+    from client.settings import settings_to_run
     from services.accuracy.work_precision.collect import PARTS, collect
     from services.accuracy.work_precision.extent import FULL, QUICK, about
     from services.accuracy.work_precision.progress import Progress
     from services.accuracy.work_precision.report import load, read, report, write
     from services.accuracy.work_precision.words import conclusions
-    from services.device import check_device
-    from services.settings import settings
 
     chosen = list(dict.fromkeys(only or []))
     if unknown := [name for name in chosen if name not in PARTS]:
         raise typer.BadParameter(f"no part {unknown[0]!r}; there are {', '.join(PARTS)}", param_hint="--only")
-    check_device()
-    torch.set_num_threads(settings().threads)
+    torch.set_num_threads(settings_to_run().threads)
     extent = QUICK if quick else FULL
     before = read(out) if chosen else None
     with err().status("") as line:

@@ -9,6 +9,7 @@ from client.commands.options import JsonOption
 
 if TYPE_CHECKING:
     from services.pipeline.analyse_stored import StoredAnalysis
+    from services.settings import Settings
 
 ANALYSES = "analyses.json"
 
@@ -49,9 +50,9 @@ def analyse(
     """
     from client.analysis_tables import print_analyses, print_subsets
     from client.console import err, print_json
-    from services.device import check_device
+    from client.settings import settings_to_run
 
-    check_device()
+    settings = settings_to_run()
     request: dict[str, Any] = {
         "minimal": {} if minimal else None,
         "coordinates": {"images": images} if coordinates else None,
@@ -60,7 +61,7 @@ def analyse(
         "rerendering": {"steps": steps} if defend else None,
         "adaptive": {} if adaptive else None,
     }
-    found = _analyse(directory, request)
+    found = _analyse(directory, request, settings)
     (directory / ANALYSES).write_text(found.model_dump_json(indent=1) + "\n", "utf-8")
     if as_json:
         print_json(found.model_dump(mode="json"))
@@ -70,7 +71,7 @@ def analyse(
     err().print(f"Written to {directory / ANALYSES}", markup=False, highlight=False)
 
 
-def _analyse(directory: Path, request: dict[str, Any]) -> "StoredAnalysis":
+def _analyse(directory: Path, request: dict[str, Any], settings: "Settings") -> "StoredAnalysis":
     from client.commands.run import library
     from client.live import JobLine
     from client.result_folder import check_finished
@@ -78,7 +79,7 @@ def _analyse(directory: Path, request: dict[str, Any]) -> "StoredAnalysis":
     check_finished(directory)
     with JobLine(str(directory)) as line:
         line.update("loading", 0, 1, None)
-        assets = library()
+        assets = library(settings)
         from services.analysis.requests import AnalysisRequest
         from services.pipeline.analyse_stored import analyse_stored
 
@@ -111,14 +112,14 @@ def rerender(
     from client.console import print_json
     from client.live import JobLine
     from client.local_meshes import read_with_meshes
+    from client.settings import settings_to_run
     from services.analysis.requests import RerenderingRequest
-    from services.device import check_device
     from services.errors import InvalidFields, InvalidRequest
     from services.pipeline.error_words import in_words
     from services.pipeline.spec import parse
 
-    check_device()
-    job = parse(read_with_meshes(spec))
+    settings = settings_to_run()
+    job = parse(read_with_meshes(spec, settings))
     try:
         request = RerenderingRequest.model_validate({"steps": steps, "rate": rate, "optimiser": optimiser})
     except ValidationError as error:
@@ -126,7 +127,7 @@ def rerender(
         raise InvalidFields(wrong) from error
     with JobLine(image.name) as line:
         line.update("loading", 0, 1, None)
-        assets = library()
+        assets = library(settings)
         from services.analysis.images import load_png, save_png
         from services.pipeline.rerender import rerender_image
 

@@ -26,8 +26,9 @@ def list_assets(
     """List the meshes of this machine, with their creators and licences."""
     from client.console import err, out, print_json, table
     from client.local_meshes import local_library
+    from client.settings import read_settings
 
-    found = local_library().entries(category=category, creator=creator, licence=licence, search=search)
+    found = local_library(read_settings()).entries(category=category, creator=creator, licence=licence, search=search)
     entries = [entry for entry in found if entry.kind != "environment"]
     if as_json:
         print_json([entry.model_dump(mode="json") for entry in entries])
@@ -42,8 +43,9 @@ def show(mesh: Annotated[str, typer.Argument(help="A name from `assets list`.")]
     """Show one mesh: its parts, size, hash and creator."""
     from client.console import out, print_json, table
     from client.local_meshes import local_library
+    from client.settings import read_settings
 
-    library = local_library()
+    library = local_library(read_settings())
     loaded, entry = library.mesh(mesh), library.entry(mesh)
     facts: dict[str, Any] = {
         "mesh": mesh,
@@ -160,8 +162,9 @@ def environments(as_json: JsonOption = False) -> None:
     """List the environment maps of this machine, with their creators and licences."""
     from client.console import out, print_json, table
     from client.local_meshes import local_library
+    from client.settings import read_settings
 
-    library = local_library()
+    library = local_library(read_settings())
     uploaded = [entry for entry in library.entries(category="upload") if entry.kind == "environment"]
     entries = [*library.environments(), *uploaded]
     if as_json:

@@ -5,14 +5,14 @@ from typing import Annotated
 
 import typer
 
-from client.commands.options import JsonOption
+from client.commands.options import DataOption, JsonOption
 
 
 def register(app: typer.Typer) -> None:
     """Adds the command."""
     app.command(
         epilog="Examples: [bold]scene-attack backup /backups/monday[/bold]\n\n"
-        "[bold]SCENE_ATTACK_DATA=/srv/scene-attack scene-attack backup /backups/monday[/bold]\n\n"
+        "[bold]scene-attack backup /backups/monday --data /srv/scene-attack[/bold]\n\n"
         "To restore, start the service on a copy of the folder: [bold]scene-attack serve --data /srv/restored[/bold]. "
         "Of PostgreSQL, restore database.dump first: "
         "[bold]pg_restore --no-owner --dbname=URL /backups/monday/database.dump[/bold]"
@@ -21,6 +21,7 @@ def register(app: typer.Typer) -> None:
 
 def backup(
     folder: Annotated[Path, typer.Argument(help="A folder that does not exist yet, or is empty.")],
+    data: DataOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Copy database, artifacts and uploaded meshes into FOLDER, while the service runs or not.
@@ -30,10 +31,10 @@ def backup(
     The copy is a data directory itself. Jobs that were running are taken up again where it is restored.
     """
     from client.console import out, print_json
+    from client.settings import read_settings
     from services.jobs.backup import back_up
-    from services.settings import settings
 
-    made = back_up(settings(), folder)
+    made = back_up(read_settings(data=data), folder)
     if as_json:
         print_json({"folder": str(folder), "files": made.files, "bytes": made.size, "jobs": made.jobs})
     else:

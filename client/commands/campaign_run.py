@@ -35,21 +35,20 @@ def run(
     from client.console import err, print_json, report_extensions
     from client.console import out as stdout
     from client.local_meshes import read_with_meshes
-    from services.device import check_device
+    from client.settings import settings_to_run
     from services.pipeline.campaign_check import check_meshes, check_size
     from services.pipeline.campaign_select import nothing_chosen
     from services.pipeline.campaign_spec import parse
     from services.scenes.catalogue import slugify
-    from services.settings import settings
 
-    check_device()
+    settings = settings_to_run()
     keep_memory()
     report_extensions()
-    campaign = parse(read_with_meshes(spec))
-    check_size(campaign, settings().max_campaign_jobs)
+    campaign = parse(read_with_meshes(spec, settings))
+    check_size(campaign, settings.max_campaign_jobs)
     folder = out or Path("out") / (slugify(campaign.name) or "campaign")
     prepare_folder(folder)
-    assets = library()
+    assets = library(settings)
     check_meshes(campaign, assets.check_mesh)
     from services.pipeline.campaign_result import write
     from services.pipeline.campaign_run import run_campaign

@@ -35,11 +35,9 @@ def demo(
     from client.demo_jobs import specs
     from client.outcomes import successes
     from client.service_process import running_service
-    from services.device import check_device
-    from services.settings import settings
+    from client.settings import settings_to_run
 
-    check_device()
-    values, say = settings(), err()
+    values, say = settings_to_run(), err()
     data = values.data_dir / "demo"
     say.print("starting the service: networks and OpenGL are loaded once")
     with running_service(data, {"SCENE_ATTACK_PORT": str(_free_port(values.host, values.port))}) as (url, process):

@@ -22,11 +22,11 @@ def doctor(as_json: JsonOption = False) -> None:
     """
     from client.checkup import checkup
     from client.console import out, print_json
-    from services.settings import settings
+    from client.settings import read_settings
 
     found = []
     console = out()
-    for one in checkup(settings()):
+    for one in checkup(read_settings()):
         found.append(one)
         if not as_json:
             console.print(f"[{COLOURS[one.level]}]{one.level:<4}[/]", end="  ")

@@ -53,13 +53,15 @@ def _export_folder(folder: Path, to: Path | None) -> Path:
     """Exports a result folder into a zip file, whose files are in a folder of its own, or into a folder; returns it."""
     from client.commands.run import library
     from client.live import JobLine
+    from client.settings import settings_to_run
     from services import atomic_write
 
+    settings = settings_to_run()
     name = f"{folder.resolve().name}-export"
     to = to or Path(f"{name}.zip")
     with JobLine(str(folder)) as line:
         line.update("loading", 0, 1, None)
-        assets = library()
+        assets = library(settings)
         from services.export.bundle import write_bundle
         from services.export.destinations import into_folder, zipped
 

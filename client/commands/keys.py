@@ -1,10 +1,8 @@
 """The commands `keys`: make, list and revoke the keys of a service, in its database."""
 
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -14,6 +12,7 @@ from client.commands.options import DataOption, JsonOption
 if TYPE_CHECKING:
     from services.access.keys import AccessKeys
     from services.access.models import AccessKey
+    from services.settings import Settings
 
 app = typer.Typer(
     help="Make, list and revoke the keys of a service. Works on the database that SCENE_ATTACK_DATA or "
@@ -54,6 +53,7 @@ def create(
     From the first key on, the service answers nobody without one, on this machine either.
     """
     from client.console import err, out, print_json
+    from client.settings import read_settings
     from services.access.caller import Scope
     from services.errors import InvalidRequest
 
@@ -64,14 +64,15 @@ def create(
     name, owner = _word("NAME", name), _word("--owner", name if owner is None else owner, least=0)
     if days is not None and not 0 < days <= MOST_DAYS:
         raise InvalidRequest("--days", f"must be more than 0 and at most {MOST_DAYS:,}, not {days:g}")
-    with _keys(data) as keys:
+    settings = read_settings(data=data)
+    with _keys(settings) as keys:
         scopes = {Scope(word) for word in scope or DEFAULT_SCOPES}
         key, text = keys.create(name, owner, scopes, None if days is None else days * DAY)
     if as_json:
         print_json(_shown(key) | {"key": text})
         return
     out().print(text, markup=False, highlight=False, soft_wrap=True)
-    said = f"This is the only time that the key {key.prefix} is shown. It is in {_place()}."
+    said = f"This is the only time that the key {key.prefix} is shown. It is in {_place(settings)}."
     err().print(said, markup=False, highlight=False, soft_wrap=True)
 
 
@@ -79,8 +80,9 @@ def create(
 def list_keys(data: DataOption = None, as_json: JsonOption = False) -> None:
     """List all keys, oldest first, also those that are revoked or have expired. No key's text is known."""
     from client.console import out, print_json, table
+    from client.settings import read_settings
 
-    with _keys(data) as keys:
+    with _keys(read_settings(data=data)) as keys:
         found = [_shown(key) for key in keys.all()]
     if as_json:
         print_json(found)
@@ -102,12 +104,16 @@ def revoke(
 ) -> None:
     """End a key for good. Its next request is refused, and its sessions of the dashboard end."""
     from client.console import out, print_json
+    from client.settings import read_settings
     from services.errors import InvalidRequest
 
-    with _keys(data) as keys:
+    settings = read_settings(data=data)
+    with _keys(settings) as keys:
         key = keys.revoke(prefix)
     if key is None:
-        raise InvalidRequest("PREFIX", f"there is no key {prefix!r} in {_place()}; `keys list` shows all of them")
+        raise InvalidRequest(
+            "PREFIX", f"there is no key {prefix!r} in {_place(settings)}; `keys list` shows all of them"
+        )
     if as_json:
         print_json(_shown(key))
     else:
@@ -115,28 +121,22 @@ def revoke(
 
 
 @contextmanager
-def _keys(data: Path | None) -> "Iterator[AccessKeys]":
-    """The keys in the settings' database, or in that of another data directory."""
+def _keys(settings: "Settings") -> "Iterator[AccessKeys]":
+    """The keys in the settings' database."""
     from services.access.keys import AccessKeys
     from services.jobs.database import connect, migrate
-    from services.settings import settings
 
-    if data is not None:  # before the settings are read, which happens once
-        os.environ["SCENE_ATTACK_DATA"] = str(data)
-    engine = connect(settings())
+    engine = connect(settings)
     try:
-        migrate(engine, settings())
+        migrate(engine, settings)
         yield AccessKeys(engine)
     finally:
         engine.dispose()
 
 
-def _place() -> str:
+def _place(settings: "Settings") -> str:
     """Where the keys are, in words. The URL of a database may have a password and is not shown."""
-    from services.settings import settings
-
-    values = settings()
-    return str(values.data_dir) if values.database_url is None else "the database of SCENE_ATTACK_DATABASE_URL"
+    return str(settings.data_dir) if settings.database_url is None else "the database of SCENE_ATTACK_DATABASE_URL"
 
 
 def _word(field: str, text: str, least: int = 1) -> str:

@@ -26,16 +26,16 @@ def plan(
     """
     from client.console import err, print_json, report_extensions
     from client.local_meshes import read_with_meshes
-    from services.device import check_device
+    from client.settings import settings_to_run
     from services.pipeline.spec import parse
 
-    check_device()
+    settings = settings_to_run()
     report_extensions()
-    job = parse(read_with_meshes(spec))
+    job = parse(read_with_meshes(spec, settings))
     with err().status("loading") as line:
         from client.commands.run import library
 
-        assets = library()
+        assets = library(settings)
         from services.pipeline.prepare import plan as compile_plan
 
         line.update("planning")

@@ -30,17 +30,17 @@ def render(
     from client.commands.run import library
     from client.console import err, print_json, report_extensions
     from client.local_meshes import read_with_meshes
-    from services.device import check_device
+    from client.settings import settings_to_run
     from services.errors import InvalidRequest
     from services.pipeline.spec import parse
 
-    check_device()
+    settings = settings_to_run()
     report_extensions()
-    job = parse(read_with_meshes(spec))
+    job = parse(read_with_meshes(spec, settings))
     if out is not None and not out.parent.is_dir():
         raise InvalidRequest("--out", f"there is no folder {out.parent}; make it first")
     with err().status("loading") as line:
-        assets = library()
+        assets = library(settings)
         from services.analysis.images import save_png
         from services.pipeline.preview import planned_cost, preview
 

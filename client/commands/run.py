@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from services.pipeline.result import Result
     from services.pipeline.spec import JobSpec
     from services.scenes.library import Library
+    from services.settings import Settings
 
 
 def register(app: typer.Typer) -> None:
@@ -45,22 +46,22 @@ def run(
     from client.outcomes import COLUMNS, cells, goal_line
     from client.question_tables import print_answered
     from client.result_folder import check_free
-    from services.device import check_device
+    from client.settings import settings_to_run
     from services.pipeline.names import attack_name, job_name
     from services.pipeline.spec import parse
 
-    check_device()
+    settings = settings_to_run()
     keep_memory()
     report_extensions()
-    job = parse(read_with_meshes(spec, seed))
+    job = parse(read_with_meshes(spec, settings, seed))
     check_free(out, job)
     prepare_folder(out)
     words = job.model_dump(mode="json")
-    titles = local_library().titles(thing.mesh for thing in job.scene.objects)
+    titles = local_library(settings).titles(thing.mesh for thing in job.scene.objects)
     name, attack = job_name(words, titles), attack_name(words)
     try:
         with JobLine(f"{name}, {attack}") as line:
-            result = _execute(job, out, line)
+            result = _execute(job, out, settings, line)
     except KeyboardInterrupt:
         err().print("Interrupted; the same command goes on from the last checkpoint.", markup=False, highlight=False)
         raise
@@ -91,14 +92,14 @@ def replay(
     from client.console import answer_text, err, print_json, table, yes
     from client.console import out as stdout
     from client.result_folder import check_finished
-    from services.device import check_device
+    from client.settings import settings_to_run
 
-    check_device()
+    settings = settings_to_run()
     check_finished(directory)
     with err().status("rendering"):
         from services.pipeline.replay import replay as render_again
 
-        again = render_again(directory, library())
+        again = render_again(directory, library(settings))
     same = again.stored.label == again.replayed.label and (again.pixels_differing == 0 or not again.same_backend)
     if as_json:
         print_json(again.model_dump(mode="json") | {"reproduced": same})
@@ -142,7 +143,7 @@ def prepare_folder(out: Path) -> None:
         raise InvalidRequest("--out", f"the directory {out} cannot be written; name another one")
 
 
-def library() -> "Library":
+def library(settings: "Settings") -> "Library":
     """Meshes and maps of this machine, and torch with as many threads as the settings say."""
     import gc
 
@@ -152,13 +153,12 @@ def library() -> "Library":
     gc.freeze()
     gc.enable()
     from client.local_meshes import local_library
-    from services.settings import settings
 
-    torch.set_num_threads(settings().threads)
-    return local_library()
+    torch.set_num_threads(settings.threads)
+    return local_library(settings)
 
 
-def _execute(spec: "JobSpec", out: Path, line: "JobLine") -> "Result":
+def _execute(spec: "JobSpec", out: Path, settings: "Settings", line: "JobLine") -> "Result":
     """Runs the job; a checkpoint in `out` is resumed from if it is of this very job, and removed at the end."""
     from client.outcomes import warn
     from services.errors import InvalidRequest
@@ -177,7 +177,7 @@ def _execute(spec: "JobSpec", out: Path, line: "JobLine") -> "Result":
         result = execute(
             spec,
             out,
-            library(),
+            library(settings),
             progress=report,
             checkpoint=checkpoint,
             checked=lambda _, found: warn(one.model_dump() for one in found),

@@ -50,35 +50,32 @@ def serve(
 
 def api(host: HostOption = None, port: PortOption = None, data: DataOption = None) -> None:
     """Run only the API with the dashboard. Needs SCENE_ATTACK_REDIS_URL, as its workers run elsewhere."""
-    _settings(host=host, port=port, data=data)
+    values = _settings(host=host, port=port, data=data)
     from api.main import run
 
-    raise typer.Exit(run())
+    raise typer.Exit(run(values))
 
 
 def worker(workers: WorkersOption = None, data: DataOption = None) -> None:
     """Run only workers. Needs SCENE_ATTACK_REDIS_URL, and the database and data directory of the API."""
-    _settings(workers=workers, data=data)
+    values = _settings(workers=workers, data=data)
     from worker.main import run
 
-    raise typer.Exit(run())
+    raise typer.Exit(run(values))
 
 
-def _settings(**given: str | int | Path | None) -> "Settings":
-    """The settings with these put over the environment's, here and for child processes.
-
-    Comes before the imports of the service, which read the settings once.
-    """
+def _settings(**options: str | int | Path | None) -> "Settings":
+    """The settings of a service, whose device and kernels are there. Names the variables that are no settings."""
+    from client.settings import read_settings
     from client.unknown_variables import unknown_variables
     from services.device import check_device
+    from services.process import use
     from services.rendering.kernels.build import check_kernels
-    from services.settings import settings
 
-    os.environ.update(
-        {f"SCENE_ATTACK_{name.upper()}": str(value) for name, value in given.items() if value is not None}
-    )
+    settings = read_settings(**options)
     for name, error in unknown_variables(os.environ).items():
         print(f"scene-attack: {name} is left out: {error}", file=sys.stderr)
+    use(settings)
     check_device()
     check_kernels()
-    return settings()
+    return settings

@@ -26,8 +26,11 @@ def targets(context: typer.Context, as_json: JsonOption = False) -> None:
     if context.invoked_subcommand is not None:
         return
     from client.console import out, print_json, report_extensions, report_targets, table, yes
-    from services.pipeline.extensions import TARGETS
+    from client.settings import read_settings
+    from services.pipeline.extensions import set_up
+    from services.targets.info import TARGETS
 
+    set_up(read_settings())
     report_extensions()
     report_targets()
     found = [target.info for target in TARGETS.values()]
@@ -62,12 +65,12 @@ def check(
     """
     from client.commands.run import library
     from client.console import err, print_json, report_extensions
-    from services.device import check_device
+    from client.settings import settings_to_run
 
-    check_device()
+    settings = settings_to_run()
     report_extensions()
     with err().status("loading") as line:
-        assets = library()
+        assets = library(settings)
         from services.pipeline.target_check import check as try_target
 
         found = try_target(name, mesh, assets, line.update)

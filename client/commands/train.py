@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from client.commands.train_iep import iep
-from client.commands.train_options import OUT, Out, Seed, library, progress_bars, set_threads
+from client.commands.train_options import OUT, Out, Seed, progress_bars, settings_to_train
 
 app = typer.Typer(help="Train the networks that ship with the project.", no_args_is_help=True)
 
@@ -26,14 +26,14 @@ def split(
 ) -> None:
     """Divide the library's models by family, and choose the classes inside the training models."""
     from client.console import err
-    from services.settings import settings
+    from client.local_meshes import local_library
     from services.training.making_split import make
     from services.training.split import PATH, save
 
-    set_threads()
+    settings = settings_to_train()
     command = f"scene-attack train split --seed {seed}"
     with err().status("") as line:
-        made = make(library(), settings().cache_dir, seed, command, lambda words: line.update(words))
+        made = make(local_library(settings), settings.cache_dir, seed, command, lambda words: line.update(words))
     save(made, out or PATH)
     held_out, training = (len(made.models(side)) for side in ("held_out", "training"))
     err().print(
@@ -68,8 +68,8 @@ def _train(name: str, minutes: float | None, epochs: int | None, out: Path, seed
 
     from client.console import err
     from client.console import out as stdout
+    from client.local_meshes import local_library
     from services.errors import InvalidRequest
-    from services.settings import settings
     from services.training.data import gather
     from services.training.export import write
     from services.training.recipe import RECIPES, Budget
@@ -78,8 +78,9 @@ def _train(name: str, minutes: float | None, epochs: int | None, out: Path, seed
 
     if not export and (minutes is None) == (epochs is None):
         raise InvalidRequest("--minutes", "give either --minutes or --epochs")
-    set_threads()
-    recipe, chosen, cache = RECIPES[name], committed(), settings().cache_dir
+    settings = settings_to_train()
+    library, recipe, chosen = local_library(settings), RECIPES[name], committed()
+    cache = settings.cache_dir
     checkpoint = out / f"{name}.checkpoint"
     with progress_bars() as progress:
         steps: dict[str, TaskID] = {}
@@ -90,7 +91,7 @@ def _train(name: str, minutes: float | None, epochs: int | None, out: Path, seed
             progress.update(steps[what], completed=done, total=total)
 
         if not export:
-            data = gather(library(), cache, recipe, chosen.models("training"), seed, said)
+            data = gather(library, cache, recipe, chosen.models("training"), seed, said)
             training = Training(recipe, len(chosen.classes), data, seed, checkpoint)
             if training.step:
                 err().print(f"goes on from step {training.step:,} of {checkpoint}", markup=False, highlight=False)
@@ -106,5 +107,5 @@ def _train(name: str, minutes: float | None, epochs: int | None, out: Path, seed
             training.run(Budget(minutes, epochs), report)
             del data, training
         trained = load_trained(recipe, len(chosen.classes), checkpoint)
-        written = write(recipe, trained, chosen, library(), cache, out, said)
+        written = write(recipe, trained, chosen, library, cache, out, said)
     stdout().print(written.summary, markup=False, highlight=False)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from client.commands.train_options import OUT, Out, Seed, library, progress_bars, set_threads
+from client.commands.train_options import OUT, Out, Seed, progress_bars, settings_to_train
 
 Said = Callable[[str, float, float, str], None]
 LINE_SECONDS = 30.0
@@ -36,6 +36,7 @@ def iep(
 ) -> None:
     """Train IEP: draw scenes, train its parts, measure it. A training that ended early goes on where it was."""
     from client.console import out as stdout
+    from client.local_meshes import local_library
     from services.errors import InvalidRequest
     from services.training.iep.export import SHIPPED, write
     from services.training.iep.export import check as checked
@@ -45,7 +46,7 @@ def iep(
 
     if weights is not None and not check:
         raise InvalidRequest("--weights", "it is for --check")
-    set_threads()
+    library = local_library(settings_to_train())
     end = None if seconds_budget is None else time.monotonic() + seconds_budget
 
     def over() -> bool:
@@ -54,10 +55,10 @@ def iep(
     drawing = processes or cores()
     with _telling() as said:
         if check:
-            found = checked(weights or SHIPPED, out / "iep", library(), said, over, drawing)
+            found = checked(weights or SHIPPED, out / "iep", library, said, over, drawing)
             lines = None if found is None else [found.summary, *found.disagreements]
         else:
-            stages = Stages(RECIPE.scaled(scale), seed, out / "iep", library(), said, over, drawing)
+            stages = Stages(RECIPE.scaled(scale), seed, out / "iep", library, said, over, drawing)
             command = f"scene-attack train iep --seed {seed}" + ("" if scale == 1 else f" --scale {scale:g}")
             lines = [write(stages, out, command, said).summary] if stages.run() else None
     if lines is None:

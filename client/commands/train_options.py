@@ -8,7 +8,7 @@ import typer
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-    from services.scenes.library import Library
+    from services.settings import Settings
 
 OUT = Path("out/training")
 Out = Annotated[Path, typer.Option(help="Folder of the checkpoints, the weights and the cards.")]
@@ -25,18 +25,12 @@ def progress_bars() -> "Progress":
     return Progress(*columns, console=err())
 
 
-def set_threads() -> None:
-    """Has torch use the configured number of threads."""
+def settings_to_train() -> "Settings":
+    """The settings of the environment, by which this process and torch's threads are set up."""
     import torch
 
-    from services.settings import settings
+    from client.settings import settings_to_run
 
-    torch.set_num_threads(settings().threads)
-
-
-def library() -> "Library":
-    """Returns the library of the configured folders."""
-    from services.scenes.library import Library
-    from services.settings import settings
-
-    return Library(settings().cache_dir, settings().data_dir)
+    settings = settings_to_run()
+    torch.set_num_threads(settings.threads)
+    return settings

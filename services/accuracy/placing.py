@@ -6,12 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from services.process import options
 from services.scenes.description import Scene
 from services.scenes.library import Library
 from services.scenes.mesh import Floats, Mesh, Part
 from services.scenes.metallic_roughness import with_surface
 from services.scenes.resolve import ResolvedScene, resolve
-from services.settings import settings
+from services.settings import DEFAULTS
 
 TABLES = (128, 128)
 """Height and width, in pixels, of an image large enough that a plan prefers tables to sums."""
@@ -19,8 +20,8 @@ TABLES = (128, 128)
 
 @lru_cache(maxsize=1)
 def library() -> Library:
-    """The meshes and environment maps of this installation."""
-    return Library(settings().cache_dir, settings().data_dir)
+    """The meshes and environment maps of this installation; no case asks for an upload."""
+    return Library(options().cache, DEFAULTS.data_dir)
 
 
 def placed(

@@ -22,6 +22,7 @@ import torch
 from torch import Tensor
 
 from services.accuracy.provenance import PACKAGES
+from services.process import use
 from services.rendering.image_error import ImageError, image_error
 from services.rendering.opengl import context
 from services.rendering.pyrender_renderer.declaration import PYRENDER
@@ -31,7 +32,7 @@ from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.scenes.description import Scene
 from services.scenes.library import Library
 from services.scenes.resolve import resolve
-from services.settings import settings
+from services.settings import Settings
 from services.versions import versions
 
 MESHES = (
@@ -153,7 +154,9 @@ def main() -> None:
     parser.add_argument("--images", type=int, default=5000, help="least number of images, over all scenes")
     parser.add_argument("--out", type=Path, default=Path("docs/accuracy/rasterised_images.json"))
     options = parser.parse_args()
-    library = Library(settings().cache_dir, settings().data_dir)
+    settings = Settings()
+    use(settings)
+    library = Library(settings.cache_dir, settings.data_dir)
     rows = []
     for scene in scenes(options.scenes):
         rows.append(row := compare(scene, library, -(-options.images // options.scenes)))

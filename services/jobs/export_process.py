@@ -22,8 +22,9 @@ from services.jobs.child import connect, reply, requests
 from services.jobs.memory_limit import memory_limit
 from services.jobs.outages import outage_of
 from services.logs import configure, logger
+from services.pipeline.extensions import set_up
 from services.scenes.library import Library
-from services.settings import settings
+from services.settings import Settings
 
 log = logger(__name__)
 
@@ -67,7 +68,8 @@ def _read(store: ArtifactStore, sha256: str) -> bytes:
 def main() -> None:
     """Answers requests until its parent ends."""
     configure("export")
-    values = settings()
+    values = Settings()
+    set_up(values)
     connection = connect()
     inbox = requests(connection)
     limit = memory_limit(values)

@@ -21,17 +21,18 @@ from services.pipeline.preview import planned_cost, preview
 from services.pipeline.rerender import decode_image, rerender_image
 from services.pipeline.spec import JobSpec
 from services.scenes.library import Library
-from services.settings import settings
+from services.settings import Settings
 
 log = logger(__name__)
 
 
-def answer(message: dict[str, Any], data: bytes, library: Library) -> dict[str, Any]:
+def answer(message: dict[str, Any], data: bytes, library: Library, memory: int) -> dict[str, Any]:
     """Answers one request: {"check": spec} by {"spec", "warnings"}, {"preview": spec} by {"preview", "png"},
     {"plan": spec} by {"plan", "cost"}, and {"rerender": {"spec", "fit"}}, with an image file as `data`, by
     {"rerendering", "png"}.
 
-    A request with a bad field is answered by {"field", "detail"}, and a check that failed by {"trouble"}.
+    A request with a bad field is answered by {"field", "detail"}, and a check that failed by {"trouble"}. `memory` is
+    the limit of this process in bytes.
     """
     try:
         if "check" in message:
@@ -49,7 +50,7 @@ def answer(message: dict[str, Any], data: bytes, library: Library) -> dict[str, 
     except JobFailure as error:
         log.warning("preflight failed", kind=error.kind, exc_info=error)
         if error.kind == "out-of-memory" and "rerender" not in message:
-            return _too_large()
+            return _too_large(memory)
         return {"trouble": f"{error.kind}: {error.detail}"}
     except (Exception, SystemExit) as error:  # an extension's code may end the process it is run in
         outage = outage_of(error)
@@ -57,15 +58,15 @@ def answer(message: dict[str, Any], data: bytes, library: Library) -> dict[str, 
             log.warning("request met an outage", resource=outage.resource, error=str(error))
             return {"trouble": outage.detail}
         if out_of_memory(error) and "rerender" not in message:
-            return _too_large()
+            return _too_large(memory)
         if out_of_memory(error):
             return {"trouble": "out-of-memory: it needs more memory than the process that re-renders may have"}
         log.error("preflight failed", exc_info=error)
         return {"trouble": "internal: the service's log says why"}
 
 
-def _too_large() -> dict[str, Any]:
-    allowed = memory_limit(settings()) / 2**30
+def _too_large(memory: int) -> dict[str, Any]:
+    allowed = memory / 2**30
     detail = f"rendering it once takes more memory than a job may have, {allowed:.3g} GiB; ask for a smaller image, a"
     return {"field": "scene", "detail": f"{detail} smaller environment map or fewer objects"}
 
@@ -82,14 +83,14 @@ def main() -> None:
     """Loads network and OpenGL once, reports that it is ready, then answers requests until its parent ends."""
     configure("preflight")
     give_way(CHECKING)
-    values = settings()
+    values = Settings()
     connection = connect()
     inbox = requests(connection)
     warm_up(values)
     library = Library(values.cache_dir, values.files)
     reply(connection, {"ready": True})
     for message, data in inbox:
-        reply(connection, answer(message, data, library))
+        reply(connection, answer(message, data, library, memory_limit(values)))
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ import torch
 
 from services.confinement.system_calls import forbid_new_privileges
 from services.jobs.memory_limit import memory_limit
-from services.pipeline.extensions import log_extensions
+from services.pipeline.extensions import log_extensions, set_up
 from services.pipeline.spec import DEFAULT_TARGET
 from services.rendering.opengl.context import gl_backend
 from services.settings import Settings
@@ -14,11 +14,12 @@ from services.targets import registry
 
 
 def warm_up(values: Settings) -> str:
-    """Limits the memory, forbids new privileges and core files, sets torch's threads, loads the default network and
-    opens the OpenGL context.
+    """Sets up the process, limits its memory, forbids new privileges and core files, sets torch's threads, loads the
+    default network and opens the OpenGL context.
 
     Returns the name of the OpenGL backend.
     """
+    set_up(values)
     limit = memory_limit(values)
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))

@@ -115,7 +115,7 @@ def export(results: Iterable[tuple[Result, Path]], folder: Path, name: str) -> i
 
 def _labels(result: Result) -> tuple[str, ...]:
     """The labels of the result's target if it is installed, else those that the result names."""
-    from services.pipeline.extensions import TARGETS
+    from services.targets.info import TARGETS
 
     name = str(dict(result.spec["target"])["name"])  # type: ignore[call-overload]
     if name in TARGETS:

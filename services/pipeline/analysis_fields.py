@@ -2,10 +2,11 @@
 
 from services.errors import InvalidRequest
 from services.pipeline.described import can_carry
-from services.pipeline.extensions import RENDERERS, TARGETS
 from services.pipeline.spec import JobSpec
+from services.rendering.declaration import RENDERERS
 from services.suggestions import there_are
 from services.targets import registry
+from services.targets.info import TARGETS
 
 
 def check_analysis(spec: JobSpec) -> None:

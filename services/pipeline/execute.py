@@ -20,6 +20,7 @@ from services.attacks.loop import Budget, run, sampled_error
 from services.attacks.masking import check_masking
 from services.attacks.method import Method
 from services.attacks.problem import AttackProblem
+from services.attacks.spec import ATTACKS
 from services.attacks.state import AttackState
 from services.attacks.trace import TraceRow
 from services.attacks.verdict import judge
@@ -27,7 +28,7 @@ from services.errors import Cancelled, named
 from services.pipeline.analyse import Report, Subject, analyse
 from services.pipeline.change_files import save_change
 from services.pipeline.expectations import with_cost
-from services.pipeline.extensions import ATTACKS, EXTENSIONS, TARGETS
+from services.pipeline.extensions import loaded_extensions
 from services.pipeline.leaving_out import LeavingOut, leaving_out
 from services.pipeline.prepare import Prepared, lit_by_map, prepare
 from services.pipeline.question_result import outcome_of, question_results
@@ -37,6 +38,7 @@ from services.pipeline.warning import JobWarning
 from services.rendering.color import to_bytes
 from services.rendering.plan import Plan
 from services.scenes.library import Library
+from services.targets.info import TARGETS
 from services.versions import versions
 
 RESULT = "result.json"
@@ -262,4 +264,4 @@ def _extensions(spec: JobSpec) -> dict[str, str]:
         ("target", spec.target.name),
         ("target", spec.attack.guide),
     }
-    return {file.name: file.sha256 for file in EXTENSIONS if file.sha256 is not None and file.adds & used}
+    return {file.name: file.sha256 for file in loaded_extensions() if file.sha256 is not None and file.adds & used}

@@ -9,7 +9,7 @@ import torch
 from services.attacks.expectation import VIEWS, Expectation
 from services.attacks.spec import AttackSettings
 from services.errors import InvalidRequest
-from services.pipeline.extensions import RENDERERS
+from services.rendering.declaration import RENDERERS
 from services.rendering.plan import Plan, Stage
 from services.rendering.protocol import Renderer
 from services.rendering.variation import STILL, moved, varied

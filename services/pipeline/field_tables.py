@@ -12,7 +12,8 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from services.attacks.expectation import Expectation
-from services.pipeline.extensions import ATTACKS, RENDERERS
+from services.attacks.spec import ATTACKS
+from services.rendering.declaration import RENDERERS
 
 PAGE = Path(__file__).parents[2] / "docs" / "scene.md"
 BEGIN = "<!-- written by python -m services.pipeline.field_tables -->"

@@ -3,9 +3,9 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from services.pipeline.extensions import RENDERERS
 from services.questions.functions import FUNCTIONS
 from services.questions.program import TYPE_WORDS
+from services.rendering.declaration import RENDERERS
 
 
 def scene_name(spec: Mapping[str, Any], titles: Mapping[str, str] | None = None) -> str:

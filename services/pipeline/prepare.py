@@ -9,6 +9,7 @@ from torch import Tensor
 from services.attacks import losses
 from services.attacks.feasible import perturbation_bounds
 from services.attacks.goal import ResolvedGoal
+from services.attacks.spec import ATTACKS
 from services.attacks.surrogate import Surrogate
 from services.attacks.verifier import Verifier
 from services.errors import InvalidRequest
@@ -16,7 +17,6 @@ from services.pipeline import goals
 from services.pipeline.analysis_fields import check_analysis, load_targets
 from services.pipeline.checked import Checked
 from services.pipeline.expectations import check_range, moving_groups, with_cost
-from services.pipeline.extensions import ATTACKS
 from services.pipeline.job_plan import JobPlan
 from services.pipeline.questions import AskedQuestion, asked_questions, check_scene, goal_of
 from services.pipeline.recall import recall

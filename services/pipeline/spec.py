@@ -1,33 +1,69 @@
 """The model of a whole request, which is the same JSON for `POST /v1/jobs` and `scene-attack run`.
 
-The union of attacks in a request consists of all registered attacks, the operator's extensions among them.
+The attack of a request is one of all that are registered when it is read, the operator's extensions among them.
 """
 
 import json
 import operator
 from collections.abc import Iterable, Mapping
-from functools import cache
+from functools import cache, lru_cache
 from hashlib import sha256
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, Union
 
-from pydantic import ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import (
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    TypeAdapter,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, core_schema
 
 from services.analysis.requests import AnalysisRequest
-from services.attacks.spec import AttackSettings, Goal, Seed
+from services.attacks.spec import ATTACKS, AttackSettings, Goal, Seed
 from services.errors import InvalidFields, InvalidRequest
-from services.pipeline.extensions import ATTACKS, RENDERERS
 from services.pipeline.field_errors import invalid_fields
 from services.pipeline.question_request import MOST_TOGETHER, Call, Calls, Text, program, with_scene
 from services.questions.written import written
+from services.rendering.declaration import RENDERERS
 from services.rendering.plan import DEFAULT_TOLERANCE
 from services.scenes.clevr.records import SceneRecord
 from services.scenes.clevr.request import Generate
 from services.scenes.description import Model, Scene, absent
 
+
+def _registered() -> tuple[type[AttackSettings], ...]:
+    return tuple(attack.settings for attack in ATTACKS.values())
+
+
+@lru_cache(maxsize=1)
+def _union(attacks: tuple[type[AttackSettings], ...]) -> TypeAdapter[AttackSettings]:
+    return TypeAdapter(Annotated[Union[attacks], Field(discriminator="method")])  # type: ignore[arg-type]  # noqa: UP007
+
+
+class _Registered:
+    """Validates the settings of any registered attack. Attacks may be registered after this module was imported."""
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, _source: object, _handler: GetCoreSchemaHandler) -> CoreSchema:
+        def validate(data: object) -> AttackSettings:
+            return _union(_registered()).validate_python(data)  # its errors become those of the field
+
+        return core_schema.no_info_plain_validator_function(validate)
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, _schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        return handler(_union(_registered()).core_schema)
+
+
 if TYPE_CHECKING:
     AnyAttack = AttackSettings
 else:
-    AnyAttack = Annotated[Union[tuple(one.settings for one in ATTACKS.values())], Field(discriminator="method")]  # noqa: UP007
+    AnyAttack = Annotated[Any, _Registered]  # the base class itself would be a part of openapi.yaml
 
 AnyTolerance = Annotated[float, Field(ge=1e-6, le=0.1, allow_inf_nan=False)] | Literal["exact"]
 DEFAULT_TARGET = "efficientnet-lite0"

@@ -17,7 +17,7 @@ from services.pipeline.field_errors import invalid_fields
 from services.questions.answers import ANSWERS
 from services.suggestions import there_are
 from services.targets.architectures import ARCHITECTURES, AnsweringArchitecture
-from services.targets.custom.allow_list import endpoint_refusal, factory_refusal
+from services.targets.custom.allow_list import NOTHING, AllowList
 from services.targets.custom.card import Card
 from services.targets.imagenet import imagenet_labels
 from services.targets.info import TARGETS, UNAVAILABLE, RegisteredTarget, TargetInfo
@@ -44,8 +44,9 @@ class TargetFolder:
     """The reason for which it is no target; None if it is one."""
 
 
-def register_folders(root: Path | None) -> tuple[TargetFolder, ...]:
+def register_folders(root: Path | None, allowed: AllowList = NOTHING) -> tuple[TargetFolder, ...]:
     """Registers a target for each folder in `root`, in alphabetical order. Hidden folders are left out.
+    A card may name the factories and endpoints that are `allowed`.
 
     The network itself is read when a job first needs it.
     """
@@ -55,10 +56,10 @@ def register_folders(root: Path | None) -> tuple[TargetFolder, ...]:
         folders = sorted(one for one in root.iterdir() if one.is_dir() and not one.name.startswith("."))
     except OSError as error:
         return (TargetFolder(printable(str(root)), error=f"it cannot be read: {error.strerror}"),)
-    return tuple(map(_register, folders))
+    return tuple(_register(folder, allowed) for folder in folders)
 
 
-def _register(folder: Path) -> TargetFolder:
+def _register(folder: Path, allowed: AllowList) -> TargetFolder:
     name = printable(folder.name)
     try:
         if not NAME.fullmatch(folder.name):
@@ -66,7 +67,7 @@ def _register(folder: Path) -> TargetFolder:
         if folder.name in TARGETS:
             raise InvalidRequest("name", "there is a target of this name already; rename the folder")
         card, digest = read_card(folder)
-        file = _model_file(folder, card)
+        file = _model_file(folder, card, allowed)
         labels = _labels(folder, card)
     except InvalidRequest as error:
         reason = f"{error.field}: {error.detail}"
@@ -92,7 +93,7 @@ def _register(folder: Path) -> TargetFolder:
     def load(dtype: "torch.dtype") -> "Target":
         from services.targets.custom import loading
 
-        return loading.load(info.name, file, card, labels, digest, dtype)
+        return loading.load(info.name, file, card, labels, digest, allowed, dtype)
 
     TARGETS.add(info.name, RegisteredTarget(info, lambda: labels, load))
     return TargetFolder(name, digest)
@@ -126,7 +127,7 @@ def _read(path: Path, missing: str) -> bytes:
         raise InvalidRequest(path.name, f"it cannot be read: {error.strerror}") from error
 
 
-def _model_file(folder: Path, card: Card) -> Path | None:
+def _model_file(folder: Path, card: Card, allowed: AllowList) -> Path | None:
     """The file that holds the network; None for a factory or an endpoint. Raises InvalidRequest for none or several."""
     files = [folder / name for name in MODEL_FILES if (folder / name).is_file()]
     sources = [file.name for file in files] + [
@@ -144,8 +145,8 @@ def _model_file(folder: Path, card: Card) -> Path | None:
     if card.architecture is not None and not of_weights:
         raise InvalidRequest(f"{CARD}: architecture", "is only for model.safetensors; leave it out")
     for key, named, refusal in (
-        ("factory", card.factory, factory_refusal),
-        ("endpoint", card.endpoint, endpoint_refusal),
+        ("factory", card.factory, allowed.factory_refusal),
+        ("endpoint", card.endpoint, allowed.endpoint_refusal),
     ):
         reason = None if named is None else refusal(named)
         if reason is not None:

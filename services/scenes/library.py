@@ -24,7 +24,7 @@ from services.scenes.furniture import load_model, read_icon
 from services.scenes.mesh import Mesh
 from services.scenes.primitives import PRIMITIVES, primitive
 from services.scenes.uploads import Uploads, is_map
-from services.settings import Settings
+from services.settings import DEFAULTS, Settings
 from services.suggestions import did_you_mean
 
 KEPT_MESHES = 32
@@ -154,14 +154,14 @@ class Library:
         if self.has_upload(name):
             self._uploads.keep_thumbnail(name.removeprefix("sha256:"), png)
 
-    def add_mesh(self, data: bytes, kind: str, limits: Settings | None = None) -> Entry:
+    def add_mesh(self, data: bytes, kind: str, limits: Settings = DEFAULTS) -> Entry:
         """Adds a mesh that is a single file, as `add`."""
         return self.add(Bundle(kind, data, {}), limits)
 
-    def add(self, bundle: Bundle, limits: Settings | None = None) -> Entry:
+    def add(self, bundle: Bundle, limits: Settings = DEFAULTS) -> Entry:
         """Validates an uploaded mesh and its files, stores them by their SHA-256 and returns the mesh's entry.
 
-        The same bytes give the same entry. `limits` are those of this process's settings by default. Raises
+        The same bytes give the same entry. Raises
         InvalidRequest("file" or "kind", …), and JobFailure("internal") if the file cannot be read now.
         """
         return upload_entry(self._uploads.add(bundle, limits))

@@ -22,7 +22,7 @@ from services.scenes.isolated_reading import reader
 from services.scenes.mesh import Mesh
 from services.scenes.phrases import Report
 from services.scenes.store import load_parts, mesh_path, save_parts
-from services.settings import Settings, settings
+from services.settings import DEFAULTS, Settings
 
 
 class Upload(BaseModel):
@@ -85,14 +85,13 @@ class Uploads:
         self._files = files
         self._processed = processed
 
-    def add(self, bundle: Bundle, limits: Settings | None = None) -> Upload:
+    def add(self, bundle: Bundle, limits: Settings = DEFAULTS) -> Upload:
         """Validates and stores a mesh with its files, and returns its metadata; what is stored already is not
         validated again.
 
         Raises InvalidRequest("kind", …) for a kind that is not read, InvalidRequest("file", …) for invalid or too many
         bytes.
         """
-        limits = limits or settings()
         most = limits.max_upload_bytes if not bundle.others else max_unpacked(limits)
         if bundle.size > most:
             raise InvalidRequest("file", f"it has {bundle.size:,} bytes; at most {most:,} are taken")

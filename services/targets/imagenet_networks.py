@@ -88,12 +88,12 @@ def load_published(card: TargetInfo, network: nn.Module, dtype: torch.dtype) -> 
     """
     import torch
 
-    from services.settings import settings
+    from services.process import options
     from services.targets.classifier import Classifier
     from services.targets.download import Published, fetch
 
     digits = card.source.removesuffix(".pth").rpartition("-")[2]
-    path = fetch(Published(card.source, digits), settings().cache_dir / "weights")
+    path = fetch(Published(card.source, digits), options().cache / "weights")
     network.load_state_dict(torch.load(path, weights_only=True, map_location="cpu"))
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()

@@ -22,7 +22,7 @@ from services.pipeline.execute import execute
 from services.pipeline.spec import parse
 from services.scenes import environment
 from services.scenes.library import Library
-from services.settings import settings
+from services.settings import Settings
 from tests.integration.conftest import Stack
 from tests.integration.specs import ENDLESS
 
@@ -41,7 +41,7 @@ SHARE, LEVELS = 0.995, 1
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory: pytest.TempPathFactory) -> Library:
-    return Library(settings().cache_dir, tmp_path_factory.mktemp("data"))
+    return Library(Settings().cache_dir, tmp_path_factory.mktemp("data"))
 
 
 def textured_glb() -> bytes:

@@ -16,7 +16,7 @@ import httpx
 import pytest
 
 from services.jobs.queue import Queue, connect
-from services.settings import settings
+from services.settings import Settings
 from tests import redis_over_tcp
 from tests.integration.conftest import PATIENCE, end, serving, until
 from tests.integration.specs import long
@@ -40,7 +40,7 @@ def machine(folder: Path) -> dict[str, str]:
     """The settings of a machine of its own: its data, and its cache without the meshes that others have read."""
     cache = folder / "cache"
     cache.mkdir(parents=True)
-    for entry in settings().cache_dir.iterdir():
+    for entry in Settings().cache_dir.iterdir():
         if entry.name != "meshes":
             (cache / entry.name).symlink_to(entry)
     return {

@@ -15,7 +15,7 @@ from services.pipeline.execute import execute
 from services.pipeline.spec import parse
 from services.rendering.torch_renderer.declaration import TORCH
 from services.scenes.library import Library
-from services.settings import settings
+from services.settings import Settings
 
 pytestmark = pytest.mark.integration
 
@@ -77,9 +77,9 @@ def test_an_example_writes_its_files_and_two_processes_find_the_same_bits(name: 
     assert len(subsets) == max(0, 2 ** len(parse(spec).attack.groups) - 2)
     assert bool(attention) == ("Questions about the image" in done.stdout) == ("generate" in spec)
     threads = torch.get_num_threads()
-    torch.set_num_threads(settings().threads)  # part of what decides the bits
+    torch.set_num_threads(Settings().threads)  # part of what decides the bits
     try:
-        execute(parse(spec), tmp_path / "two", Library(settings().cache_dir, settings().data_dir))
+        execute(parse(spec), tmp_path / "two", Library(Settings().cache_dir, Settings().data_dir))
     finally:
         torch.set_num_threads(threads)
     for file in (*FILES[:4], *attention):

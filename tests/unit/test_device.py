@@ -14,41 +14,32 @@ from services.device import check_device, describe, device
 from services.errors import InvalidRequest
 from services.pipeline.execute import execute
 from services.pipeline.spec import parse
+from services.process import replaced
 from services.rendering.factory import build
 from services.rendering.kernels import compiled
 from services.scenes.library import Library
 from services.scenes.resolve import resolve
-from services.settings import settings
+from services.settings import Settings
 from services.targets import registry
 
 PRESENT = ["cpu", *(f"cuda:{i}" for i in range(min(1, torch.cuda.device_count())))]
 """The devices of this machine."""
 
 
-def choose(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("SCENE_ATTACK_DEVICE", name)
-    settings.cache_clear()
-    registry.load.cache_clear()
-
-
 @pytest.fixture(params=PRESENT)
-def chosen(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+def chosen(request: pytest.FixtureRequest) -> Iterator[str]:
     """A device that is there, chosen by the setting."""
-    choose(request.param, monkeypatch)
-    yield request.param
-    monkeypatch.undo()
-    settings.cache_clear()
+    registry.load.cache_clear()
+    with replaced(device=request.param):
+        yield request.param
     registry.load.cache_clear()
 
 
 @pytest.mark.parametrize("name", ["cuda:99", *([] if torch.cuda.is_available() else ["cuda", "cuda:0"])])
-def test_a_device_that_is_not_there_is_named(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("SCENE_ATTACK_DEVICE", name)
-    settings.cache_clear()
-    with pytest.raises(InvalidRequest, match=f"SCENE_ATTACK_DEVICE={name}: .*CUDA device.*; use auto or cpu"):
+def test_a_device_that_is_not_there_is_named(name: str) -> None:
+    refused = f"SCENE_ATTACK_DEVICE={name}: .*CUDA device.*; use auto or cpu"
+    with replaced(device=name), pytest.raises(InvalidRequest, match=refused):
         check_device()
-    monkeypatch.undo()
-    settings.cache_clear()
 
 
 @pytest.mark.parametrize(
@@ -61,19 +52,17 @@ def test_every_command_that_computes_refuses_it(command: str, monkeypatch: pytes
     monkeypatch.setenv("SCENE_ATTACK_DEVICE", "cuda:99")
     monkeypatch.setenv("SCENE_ATTACK_DATA", str(tmp_path / "data"))
     monkeypatch.chdir(tmp_path)
-    settings.cache_clear()
-    done = CliRunner().invoke(app, command.split())
+    with replaced(device="cuda:99"):  # what a process of its own would be told by the variable
+        done = CliRunner().invoke(app, command.split())
     assert isinstance(done.exception, InvalidRequest), done.output
     assert done.exception.field == "SCENE_ATTACK_DEVICE=cuda:99"
     assert list(tmp_path.iterdir()) == []
-    monkeypatch.undo()
-    settings.cache_clear()
 
 
-def test_auto_is_a_device_that_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
-    choose("auto", monkeypatch)
-    check_device()
-    assert describe(device()).startswith("cuda:0 (" if torch.cuda.is_available() else "cpu")
+def test_auto_is_a_device_that_is_there() -> None:
+    with replaced(device="auto"):
+        check_device()
+        assert describe(device()).startswith("cuda:0 (" if torch.cuda.is_available() else "cpu")
 
 
 def test_the_network_answers_alike_on_every_device(chosen: str) -> None:
@@ -92,7 +81,7 @@ SCENE = {"objects": [{"mesh": "primitive/sphere"}], "camera": {"size": [48, 48]}
 
 
 def test_images_are_made_on_the_device_and_parameters_stay_on_the_cpu(chosen: str, tmp_path: Path) -> None:
-    scene = resolve(parse({"scene": SCENE}).scene, Library(settings().cache_dir, tmp_path))
+    scene = resolve(parse({"scene": SCENE}).scene, Library(Settings().cache_dir, tmp_path))
     for name in ("torch", "image"):
         renderer = build(scene, name)
         assert all(value.device.type == "cpu" for value in renderer.initial().values())
@@ -113,7 +102,7 @@ def test_images_are_made_on_the_device_and_parameters_stay_on_the_cpu(chosen: st
 def test_a_job_runs_on_every_device(chosen: str, method: dict[str, object], renderer: str, tmp_path: Path) -> None:
     attack = {"renderer": renderer, "steps": 2, **method}
     result = execute(
-        parse({"scene": SCENE, "attack": attack}), tmp_path / "out", Library(settings().cache_dir, tmp_path)
+        parse({"scene": SCENE, "attack": attack}), tmp_path / "out", Library(Settings().cache_dir, tmp_path)
     )
     assert result.provenance.backend.count(f" {chosen}") == 2  # the renderer's and the network's
     assert len(result.trace) > 0
@@ -132,7 +121,7 @@ def test_a_job_without_kernels_reads_no_memory_that_was_never_written(
     try:
         assert bool(torch.empty(3).isnan().all())
         spec = parse({"scene": scene, "attack": attack, "tolerance": 2e-2})  # at which a table is looked up
-        result = execute(spec, tmp_path / "out", Library(settings().cache_dir, tmp_path))
+        result = execute(spec, tmp_path / "out", Library(Settings().cache_dir, tmp_path))
     finally:
         torch.use_deterministic_algorithms(False)
     assert all(isfinite(row.advantage) and isfinite(row.distance) for row in result.trace)

@@ -13,7 +13,7 @@ from services.accuracy.stability.views import against_rays, sound
 from services.rendering.factory import build
 from services.scenes.mesh import Doubles, Longs, Part
 from services.scenes.reading import read_mesh
-from services.settings import settings
+from services.settings import DEFAULTS
 
 SAME = 2e-6
 """Images of one solid from two files: float32 vertices move a value by less (measured: 1.2e-7)."""
@@ -55,7 +55,7 @@ def _shown(parts: tuple[Part, ...], camera: dict[str, float] | None = None) -> t
 def _same(change: Callable[[Doubles, Longs], Triangles], kind: str = "obj", limit: float = SAME) -> Measured:
     """The image of the changed mesh against that of the solid as it was."""
     write = as_obj if kind == "obj" else as_stl
-    faces = settings().max_faces
+    faces = DEFAULTS.max_faces
     plain, changed = read_mesh(as_obj(*_solid()), "obj", faces), read_mesh(write(*change(*_solid())), kind, faces)
     first, second = _shown(plain), _shown(changed)
     need(float(first.std()) > 0.05, "the image shows nothing")
@@ -97,7 +97,7 @@ def _open() -> Measured:
     # What reaches furthest along each axis stays, so that the sphere is fitted to the frame as before.
     torn = faces[(height > -0.3) | (height < -0.9)]
     need(len(torn) < len(faces) * 0.8, "hardly anything is missing")
-    limit, front = settings().max_faces, {"azimuth": 0.0, "elevation": 0.0}
+    limit, front = DEFAULTS.max_faces, {"azimuth": 0.0, "elevation": 0.0}
     # From +z; a little less than half is seen, nothing of the missing band.
     first, second = (_shown(read_mesh(as_obj(vertices, f), "obj", limit), front) for f in (faces, torn))
     return Measured(
@@ -108,7 +108,7 @@ def _open() -> Measured:
 def _rounded(count: int) -> Measured:
     """A sphere of very many triangles has the normals of a sphere."""
     ball = trimesh.creation.uv_sphere(count=[int((count / 4) ** 0.5) + 2] * 2)
-    parts = read_mesh(as_stl(np.asarray(ball.vertices), np.asarray(ball.faces)), "stl", settings().max_faces)
+    parts = read_mesh(as_stl(np.asarray(ball.vertices), np.asarray(ball.faces)), "stl", DEFAULTS.max_faces)
     need(sum(len(part.faces) for part in parts) > 0.95 * len(ball.faces), "triangles were lost")
     need(len(ball.faces) >= count, f"only {len(ball.faces):,} triangles")
     scene = placed(parts, size=(64, 64))
@@ -121,7 +121,7 @@ def _rounded(count: int) -> Measured:
 
 
 def _read(vertices: Doubles, faces: Longs, limit: int | None = None) -> Measured:
-    parts = read_mesh(as_obj(vertices, faces), "obj", limit or settings().max_faces)
+    parts = read_mesh(as_obj(vertices, faces), "obj", limit or DEFAULTS.max_faces)
     return Measured(float(len(parts)), 0.0, "parts read")
 
 

@@ -1,6 +1,5 @@
 """Methods of shading one object that the report compares: sums, tables, transport and what a plan picks."""
 
-import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -8,12 +7,12 @@ from dataclasses import dataclass, replace
 import torch
 
 from services.accuracy.work_precision.shading_subject import GROUPS, Subject
+from services.process import replaced
 from services.rendering.kernels import compiled
 from services.rendering.plan import Tolerance
 from services.rendering.torch_renderer.error_estimates import roughness
 from services.rendering.torch_renderer.planner import ROUGHNESS_ROWS, TABLE_ROWS, compile_plan, exact_recipe
 from services.rendering.torch_renderer.shader import Method, Recipe
-from services.settings import settings
 
 PER_PIXEL_TEXELS = (0, 8, 32, 128)
 """Texels of the map that are summed at each pixel beside a table."""
@@ -99,20 +98,10 @@ def _planned(groups: tuple[str, ...], tolerance: Tolerance) -> Callable[[Subject
 @contextmanager
 def kernel(wanted: str) -> Iterator[None]:
     """Shading by compiled kernels ("native") or torch ("torch") within. Raises JobFailure where there are none."""
-    before = os.environ.get("SCENE_ATTACK_KERNEL")
-    try:
-        os.environ["SCENE_ATTACK_KERNEL"] = wanted
-        _forget()
-        compiled.library()
-        yield
-    finally:
-        if before is None:
-            del os.environ["SCENE_ATTACK_KERNEL"]
-        else:
-            os.environ["SCENE_ATTACK_KERNEL"] = before
-        _forget()
-
-
-def _forget() -> None:
-    settings.cache_clear()
     compiled.library.cache_clear()
+    try:
+        with replaced(kernel=wanted):
+            compiled.library()
+            yield
+    finally:
+        compiled.library.cache_clear()

@@ -18,8 +18,9 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from services.errors import InvalidRequest
+from services.process import options, use
 from services.rendering.kernels import processor
-from services.settings import settings
+from services.settings import Settings
 
 SOURCES = Path(__file__).parent
 SUFFIXES = (".cpp", ".h")
@@ -98,7 +99,7 @@ def check_kernels() -> None:
 
     Raises InvalidRequest, naming the setting, if there are none: a service would accept jobs and fail each of them.
     """
-    if settings().kernel != "native":
+    if options().kernel != "native":
         return
     try:
         library_path()
@@ -115,7 +116,7 @@ def sources_sha256() -> str:
 
 def flags() -> tuple[str, ...]:
     """Returns the compiler's flags for SCENE_ATTACK_KERNEL_ARCH on this machine."""
-    arch, machine = settings().kernel_arch, platform.machine()
+    arch, machine = options().kernel_arch, platform.machine()
     if arch == "portable":
         arch = PORTABLE.get(machine, "")
     if machine != "x86_64":
@@ -127,11 +128,11 @@ def _wanted() -> Path:
     """Returns the path of the library for the sources, the flags and, if they are specific to it, the processor."""
     about = [sources_sha256(), platform.machine(), *flags(), _processor()]
     name = hashlib.sha256("\n".join(about).encode()).hexdigest()[:32]
-    return settings().kernel_folder / f"{name}.so"
+    return options().kernel_dir / f"{name}.so"
 
 
 def _processor() -> str:
-    return processor.identity() if settings().kernel_arch == "native" else ""
+    return processor.identity() if options().kernel_arch == "native" else ""
 
 
 def _manifest(path: Path) -> Manifest | None:
@@ -150,7 +151,7 @@ def _sha256(path: Path) -> str | None:
 
 def _why_none() -> str:
     """Returns the reason why the newest library in the folder may not be loaded."""
-    folder = settings().kernel_folder
+    folder = options().kernel_dir
     newest = max(folder.glob("*.json"), key=lambda path: path.stat().st_mtime, default=None)
     manifest = None if newest is None else _manifest(newest)
     if manifest is None:
@@ -190,6 +191,7 @@ def _output(*command: str) -> str:
 
 
 if __name__ == "__main__":
+    use(Settings())
     try:
         made, _ = library_path()
     except subprocess.CalledProcessError as error:

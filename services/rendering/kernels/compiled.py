@@ -16,8 +16,8 @@ import torch
 from torch import Tensor
 
 from services.errors import JobFailure
+from services.process import options
 from services.rendering.kernels import arguments, build, layouts
-from services.settings import settings
 
 NAMES = {torch.float32: "float", torch.float64: "double"}
 
@@ -38,7 +38,7 @@ def library() -> Library | None:
     Raises JobFailure("internal") if SCENE_ATTACK_KERNEL=native and there are no kernels, LayoutError if Python's
     structures differ from the library's.
     """
-    wanted = settings().kernel
+    wanted = options().kernel
     if wanted == "torch":
         return None
     try:

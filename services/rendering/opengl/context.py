@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from services.errors import JobFailure
+from services.process import options
 from services.rendering.opengl import probe
-from services.settings import settings
 
 if TYPE_CHECKING:
     from services.rendering.opengl.render_pass import FloatRenderer
@@ -70,7 +70,7 @@ def choose_platform() -> str:
     A PYOPENGL_PLATFORM that is already set is kept. Otherwise the setting `gl` decides; "auto" takes EGL if a separate
     process can draw with it (a broken driver may abort the process that tries it), else OSMesa.
     """
-    wanted = settings().gl
+    wanted = options().gl
     chosen = os.environ.get("PYOPENGL_PLATFORM")
     if chosen is not None:
         if chosen not in PLATFORMS:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from services import atomic_write
-from services.settings import settings
+from services.process import options
 
 SECONDS = 300.0
 """Time after which a driver hangs. On a busy machine a process may take minutes, and must not draw otherwise than on an
@@ -91,7 +91,7 @@ def _take() -> dict[str, Any] | None:
 
 
 def _path() -> Path:
-    return settings().cache_dir / "egl.json"
+    return options().cache / "egl.json"
 
 
 def _surroundings() -> list[object]:

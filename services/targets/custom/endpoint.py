@@ -19,7 +19,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from services.errors import JobFailure
-from services.targets.custom.allow_list import endpoint_refusal, resolve
+from services.targets.custom.allow_list import AllowList
 from services.targets.custom.graph import Unreadable
 
 MOST_IMAGES = 32
@@ -47,6 +47,8 @@ class Endpoint:
     """Whether it returns probabilities, of which the logarithm is taken."""
     weights_sha256: str
     """SHA-256 (hex) of its card: what it computes cannot be seen."""
+    allowed: AllowList
+    """The operator's lists, which the URL and the addresses of its host are checked against."""
     waits: tuple[float, ...] = (0.5, 2.0)
     """Seconds before each further try."""
     most_seconds: float = 60.0
@@ -57,7 +59,7 @@ class Endpoint:
     """The reason for which it has no gradients."""
 
     def __post_init__(self) -> None:
-        reason = endpoint_refusal(self.url)
+        reason = self.allowed.endpoint_refusal(self.url)
         if reason is not None:
             raise Unreadable(reason)
         self._socket: socket.socket | None = None
@@ -113,7 +115,7 @@ class Endpoint:
             "Accept-Encoding": "identity",
             "Idempotency-Key": hashlib.sha256(body).hexdigest(),  # a repeated request is the same request
         }
-        place = url.copy_with(host=resolve(url.host, url.port or (443 if url.scheme == "https" else 80)))
+        place = url.copy_with(host=self.allowed.resolve(url.host, url.port or (443 if url.scheme == "https" else 80)))
         extensions = {"sni_hostname": url.host, "trace": self._keep_socket}
         # httpx limits the time between two parts of an answer; a head that comes byte by byte would never end
         with (

@@ -13,13 +13,13 @@ import torch
 from torch import Tensor, nn
 
 from services.errors import out_of_memory, summary
-from services.targets.custom.allow_list import factory_refusal
+from services.targets.custom.allow_list import AllowList
 from services.targets.custom.graph import Unreadable
 
 
-def make(factory: str) -> Any:
+def make(factory: str, allowed: AllowList) -> Any:
     """Returns what the factory returns. Raises Unreadable if it is not allowed, does not exist or fails."""
-    reason = factory_refusal(factory)
+    reason = allowed.factory_refusal(factory)
     if reason is not None:
         raise Unreadable(reason)
     module, _, function = factory.partition(":")

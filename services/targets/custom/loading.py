@@ -10,6 +10,7 @@ from services.errors import InvalidRequest
 from services.targets.architectures import ARCHITECTURES, AnsweringArchitecture, Architecture
 from services.targets.classifier import Classifier
 from services.targets.custom import exported, factory, weights
+from services.targets.custom.allow_list import AllowList
 from services.targets.custom.card import Card
 from services.targets.custom.endpoint import Endpoint
 from services.targets.custom.graph import Unreadable
@@ -67,32 +68,44 @@ def classifier(
 
 
 def load(
-    name: str, file: Path | None, card: Card, labels: tuple[str, ...], card_sha256: str, dtype: torch.dtype
+    name: str,
+    file: Path | None,
+    card: Card,
+    labels: tuple[str, ...],
+    card_sha256: str,
+    allowed: AllowList,
+    dtype: torch.dtype,
 ) -> Target:
     """Returns the target. `file` is the model file; None for a factory or an endpoint.
 
     Raises InvalidRequest("target.name"), which says why and what is missing, if it cannot be loaded.
     """
     try:
-        return _load(name, file, card, labels, card_sha256, dtype)
+        return _load(name, file, card, labels, card_sha256, allowed, dtype)
     except (Unreadable, OSError) as error:
         what = card.factory or card.endpoint if file is None else file.name
         raise InvalidRequest("target.name", f"target {name!r} cannot be loaded: {what}: {error}") from error
 
 
 def _load(
-    name: str, file: Path | None, card: Card, labels: tuple[str, ...], card_sha256: str, dtype: torch.dtype
+    name: str,
+    file: Path | None,
+    card: Card,
+    labels: tuple[str, ...],
+    card_sha256: str,
+    allowed: AllowList,
+    dtype: torch.dtype,
 ) -> Target:
     size, probabilities = card.preprocessing.input_size, card.output == "probabilities"
     architecture = None if card.architecture is None else ARCHITECTURES[card.architecture]
     if file is not None and isinstance(architecture, AnsweringArchitecture):
         return _answering(name, file, card, architecture, dtype)
     if card.endpoint is not None:
-        return Endpoint(name, card.endpoint, labels, size, probabilities, card_sha256)
+        return Endpoint(name, card.endpoint, labels, size, probabilities, card_sha256, allowed)
     scores_only: str | None = None
     if file is None:
         assert card.factory is not None
-        made = factory.make(card.factory)
+        made = factory.make(card.factory, allowed)
         digest = factory.digest(made)
         if factory.is_maite(made):
             factory.check_labels(made, labels)

@@ -5,13 +5,13 @@ from pathlib import Path
 
 from services.accuracy.rasterised_images import beyond, compare, scenes
 from services.scenes.library import Library
-from services.settings import settings
+from services.settings import Settings
 
 PAGES = Path(__file__).parents[3] / "docs" / "accuracy"
 
 
 def test_no_image_is_off_by_more_than_its_plan_says() -> None:
-    library = Library(settings().cache_dir, settings().data_dir)
+    library = Library(Settings().cache_dir, Settings().data_dir)
     rows = [compare(scene, library, 1) for scene in scenes(2)]
     assert [len(row["meshes"]) >= 3 for row in rows] == [False, True]
     assert all(row["rasterised"] and row["images"] > 40 for row in rows)

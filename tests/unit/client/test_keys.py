@@ -1,7 +1,6 @@
 """The commands `keys` on a real database."""
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,15 +11,13 @@ from client.cli import app
 from services.access.keys import AccessKeys
 from services.errors import InvalidRequest
 from services.jobs.database import connect
-from services.settings import Settings, settings
+from services.settings import Settings
 
 
 @pytest.fixture(autouse=True)
-def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("SCENE_ATTACK_DATA", str(tmp_path))
-    settings.cache_clear()
-    yield tmp_path
-    settings.cache_clear()
+    return tmp_path
 
 
 def keys(*arguments: str) -> Any:
@@ -83,5 +80,4 @@ def test_a_key_of_another_data_folder_says_where_it_is(data: Path) -> None:
     done = CliRunner().invoke(app, ["keys", "create", "alice", "--data", str(other)])
     assert find(other, done.stdout.strip()) is not None
     assert f"It is in {other}." in done.stderr
-    settings.cache_clear()
     assert keys("list", "--data", str(data)) == []

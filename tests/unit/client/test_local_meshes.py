@@ -1,7 +1,6 @@
 """Specs that name meshes by their paths on this machine."""
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from client.cli import app
 from client.local_meshes import Adding, bundle_at, folder_of, to_library, with_meshes_added
 from services.errors import InvalidRequest
 from services.scenes.library import Library
-from services.settings import settings
+from services.settings import DEFAULTS, Settings
 from tests.unit.client.test_api_client import Script, client, says, script
 from tests.unit.scenes.test_beside import MTL, OBJ, image
 
@@ -30,22 +29,19 @@ def library(tmp_path: Path) -> Library:
 
 def into(library: Library) -> Adding:
     def add(path: Path) -> tuple[str, tuple[str, ...]]:
-        entry = library.add(bundle_at(path))
+        entry = library.add(bundle_at(path, DEFAULTS))
         return entry.name, tuple(entry.notes)
 
     return add
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with a mesh and its material; uploads of this machine are beside it."""
     (tmp_path / "chair.obj").write_bytes(OBJ)
     (tmp_path / "my chair.mtl").write_bytes(MTL)
     monkeypatch.setenv("SCENE_ATTACK_DATA", str(tmp_path / "data"))
-    settings.cache_clear()
-    yield tmp_path
-    monkeypatch.undo()
-    settings.cache_clear()
+    return tmp_path
 
 
 def written(folder: Path, data: dict[str, Any]) -> str:
@@ -173,4 +169,4 @@ def test_attack_takes_a_file_of_the_working_directory(folder: Path, monkeypatch:
         {"attack": {"renderer": "pyrender", "steps": 1, "queries": 4}},
         preprocessing={"input_size": [16, 16]},
     )
-    assert found.spec["scene"]["objects"][0]["mesh"] == to_library(folder / "chair.obj")[0]
+    assert found.spec["scene"]["objects"][0]["mesh"] == to_library(Settings())(folder / "chair.obj")[0]

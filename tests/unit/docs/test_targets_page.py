@@ -14,9 +14,10 @@ import torch
 
 from services.extensions import load
 from services.pipeline.target_folders import register_folders
-from services.settings import settings
+from services.settings import Settings
 from services.targets import registry
 from services.targets.architectures import ARCHITECTURES
+from services.targets.custom.allow_list import AllowList
 from services.targets.custom.card import Card
 from services.targets.preprocessing import Preprocessing
 from tests.unit.targets.custom.registries import restored
@@ -64,16 +65,16 @@ def folder(server: HTTPServer, tmp_path_factory: pytest.TempPathFactory) -> Path
 def registered(folder: Path, server: HTTPServer, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """The page's folders as targets, its extension and its server."""
     with restored(monkeypatch):
-        for variable, name in re.findall(r"^export SCENE_ATTACK_TARGET_(\w+)=(.*)$", PAGE, re.M):
-            monkeypatch.setenv(f"SCENE_ATTACK_TARGET_{variable}", at(server, name))
-        settings.cache_clear()
+        exported = re.findall(r"^export SCENE_ATTACK_(TARGET_\w+)=(.*)$", PAGE, re.M)
+        listed = Settings.model_validate({name.lower(): at(server, value) for name, value in exported})
         monkeypatch.syspath_prepend(folder)
         names: dict[str, type[BaseHTTPRequestHandler]] = {}
         exec(compile(BLOCKS["serve.py"], "serve.py", "exec"), names)
         server.RequestHandlerClass = names["Handler"]
         (extension,) = load([folder / "architecture.py"], (ARCHITECTURES,))
         assert extension.error is None
-        assert {one.name: one.error for one in register_folders(folder / "mine")} == dict.fromkeys(TARGET_NAMES)
+        folders = register_folders(folder / "mine", AllowList.of(listed))
+        assert {one.name: one.error for one in folders} == dict.fromkeys(TARGET_NAMES)
         yield
     for name in ("small", "maite_model"):
         sys.modules.pop(name, None)

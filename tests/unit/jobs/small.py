@@ -4,9 +4,9 @@ from typing import Any
 
 from services.pipeline.spec import JobSpec, parse
 from services.scenes.library import Library
-from services.settings import settings
+from services.settings import Settings
 
-LIBRARY = Library(settings().cache_dir, settings().data_dir)
+LIBRARY = Library(Settings().cache_dir, Settings().data_dir)
 SPHERE = {"objects": [{"mesh": "primitive/sphere"}], "camera": {"size": [64, 64]}}
 
 

@@ -2,9 +2,7 @@ import pytest
 
 from services.errors import JobFailure
 from services.jobs import preflight_process
-from services.jobs.memory_limit import memory_limit
 from services.jobs.preflight_process import answer
-from services.settings import settings
 from tests.unit.jobs.small import LIBRARY, spec
 
 
@@ -16,6 +14,6 @@ def test_a_spec_that_can_never_fit_memory_is_the_clients_mistake(
         raise error
 
     monkeypatch.setattr(preflight_process, "preflight", refuse)
-    said = answer({"check": spec().model_dump(mode="json")}, b"", LIBRARY)
+    said = answer({"check": spec().model_dump(mode="json")}, b"", LIBRARY, 4 * 2**30)
     assert said["field"] == "scene"
-    assert f"{memory_limit(settings()) / 2**30:.3g} GiB" in said["detail"]
+    assert "4 GiB" in said["detail"]

@@ -42,6 +42,7 @@ def test_twice_the_same_bytes_and_again_in_another_process(attack: dict[str, Any
     assert results[0].attacked == results[1].attacked
     code = (
         "import sys; from pathlib import Path; from services.pipeline.replay import replay;"
+        "from services.pipeline.extensions import set_up; from services.settings import Settings; set_up(Settings());"
         "from tests.unit.jobs.small import LIBRARY; print(replay(Path(sys.argv[1]), LIBRARY).model_dump_json())"
     )
     done = subprocess.run(

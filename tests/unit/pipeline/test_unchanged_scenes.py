@@ -24,7 +24,7 @@ from services.rendering.factory import build
 from services.rendering.kernels import compiled
 from services.scenes.library import Library
 from services.scenes.resolve import canonical_json, resolve
-from services.settings import settings
+from services.settings import Settings
 from tests.unit.scenes.old_uploads import add_as_before
 
 PINNED = Path(__file__).with_name("unchanged_scenes.json")
@@ -59,7 +59,7 @@ RENDERERS = ("pyrender", "torch")
 
 def library(directory: Path) -> Library:
     add_as_before(directory / "assets", MODELS["two materials"](), "glb")
-    return Library(settings().cache_dir, directory)
+    return Library(Settings().cache_dir, directory)
 
 
 def described(name: str, assets: Library) -> dict[str, str]:

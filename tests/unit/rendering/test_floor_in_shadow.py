@@ -15,7 +15,7 @@ from services.scenes.description import Scene
 from services.scenes.library import Library
 from services.scenes.mesh import FIT_RADIUS
 from services.scenes.resolve import ResolvedScene, resolve
-from services.settings import settings
+from services.settings import Settings
 
 SIDE = 2.5
 BALL = {"mesh": "primitive/sphere", "material": "matte", "scale": 0.4, "color": (0.8, 0.3, 0.1)}
@@ -31,7 +31,7 @@ SQUARE = {
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory: pytest.TempPathFactory) -> Library:
-    return Library(settings().cache_dir, tmp_path_factory.mktemp("data"))
+    return Library(Settings().cache_dir, tmp_path_factory.mktemp("data"))
 
 
 def scene(library: Library, *objects: dict[str, Any], **more: Any) -> ResolvedScene:

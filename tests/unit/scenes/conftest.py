@@ -3,7 +3,7 @@
 import pytest
 
 from services.scenes.library import Library
-from services.settings import settings
+from services.settings import Settings
 
 
 @pytest.fixture(scope="session")
@@ -11,7 +11,7 @@ def assets(tmp_path_factory):
     """A cache directory with the installed archives and maps, and nothing processed yet."""
     cache = tmp_path_factory.mktemp("cache")
     for name in ("furniture", "environments"):
-        source = settings().cache_dir / name
+        source = Settings().cache_dir / name
         if not source.is_dir():
             pytest.fail(f"there is no {source}; run scripts/setup first")
         (cache / name).symlink_to(source)

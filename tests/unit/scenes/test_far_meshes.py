@@ -15,7 +15,7 @@ from services.scenes.isolated_reading import reader
 from services.scenes.library import Library
 from services.scenes.reading_process import exported
 from services.scenes.resolve import resolve
-from services.settings import settings
+from services.settings import Settings
 
 OFFSET = np.array([2.0**20, 2.0**21, -3.0 * 2**18])
 """About 2,400 km, in metres."""
@@ -82,7 +82,7 @@ def test_a_note_says_what_32_bits_have_lost_of_a_far_mesh(kind: str, ball: trime
 
 
 def test_the_image_of_a_far_mesh_is_that_of_the_mesh_at_the_origin(tmp_path, ball: trimesh.Trimesh) -> None:
-    library = Library(settings().cache_dir, tmp_path)
+    library = Library(Settings().cache_dir, tmp_path)
     images = []
     for offset in (0.0 * OFFSET, OFFSET):
         name = library.add(Bundle("ply", ply(ball.vertices + offset, ball.faces), {})).name

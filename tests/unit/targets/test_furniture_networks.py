@@ -13,7 +13,7 @@ from services.scenes.description import Scene, SceneObject
 from services.scenes.furniture_kinds import PREFIX, kind_of
 from services.scenes.library import Library
 from services.scenes.resolve import resolve
-from services.settings import settings
+from services.settings import Settings
 from services.targets import registry
 from services.targets.classifier import Classifier
 from services.targets.furniture_networks import facts
@@ -30,7 +30,7 @@ CARDS = {info.name: info for info in available() if info.vocabulary == "furnitur
 @pytest.fixture(scope="module")
 def views(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[str, torch.Tensor]]:
     """Kind and default view of the first held-out model of every other class."""
-    library = Library(settings().cache_dir, tmp_path_factory.mktemp("data"))
+    library = Library(Settings().cache_dir, tmp_path_factory.mktemp("data"))
     names = [PREFIX + committed().held_out[kind][0] for kind in committed().classes[::2]]
     scenes = [resolve(Scene(objects=(SceneObject(mesh=name),)), library) for name in names]
     return [

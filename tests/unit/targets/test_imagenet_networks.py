@@ -10,7 +10,7 @@ import torch
 from torch import nn
 
 from services.errors import InvalidRequest
-from services.settings import settings
+from services.process import replaced
 from services.targets import registry
 from services.targets.imagenet import imagenet_labels
 from services.targets.imagenet_networks import ALEXNET, RESNET34, load_published
@@ -21,11 +21,9 @@ def _network() -> nn.Module:
 
 
 @pytest.fixture
-def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setenv("SCENE_ATTACK_CACHE", str(tmp_path))
-    settings.cache_clear()
-    yield
-    settings.cache_clear()
+def _cache(tmp_path: Path):
+    with replaced(cache=tmp_path):
+        yield
 
 
 def _card(server, data: bytes):

@@ -2,7 +2,7 @@
 
 from services.scenes.furniture_kinds import PREFIX, kinds
 from services.scenes.library import Library
-from services.settings import settings
+from services.settings import Settings
 from services.targets.imagenet import imagenet_labels
 from services.targets.registry import card
 from services.targets.truth import imagenet_table, same_labels, truth_labels
@@ -12,7 +12,7 @@ IMAGENET = card("efficientnet-lite0")
 
 def test_every_mesh_and_kind_of_the_table_is_in_the_library() -> None:
     table = imagenet_table()
-    library = {entry.name for entry in Library(settings().cache_dir, settings().data_dir).entries()}
+    library = {entry.name for entry in Library(Settings().cache_dir, Settings().data_dir).entries()}
     assert [mesh for mesh in table["meshes"] if PREFIX + mesh not in library] == []
     assert [kind for kind in table["kinds"] if kind not in kinds()] == []
 

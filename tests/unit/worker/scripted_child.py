@@ -4,14 +4,14 @@ import os
 import signal
 
 from services.jobs.child import connect, reply, requests
-from services.settings import settings
+from services.settings import Settings
 
 if __name__ == "__main__":
     connection = connect()
     abilities = {"device": "cpu", "targets": ["efficientnet-lite0"], "memory": 7}
     reply(connection, {"ready": os.getpid(), "abilities": abilities})
     for message, _ in requests(connection):
-        script = (settings().data_dir / "script").read_text()
+        script = (Settings().data_dir / "script").read_text()
         if script == "die":
             os.kill(os.getpid(), signal.SIGKILL)
         if script == "hang":

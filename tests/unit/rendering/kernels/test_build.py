@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from services.errors import InvalidRequest, JobFailure
+from services.process import replaced
 from services.rendering.kernels import build, compiled, processor
 from services.rendering.torch_renderer import normals
-from services.settings import settings
 
 pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
 
@@ -19,27 +19,18 @@ pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ comp
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with kernels compiled for any processor of this kind."""
     found = tmp_path_factory.mktemp("kernels")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("SCENE_ATTACK_KERNEL_DIR", str(found))
-        patch.setenv("SCENE_ATTACK_KERNEL_ARCH", "portable")
-        settings.cache_clear()
+    with replaced(kernel_dir=found, kernel_arch="portable"):
         build.library_path()
-    settings.cache_clear()
     return found
 
 
 @pytest.fixture
 def prebuilt(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """That folder in a process that has no compiler and loads no other kernels."""
-    monkeypatch.setenv("SCENE_ATTACK_KERNEL_DIR", str(folder))
-    monkeypatch.setenv("SCENE_ATTACK_KERNEL_ARCH", "portable")
-    monkeypatch.setenv("SCENE_ATTACK_KERNEL", "native")
     monkeypatch.setenv("CXX", "no-such-compiler")
-    settings.cache_clear()
     compiled.library.cache_clear()
-    yield folder
-    monkeypatch.undo()
-    settings.cache_clear()
+    with replaced(kernel_dir=folder, kernel_arch="portable", kernel="native"):
+        yield folder
     compiled.library.cache_clear()
 
 
@@ -79,64 +70,53 @@ def test_kernels_for_a_better_processor_are_refused(monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.usefixtures("prebuilt")
-def test_kernels_for_another_setting_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("SCENE_ATTACK_KERNEL_ARCH", "native")
-    settings.cache_clear()
-    with pytest.raises(build.KernelsMissingError, match="other flags; SCENE_ATTACK_KERNEL_ARCH"):
+def test_kernels_for_another_setting_are_refused() -> None:
+    with (
+        replaced(kernel_arch="native"),
+        pytest.raises(build.KernelsMissingError, match="other flags; SCENE_ATTACK_KERNEL_ARCH"),
+    ):
         build.library_path()
 
 
 @pytest.mark.usefixtures("prebuilt")
-def test_no_kernels_and_no_compiler_leave_torch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("SCENE_ATTACK_KERNEL_DIR", str(tmp_path))
-    monkeypatch.setenv("SCENE_ATTACK_KERNEL", "auto")
-    settings.cache_clear()
-    assert compiled.library() is None
-    assert compiled.backend() == "torch"
+def test_no_kernels_and_no_compiler_leave_torch(tmp_path: Path) -> None:
+    with replaced(kernel_dir=tmp_path, kernel="auto"):
+        assert compiled.library() is None
+        assert compiled.backend() == "torch"
 
 
 @pytest.mark.parametrize("left", [0, 1000])
-def test_a_library_cut_short_is_not_loaded(
-    prebuilt: Path, left: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_library_cut_short_is_not_loaded(prebuilt: Path, left: int, tmp_path: Path) -> None:
     """The loader would end the process with a bus error."""
     shutil.copytree(prebuilt, tmp_path / "copy")
     [cut] = (tmp_path / "copy").glob("*.so")
     cut.write_bytes(cut.read_bytes()[:left])
-    monkeypatch.setenv("SCENE_ATTACK_KERNEL_DIR", str(tmp_path / "copy"))
-    settings.cache_clear()
-    with pytest.raises(JobFailure, match="damaged: the library is not the one that was compiled"):
+    damaged = "damaged: the library is not the one that was compiled"
+    with replaced(kernel_dir=tmp_path / "copy"), pytest.raises(JobFailure, match=damaged):
         compiled.library()
 
 
 @pytest.mark.usefixtures("prebuilt")
-def test_a_manifest_that_is_damaged_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_manifest_that_is_damaged_is_none(tmp_path: Path) -> None:
     path, _ = build.library_path()
     shutil.copy(path, tmp_path)
     (tmp_path / path.with_suffix(".json").name).write_text("{")
-    monkeypatch.setenv("SCENE_ATTACK_KERNEL_DIR", str(tmp_path))
-    settings.cache_clear()
-    with pytest.raises(build.KernelsMissingError, match="no compiled kernels"):
+    with replaced(kernel_dir=tmp_path), pytest.raises(build.KernelsMissingError, match="no compiled kernels"):
         build.library_path()
 
 
 @pytest.mark.parametrize("place", ["a file", "a file/below", "/proc/nothing"])
-def test_a_folder_that_cannot_be_written_is_named(place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_that_cannot_be_written_is_named(place: str, tmp_path: Path) -> None:
     """The message was "[Errno 17] File exists", and a service started with it."""
     (tmp_path / "a file").write_text("")
-    monkeypatch.setenv("SCENE_ATTACK_KERNEL_DIR", str(tmp_path / place))
-    monkeypatch.setenv("SCENE_ATTACK_KERNEL", "native")
-    settings.cache_clear()
     words = rf"{tmp_path / place} \(SCENE_ATTACK_KERNEL_DIR\): [A-Z]"
-    with pytest.raises(build.KernelsMissingError, match=words):
-        build.library_path()
-    with pytest.raises(InvalidRequest, match=f"SCENE_ATTACK_KERNEL=native: .*{words}"):
+    with replaced(kernel_dir=tmp_path / place, kernel="native"):
+        with pytest.raises(build.KernelsMissingError, match=words):
+            build.library_path()
+        with pytest.raises(InvalidRequest, match=f"SCENE_ATTACK_KERNEL=native: .*{words}"):
+            build.check_kernels()
+    with replaced(kernel_dir=tmp_path / place, kernel="auto"):
         build.check_kernels()
-    monkeypatch.setenv("SCENE_ATTACK_KERNEL", "auto")
-    settings.cache_clear()
-    build.check_kernels()
-    monkeypatch.undo()
-    settings.cache_clear()
 
 
 def test_native_kernels_and_an_empty_path(prebuilt: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -146,9 +126,8 @@ def test_native_kernels_and_an_empty_path(prebuilt: Path, tmp_path: Path, monkey
     build.check_kernels()
     assert compiled.library() is not None
     assert build.library_path()[0].parent == prebuilt
-    monkeypatch.setenv("SCENE_ATTACK_KERNEL_DIR", str(tmp_path))
-    settings.cache_clear()
-    with pytest.raises(InvalidRequest, match=r"SCENE_ATTACK_KERNEL=native: .* no C\+\+ compiler; install g\+\+"):
+    missing = r"SCENE_ATTACK_KERNEL=native: .* no C\+\+ compiler; install g\+\+"
+    with replaced(kernel_dir=tmp_path), pytest.raises(InvalidRequest, match=missing):
         build.check_kernels()
 
 

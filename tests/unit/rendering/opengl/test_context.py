@@ -8,23 +8,21 @@ import pytest
 import torch
 
 from services.errors import JobFailure
+from services.process import replaced
 from services.rendering.opengl import context, probe
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
-from services.settings import settings
 from tests.unit.rendering.shapes import PLATFORMS, mesh, on_platform, placed, quad, scene
 
 
 @pytest.fixture
 def fresh(monkeypatch: pytest.MonkeyPatch, tmp_path):
-    """The environment of a process that has not chosen a platform yet, nor any before it; settings are read again."""
-    monkeypatch.setenv("SCENE_ATTACK_CACHE", str(tmp_path))
+    """The environment of a process that has not chosen a platform yet, nor any before it."""
     monkeypatch.setattr(probe, "_taken", {})
-    for name in ("PYOPENGL_PLATFORM", "EGL_DEVICE_ID", "SCENE_ATTACK_GL"):
+    for name in ("PYOPENGL_PLATFORM", "EGL_DEVICE_ID"):
         monkeypatch.setenv(name, "")  # so that what the code under test sets is taken back afterwards
         monkeypatch.delenv(name)
-    settings.cache_clear()
-    yield monkeypatch
-    settings.cache_clear()
+    with replaced(cache=tmp_path, gl="auto"):
+        yield monkeypatch
 
 
 def test_the_backend_names_platform_driver_and_libraries() -> None:
@@ -50,8 +48,7 @@ def test_auto_falls_back_to_osmesa_where_egl_does_not_draw(fresh: pytest.MonkeyP
 
 def test_egl_on_demand_says_what_to_install_where_it_does_not_draw(fresh: pytest.MonkeyPatch) -> None:
     fresh.setenv("EGL_DEVICE_ID", "99")
-    fresh.setenv("SCENE_ATTACK_GL", "egl")
-    with pytest.raises(JobFailure, match=r"EGL does not work here .*libegl1 .*libosmesa6"):
+    with replaced(gl="egl"), pytest.raises(JobFailure, match=r"EGL does not work here .*libegl1 .*libosmesa6"):
         context.choose_platform()
 
 
@@ -66,9 +63,7 @@ def test_a_platform_that_fails_says_what_to_install() -> None:
 def test_a_platform_already_chosen_is_kept(fresh: pytest.MonkeyPatch) -> None:
     fresh.setenv("PYOPENGL_PLATFORM", "osmesa")
     assert context.choose_platform() == "osmesa"
-    fresh.setenv("SCENE_ATTACK_GL", "egl")
-    settings.cache_clear()
-    with pytest.raises(JobFailure, match="contradicts"):
+    with replaced(gl="egl"), pytest.raises(JobFailure, match="contradicts"):
         context.choose_platform()
     fresh.setenv("PYOPENGL_PLATFORM", "glx")
     with pytest.raises(JobFailure, match="use egl or osmesa"):

@@ -10,7 +10,7 @@ from services.rendering.opengl.gbuffer import rasterise
 from services.scenes.description import Scene
 from services.scenes.library import Library
 from services.scenes.resolve import resolve
-from services.settings import settings
+from services.settings import Settings
 
 UP, SIDE = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 
@@ -75,7 +75,7 @@ def test_an_image_is_covered_as_before(tmp_path) -> None:
             "floor": {"size": 2.0, "height": -0.1},
         }
     )
-    gbuffer = rasterise(resolve(description, Library(settings().cache_dir, tmp_path)))
+    gbuffer = rasterise(resolve(description, Library(Settings().cache_dir, tmp_path)))
     found = gbuffer.fragments
     assert found is not None
     total = torch.zeros(30 * 40).index_add(0, found.pixels, found.share).reshape(30, 40)
@@ -91,7 +91,7 @@ def test_an_image_is_covered_as_before(tmp_path) -> None:
 
 def test_without_a_floor_there_are_none(tmp_path) -> None:
     description = Scene.model_validate({"camera": {"size": (12, 16)}, "objects": [{"mesh": "primitive/cube"}]})
-    gbuffer = rasterise(resolve(description, Library(settings().cache_dir, tmp_path)))
+    gbuffer = rasterise(resolve(description, Library(Settings().cache_dir, tmp_path)))
     assert gbuffer.fragments is None
     whole = gbuffer.surfaces()
     assert len(whole.pixels) == (gbuffer.coverage > 0).sum()

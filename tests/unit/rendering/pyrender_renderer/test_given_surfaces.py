@@ -14,7 +14,7 @@ from services.scenes.description import Scene
 from services.scenes.library import Library
 from services.scenes.mesh import FIT_RADIUS
 from services.scenes.resolve import ResolvedScene, resolve
-from services.settings import settings
+from services.settings import Settings
 from tests.unit.rendering import shapes
 
 Array = np.ndarray
@@ -24,7 +24,7 @@ SIDE = 3.0
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory: pytest.TempPathFactory) -> Library:
-    return Library(settings().cache_dir, tmp_path_factory.mktemp("data"))
+    return Library(Settings().cache_dir, tmp_path_factory.mktemp("data"))
 
 
 def scene(

@@ -13,7 +13,7 @@ from services.scenes.description import Lights, Scene
 from services.scenes.library import Library
 from services.scenes.mesh import Mesh
 from services.scenes.resolve import resolve
-from services.settings import settings
+from services.settings import Settings
 from tests.unit.rendering.pyrender_renderer.rasterised_scenes import (
     GLASS,
     LIGHTS,
@@ -108,7 +108,7 @@ def test_gradients_are_as_smooth_as_those_of_opengl() -> None:
 def test_catalogue_models_are_within_the_default_tolerance(model: str, tmp_path: Path) -> None:
     """They have 436 to 56 thousand faces. Some are open, some watertight; some have textures, holes or glass."""
     found = Scene.model_validate({"objects": [{"mesh": f"furniture/{model}"}]})
-    renderer = PyrenderRenderer(resolve(found, Library(settings().cache_dir, tmp_path)))
+    renderer = PyrenderRenderer(resolve(found, Library(Settings().cache_dir, tmp_path)))
     assert renderer.rasterises
     [stage] = [stage for stage in renderer.plan.stages if stage.name == "rasterise"]
     here = error(renderer, both_sides(renderer.initial(), renderer.plan.groups))

@@ -21,7 +21,7 @@ from services.rendering.torch_renderer.shader import Recipe
 from services.scenes.description import Scene
 from services.scenes.library import Library
 from services.scenes.resolve import resolve
-from services.settings import settings
+from services.settings import Settings
 from tests.unit.rendering.shading import sky, sphere_gbuffer, sphere_scene
 
 ROWS = 32
@@ -211,7 +211,7 @@ def test_no_table_is_chosen_whose_check_fails_in_the_scenes_own_image() -> None:
     """Its pixels would be summed after all in every image. Plastic has highlights that the measured normals miss."""
     thing = {"mesh": "primitive/sphere", "material": "plastic", "scale": 0.73, "color": [0.8, 0.6, 0.4]}
     scene = Scene.model_validate({"objects": [thing], "camera": {"size": [448, 448]}})
-    renderer = build(resolve(scene, Library(settings().cache_dir, settings().data_dir)), "torch", groups=("normals",))
+    renderer = build(resolve(scene, Library(Settings().cache_dir, Settings().data_dir)), "torch", groups=("normals",))
     assert any(stage.name.startswith("sampled check") for stage in renderer.plan.stages)
     renderer.render({"normals": renderer.initial()["normals"][None]})
     assert isinstance(renderer, TorchRenderer)

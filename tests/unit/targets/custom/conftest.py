@@ -4,8 +4,9 @@ from pathlib import Path
 import pytest
 
 from services.pipeline.target_folders import TargetFolder, register_folders
-from services.settings import settings
+from services.settings import Settings
 from services.targets.architectures import register_architecture
+from services.targets.custom.allow_list import AllowList
 from tests.unit.targets.custom.registries import restored
 from tests.unit.targets.custom.small_network import SmallNetwork
 
@@ -20,10 +21,7 @@ def scan(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Scan]:
     """
 
     def run(root: Path = tmp_path, **values: str) -> tuple[TargetFolder, ...]:
-        for name, value in values.items():
-            monkeypatch.setenv(f"SCENE_ATTACK_{name.upper()}", value)
-        settings.cache_clear()
-        return register_folders(root)
+        return register_folders(root, AllowList.of(Settings.model_validate(values)))
 
     with restored(monkeypatch):
         register_architecture("small")(SmallNetwork)

@@ -5,7 +5,6 @@ from contextlib import contextmanager
 
 import pytest
 
-from services.settings import settings
 from services.targets import registry
 from services.targets.architectures import ARCHITECTURES
 from services.targets.info import TARGETS, UNAVAILABLE
@@ -13,11 +12,10 @@ from services.targets.info import TARGETS, UNAVAILABLE
 
 @contextmanager
 def restored(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Undoes, at the end, `monkeypatch` and what was registered, and empties the caches of settings and targets."""
+    """Undoes, at the end, `monkeypatch` and what was registered, and empties the caches of targets."""
     before, architectures = TARGETS.snapshot(), ARCHITECTURES.snapshot()
     yield
     monkeypatch.undo()
-    settings.cache_clear()
     TARGETS.restore(before)
     ARCHITECTURES.restore(architectures)
     UNAVAILABLE.clear()

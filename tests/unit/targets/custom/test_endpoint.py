@@ -8,7 +8,6 @@ import threading
 from collections.abc import Callable, Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -19,10 +18,8 @@ from services.errors import InvalidRequest, JobFailure
 from services.pipeline.execute import execute
 from services.pipeline.prepare import preflight
 from services.pipeline.spec import parse
-from services.settings import settings
 from services.targets import registry
-from services.targets.custom import allow_list
-from services.targets.custom.allow_list import endpoint_refusal, resolve
+from services.targets.custom.allow_list import AllowList
 from services.targets.custom.endpoint import MOST_IMAGES, Endpoint
 from services.targets.custom.graph import Unreadable
 from tests.unit.jobs.small import LIBRARY
@@ -85,26 +82,19 @@ class Handler(BaseHTTPRequestHandler):
 
 
 @pytest.fixture
-def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
+def server() -> Iterator[Server]:
     with Server() as made:
         thread = threading.Thread(target=made.serve_forever, kwargs={"poll_interval": 0.01})
         thread.start()
-        allow(monkeypatch, made.url)
         yield made
         made.shutdown()
         thread.join()
-    monkeypatch.undo()
-    settings.cache_clear()
-
-
-def allow(monkeypatch: pytest.MonkeyPatch, *addresses: str) -> None:
-    monkeypatch.setenv("SCENE_ATTACK_TARGET_ENDPOINTS", ", ".join(addresses))
-    settings.cache_clear()
 
 
 def target(url: str, **changes: Any) -> Endpoint:
+    allowed = AllowList(endpoints=frozenset([url]))
     options: dict[str, Any] = {"probabilities": False, "weights_sha256": "0" * 64, "waits": (0.0, 0.0)}
-    return Endpoint("far", url, LABELS, SIZE, **(options | changes))
+    return Endpoint("far", url, LABELS, SIZE, **({"allowed": allowed} | options | changes))
 
 
 def fixed(status: int, data: bytes = b"", **headers: str) -> Answer:
@@ -138,20 +128,19 @@ def test_a_server_that_is_busy_is_asked_again_with_the_same_request(server: Serv
     assert len(set(server.keys)) == 2
 
 
-def test_one_that_stays_away_is_unreachable(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_that_stays_away_is_unreachable(server: Server) -> None:
     server.answers = [fixed(503)]
     with pytest.raises(JobFailure, match=r"target-unreachable: .* did not answer in 3 tries: status 503"):
         target(server.url).logits(torch.zeros(1, *SIZE, 3))
     with socket.socket() as free:  # nobody listens on it
         free.bind(("127.0.0.1", 0))
         nobody = f"http://127.0.0.1:{free.getsockname()[1]}/"
-        allow(monkeypatch, nobody)
         with pytest.raises(JobFailure, match=r"target-unreachable: .* did not answer in 3 tries"):
             target(nobody).logits(torch.zeros(1, *SIZE, 3))
 
 
 @pytest.mark.parametrize("begun", [b"HTTP/1.1 200 OK\r\nServer: slow\r\n", b"HTTP/1.0 200 OK\r\n\r\n{"])
-def test_an_answer_that_begins_and_never_ends_is_given_up(begun: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_answer_that_begins_and_never_ends_is_given_up(begun: bytes) -> None:
     def answer() -> None:
         for _ in range(3):
             connection, _ = listening.accept()
@@ -162,7 +151,6 @@ def test_an_answer_that_begins_and_never_ends_is_given_up(begun: bytes, monkeypa
 
     with socket.create_server(("127.0.0.1", 0)) as listening:
         url = f"http://127.0.0.1:{listening.getsockname()[1]}/"
-        allow(monkeypatch, url)
         thread = threading.Thread(target=answer, daemon=True)
         thread.start()
         with pytest.raises(JobFailure, match=r"target-unreachable: .* in 3 tries: no whole answer in 0.1 s"):
@@ -202,13 +190,12 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("url", REFUSED)
-def test_addresses_that_are_refused(url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_addresses_that_are_refused(url: str) -> None:
     # The settings refuse such a list themselves; the rules of an address hold whatever is listed.
-    listed = SimpleNamespace(allowed_endpoints=[one for one in REFUSED if "other" not in one])
-    monkeypatch.setattr(allow_list, "settings", lambda: listed)
-    assert REFUSED[url] in str(endpoint_refusal(url))
+    allowed = AllowList(endpoints=frozenset(one for one in REFUSED if "other" not in one))
+    assert REFUSED[url] in str(allowed.endpoint_refusal(url))
     with pytest.raises(Unreadable, match=REFUSED[url]):
-        target(url)
+        target(url, allowed=allowed)
 
 
 @pytest.mark.parametrize(
@@ -228,14 +215,12 @@ def test_a_name_may_not_lead_to_a_private_address(
 ) -> None:
     found = [(socket.AF_INET, socket.SOCK_STREAM, 6, "", (address, 443)) for address in addresses]
     monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: found)
-    allow(monkeypatch, "https://far.test/", *listed)
+    allowed = AllowList(endpoints=frozenset(["https://far.test/", *listed]))
     if chosen is None:
         with pytest.raises(OSError, match="has no address that is public or listed"):
-            resolve("far.test", 443)
+            allowed.resolve("far.test", 443)
     else:
-        assert resolve("far.test", 443) == chosen
-    monkeypatch.undo()
-    settings.cache_clear()
+        assert allowed.resolve("far.test", 443) == chosen
 
 
 def test_a_job_attacks_it_without_gradients_only(server: Server, scan: Scan, tmp_path: Path) -> None:
