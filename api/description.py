@@ -1,5 +1,7 @@
 """The OpenAPI document's description of the API and of its errors."""
 
+import json
+from pathlib import Path
 from typing import Any
 
 from fastapi import FastAPI
@@ -40,6 +42,7 @@ ERRORS = {
     "503": "The service cannot take the request now; `Retry-After` says when to try again.",
 }
 
+EXAMPLES = Path(__file__).with_name("examples.json")
 KEY = {
     "type": "http",
     "scheme": "bearer",
@@ -51,7 +54,8 @@ KEY = {
 def describe(app: FastAPI) -> None:
     """Adds the API's description and its errors, as `api.problems` sends them, to the app's OpenAPI document.
 
-    Calls the form of an upload AssetUpload, not by the framework's name for it.
+    Adds the examples of `examples.json`, which a service received and answered, by the names of their operations. Calls
+    the form of an upload AssetUpload, not by the framework's name for it.
     """
     original = app.openapi
 
@@ -60,6 +64,7 @@ def describe(app: FastAPI) -> None:
             app.description = DESCRIPTION
             schema = original()
             _name_form(schema)
+            _add_examples(schema)
             _errors(schema)
         assert app.openapi_schema is not None
         return app.openapi_schema
@@ -75,6 +80,16 @@ def _name_form(schema: dict[str, Any]) -> None:
     }
     form = schema["paths"]["/v1/assets"]["post"]["requestBody"]["content"]["multipart/form-data"]
     form["schema"] = {"$ref": "#/components/schemas/AssetUpload"}
+
+
+def _add_examples(schema: dict[str, Any]) -> None:
+    operations = {one["operationId"]: one for methods in schema["paths"].values() for one in methods.values()}
+    for name, example in json.loads(EXAMPLES.read_text("utf-8")).items():
+        operation = operations[name]
+        answers = (answer for status, answer in operation["responses"].items() if status.startswith("2"))
+        next(answers)["content"]["application/json"]["example"] = example["answer"]
+        if "request" in example:
+            operation["requestBody"]["content"]["application/json"]["example"] = example["request"]
 
 
 def _errors(schema: dict[str, Any]) -> None:

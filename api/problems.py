@@ -7,7 +7,8 @@ from typing import Any, get_type_hints
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, ConfigDict, Field
+from pydantic.config import JsonDict
 from redis.exceptions import RedisError
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.datastructures import MutableHeaders, UploadFile
@@ -40,8 +41,26 @@ _METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE")
 log = logger(__name__)
 
 
+_MISSPELT: JsonDict = {
+    "type": "about:blank",
+    "title": "Unprocessable Entity",
+    "status": 422,
+    "detail": "scene.objects.0.mesh: there is no mesh 'furniture/sofaa'; did you mean 'furniture/sofa' or "
+    "'furniture/sofa3' or 'furniture/cap'?",
+    "errors": [
+        {
+            "field": "scene.objects.0.mesh",
+            "detail": "there is no mesh 'furniture/sofaa'; did you mean 'furniture/sofa' or 'furniture/sofa3' or "
+            "'furniture/cap'?",
+        }
+    ],
+}
+
+
 class ProblemDetails(BaseModel):
     """An error (RFC 9457)."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": [_MISSPELT]})
 
     type: str = Field("about:blank", description="always about:blank: the status identifies the kind of problem")
     title: str = Field(description="the reason phrase of the HTTP status")

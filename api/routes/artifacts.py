@@ -15,7 +15,13 @@ from api.state import KnownJob, ServicesDependency, no_such
 router = APIRouter(prefix="/v1/jobs", tags=["artifacts"])
 
 _ANSWERS: dict[int | str, dict[str, Any]] = {
-    200: {"content": {"application/octet-stream": {}, "application/json": {}, "image/png": {}}},
+    200: {
+        "content": {
+            "application/octet-stream": {"schema": {"type": "string", "format": "binary"}},
+            "application/json": {},
+            "image/png": {},
+        }
+    },
     206: {"description": "the requested range"},
     304: {"description": "the client has the file already"},
 }

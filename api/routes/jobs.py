@@ -58,7 +58,13 @@ def client_of(request: Request, caller: Caller) -> str:
     return f"owner {caller.owner}" if caller.key else "" if request.client is None else request.client.host
 
 
-@router.post("", status_code=202, response_model=JobView, dependencies=[Depends(json_body)])
+@router.post(
+    "",
+    status_code=202,
+    response_model=JobView,
+    responses={200: {"model": JobView, "description": "the job has ended within the time of `Prefer: wait`"}},
+    dependencies=[Depends(json_body)],
+)
 async def submit_job(
     spec: Annotated[JobSpec, Depends(body_of(JobSpec))],
     services: ServicesDependency,

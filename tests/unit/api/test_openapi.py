@@ -1,10 +1,17 @@
+import json
 import re
 from pathlib import Path
 
+import pytest
 import yaml
+from fastapi.routing import APIRoute, iter_route_contexts
 from httpx import Client
+from pydantic import TypeAdapter
 
+from api.main import create_app
 from api.openapi import document
+from api.problems import ProblemDetails
+from services.settings import Settings
 
 COMMITTED = Path(__file__).parents[3] / "openapi.yaml"
 
@@ -44,3 +51,29 @@ def test_operations_and_schemas_have_names_that_a_person_gave() -> None:
     assert all(re.fullmatch("[A-Za-z]+", name) for name in described["components"]["schemas"])
     bodies = [kind["schema"] for one in operations for kind in one.get("requestBody", {}).get("content", {}).values()]
     assert all(list(schema) == ["$ref"] for schema in bodies)
+
+
+EXAMPLES = json.loads((COMMITTED.parent / "api" / "examples.json").read_text())
+ROUTES = {
+    route.name: route
+    for route in (context.original_route for context in iter_route_contexts(create_app(Settings()).router.routes))
+    if isinstance(route, APIRoute) and route.include_in_schema
+}
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_the_example_of_an_answer_is_what_its_model_says(name: str) -> None:
+    model = TypeAdapter(ROUTES[name].response_model)
+    example = EXAMPLES[name]["answer"]
+    assert model.dump_python(model.validate_python(example), mode="json") == example
+
+
+def test_bodies_and_errors_have_examples() -> None:
+    described = yaml.safe_load(COMMITTED.read_text())
+    (misspelt,) = described["components"]["schemas"]["ProblemDetails"]["examples"]
+    assert ProblemDetails.model_validate(misspelt).model_dump() == misspelt
+    for methods in described["paths"].values():
+        for operation in methods.values():
+            content = operation.get("requestBody", {}).get("content", {})
+            if "application/json" in content:
+                assert content["application/json"]["example"] == EXAMPLES[operation["operationId"]]["request"]

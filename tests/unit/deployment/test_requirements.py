@@ -73,7 +73,7 @@ def test_the_development_pins_are_what_the_extra_pulls_in_beside_them() -> None:
     assert "-r requirements.txt" in (ROOT / "requirements-dev.txt").read_text().splitlines()
 
 
-@pytest.mark.parametrize("path", [*DIRECT, "benchmarks/requirements.txt"])
+@pytest.mark.parametrize("path", [*DIRECT, "benchmarks/requirements.txt", "tests/integration/client_generator.txt"])
 def test_each_pin_has_the_hashes_of_its_files(path: str) -> None:
     text = re.sub(r"^(#|-r ).*\n", "", (ROOT / path).read_text(), flags=re.MULTILINE)
     pin = r"[a-z][^\\\n]+==[^\\\n]+"
