@@ -58,7 +58,7 @@ class Previewer:
             raise Unavailable(f"other previews took longer than {seconds:g} s; try again") from error
         except TooSlow as error:
             thing = "its plan" if what == "plan" else "its scene"
-            shorter = ", or leave the plan out (plan=false)" if what == "plan" else ""
+            shorter = ", or leave the plan out" if what == "plan" else ""
             detail = f"{thing} takes longer than the {seconds:g} s of a preview; ask for a smaller image, fewer objects"
             raise HTTPException(
                 413, f"{detail} or smaller maps{shorter}. A job of this request may still run"

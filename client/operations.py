@@ -152,7 +152,7 @@ def download_scene(
 
 
 def preview_job(spec: JobSpec | Mapping[str, Any], *, plan: bool | None = None) -> Request[PreviewView]:
-    """The picture of a request, what the network says of it, and its plan, without an attack."""
+    """The picture of a request, what the network says of it, and on demand its plan, without an attack."""
     return Request("POST", "/v1/preview", params={"plan": plan}, json=spec, seconds=CHECK_SECONDS)
 
 

@@ -35,9 +35,10 @@ async def preview_job(
     request: Request,
     plan: Annotated[
         bool, Query(description="whether to make the plan, too, which may take several times as long as the image")
-    ] = True,
+    ] = False,
 ) -> PreviewView:
-    """Shows what a job would begin with: the image, the network's first five answers, the plan, its cost and warnings.
+    """Shows what a job would begin with: the image, the network's first five answers, the warnings, and on demand the
+    plan and its cost.
 
     Nothing is attacked and nothing is queued. A request that cannot run gets the same answer 422 as a job. One that
     takes longer than a preview may gets 413, and 503 says that other previews took all the time. A client that closes

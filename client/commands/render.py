@@ -21,9 +21,10 @@ def register(app: typer.Typer) -> None:
 def render(
     spec: Annotated[str, typer.Argument(metavar="SPEC", help="A job as JSON; - reads it from stdin.")],
     out: Annotated[Path | None, typer.Option(help="Write the image to this PNG file.")] = None,
+    plan: Annotated[bool, typer.Option("--plan", help="Make the plan, too, and state what the attack costs.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Render a job's scene and ask the network, without an attack: the image, the first five answers, plan and cost.
+    """Render a job's scene and ask the network, without an attack: the image and the first five answers.
 
     It is what POST /v1/preview answers. A job that cannot run ends with the same error as in `run`.
     """
@@ -46,24 +47,35 @@ def render(
 
         line.update("rendering")
         shown, image = preview(job, assets)
-        line.update("planning")
-        planned = planned_cost(job, assets)
+        planned = None
+        if plan:
+            line.update("planning")
+            planned = planned_cost(job, assets)
     if out is not None:
         save_png(image, out)
     if as_json:
-        print_json(shown.model_dump(mode="json") | planned.model_dump(mode="json"))
+        print_json(shown.model_dump(mode="json") | ({} if planned is None else planned.model_dump(mode="json")))
     else:
-        _print(shown, planned)
+        _print_answers(shown)
+        if planned is not None:
+            _print_cost(planned)
         if out is not None:
             err().print(f"Image in {out}", markup=False, highlight=False)
 
 
-def _print(shown: "Preview", planned: "PlannedCost") -> None:
-    from client.console import err, out, small, table
+def _print_answers(shown: "Preview") -> None:
+    from client.console import err, out, table
 
     for one in shown.answers:
         rows = [[label, f"{probability:.3f}"] for label, probability in one.answer.top]
         out().print(table(("answer", "probability>"), rows, title=one.question))
+    for warning in shown.warnings:
+        err().print(f"warning: {warning.field}: {warning.text}", markup=False, highlight=False)
+
+
+def _print_cost(planned: "PlannedCost") -> None:
+    from client.console import out, small
+
     plan, cost = planned.plan, planned.cost
     height, width = plan.size
     limit = "" if cost.queries is None else f", at most {cost.queries:,} queries"
@@ -74,5 +86,3 @@ def _print(shown: "Preview", planned: "PlannedCost") -> None:
     )
     for line in lines:
         out().print(line, markup=False, highlight=False, soft_wrap=True)
-    for warning in shown.warnings:
-        err().print(f"warning: {warning.field}: {warning.text}", markup=False, highlight=False)

@@ -12,7 +12,7 @@ from services.attacks.goal import ResolvedGoal
 from services.attacks.spec import ATTACKS
 from services.attacks.surrogate import Surrogate
 from services.attacks.verifier import Verifier
-from services.errors import InvalidRequest
+from services.errors import InvalidRequest, named
 from services.pipeline import goals
 from services.pipeline.analysis_fields import check_analysis, load_targets
 from services.pipeline.checked import Checked
@@ -125,6 +125,8 @@ def prepare(spec: JobSpec, library: Library) -> Prepared:
     """
     found = _prepare(spec, library, spec.tolerance)
     load_targets(spec)
+    with named(f"renderer {found.renderer.name!r}"):
+        _ = found.renderer.plan  # made now: a plan that cannot be made ends the job before its attack
     return found
 
 

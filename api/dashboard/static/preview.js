@@ -25,7 +25,7 @@ export function preview(text, found) {
     state.textContent = "Rendering …";
     document.getElementById("cost").replaceChildren();
     try {
-      const { ok, answer } = await ask("/v1/preview?plan=false", text, signal);
+      const { ok, answer } = await ask("/v1/preview", text, signal);
       if (ok) await show(answer);
       else state.textContent = answer.errors?.length ? "This request cannot run; the last image and answers stay." : answer.detail;
       shown.classList.toggle("stale", !ok);
@@ -83,7 +83,7 @@ export async function plan(text) {
   const cost = document.getElementById("cost");
   cost.replaceChildren(made("p", "Planning …"));
   try {
-    const { ok, answer } = await ask("/v1/preview", text);
+    const { ok, answer } = await ask("/v1/preview?plan=true", text);
     cost.replaceChildren(...(ok ? costs(answer) : [made("p", answer.detail)]));
   } catch {
     cost.replaceChildren(made("p", "The service does not answer."));

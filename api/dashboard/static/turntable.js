@@ -21,7 +21,7 @@ async function draw(canvas, png) {
 }
 
 async function view(azimuth) {
-  const response = await fetch("/v1/preview?plan=false", {
+  const response = await fetch("/v1/preview", {
     method: "POST",
     headers: { "Content-Type": "application/json" },
     body: JSON.stringify(spec(azimuth)),

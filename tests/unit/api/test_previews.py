@@ -5,6 +5,7 @@ from io import BytesIO
 from typing import Any
 
 import pytest
+import torch
 from fastapi import FastAPI
 from httpx import Client
 from PIL import Image
@@ -14,7 +15,7 @@ from api.previewer import Previewer
 from api.state import Services
 from api.warm_process import TooSlow
 from services.analysis.images import pixels
-from services.pipeline.prepare import prepare
+from services.pipeline.prepare import plan, prepare
 from tests.unit.jobs.records import attacks
 from tests.unit.jobs.small import LIBRARY, SPHERE, spec
 
@@ -29,20 +30,20 @@ def test_it_shows_what_a_job_begins_with_and_queues_nothing(client: Client, serv
     found = answer.json()
     job = prepare(spec(), LIBRARY)
     with Image.open(BytesIO(base64.b64decode(found["png"]))) as image:
-        assert (pixels(image).int() - job.original.int()).abs().max() <= 1
+        assert torch.equal(pixels(image), job.original)
     [first] = found["answers"]
     assert first["answer"]["label"] == job.target.labels[int(job.logits.argmax())]
     assert len(first["answer"]["top"]) == 5
     assert found["spec"]["seed"] == 5
-    assert found["plan"]["renderer"] == "torch"
-    assert found["cost"]["steps"] == 3
+    assert (found["plan"], found["cost"]) == (None, None)
     assert found["warnings"]
     assert [job.id for job in attacks(services.repository)] == [job.id for job in before]
 
 
-def test_the_plan_may_be_left_out(client: Client) -> None:
-    found = client.post(PATH, json=BODY, params={"plan": "false"}).json()
-    assert (found["plan"], found["cost"]) == (None, None)
+def test_the_plan_and_its_cost_are_made_on_demand(client: Client) -> None:
+    found = client.post(PATH, json=BODY, params={"plan": "true"}).json()
+    assert found["plan"] == plan(spec(), LIBRARY).model_dump(mode="json")
+    assert found["cost"]["steps"] == 3
 
 
 BAD: list[dict[str, Any]] = [

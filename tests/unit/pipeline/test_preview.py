@@ -5,9 +5,11 @@ from typing import Any
 import pytest
 import torch
 
-from services.errors import InvalidRequest
+from services.errors import InvalidRequest, JobFailure
 from services.pipeline.prepare import plan, preflight, prepare
 from services.pipeline.preview import planned_cost, preview
+from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
+from services.rendering.torch_renderer.renderer import TorchRenderer
 from services.targets.scores import probability
 from tests.unit.jobs.small import LIBRARY, spec
 
@@ -25,6 +27,21 @@ def test_it_shows_the_image_and_answers_that_a_job_begins_with(renderer: str) ->
     assert first.answer.top[0][0] == first.answer.label == job.target.labels[int(job.logits.argmax())]
     checked = preflight(request, LIBRARY)
     assert (shown.spec, shown.warnings) == (checked.spec, checked.warnings)
+
+
+@pytest.mark.parametrize("renderer", [TorchRenderer, PyrenderRenderer])
+def test_it_makes_no_plan(renderer: type[TorchRenderer | PyrenderRenderer], monkeypatch: pytest.MonkeyPatch) -> None:
+    """A plan takes longer than the image; its errors are measured when a renderer is asked for it."""
+
+    def made(_: object) -> None:
+        raise RuntimeError("a plan was made")
+
+    monkeypatch.setattr(renderer, "plan", property(made))
+    request = spec({"renderer": renderer.name}, scene={"camera": {"size": [64, 64], "azimuth": 0.7}})
+    _, image = preview(request, LIBRARY)
+    assert image.shape == (64, 64, 3)
+    with pytest.raises(JobFailure, match=f"renderer '{renderer.name}' raised RuntimeError: a plan was made"):
+        planned_cost(request, LIBRARY)
 
 
 def test_the_plan_is_that_of_the_command_and_the_cost_counts_steps() -> None:
