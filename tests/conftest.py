@@ -22,7 +22,7 @@ def redis_url() -> Iterator[str]:
     server = EmbeddedRedis()
     with subprocess.Popen(server.program().command(), stdout=subprocess.DEVNULL) as process:
         with Redis.from_url(server.url) as client:
-            deadline = time.monotonic() + 10
+            deadline = time.monotonic() + 300  # seconds; a loaded machine takes long to start a process
             while not _answers(client):
                 assert time.monotonic() < deadline
                 time.sleep(0.01)

@@ -142,8 +142,8 @@ def end(process: "subprocess.Popen[str]", number: signal.Signals) -> None:
         return
     tree = psutil.Process(process.pid).children(recursive=True)
     process.send_signal(number)
-    process.wait(30)
-    _, alive = psutil.wait_procs(tree, timeout=30)
+    process.wait(PATIENCE)
+    _, alive = psutil.wait_procs(tree, timeout=PATIENCE)
     for left in alive:
         left.kill()
     assert not alive, f"left running: {[left.cmdline() for left in alive if left.is_running()]}"

@@ -12,6 +12,7 @@ import psutil
 import pytest
 
 from client.demo_jobs import QUESTION, specs
+from tests.integration.conftest import PATIENCE
 
 pytestmark = pytest.mark.integration
 
@@ -66,8 +67,8 @@ def test_however_it_is_ended_its_service_ends_too(tmp_path: Path, number: signal
         tree = psutil.Process(process.pid).children(recursive=True)
         assert len(tree) >= 4  # supervisor, Redis, API, worker
         process.send_signal(number)
-        process.communicate(timeout=60)
-        _, alive = psutil.wait_procs(tree, timeout=60)
+        process.communicate(timeout=PATIENCE)
+        _, alive = psutil.wait_procs(tree, timeout=PATIENCE)
         assert not alive
     finally:
         process.kill()

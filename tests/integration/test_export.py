@@ -23,7 +23,7 @@ from services.pipeline.spec import parse
 from services.scenes import environment
 from services.scenes.library import Library
 from services.settings import Settings
-from tests.integration.conftest import Stack
+from tests.integration.conftest import PATIENCE, Stack
 from tests.integration.specs import ENDLESS
 
 pytestmark = pytest.mark.integration
@@ -117,7 +117,12 @@ def test_stock_pyrender_draws_the_attacked_image_from_the_exported_scene(
     for which, image in (("before", "original"), ("after", "attacked")):
         command = [sys.executable, "render_exported.py", f"scene_{which}.glb", "rendered.png"]
         drawn = subprocess.run(
-            [*command, "--compare", f"{image}.png"], cwd=out, capture_output=True, text=True, check=False, timeout=120
+            [*command, "--compare", f"{image}.png"],
+            cwd=out,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=PATIENCE,
         )
         assert drawn.returncode == 0, drawn.stderr
         rendered = np.asarray(Image.open(out / "rendered.png")).astype(int)
@@ -223,7 +228,7 @@ def test_the_service_exports_a_finished_job(stack: Stack, tmp_path: Path) -> Non
     def export(to: Path) -> "subprocess.CompletedProcess[str]":
         command = [sys.executable, "-m", "client", "export", job["id"], "--url", str(stack.client.base_url)]
         return subprocess.run(
-            [*command, "--out", str(to)], capture_output=True, text=True, check=False, timeout=120, cwd=tmp_path
+            [*command, "--out", str(to)], capture_output=True, text=True, check=False, timeout=PATIENCE, cwd=tmp_path
         )
 
     assert export(tmp_path / "taken").returncode == 0

@@ -6,7 +6,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from tests.integration.conftest import Stack, end, serving, until
+from tests.integration.conftest import PATIENCE, Stack, end, serving, until
 from tests.integration.specs import ENDLESS, QUICK, long
 from tests.integration.test_jobs import perturbation
 
@@ -103,7 +103,7 @@ def test_the_api_may_be_killed(stack: Stack) -> None:
     job_id = stack.submit(QUICK)
     api = stack.one("api.main")
     api.kill()
-    api.wait(30)
+    api.wait(PATIENCE)
     # The supervisor kept the socket: this waits for the new API instead of failing.
     assert stack.ended(job_id)["state"] == "succeeded"
 
