@@ -48,6 +48,15 @@ def radiance(normals: Tensor, light: Tensor, towards: Tensor, visibility: Tensor
     return result
 
 
+def transport(normals: Tensor, towards: Tensor, visibility: Tensor | None = None) -> Tensor:
+    """Returns max(0, n·ω) · visibility of every direction and pixel, [1, D, P]: what `radiance` sums per unit of light,
+    the same in all channels. Arguments are those of `radiance`."""
+    out = normals.new_empty(1, towards.shape[1], len(normals))
+    for some in _parts(normals, towards):
+        out[0, :, some] = _cosines(normals, towards, visibility, some)[0].T
+    return out
+
+
 class _Radiance(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, normals: Tensor, light: Tensor, towards: Tensor, visibility: Tensor | None) -> Tensor:

@@ -39,7 +39,7 @@ def shadow_items(surfaces: Sequence[Surface]) -> Iterator[Item]:
 def radiance_stage(surface: Surface, recipe: Recipe, count: int, why: str, error: float) -> Stage:
     """Returns the stage that sums radiance at `count` normals, for the reason `why` and with the estimated `error`."""
     pairs = count * (len(recipe.active_texels) - len(recipe.per_pixel_texels)) * recipe.channels
-    words = "sum over directions" if recipe.lambert else METHOD_WORDS[recipe.method]
+    words = "sum over directions" if recipe.lambert and recipe.method == "summed" else METHOD_WORDS[recipe.method]
     kind = str(recipe.dtype).removeprefix("torch.")
     return Stage(
         part=surface.name,

@@ -132,7 +132,7 @@ def _needs(
     if alike is not None:
         why = "the material reflects the same share of light in every direction"
         items.append(_item(surface, "lobes", 0, every.numel(), why, alike))
-        recipe = Recipe(kept, False, ~every, ~every, "summed", moving="normals" in groups, lambert=True)
+        recipe = Recipe(kept, True, ~every, ~every, "summed", moving="normals" in groups, lambert=True)
         return _Needs(recipe, items)
     if "material" not in groups and surface.viewers is None:
         bounds = errors.lobe_bounds(surface, sky, illumination, groups, kept)
@@ -175,8 +175,11 @@ def _cheapest(
     """Returns the cheapest recipe whose estimated error fits in the tolerance that the items leave, and its stages."""
     left, pixels = tolerance - needs.error, len(surface.angles)
     if needs.recipe.lambert:
+        recipe = replace(needs.recipe, method=_method(needs.recipe, groups, pixels, looked_up=False))
         why = "without lobes the sum costs a cosine for each direction"
-        return needs.recipe, [radiance_stage(surface, needs.recipe, pixels, why, FLOAT32_ERROR)]
+        if recipe.method == "precomputed_transport":
+            why = f"only the light changes: the factors take {_transport_bytes(recipe, pixels) / 1e6:.0f} MB"
+        return recipe, [radiance_stage(surface, recipe, pixels, why, FLOAT32_ERROR)]
     direct = replace(
         needs.recipe, method=_method(needs.recipe, groups, pixels, looked_up=False, near=surface.viewers is not None)
     )
@@ -256,9 +259,14 @@ def _method(recipe: Recipe, groups: Sequence[str], nodes: int, looked_up: bool, 
     if "material" in groups or near:
         return "summed"
     if attacks_light(groups):
-        size = 4 * nodes * len(recipe.active_texels) * recipe.channels
-        return "precomputed_transport" if "normals" not in groups and size <= TRANSPORT_BYTES else "summed"
+        fits = _transport_bytes(recipe, nodes) <= TRANSPORT_BYTES
+        return "precomputed_transport" if "normals" not in groups and fits else "summed"
     return "cached_table" if looked_up else "summed"
+
+
+def _transport_bytes(recipe: Recipe, nodes: int) -> int:
+    """Returns the memory of transport factors at `nodes` normals, bytes."""
+    return 4 * nodes * len(recipe.active_texels) * recipe.channels
 
 
 def _cost(recipe: Recipe, nodes: int, pixels: int) -> float:

@@ -214,17 +214,24 @@ class _Sum:
         self._viewers = None if viewers is None else viewers.to(recipe.dtype)
         self._visibility = None if visibility is None else visibility[kept].contiguous()
         self._directions = sky.directions.only(kept).to(recipe.dtype)
-        self._curves, self._power = sky.curves[kept].to(recipe.dtype), sky.power[:, kept].to(recipe.dtype)
-        self._albedo = lambert.albedo(frozen[0]) if recipe.lambert else None
+        self._curves, power = sky.curves[kept].to(recipe.dtype), sky.power[:, kept]
+        if recipe.lambert:  # the light is then what the surface reflects of it
+            albedo = lambert.albedo(frozen[0])
+            assert albedo is not None
+            power = power * albedo[:, None]
+        self._power = power.to(recipe.dtype)
         self._plain = bool(recipe.varying.all()) and not bool(recipe.straight.any())
         self._lobes = self._light = self._factors = None
-        if recipe.method != "summed":
+        if recipe.method != "summed" and not recipe.lambert:
             self._lobes = self._lobes_of(frozen[0].to(recipe.dtype))
         if recipe.method == "cached_table":
             self._light = self._light_of(frozen[1])
         if recipe.method == "precomputed_transport" and normals is not None:
-            assert self._lobes is not None
-            self._factors = transport(normals, self._lobes, self._directions, self._visibility)
+            if recipe.lambert:
+                self._factors = lambert.transport(normals, self._directions.towards, self._visibility)
+            else:
+                assert self._lobes is not None
+                self._factors = transport(normals, self._lobes, self._directions, self._visibility)
 
     def __call__(self, normals: Tensor, illumination: Tensor, material: Tensor) -> Tensor:
         """Radiance [N, 3]; `normals` are ignored where factors for them are stored."""
@@ -238,9 +245,8 @@ class _Sum:
     def summed(self, normals: Tensor, illumination: Tensor, material: Tensor) -> Tensor:
         """Radiance [N, 3] at any normals."""
         light = self._light_of(illumination) if self._light is None else self._light
-        if self._albedo is not None:
-            reflected = light * self._albedo[:, None].to(light.dtype)
-            return lambert.radiance(normals, reflected, self._directions.towards, self._visibility)
+        if self._recipe.lambert:
+            return lambert.radiance(normals, light, self._directions.towards, self._visibility)
         if self._viewers is not None:
             own = material[: 1 if self._alike(material) else dsbrdf.CHANNELS].to(self._recipe.dtype) / MATERIAL_UNIT
             return perspective.radiance(normals, self._viewers, light, own, self._directions.towards, self._visibility)

@@ -9,6 +9,7 @@ import torch
 
 from services.errors import InvalidRequest
 from services.rendering.opengl.gbuffer import rasterise
+from services.rendering.torch_renderer import planner
 from services.rendering.torch_renderer.physical import changes
 from services.rendering.torch_renderer.renderer import TorchRenderer
 from services.scenes.description import Scene
@@ -94,6 +95,40 @@ def test_every_set_of_groups_is_within_its_plan_s_error(library: Library, groups
     assert {stage.part for stage in made.plan.stages} == {"object 0", "floor"}
     measured = {(one.part, one.group) for one in made.plan.gradients if one.part.startswith("floor")}
     assert {group for _, group in measured} == set(groups) - {"material"}
+
+
+def test_a_floor_under_attacked_light_is_a_product_stored_once(
+    library: Library, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The image and its gradient are those of the sum, which the plan falls back to if the factors take too much
+    memory; both are near the exact sum, the gradient by central differences in float64."""
+    matte = {"floor": UNDER | {"material": "matte"}, "shadows": {}, "groups": ("illumination",)}
+    stored = renderer(library, BALL, **matte)
+    monkeypatch.setattr(planner, "TRANSPORT_BYTES", 0)
+    summed = renderer(library, BALL, **matte)
+    for made, method in ((stored, "product of the light with factors computed once"), (summed, "sum over directions")):
+        stages = [stage for stage in made.plan.stages if stage.part.startswith("floor")]
+        assert [stage.part for stage in stages] == ["floor in shadow"]
+        assert stages[0].method.startswith(method)
+        assert ("the factors take" in stages[0].why) == (made is stored)
+
+    random = torch.Generator().manual_seed(0)
+    light = stored.initial()["illumination"][None]
+    light = light * (0.5 + torch.rand(light.shape, generator=random))
+    weights = torch.randn(*stored.size, 3, generator=random, dtype=torch.float64)
+    exact = stored.exact().render({"illumination": light.double()})[0]
+    found = []
+    for made in (stored, summed):
+        leaf = light.clone().requires_grad_()
+        image = made.render({"illumination": leaf})[0].double()
+        assert float((image - exact).detach().abs().max()) <= made.plan.error
+        found.append(torch.autograd.grad((image * weights).sum(), leaf)[0].double())
+    assert float((found[0] - found[1]).norm() / found[1].norm()) < 1e-5  # float32, in another order
+
+    step = light.double() * (torch.rand(light.shape, generator=random, dtype=torch.float64) - 0.5)
+    sides = [stored.exact().render({"illumination": light + sign * 1e-4 * step})[0] for sign in (1, -1)]
+    difference = float(((sides[0] - sides[1]) * weights).sum()) / 2e-4
+    assert float((found[0] * step).sum()) == pytest.approx(difference, rel=5e-3)  # the plan states 4e-4, in length
 
 
 def test_physical_changes_and_plans_leave_its_material_out(floored: TorchRenderer, library: Library) -> None:
