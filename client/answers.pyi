@@ -456,7 +456,11 @@ class Goal(TypedDict):
     leave_kind: NotRequired[bool]
 
 class GradientError(TypedDict):
-    """Error of the gradient with respect to a group against the exact gradient, measured when the plan was made."""
+    """Error of the gradient with respect to a group against the exact gradient, measured when the plan was made.
+
+    The gradient is that of a sum of displayed values with normally distributed random weights. Of rasterised
+    images it is made of central differences, whose exact values OpenGL's images have.
+    """
     part: str
     group: str
     relative: float
@@ -541,6 +545,7 @@ class JobPlan(TypedDict):
     items: list[Item]
     stages: list[Stage]
     error: float
+    error_is: NotRequired[Literal['maximum', 'mean']]
     gradients: NotRequired[list[GradientError]]
     environment_map_error: NotRequired[float | None]
     questions: NotRequired[list[Asked]]
@@ -809,6 +814,7 @@ class Plan(TypedDict):
     items: list[Item]
     stages: list[Stage]
     error: float
+    error_is: NotRequired[Literal['maximum', 'mean']]
     gradients: NotRequired[list[GradientError]]
     environment_map_error: NotRequired[float | None]
 

@@ -22,7 +22,7 @@ def plan(
     """Print how a job's images would be rendered: the parts kept, those left out and why, and the estimated error.
 
     Of a question about the image it prints the program, the right answer and what limits the search. The command runs
-    no attack and does not ask the network. It rasterises the scene and measures errors of tables.
+    no attack and does not ask the network. It rasterises the scene and measures errors of images and gradients.
     """
     from client.console import err, print_json, report_extensions
     from client.local_meshes import read_with_meshes
@@ -53,7 +53,8 @@ def _print(found: "JobPlan") -> None:
     height, width = found.size
     out().print(
         f"{found.renderer}: {', '.join(found.groups)}, {width}×{height} pixels; tolerance {small(found.tolerance)}, "
-        f"estimated error {small(found.error)} of a displayed value in [0,1]",
+        f"estimated error {small(found.error)} of displayed values in [0,1] "
+        + ("(their maximum)" if found.error_is == "maximum" else "(their mean over covered pixels)"),
         highlight=False,
     )
     print_asked(found.questions)
@@ -66,7 +67,9 @@ def _print(found: "JobPlan") -> None:
     if done:
         out().print(table(("stage", "method", "when", "work>", "why", "error>"), done))
     if found.gradients:
-        rows = [[f"{g.part} {g.group}", small(g.relative), f"{100 * g.wrong_signs:.2g} %"] for g in found.gradients]
+        rows = [
+            [f"{g.part} {g.group}".strip(), small(g.relative), f"{100 * g.wrong_signs:.2g} %"] for g in found.gradients
+        ]
         out().print(table(("gradient", "relative error>", "wrong signs>"), rows))
     if found.environment_map_error is not None:
         out().print(

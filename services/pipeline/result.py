@@ -96,8 +96,9 @@ class Result(_Record):
     )
     plan: Plan = Field(description="how the images inside the attack were rendered, and their estimated error")
     image_error: float = Field(
-        description="the plan's measured error: largest difference of a displayed value, in [0,1], between the images "
-        "of the stored perturbation by the plan and by the exact renderer"
+        description="measured error, a maximum: largest difference of a displayed value, in [0,1], between the images "
+        "of the stored perturbation by the plan and by the exact renderer. `plan.error` is an estimate of it where "
+        '`plan.error_is` is "maximum"; where it is "mean", as of rasterised images, it is no bound of it'
     )
     sampled_error: ImageError | None = Field(
         None,

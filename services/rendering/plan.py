@@ -55,9 +55,13 @@ class Stage(_Record):
 
 
 class GradientError(_Record):
-    """Error of the gradient with respect to a group against the exact gradient, measured when the plan was made."""
+    """Error of the gradient with respect to a group against the exact gradient, measured when the plan was made.
 
-    part: str = Field(description='part of the image it is about: "object 0"')
+    The gradient is that of a sum of displayed values with normally distributed random weights. Of rasterised images it
+    is made of central differences, whose exact values OpenGL's images have.
+    """
+
+    part: str = Field(description='part of the image it is about: "object 0"; empty for all of it')
     group: str
     relative: float = Field(description="length of the difference over the length of the exact gradient")
     wrong_signs: float = Field(
@@ -76,8 +80,13 @@ class Plan(_Record):
     stages: tuple[Stage, ...]
 
     error: float = Field(
-        description="estimated largest error of any displayed value, of rasterised images their mean over covered "
-        "pixels: the errors that meet in a part add up at worst"
+        description="estimated error of the displayed values of any image, by the measure that `error_is` names: the "
+        "errors that meet in a part add up at worst"
+    )
+    error_is: Literal["maximum", "mean"] = Field(
+        "maximum",
+        description='"maximum": `error` is the largest difference of a displayed value; "mean": of rasterised images '
+        "it is the mean over covered pixels, since at a silhouette one sample changes a pixel by a quarter",
     )
     gradients: tuple[GradientError, ...] = Field(
         (), description="errors of the gradients; empty where nothing is shortened or nothing is differentiated"
@@ -98,6 +107,7 @@ class Plan(_Record):
         items: Sequence[Item],
         stages: Sequence[Stage] = (),
         gradients: Sequence[GradientError] = (),
+        error_is: Literal["maximum", "mean"] = "maximum",
     ) -> "Plan":
         """Makes the plan of these items and stages, and adds up their errors.
 
@@ -115,5 +125,6 @@ class Plan(_Record):
             items=tuple(items),
             stages=tuple(stages),
             gradients=tuple(gradients),
+            error_is=error_is,
             error=errors.pop("", 0.0) + max(errors.values(), default=0.0),
         )

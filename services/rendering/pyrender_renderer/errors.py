@@ -1,13 +1,16 @@
-"""How far rasterised images are from OpenGL's: measured for the plan, and again while an attack runs."""
+"""How far rasterised images and their differences are from OpenGL's: measured for the plan, and again, for images,
+while an attack runs.
+"""
 
 import zlib
-from collections.abc import Callable, Mapping
-from math import sqrt
+from collections.abc import Callable, Mapping, Sequence
+from math import acos, pi, sqrt
 
 import torch
 from torch import Tensor
 
 from services.rendering.image_error import ImageError, image_error
+from services.rendering.plan import GradientError
 from services.rendering.protocol import Parameters, Renderer
 
 DRAWS = 5
@@ -23,6 +26,12 @@ LINE = 0.5
 a line of this length, in sides of a square of as many pixels as are covered. Few of them are off by much."""
 EVERY = 128
 """One image in so many of an attack is drawn by OpenGL too."""
+HALF_STEP = 0.01
+"""Half-step of the central differences whose error is measured, in the groups' units."""
+MAX_COORDINATES = 6
+"""Maximum number of coordinates of a group whose differences are measured, evenly spaced."""
+GRADIENT_SHARE = 100.0
+"""Relative error of a group's gradient that a tolerance of 1 would allow: a tenth at the default tolerance."""
 
 
 def around(renderer: Renderer, groups: tuple[str, ...]) -> Parameters:
@@ -52,10 +61,54 @@ def measure(
     return worst, fewest
 
 
+def refusal(error: ImageError, gradients: Sequence[GradientError], tolerance: float) -> str | None:
+    """Why errors of images and of gradients are beyond the tolerance, as a clause; None if they are within it."""
+    if not ImageError(MARGIN * error.mean, MARGIN * error.share).within(tolerance):
+        return "twice its error is beyond the tolerance"
+    if any(one.relative > GRADIENT_SHARE * tolerance for one in gradients):
+        return "the error of its gradients is beyond the tolerance"
+    return None
+
+
 def estimated(measured: ImageError, covered: int) -> ImageError:
     """The estimated largest error of an image that was not measured and covers at least `covered` pixels."""
     flips, line = FEW / covered, LINE / sqrt(covered)
     return ImageError(MARGIN * measured.mean + flips / 4, MARGIN * measured.share + max(flips, line))
+
+
+def measure_gradients(renderer: Renderer, opengl: Renderer, groups: tuple[str, ...]) -> tuple[GradientError, ...]:
+    """Errors of the central differences of the renderer's images at the start against `opengl`'s, by attacked group.
+
+    They are the expected errors of the gradient of a sum of the displayed values with normally distributed random
+    weights: its relative error is that of the differences of images, in length, and its sign is wrong with probability
+    θ / π, where θ is the angle between the two differences. Coordinates that change nothing do not count.
+    """
+    found = []
+    for group in groups:
+        sides = sides_of(renderer.initial(), group)
+        ours, exact = (
+            (at[::2] - at[1::2]).double().flatten(1) for at in (renderer.render(sides), opengl.render(sides))
+        )
+        length, error = float(exact.norm()), float((ours - exact).norm())
+        angles = [
+            acos(max(-1.0, min(1.0, float(own @ true) / float(own.norm() * true.norm()))))
+            for own, true in zip(ours, exact, strict=True)
+            if own.any() and true.any()
+        ]
+        relative = error / length if length else float(error > 0)
+        wrong_signs = sum(angles) / (pi * len(angles)) if angles else 0.0
+        found.append(GradientError(part="", group=group, relative=relative, wrong_signs=wrong_signs))
+    return tuple(found)
+
+
+def sides_of(start: Parameters, group: str) -> Parameters:
+    """`start` with each of at most MAX_COORDINATES coordinates of a group moved up, then down, {group: [B, ...]}."""
+    count = start[group].numel()
+    chosen = torch.linspace(0, count - 1, min(count, MAX_COORDINATES)).round().long()
+    steps = HALF_STEP * torch.nn.functional.one_hot(chosen, count).to(start[group].dtype)
+    moves = torch.stack([steps, -steps], dim=1).reshape(-1, *start[group].shape)
+    sides = {name: value.expand(len(moves), *value.shape) for name, value in start.items()}
+    return sides | {group: start[group] + moves}
 
 
 def is_sampled(parameters: Mapping[str, Tensor], row: int) -> bool:

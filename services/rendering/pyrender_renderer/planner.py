@@ -9,10 +9,10 @@ from torch import Tensor
 
 from services.rendering.image_error import ImageError
 from services.rendering.opengl.screen_bounds import Rectangle
-from services.rendering.plan import Item, Plan, Stage, Tolerance
+from services.rendering.plan import GradientError, Item, Plan, Stage, Tolerance
 from services.rendering.protocol import InactiveCoordinate
 from services.rendering.pyrender_renderer.batching import SharedPass, alone, shared
-from services.rendering.pyrender_renderer.errors import DRAWS, EVERY, estimated
+from services.rendering.pyrender_renderer.errors import DRAWS, EVERY, HALF_STEP, estimated
 from services.rendering.pyrender_renderer.inactive import REACH
 
 if TYPE_CHECKING:
@@ -30,11 +30,12 @@ WHY = {
 @dataclass(frozen=True)
 class Rasterised:
     """How well the rasteriser draws a scene: its largest error at `1 + DRAWS` places, the fewest pixels covered there,
-    the faces seen at the start; or why OpenGL draws instead."""
+    the faces seen at the start, the errors of gradients there; or why OpenGL draws instead."""
 
     error: ImageError = field(default_factory=ImageError)
     covered: int = 1
     shown: int = 0
+    gradients: tuple[GradientError, ...] = ()
     refusal: str | None = None
 
 
@@ -55,7 +56,8 @@ def compile_plan(
     draws, None for "exact"; `most`: images to a pass; `idle`: coordinates that change nothing at the start, moved by at
     most REACH.
 
-    Errors are the rasteriser's alone: all else that is left out or shared gives an image the very bits it has without.
+    Errors, also those of gradients, are the rasteriser's alone: all else that is left out or shared gives an image the
+    very bits it has without.
     """
     height, width = renderer.size
     top, bottom, left, right = extent
@@ -161,6 +163,8 @@ def compile_plan(
         tolerance=tolerance,
         items=tuple(items),
         stages=tuple(stages),
+        gradients=() if rasterised is None or rasterised.refusal is not None else rasterised.gradients,
+        error_is="maximum" if shown is None else "mean",
     )
 
 
@@ -195,7 +199,11 @@ def _rasterise(rasterised: Rasterised, faces: int) -> Stage:
 
 def _why_opengl(rasterised: Rasterised | None) -> str:
     assert rasterised is not None
-    found = f" ({_words(rasterised.error)} in {1 + DRAWS} images around the start)" if rasterised.error.mean else ""
+    found = ""
+    if rasterised.gradients:
+        off = ", ".join(f"{one.group} {one.relative:.2g}" for one in rasterised.gradients)
+        found = f" ({_words(rasterised.error)} in {1 + DRAWS} images around the start; relative errors of central "
+        found += f"differences over half-steps of {HALF_STEP:g} at the start: {off})"
     return f"the rasteriser does not draw: {rasterised.refusal}{found}"
 
 

@@ -21,10 +21,9 @@ from services.rendering.opengl.screen_bounds import Rectangle, beyond, rectangle
 from services.rendering.opengl.shadows import check_size, images_per_pass
 from services.rendering.plan import DEFAULT_TOLERANCE, Plan, Tolerance
 from services.rendering.protocol import InactiveCoordinate, Parameters
-from services.rendering.pyrender_renderer import opengl_pass, rasteriser
+from services.rendering.pyrender_renderer import errors, opengl_pass, rasteriser
 from services.rendering.pyrender_renderer.batching import Array, SharedPass, alone, fill, shared
 from services.rendering.pyrender_renderer.declaration import PYRENDER
-from services.rendering.pyrender_renderer.errors import MARGIN, is_sampled, measure
 from services.rendering.pyrender_renderer.ground import Ground
 from services.rendering.pyrender_renderer.inactive import inactive_coordinates
 from services.rendering.pyrender_renderer.parameters import SceneParameters
@@ -56,7 +55,7 @@ class PyrenderRenderer(DeclaredRenderer):
 
     The images of a batch share what they can (`batching`), and nothing is drawn where no object is, at no cost. Without
     a GPU the rasteriser draws instead of OpenGL if its error, measured when the renderer is made, is within tolerance
-    (`errors`). `exact` has OpenGL draw every image by itself and whole.
+    (`errors`), and so is that of its gradients. `exact` has OpenGL draw every image by itself and whole.
     """
 
     declaration = PYRENDER
@@ -140,13 +139,14 @@ class PyrenderRenderer(DeclaredRenderer):
         [drawn] = self._by_rasteriser([start])
         if drawn is None:
             return Rasterised(refusal="a face reaches to the camera or far beyond the frame, or is seen from its edge")
+        opengl = copy(self)
         self._rasterises = True
-        error, covered = measure(self, self._ground.at, groups)
+        error, covered = errors.measure(self, self._ground.at, groups)
+        gradients = errors.measure_gradients(self, opengl, groups)
         self._sampled = None
-        if not ImageError(MARGIN * error.mean, MARGIN * error.share).within(tolerance):
-            self._rasterises = False
-            return Rasterised(error, covered, refusal="twice its error is beyond the tolerance")
-        return Rasterised(error, covered, shown=drawn[1])
+        why = errors.refusal(error, gradients, tolerance)
+        self._rasterises = why is None
+        return Rasterised(error, covered, drawn[1], gradients, why)
 
     @property
     def _plain(self) -> bool:
@@ -193,7 +193,7 @@ class PyrenderRenderer(DeclaredRenderer):
         behind = self._ground.before_each(batch["camera"], self.size)
         images = self._draw(batch, behind, lambda radiance, ground: over_ground(radiance, EXPOSURE, ground))
         for row in range(len(images)):
-            if self._rasterises and is_sampled(parameters, row):
+            if self._rasterises and errors.is_sampled(parameters, row):
                 images[row] = self._verified(images[row], {g: v[row : row + 1] for g, v in parameters.items()})
         return images
 

@@ -21,7 +21,7 @@ from services.pipeline.outcome import outcome
 from services.pipeline.result import Result
 from services.pipeline.spec import JobSpec, parse
 from services.pipeline.warning import JobWarning
-from services.rendering.plan import Item, Plan, Stage
+from services.rendering.plan import GradientError, Item, Plan, Stage
 from services.settings import Settings
 
 SPEC = parse(
@@ -131,6 +131,7 @@ def result(spec: JobSpec = SPEC, **changed: Any) -> dict[str, Any]:
                     error=4e-4,
                 )
             ],
+            [GradientError(part="object 0", group="normals", relative=0.01, wrong_signs=0.025)],
         ),
         "image_error": 1.5e-4,
         "sampled_error": {"mean": 2.5e-5, "share": 0.0031},
