@@ -5,13 +5,13 @@ import gc
 import socket
 import sys
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from importlib.metadata import version
 
 import uvicorn
 from fastapi import FastAPI
 from sqlalchemy import Engine
-from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.exc import OperationalError, SQLAlchemyError
 from starlette.concurrency import run_in_threadpool
 from starlette.middleware import Middleware
 
@@ -65,14 +65,15 @@ from services.access.listening import check_listening, listen
 from services.access.quotas import Quotas
 from services.access.sessions import Sessions
 from services.device import check_device
+from services.errors import InvalidRequest
 from services.jobs import watchdog
 from services.jobs.artifacts import ArtifactStore
 from services.jobs.asset_record import AssetRecords
 from services.jobs.asset_removal import DeletedAssets
 from services.jobs.campaign_service import CampaignService
 from services.jobs.campaigns import Campaigns
+from services.jobs.database import check_database, migrate
 from services.jobs.database import connect as connect_database
-from services.jobs.database import migrate
 from services.jobs.figures import Figures
 from services.jobs.housekeeping import Housekeeping
 from services.jobs.lists import JobLists
@@ -237,9 +238,19 @@ async def _migrate(engine: Engine, values: Settings) -> None:
     while True:
         try:
             return await run_in_threadpool(migrate, engine, values)
-        except (SQLAlchemyError, OSError) as error:
+        except (SQLAlchemyError, OSError, InvalidRequest) as error:
             log.warning("database not opened yet", error=str(error))
             await asyncio.sleep(RETRY_SECONDS)
+
+
+def _check_database(values: Settings) -> None:
+    """Raises InvalidRequest for a database that cannot be used. One that does not answer may come back."""
+    engine = connect_database(values)
+    try:
+        with suppress(OperationalError):
+            check_database(engine, values)
+    finally:
+        engine.dispose()
 
 
 def run(values: Settings, listener: socket.socket | None = None) -> int:
@@ -255,7 +266,7 @@ def run(values: Settings, listener: socket.socket | None = None) -> int:
     check_listening(values)
     # What cannot be is refused here: the server would show a traceback.
     connect_redis(values.redis_url).close()
-    connect_database(values).dispose()
+    _check_database(values)
     app = create_app(values)
     # What has been imported by now stays for ever: the garbage collector need not look at it again and again.
     gc.collect()

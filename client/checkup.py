@@ -137,7 +137,7 @@ def _folder(subject: str, folder: Path, setting: str, *, private: bool) -> Findi
 
 def database(settings: Settings) -> Iterator[Finding]:
     """Whether the database answers, and whether its tables are those of this version."""
-    from services.jobs.database import connect, revisions
+    from services.jobs.database import UnusableDatabase, check_database, connect
 
     file = settings.data_dir / "jobs.sqlite"
     if settings.database_url is None and not file.exists():
@@ -147,9 +147,11 @@ def database(settings: Settings) -> Iterator[Finding]:
     try:
         engine = connect(settings)
         try:
-            found, newest, known = revisions(engine)
+            found, newest = check_database(engine, settings)
         finally:
             engine.dispose()
+    except UnusableDatabase as error:
+        yield Finding("database", "fail", f"{engine.dialect.name}: {error.reason}", error.remedy)
     except InvalidRequest as error:
         yield Finding("database", "fail", f"{error.field}: {error.detail}", "mend it")
     except SQLAlchemyError as error:
@@ -158,14 +160,9 @@ def database(settings: Settings) -> Iterator[Finding]:
         kind = engine.dialect.name
         if found is None or found == newest:
             yield Finding("database", "ok", f"{kind}, tables of revision {found or newest}")
-        elif found in known:
+        else:
             text = f"{kind}: its tables are of revision {found}, not {newest}"
             yield Finding("database", "warn", text, "the next start migrates them; make a backup first")
-        else:
-            text = f"{kind}: its tables are of revision {found}, which this version does not know"
-            yield Finding(
-                "database", "fail", text, "install the version of scene-attack that wrote them, or a newer one"
-            )
 
 
 def redis(settings: Settings) -> Iterator[Finding]:

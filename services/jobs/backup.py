@@ -11,7 +11,7 @@ from pathlib import Path
 from services import atomic_write
 from services.blobs import Blobs, blobs
 from services.errors import InvalidRequest, JobFailure
-from services.jobs.database import connect
+from services.jobs.database import check_database, connect
 from services.jobs.database_copy import SQLITE, copy_database
 from services.settings import Settings
 
@@ -33,16 +33,17 @@ def back_up(settings: Settings, folder: Path) -> Backup:
     """Copies the database and all artifacts and assets into `folder`, which is made.
 
     Raises InvalidRequest("FOLDER") if there is something in the folder, JobFailure("internal") if a file that the
-    database names is missing or damaged: it was deleted meanwhile, or long ago; what `copy_database` raises, and
-    OSError if a file cannot be read or written.
+    database names is missing or damaged: it was deleted meanwhile, or long ago; what `check_database` and
+    `copy_database` raise, and OSError if a file cannot be read or written.
     """
     if folder.exists() and any(folder.iterdir()):
         raise InvalidRequest("FOLDER", f"{folder} is not empty; name one that does not exist yet")
     if settings.database_url is None and not (settings.data_dir / SQLITE).exists():
         raise InvalidRequest("--data", f"there is no database in {settings.data_dir}")
-    folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     engine = connect(settings)
     try:
+        check_database(engine, settings)
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         copied = copy_database(engine, folder)
     finally:
         engine.dispose()

@@ -13,10 +13,10 @@ from alembic import command
 from alembic.config import Config
 from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
-from sqlalchemy import Connection, Engine, create_engine, event, make_url, text
-from sqlalchemy.exc import ArgumentError, NoSuchModuleError
+from sqlalchemy import Connection, Engine, create_engine, event, inspect, make_url, text
+from sqlalchemy.exc import ArgumentError, DatabaseError, NoSuchModuleError, OperationalError
 
-from services.errors import InvalidRequest
+from services.errors import InvalidRequest, without_folders
 from services.private_folder import NotOurs, make_private
 from services.settings import Settings
 
@@ -32,6 +32,17 @@ IN_DATA_FOLDER = frozenset(_DATABASE_FILES | {"artifacts", "assets", "checkpoint
 """What a data directory may hold, also one that a backup or the demonstration made."""
 _MIGRATING = 0x5CE4EA77
 """The number of the lock that PostgreSQL gives one migration at a time."""
+
+
+class UnusableDatabase(InvalidRequest):
+    """The settings' database is none that this version can use: what is wrong with it, and what to do."""
+
+    def __init__(self, settings: Settings, reason: str, remedy: str) -> None:
+        self.reason = reason
+        self.remedy = remedy
+        # the URL itself may have a password and is not shown
+        place = str(_file(settings)) if settings.database_url is None else "SCENE_ATTACK_DATABASE_URL"
+        super().__init__("database", f"{place}: {reason}; {remedy}")
 
 
 def connect(settings: Settings) -> Engine:
@@ -119,8 +130,17 @@ def _begin_sqlite(connection: Connection) -> None:
 
 
 def migrate(engine: Engine, settings: Settings) -> None:
-    """Migrates the tables to the newest revision. Processes that start together wait for one another."""
-    with _alone(engine, settings), engine.execution_options(writes=True).begin() as connection:
+    """Migrates the tables to the newest revision. Processes that start together wait for one another.
+
+    Raises as `check_database`.
+    """
+    with _alone(engine, settings):
+        check_database(engine, settings)
+        _migrate(engine)
+
+
+def _migrate(engine: Engine) -> None:
+    with engine.execution_options(writes=True).begin() as connection:
         be_patient(connection)
         if engine.dialect.name == "postgresql":
             # held until the transaction ends
@@ -141,17 +161,33 @@ def be_patient(connection: Connection) -> None:
         connection.exec_driver_sql(f"SET LOCAL {limit} = 0")
 
 
-def revisions(engine: Engine) -> tuple[str | None, str, set[str]]:
-    """The revision of the tables, None if there are none yet; the newest revision, and all that this version knows.
+def check_database(engine: Engine, settings: Settings) -> tuple[str | None, str]:
+    """Returns the revision of the tables, None if there are none yet, and the newest revision.
 
-    Raises SQLAlchemyError if the database does not answer or is damaged.
+    Raises UnusableDatabase for a file that is no database or is damaged, and for tables of another program or of a
+    newer version; OperationalError if the database does not answer.
     """
     scripts = ScriptDirectory.from_config(_config())
     newest = scripts.get_current_head()
     assert newest is not None
-    with engine.connect() as connection:
-        found = MigrationContext.configure(connection).get_current_revision()
-    return found, newest, {one.revision for one in scripts.walk_revisions()}
+    try:
+        with engine.connect() as connection:
+            # in this order: another process may commit all tables and their revision in between
+            tables = set(inspect(connection).get_table_names()) - {"alembic_version"}
+            revision = MigrationContext.configure(connection).get_current_revision()
+    except OperationalError:
+        raise
+    except DatabaseError as error:
+        reason = without_folders(str(error.__cause__ or error)).splitlines()[0]
+        raise UnusableDatabase(settings, reason, "restore it, or name another one") from error
+    if revision is None and tables:
+        reason = f"it has tables of another program, such as {min(tables)}"
+        raise UnusableDatabase(settings, reason, "name an empty database")
+    if revision not in {None, *(script.revision for script in scripts.walk_revisions())}:
+        reason = f"its tables are of revision {revision}, which this version does not know"
+        remedy = "install the version of scene-attack that wrote them, or a newer one"
+        raise UnusableDatabase(settings, reason, remedy)
+    return revision, newest
 
 
 def _config() -> Config:

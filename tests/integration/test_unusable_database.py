@@ -1,0 +1,73 @@
+"""Every command that opens the database, on one that it cannot use: one sentence, and nothing is added to it."""
+
+import sqlite3
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from client.checkup import database
+from services.settings import Settings
+from tests.integration.machine import Machine
+
+pytestmark = pytest.mark.integration
+
+COMMANDS = ("serve --port 0", "api --port 0", "worker", "keys create alice", "keys list", "backup")
+
+
+def no_database(file: Path) -> None:
+    file.write_text("once upon a time\n" * 100)
+
+
+def foreign(file: Path) -> None:
+    with closing(sqlite3.connect(file)) as connection:
+        connection.execute("CREATE TABLE cats (name TEXT)")
+
+
+def newer(file: Path) -> None:
+    with closing(sqlite3.connect(file)) as connection:
+        connection.execute("CREATE TABLE alembic_version (version_num TEXT)")
+        connection.execute("INSERT INTO alembic_version VALUES ('9999')")
+        connection.commit()
+
+
+def tables(file: Path) -> list[str] | bytes:
+    """What a database has, or the bytes of what is none."""
+    try:
+        with closing(sqlite3.connect(file)) as connection:
+            return list(connection.iterdump())
+    except sqlite3.DatabaseError:
+        return file.read_bytes()
+
+
+UNUSABLE: dict[str, tuple[Callable[[Path], None], str]] = {
+    "no database": (no_database, "file is not a database; restore it, or name another one"),
+    "foreign": (foreign, "it has tables of another program, such as cats; name an empty database"),
+    "newer": (
+        newer,
+        "its tables are of revision 9999, which this version does not know; install the version of scene-attack that "
+        "wrote them, or a newer one",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", UNUSABLE)
+def test_a_database_that_cannot_be_used_is_one_sentence(kind: str, tmp_path: Path, redis_url: str) -> None:
+    make, said = UNUSABLE[kind]
+    folder = tmp_path / "data"
+    folder.mkdir(mode=0o700)
+    file = folder / "jobs.sqlite"
+    make(file)
+    before = tables(file)
+    machine = Machine(tmp_path / "home", SCENE_ATTACK_REDIS_URL=redis_url)
+    for command in COMMANDS:
+        words = [*command.split(), *([str(tmp_path / "copy")] if command == "backup" else [])]
+        code, _, stderr = machine.run(*words, "--data", str(folder))
+        assert code == 2, command
+        lines = [line for line in stderr.splitlines() if not line.startswith("{")]  # the log
+        assert lines == [f"scene-attack: bad input: database: {file}: {said}"], command
+        assert tables(file) == before, command
+    assert not (tmp_path / "copy").exists()
+    [finding] = database(Settings(data=folder))  # of doctor
+    assert f"{finding.text}; {finding.remedy}" == f"sqlite: {said}"
