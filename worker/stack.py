@@ -5,6 +5,7 @@ import sys
 
 import httpx
 from redis.exceptions import RedisError
+from sqlalchemy import Engine
 
 from services.access.listening import check_listening, listen
 from services.device import check_device
@@ -18,6 +19,7 @@ from services.process import use
 from services.settings import Settings
 from worker.main import housekeeping, workers
 from worker.redis_server import EmbeddedRedis, remove_abandoned
+from worker.service_lock import ServiceLock
 from worker.supervisor import Program, Supervisor
 
 log = logger(__name__)
@@ -26,17 +28,26 @@ log = logger(__name__)
 def serve(values: Settings) -> int:
     """Runs the whole service until SIGTERM or SIGINT; prints "ready URL" once it takes jobs. Returns the exit status.
 
-    Raises InvalidRequest if the address is taken or the device of the settings is not there, or if other machines reach
-    the address and there is no key.
+    Raises InvalidRequest if the address is taken or the device of the settings is not there, if other machines reach
+    the address and there is no key, and if another service runs on the data folder.
     """
     use(values)
     check_device()
-    check_listening(values)
     if values.redis_url is not None:
         connect_redis(values.redis_url).close()  # refuses a URL that cannot be, before anything is made
     configure("supervisor")
     engine = connect_database(values)
-    migrate(engine, values)
+    try:
+        with ServiceLock(values.data_dir) as lock:  # before the database is migrated, which the other service uses
+            check_listening(values)
+            migrate(engine, values)
+            _run(values, engine, lock)
+    finally:
+        engine.dispose()
+    return 0
+
+
+def _run(values: Settings, engine: Engine, lock: ServiceLock) -> None:
     repository = Repository(engine)
     remove_abandoned()
     redis = EmbeddedRedis() if values.redis_url is None else None
@@ -50,7 +61,9 @@ def serve(values: Settings) -> int:
             programs = [] if redis is None else [redis.program()]
             programs += [_api(values, listener), *workers(values, repository)]
             tidy = housekeeping(values, engine)
-            announce = _Announcement(f"http://{_reachable(values.host)}:{port}")
+            address = f"http://{_reachable(values.host)}:{port}"
+            lock.tell(address)
+            announce = _Announcement(address)
 
             def duty() -> None:
                 tidy()
@@ -60,8 +73,6 @@ def serve(values: Settings) -> int:
     finally:
         if redis is not None:
             redis.remove()
-        engine.dispose()
-    return 0
 
 
 def _check_redis(url: str) -> None:
