@@ -13,14 +13,12 @@ from services.settings import Settings
 from tests.unit.scenes.mesh_files import ASCII_PLY, ASCII_STL, BOXES
 
 
-def test_the_limits_of_uploads_are_those_of_the_settings(tmp_path, monkeypatch):
+def test_the_limits_of_uploads_are_those_of_the_settings(tmp_path):
     library = Library(tmp_path / "cache", tmp_path / "data")
-    monkeypatch.setattr(uploads, "settings", lambda: Settings(max_upload_bytes=len(BOXES["obj"]) - 1))
     with pytest.raises(InvalidRequest, match=r"file: it has .* bytes; at most"):
-        library.add_mesh(BOXES["obj"], "obj")
-    monkeypatch.setattr(uploads, "settings", lambda: Settings(max_faces=11))
+        library.add_mesh(BOXES["obj"], "obj", Settings(max_upload_bytes=len(BOXES["obj"]) - 1))
     with pytest.raises(InvalidRequest, match="at most 11"):
-        library.add_mesh(BOXES["obj"], "obj")
+        library.add_mesh(BOXES["obj"], "obj", Settings(max_faces=11))
     assert not (tmp_path / "data" / "assets").exists(), "nothing is kept of what was refused"
 
 
