@@ -29,7 +29,7 @@ def running_service(data: Path, environ: dict[str, str]) -> Iterator[tuple[str, 
     log = data / "service.log"
     with log.open("ab") as errors:
         process = subprocess.Popen(
-            [sys.executable, "-m", "worker.stack"],
+            [sys.executable, "-m", "client", "serve"],
             env=os.environ | environ | {"SCENE_ATTACK_DATA": str(data)},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,

@@ -117,12 +117,3 @@ class _Announcement:
         if ready:
             self._said = True
             print(f"ready {self._url}", flush=True)
-
-
-def main() -> int:
-    """`python -m worker.stack`."""
-    return serve(Settings())
-
-
-if __name__ == "__main__":
-    sys.exit(main())

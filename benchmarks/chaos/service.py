@@ -79,7 +79,7 @@ class Service:
         self.starts += 1
         with self._log.open("ab") as log:
             return subprocess.Popen(
-                [sys.executable, "-m", "worker.stack"],
+                [sys.executable, "-m", "client", "serve"],
                 env=os.environ | self.settings.environ() | listener.environ,
                 stdin=subprocess.DEVNULL,
                 stdout=log,

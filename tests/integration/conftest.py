@@ -113,7 +113,7 @@ def serving(data: Path, **environ: str) -> Iterator[Stack]:
     with (
         log.open("a") as errors,
         subprocess.Popen(
-            [sys.executable, "-m", "worker.stack"],
+            [sys.executable, "-m", "client", "serve"],
             env=os.environ | environ,
             stdout=subprocess.PIPE,
             stderr=errors,
