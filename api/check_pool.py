@@ -14,7 +14,7 @@ from typing import Any, BinaryIO, Protocol
 from api.fair_queue import FairQueue, Place
 from api.warm_process import START_SECONDS, TooSlow, Unavailable
 from services.errors import InvalidRequest
-from services.jobs.child import ChildDied
+from services.jobs.child import ChildDied, OutOfMemory
 
 REMEMBERED = 1000
 """Number of checks whose answer is remembered, unless a pool says otherwise."""
@@ -146,6 +146,9 @@ class CheckPool:
             answer = await process.ask(check.request.message, None, self.seconds)
         except ChildDied:
             answer = Unavailable("the check of this request was cut short; try again")
+        except OutOfMemory as error:
+            smaller = "ask for a smaller image, a smaller environment map or fewer objects"
+            answer = InvalidRequest("scene", f"rendering it once takes {error}; {smaller}")
         except (InvalidRequest, Unavailable, TooSlow) as error:
             answer = error
         if not isinstance(answer, Unavailable):

@@ -22,7 +22,7 @@ def demand(default: Priority) -> Callable[..., Demand]:
             Device | None, Query(description="kind of device that the worker must have; default: any")
         ] = None,
         memory: Annotated[
-            int, Query(ge=0, le=LARGEST, description="bytes of address space that the worker must allow a job")
+            int, Query(ge=0, le=LARGEST, description="bytes of memory that the worker must allow a job")
         ] = 0,
     ) -> Demand:
         return Demand(priority, device, memory)

@@ -11,7 +11,7 @@ from fastapi import HTTPException
 
 from api.warm_process import TooSlow, Unavailable, WarmProcess
 from services.export import ASSET
-from services.jobs.child import ChildDied
+from services.jobs.child import ChildDied, OutOfMemory
 from services.settings import Settings
 
 SECONDS = 120.0
@@ -57,6 +57,8 @@ class Exporter:
             if "failed" in answer:
                 raise Unavailable(f"the export failed: {answer['failed']}")
             return Path(path).open("rb")
+        except OutOfMemory as error:
+            raise Unavailable(f"the export failed: it needs {error}") from error
         except (ChildDied, TooSlow) as error:
             raise Unavailable(f"the export did not end within {SECONDS:g} seconds and the memory allowed") from error
         finally:

@@ -7,7 +7,7 @@ from typing import Any
 from api.warm_process import TooSlow, Unavailable, WarmProcess
 from services.analysis.requests import RerenderingRequest
 from services.errors import InvalidRequest
-from services.jobs.child import ChildDied
+from services.jobs.child import ChildDied, OutOfMemory
 from services.pipeline.spec import JobSpec
 from services.settings import Settings
 
@@ -37,6 +37,8 @@ class Rerenderer:
         try:
             request = {"spec": spec.model_dump(mode="json"), "fit": fit.model_dump(mode="json")}
             return await self._process.ask({"rerender": request}, BytesIO(image), SECONDS)
+        except OutOfMemory as error:
+            raise Unavailable(f"the image could not be re-rendered: it needs {error}") from error
         except (ChildDied, TooSlow) as error:
             detail = f"the fit did not end within {SECONDS:g} seconds and the memory allowed; ask for fewer"
             raise InvalidRequest("fit.steps", detail) from error

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, BinaryIO
 
 from services.errors import InvalidRequest
-from services.jobs.child import Child, ChildDied
+from services.jobs.child import Child, ChildDied, OutOfMemory
 from services.logs import logger
 from services.settings import Settings
 
@@ -59,8 +59,9 @@ class WarmProcess:
     async def ask(self, message: dict[str, Any], file: BinaryIO | None, seconds: float) -> dict[str, Any]:
         """Returns the answer to a request with the bytes of `file`, which may take `seconds` once the process is warm.
 
-        Raises InvalidRequest for an invalid field, TooSlow, ChildDied if the process ended, and Unavailable. If this is
-        cancelled, the process ends once it has the request: the next one need not wait for an answer nobody wants.
+        Raises InvalidRequest for an invalid field, TooSlow, OutOfMemory, ChildDied if the process ended, and
+        Unavailable. If this is cancelled, the process ends once it has the request: the next one need not wait for an
+        answer nobody wants.
         """
         loop = asyncio.get_running_loop()
         asked = _Asked()
@@ -90,6 +91,9 @@ class WarmProcess:
             log.warning("preflight process died", pid=child.pid)
             self._end(child)
             raise
+        except OutOfMemory:
+            log.warning("preflight process needs too much memory", pid=child.pid)
+            raise
         if answer is None:
             log.warning("preflight process was too slow", pid=child.pid, seconds=seconds)
             self._end(child)
@@ -104,7 +108,7 @@ class WarmProcess:
         child = self._child = Child(self._module, self._settings)
         try:
             ready = self._answer(child, START_SECONDS)
-        except ChildDied:
+        except (ChildDied, OutOfMemory):
             ready = None
         if ready is None:
             self._end(child)
@@ -113,7 +117,10 @@ class WarmProcess:
         return child
 
     def _answer(self, child: Child, seconds: float) -> dict[str, Any] | None:
-        """The child's next answer, or None if it takes more than `seconds` or the child hangs. Raises ChildDied."""
+        """The child's next answer, or None if it takes more than `seconds` or the child hangs.
+
+        Raises ChildDied and OutOfMemory.
+        """
         deadline = time.monotonic() + seconds
         while (left := deadline - time.monotonic()) > 0 and child.still_seconds() < self._settings.stall_seconds:
             answer = child.receive(min(left, 1.0))

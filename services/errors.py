@@ -1,5 +1,6 @@
 """Defines the errors of requests and jobs, and how errors of other code, such as an extension's, become one of them."""
 
+import errno
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -98,8 +99,12 @@ def named(whose: str) -> Iterator[None]:
 
 def out_of_memory(error: BaseException) -> bool:
     """Returns whether an error means that memory was refused. torch has a class for it on CUDA, and none on a CPU."""
+    if isinstance(error, JobFailure):
+        return error.kind == "out-of-memory"
+    if isinstance(error, OSError):
+        return error.errno == errno.ENOMEM
     refused = isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError"
-    return refused or "can't allocate memory" in summary(error)
+    return refused or any(words in summary(error) for words in ("can't allocate memory", "std::bad_alloc"))
 
 
 def summary(error: BaseException) -> str:

@@ -125,8 +125,8 @@ class Settings(BaseSettings):
     )
     job_memory_bytes: int | None = Field(
         None,
-        ge=2**30,
-        description="address space of a job process and of one that checks requests; beyond it the job fails as "
+        ge=2 * 2**30,
+        description="memory of a job process and of one that checks requests, in bytes; beyond it the job fails as "
         "out-of-memory; default: an equal share of the machine's memory, of 4 to 16 GiB",
     )
 

@@ -20,7 +20,7 @@ from services.jobs.attempts import Attempt, Standing
 from services.jobs.child import connect, reply, requests
 from services.jobs.cpu_share import give_way
 from services.jobs.database import connect as connect_database
-from services.jobs.memory_limit import memory_limit
+from services.jobs.memory_limit import memory_limit, more_than
 from services.jobs.models import Job, JobKind
 from services.jobs.outages import outage_of
 from services.jobs.placement import Abilities
@@ -114,6 +114,7 @@ class Jobs:
         self._working_files = WorkingFiles(settings.data_dir, settings.files)
         store = ArtifactStore(settings.files)
         self._kept = KeptFiles(self._repository, store, self._working_files, self._library)
+        self._memory = memory_limit(settings)
         self._seconds = settings.job_seconds - min(KEEPING_SECONDS, KEEPING_SHARE * settings.job_seconds)
 
     def run(self, attempt: Attempt) -> None:
@@ -142,7 +143,7 @@ class Jobs:
         except (Exception, SystemExit) as error:  # an extension's code may end the process it is run in
             if outage_of(error) is not None:
                 raise
-            failure = classify(error)
+            failure = classify(error, self._memory)
             log.warning("job failed", kind=failure.kind, exc_info=error)
             tracing.describe({"error.type": failure.kind}, error=failure.detail)
             repository.fail(attempt, failure.kind, failure.detail, self._kept.left(attempt, job))
@@ -204,15 +205,15 @@ class Jobs:
         self._repository.succeed(attempt, record, outcome(result), self._kept.stored(attempt, out))
 
 
-def classify(error: BaseException) -> JobFailure:
-    """The typed failure an exception amounts to."""
+def classify(error: BaseException, memory: int) -> JobFailure:
+    """The typed failure an exception amounts to, in a process that may have `memory` bytes."""
+    if out_of_memory(error):
+        return JobFailure("out-of-memory", f"the job needed {more_than(memory)}")
     if isinstance(error, JobFailure):
         return error
     if isinstance(error, InvalidRequest):
         # Preflight accepted the request, so something that it names has been removed since.
         return JobFailure("asset-missing", f"the request was valid when it was accepted, but is not any more: {error}")
-    if out_of_memory(error):
-        return JobFailure("out-of-memory", "the job needed more memory than a job process may have")
     return JobFailure("internal", summary(error))
 
 

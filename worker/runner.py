@@ -14,7 +14,7 @@ from services import tracing
 from services.jobs import watchdog
 from services.jobs.artifacts import ArtifactStore
 from services.jobs.attempts import Attempt, Standing
-from services.jobs.child import Child, ChildDied
+from services.jobs.child import Child, ChildDied, OutOfMemory
 from services.jobs.placement import NOTHING, Abilities
 from services.jobs.repository import Repository
 from services.jobs.storage import Storage
@@ -84,12 +84,16 @@ class Runner:
             return
         started = time.monotonic()
         child = self._child = Child("worker.job_process", self._settings)
-        while (ready := child.receive(POLL_SECONDS)) is None:
-            watchdog.alive()
-            hangs = child.still_seconds() > self._settings.stall_seconds
-            if self._stopping or hangs or time.monotonic() - started > START_SECONDS:
-                self.close()
-                raise ChildDied
+        try:
+            while (ready := child.receive(POLL_SECONDS)) is None:
+                watchdog.alive()
+                hangs = child.still_seconds() > self._settings.stall_seconds
+                if self._stopping or hangs or time.monotonic() - started > START_SECONDS:
+                    self.close()
+                    raise ChildDied
+        except OutOfMemory as error:
+            self.close()
+            raise ChildDied from error
         self._jobs, self._memory = 0, child.memory()
         self._abilities = Abilities.of(ready["abilities"])
         log.info("job process ready", pid=child.pid, seconds=round(time.monotonic() - started, 2))
@@ -127,6 +131,11 @@ class Runner:
             log.warning("attempt lost with its job process", job=job_id, attempt=attempt.number)
             with suppress(SQLAlchemyError):
                 self._repository.lose(attempt, self._settings.max_attempts)
+        except OutOfMemory as error:
+            self.close()
+            log.warning("job process ended, it has too much memory", job=job_id, attempt=attempt.number)
+            with suppress(SQLAlchemyError):
+                self._repository.fail(attempt, "out-of-memory", f"the job needed {error}")
         except BaseException:
             self.close()  # nobody would watch the job, and its answer would be taken for that of the next one
             raise

@@ -6,16 +6,20 @@ JSON object, followed by the bytes of a file if the request sends one.
 
 import json
 import os
+import re
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
+from pathlib import Path
 from queue import SimpleQueue
 from threading import Thread, Timer
 from typing import Any
 
 from services.confinement.system_calls import die_with_parent
+from services.jobs.memory_limit import memory_limit, more_than
 from services.jobs.stillness import Stillness
 from services.settings import Settings
 
@@ -32,14 +36,29 @@ SEND_SECONDS = 30.0
 """Time after which a child that does not take a request, since it hangs, is killed."""
 
 
+LOOK_SECONDS = 0.1
+"""Longest time between two looks at the memory of a child that works on a request."""
+OUT_OF_MEMORY = {"out_of_memory": True}
+"""The answer to a request that needs more memory than the child may have."""
+
+
+_RESIDENT = re.compile(r"^Rss(?:Anon|Shmem):\s*(\d+) kB$", re.MULTILINE)
+"""Memory that only the end of a process gives back, in /proc/PID/status."""
+
+
 class ChildDied(Exception):
     """The child process has ended, so no answer will come."""
+
+
+class OutOfMemory(Exception):
+    """The child needed more memory than it may have; the message says how much that is."""
 
 
 class Child:
     """The parent's end of the pipe. Only `end` is thread-safe, and only one request may be open at a time.
 
-    The child runs `python -m module`, which reads requests with `requests()` and answers with `reply()`.
+    The child runs `python -m module`, which reads requests with `requests()` and answers with `reply()`. It limits its
+    own data (`limit_memory`); what that does not count, such as shared memory, is looked at from here.
     """
 
     def __init__(self, module: str, settings: Settings) -> None:
@@ -56,6 +75,7 @@ class Child:
         )
         theirs.close()
         self._stillness = Stillness(self.pid)
+        self.limit = memory_limit(settings)
 
     @property
     def pid(self) -> int:
@@ -67,12 +87,15 @@ class Child:
         return self._process.poll() is None
 
     def memory(self) -> int:
-        """The child's resident memory in bytes, or 0 once it has ended."""
+        """The child's resident memory in bytes, or 0 once it has ended.
+
+        Shared memory counts. Pages of files do not: the kernel can drop them at any time.
+        """
         try:
-            with open(f"/proc/{self.pid}/statm") as file:
-                return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-        except (OSError, IndexError):
+            status = Path(f"/proc/{self.pid}/status").read_text()
+        except OSError:
             return 0
+        return 1024 * sum(int(size) for size in _RESIDENT.findall(status))
 
     def still_seconds(self) -> float:
         """How long the child has done nothing, in seconds; see `Stillness`."""
@@ -91,14 +114,24 @@ class Child:
             limit.cancel()
 
     def receive(self, seconds: float) -> dict[str, Any] | None:
-        """Returns the next answer, or None if none comes within `seconds`. Raises ChildDied."""
+        """Returns the next answer, or None if none comes within `seconds`.
+
+        Raises ChildDied, and OutOfMemory if the child says so, or has too much memory and is killed.
+        """
+        deadline = time.monotonic() + seconds
         try:
-            if not self._connection.poll(seconds):
-                return None
+            while not self._connection.poll(min(LOOK_SECONDS, max(0.0, deadline - time.monotonic()))):
+                if self.memory() > self.limit:
+                    self.kill()
+                    raise OutOfMemory(more_than(self.limit))
+                if time.monotonic() >= deadline:
+                    return None
             answer: dict[str, Any] = json.loads(self._connection.recv_bytes())
-            return answer
         except (EOFError, OSError) as error:
             raise ChildDied from error
+        if answer == OUT_OF_MEMORY:
+            raise OutOfMemory(more_than(self.limit))
+        return answer
 
     def end(self) -> None:
         """Kills the child, from any thread. A thread that waits in `receive` then gets ChildDied."""

@@ -18,8 +18,8 @@ from services.export.asset_glb import asset_glb
 from services.export.bundle import read_finished, write_bundle
 from services.export.destinations import zipped
 from services.jobs.artifacts import ArtifactStore, Damaged
-from services.jobs.child import connect, reply, requests
-from services.jobs.memory_limit import memory_limit
+from services.jobs.child import OUT_OF_MEMORY, connect, reply, requests
+from services.jobs.memory_limit import limit_memory
 from services.jobs.outages import outage_of
 from services.logs import configure, logger
 from services.pipeline.extensions import set_up
@@ -32,7 +32,7 @@ log = logger(__name__)
 def answer(message: dict[str, Any], store: ArtifactStore, library: Library) -> dict[str, Any]:
     """Makes what a message asks for: {"what": BUNDLE, "before" or "after", "job": id, "artifacts": {name: sha256},
     "out": path} or {"what": ASSET, "mesh": name, "out": path}. Writes the file `out` and answers {}, {"refused":
-    sentence} or {"failed": sentence}.
+    sentence}, {"failed": sentence} or OUT_OF_MEMORY.
     """
     files = {name: partial(_read, store, sha256) for name, sha256 in message.get("artifacts", {}).items()}
     try:
@@ -54,7 +54,7 @@ def answer(message: dict[str, Any], store: ArtifactStore, library: Library) -> d
         if outage is not None:
             return {"failed": outage.detail}
         if out_of_memory(error):
-            return {"failed": "it needs more memory than the process that makes exports may have"}
+            return OUT_OF_MEMORY
         log.error("export failed", exc_info=error)
         return {"failed": "the service's log says why"}
     return {}
@@ -72,8 +72,7 @@ def main() -> None:
     set_up(values)
     connection = connect()
     inbox = requests(connection)
-    limit = memory_limit(values)
-    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+    limit_memory(values)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     forbid_new_privileges()
     torch.set_num_threads(values.threads)

@@ -21,7 +21,7 @@ class Priority(StrEnum):
 
 @dataclass(frozen=True)
 class Needs:
-    """What a job needs: the names of its networks, sorted; a kind of device, None for any; bytes of address space."""
+    """What a job needs: the names of its networks, sorted; a kind of device, None for any; bytes of memory."""
 
     targets: tuple[str, ...] = ()
     device: Device | None = None
@@ -82,7 +82,7 @@ CAMPAIGNS = Demand(Priority.LOW)
 
 @dataclass(frozen=True)
 class Abilities:
-    """What a worker has: its kind of device, the names of its networks, and the address space of a job in bytes."""
+    """What a worker has: its kind of device, the names of its networks, and the memory of a job in bytes."""
 
     device: str = "cpu"
     targets: frozenset[str] = field(default_factory=frozenset)

@@ -10,9 +10,8 @@ from typing import Any
 from services.analysis.images import png
 from services.analysis.requests import RerenderingRequest
 from services.errors import InvalidRequest, JobFailure, out_of_memory
-from services.jobs.child import connect, reply, requests
+from services.jobs.child import OUT_OF_MEMORY, connect, reply, requests
 from services.jobs.cpu_share import CHECKING, give_way
-from services.jobs.memory_limit import memory_limit
 from services.jobs.outages import outage_of
 from services.jobs.warm_up import warm_up
 from services.logs import configure, logger
@@ -26,13 +25,13 @@ from services.settings import Settings
 log = logger(__name__)
 
 
-def answer(message: dict[str, Any], data: bytes, library: Library, memory: int) -> dict[str, Any]:
+def answer(message: dict[str, Any], data: bytes, library: Library) -> dict[str, Any]:
     """Answers one request: {"check": spec} by {"spec", "warnings"}, {"preview": spec} by {"preview", "png"},
     {"plan": spec} by {"plan", "cost"}, and {"rerender": {"spec", "fit"}}, with an image file as `data`, by
     {"rerendering", "png"}.
 
-    A request with a bad field is answered by {"field", "detail"}, and a check that failed by {"trouble"}. `memory` is
-    the limit of this process in bytes.
+    A request with a bad field is answered by {"field", "detail"}, one that needs too much memory by OUT_OF_MEMORY, and
+    a check that failed by {"trouble"}.
     """
     try:
         if "check" in message:
@@ -49,26 +48,16 @@ def answer(message: dict[str, Any], data: bytes, library: Library, memory: int) 
         return {"field": error.field, "detail": error.detail}
     except JobFailure as error:
         log.warning("preflight failed", kind=error.kind, exc_info=error)
-        if error.kind == "out-of-memory" and "rerender" not in message:
-            return _too_large(memory)
-        return {"trouble": f"{error.kind}: {error.detail}"}
+        return OUT_OF_MEMORY if out_of_memory(error) else {"trouble": f"{error.kind}: {error.detail}"}
     except (Exception, SystemExit) as error:  # an extension's code may end the process it is run in
         outage = outage_of(error)
         if outage is not None:
             log.warning("request met an outage", resource=outage.resource, error=str(error))
             return {"trouble": outage.detail}
-        if out_of_memory(error) and "rerender" not in message:
-            return _too_large(memory)
         if out_of_memory(error):
-            return {"trouble": "out-of-memory: it needs more memory than the process that re-renders may have"}
+            return OUT_OF_MEMORY
         log.error("preflight failed", exc_info=error)
         return {"trouble": "internal: the service's log says why"}
-
-
-def _too_large(memory: int) -> dict[str, Any]:
-    allowed = memory / 2**30
-    detail = f"rendering it once takes more memory than a job may have, {allowed:.3g} GiB; ask for a smaller image, a"
-    return {"field": "scene", "detail": f"{detail} smaller environment map or fewer objects"}
 
 
 def _rerender(request: dict[str, Any], data: bytes, library: Library) -> dict[str, Any]:
@@ -90,7 +79,7 @@ def main() -> None:
     library = Library(values.cache_dir, values.files)
     reply(connection, {"ready": True})
     for message, data in inbox:
-        reply(connection, answer(message, data, library, memory_limit(values)))
+        reply(connection, answer(message, data, library))
 
 
 if __name__ == "__main__":

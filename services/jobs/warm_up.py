@@ -5,7 +5,7 @@ import resource
 import torch
 
 from services.confinement.system_calls import forbid_new_privileges
-from services.jobs.memory_limit import memory_limit
+from services.jobs.memory_limit import limit_memory
 from services.pipeline.extensions import log_extensions, set_up
 from services.pipeline.spec import DEFAULT_TARGET
 from services.rendering.opengl.context import gl_backend
@@ -20,8 +20,7 @@ def warm_up(values: Settings) -> str:
     Returns the name of the OpenGL backend.
     """
     set_up(values)
-    limit = memory_limit(values)
-    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+    limit_memory(values)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     forbid_new_privileges()
     torch.set_num_threads(values.threads)

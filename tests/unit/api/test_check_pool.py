@@ -10,7 +10,7 @@ import pytest
 from api.check_pool import CheckPool, NoneFree, Request
 from api.warm_process import TooSlow, Unavailable
 from services.errors import InvalidRequest
-from services.jobs.child import ChildDied
+from services.jobs.child import ChildDied, OutOfMemory
 
 LONG, NOT_AT_ALL = 60.0, 0.0
 
@@ -86,6 +86,17 @@ def test_trouble_is_not_remembered(trouble: Exception) -> None:
             await pool.check(request("a"), "x")
         process.answers.put_nowait({"spec": 1})
         assert await pool.check(request("a"), "x") == {"spec": 1}
+
+    run(test)
+
+
+def test_a_request_that_needs_too_much_memory_is_refused_for_its_scene_and_not_tried_again() -> None:
+    async def test(pool: CheckPool, process: ToldProcess) -> None:
+        process.answers.put_nowait(OutOfMemory("more memory than there is"))
+        for _ in range(2):
+            with pytest.raises(InvalidRequest, match=r"^scene: rendering it once takes more memory than there is; ask"):
+                await pool.check(request("a"), "x")
+        assert process.asked == ["a"]
 
     run(test)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from services.jobs import child as module
-from services.jobs.child import Child, ChildDied
+from services.jobs.child import Child, ChildDied, OutOfMemory
 from services.settings import Settings
 
 ECHO = "tests.unit.jobs.echo_child"
@@ -37,6 +37,24 @@ def test_its_death_is_told_not_waited_for(child: Child) -> None:
     assert child.kill() == -9
     assert not child.alive()
     assert child.memory() == 0
+
+
+def test_one_that_says_it_needs_too_much_memory_stays(child: Child) -> None:
+    child.send({"do": "give up"})
+    with pytest.raises(OutOfMemory, match="SCENE_ATTACK_JOB_MEMORY_BYTES"):
+        child.receive(30)
+    child.send({"do": "echo"})
+    assert child.receive(10) == {"message": {"do": "echo"}, "bytes": 0}
+
+
+def test_one_that_has_too_much_memory_is_killed_also_if_it_is_shared(tmp_path: Path) -> None:
+    child = Child(ECHO, Settings(data=tmp_path))
+    child.receive(30)
+    child.limit = child.memory() + 2**25
+    child.send({"do": "fill"})
+    with pytest.raises(OutOfMemory, match="SCENE_ATTACK_JOB_MEMORY_BYTES"):
+        child.receive(60)
+    assert not child.alive()
 
 
 def test_silence_is_not_death(child: Child) -> None:

@@ -1,3 +1,4 @@
+import errno
 from math import inf
 from pathlib import Path
 
@@ -99,12 +100,17 @@ def test_a_job_that_must_stop_is_told_at_the_next_look(repository: Repository, w
         (MemoryError(), "out-of-memory"),
         (torch.OutOfMemoryError("x"), "out-of-memory"),
         (RuntimeError("[enforce fail at alloc_cpu.cpp:1] DefaultCPUAllocator: can't allocate memory"), "out-of-memory"),
+        (RuntimeError("std::bad_alloc"), "out-of-memory"),
+        (OSError(errno.ENOMEM, "Cannot allocate memory"), "out-of-memory"),
+        (JobFailure("out-of-memory", "target 'mine' needs more memory than is left"), "out-of-memory"),
         (ValueError("a mistake"), "internal"),
         (SystemExit(3), "internal"),
     ],
 )
 def test_every_end_has_a_name(error: BaseException, kind: str) -> None:
-    assert classify(error).kind == kind
+    failure = classify(error, 3 * 2**30)
+    assert failure.kind == kind
+    assert (kind == "out-of-memory") == ("SCENE_ATTACK_JOB_MEMORY_BYTES allows a process, 3 GiB" in failure.detail)
 
 
 @pytest.mark.parametrize(("label", "state"), [("tench", State.SUCCEEDED), ("no such thing", State.REJECTED)])
