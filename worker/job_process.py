@@ -25,6 +25,7 @@ from services.jobs.models import Job, JobKind
 from services.jobs.outages import outage_of
 from services.jobs.placement import Abilities
 from services.jobs.repository import Repository
+from services.jobs.storage import Storage
 from services.jobs.warm_up import warm_up
 from services.jobs.working_files import WorkingFiles
 from services.logs import bound, configure, logger
@@ -113,7 +114,8 @@ class Jobs:
         self._library = Library(settings.cache_dir, settings.files)
         self._working_files = WorkingFiles(settings.data_dir, settings.files)
         store = ArtifactStore(settings.files)
-        self._kept = KeptFiles(self._repository, store, self._working_files, self._library)
+        storage = Storage(settings.data_dir, store)
+        self._kept = KeptFiles(self._repository, store, self._working_files, self._library, storage)
         self._memory = memory_limit(settings)
         self._seconds = settings.job_seconds - min(KEEPING_SECONDS, KEEPING_SHARE * settings.job_seconds)
 

@@ -8,6 +8,7 @@ from services.jobs.artifacts import ArtifactStore, Damaged, media_type
 from services.jobs.attempts import Attempt
 from services.jobs.models import Artifact, Job, JobKind
 from services.jobs.repository import Repository
+from services.jobs.storage import Storage
 from services.jobs.working_files import WorkingFiles
 from services.logs import logger
 from services.pipeline.best_so_far import best_so_far
@@ -22,12 +23,18 @@ class KeptFiles:
     """Puts the files of jobs into the store, and takes the checkpoint from it that a job is to go on from."""
 
     def __init__(
-        self, repository: Repository, store: ArtifactStore, working_files: WorkingFiles, library: Library
+        self,
+        repository: Repository,
+        store: ArtifactStore,
+        working_files: WorkingFiles,
+        library: Library,
+        storage: Storage,
     ) -> None:
         self._repository = repository
         self._store = store
         self._working_files = working_files
         self._library = library
+        self._storage = storage
 
     def go_on(self, attempt: Attempt, path: Path) -> None:
         """Writes the checkpoint that the job is to go on from, if it has one and has made none of its own yet."""
@@ -41,9 +48,15 @@ class KeptFiles:
             log.warning("checkpoint gone, the job begins again", job=attempt.job_id, error=str(error))
 
     def left(self, attempt: Attempt, job: Job) -> list[Artifact]:
-        """The files of an attack that ends early: its checkpoint, and the best that it has found, rendered exactly."""
+        """The files of an attack that ends early: its checkpoint, and the best that it has found, rendered exactly.
+
+        There are none if the disk is full: what space is left is for the record of the job's end.
+        """
         path = self._working_files.left_of(attempt.job_id)
         if job.kind is not JobKind.ATTACK or not path.exists():
+            return []
+        if not self._storage.usable():
+            log.warning("checkpoint not kept, the disk is full", job=attempt.job_id)
             return []
         try:
             with self._working_files.attempt_directory(attempt) as out:

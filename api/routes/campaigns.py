@@ -135,7 +135,7 @@ def cancel_campaign(campaign: WholeCampaign, services: ServicesDependency) -> Ca
 
     A campaign that has ended stays as it is.
     """
-    services.campaigns.record.cancel(campaign.id)
+    services.storage.even_if_full(lambda: services.campaigns.record.cancel(campaign.id))
     return _view(_again(campaign, services), services)
 
 

@@ -212,7 +212,7 @@ def cancel_job(job: KnownJob, services: ServicesDependency) -> JobView:
 
     A job that has ended stays as it is. A repeated request has no further effect.
     """
-    asked = services.repository.request_cancel(job.id)
+    asked = services.storage.even_if_full(lambda: services.repository.request_cancel(job.id))
     if asked is None:
         raise no_such("job")
     return JobView.of(asked)

@@ -27,7 +27,8 @@ processor time, and must not be taken to hang: it waits for a quarter of that ti
 """
 CONNECT_SECONDS = 5
 """How long to wait for PostgreSQL's answer to a new connection."""
-_DATABASE_FILES = {"jobs.sqlite", "jobs.sqlite-shm", "jobs.sqlite-wal", "migrate.lock", "database.dump", "serve.lock"}
+_SQLITE_FILES = {"jobs.sqlite", "jobs.sqlite-shm", "jobs.sqlite-wal", "migrate.lock", "reserve"}
+_DATABASE_FILES = _SQLITE_FILES | {"database.dump", "serve.lock"}
 IN_DATA_FOLDER = frozenset(_DATABASE_FILES | {"artifacts", "assets", "checkpoints", "running", "demo", "service.log"})
 """What a data directory may hold, also one that a backup or the demonstration made."""
 _MIGRATING = 0x5CE4EA77

@@ -11,6 +11,7 @@ from services.jobs.artifacts import ArtifactStore
 from services.jobs.asset_removal import DeletedAssets
 from services.jobs.deletion import Deletions
 from services.jobs.repository import Repository
+from services.jobs.storage import Storage
 from services.jobs.working_files import WorkingFiles
 from services.scenes.store import limit
 
@@ -43,6 +44,7 @@ class Housekeeping:
         self._store = store
         self._working_files = WorkingFiles(data_dir, place)
         self._data_dir = data_dir
+        self._storage = Storage(data_dir)
         self._retention_days = retention_days
         self._meshes = meshes
         self._assets = assets
@@ -54,6 +56,7 @@ class Housekeeping:
 
     def tidy(self) -> None:
         """Does what is due. Raises SQLAlchemyError and OSError; what is left is done the next time."""
+        self._storage.keep_reserve()
         now = time.monotonic()
         if now - self._swept >= SWEEP_SECONDS:
             self._swept = now

@@ -39,6 +39,9 @@ class Outage:
     detail: str
 
 
+DISK_FULL = Outage("storage", _STORAGE[errno.ENOSPC])
+
+
 def outage_of(error: BaseException | None) -> Outage | None:
     """The outage that an error means, or one that caused it; None if it means none."""
     seen: set[int] = set()

@@ -7,8 +7,9 @@ from collections.abc import Iterator
 
 import pytest
 
+from services.jobs.storage import RESERVE
 from tests.integration.conftest import Stack, serving, until
-from tests.integration.specs import QUICK, long
+from tests.integration.specs import ENDLESS, QUICK, long
 from tests.integration.test_jobs import perturbation
 from tests.integration.test_recovery import STEPS, checkpoint
 from tests.unit.jobs.test_outages import fill
@@ -51,6 +52,21 @@ def test_a_full_disk_costs_no_job(on_small_disk: Stack, stack: Stack) -> None:
     assert on_small_disk.ended(job_id)["state"] == "succeeded"
     assert perturbation(on_small_disk, job_id) == wanted
     assert not list(on_small_disk.data.rglob("*.part"))
+
+
+@pytest.mark.parametrize("met", [False, True], ids=["as the disk fills", "once its attempt has ended"])
+def test_a_running_job_is_cancelled_although_the_disk_is_full(on_small_disk: Stack, met: bool) -> None:
+    until((on_small_disk.data / RESERVE).exists, "space is set aside")
+    before = on_small_disk.log.read_text().count("attempt ended by an outage")
+    job_id = on_small_disk.submit(ENDLESS)
+    checkpoint(on_small_disk, job_id)
+    file = fill(on_small_disk.data)
+    if met:
+        until(lambda: on_small_disk.log.read_text().count("attempt ended by an outage") > before, "it meets the disk")
+    answer = on_small_disk.client.post(f"/v1/jobs/{job_id}/cancel")
+    assert answer.status_code == 202, answer.text
+    assert on_small_disk.ended(job_id)["state"] == "cancelled"
+    file.unlink()
 
 
 def test_a_database_that_is_away_costs_no_job(on_small_disk: Stack) -> None:
