@@ -46,7 +46,8 @@ class Answer(TypedDict):
 
 class Apgd(TypedDict):
     """Auto-PGD (Croce & Hein 2020): sign steps within ε with momentum; at checkpoints the step is halved and the
-    best point taken up again if too few steps improved the objective. It has no step size to choose.
+    best point taken up again if too few steps improved the objective. It has no step size to choose: steps are
+    measured in ε, which each group therefore has, whatever else limits the perturbation.
     """
     truncation: NotRequired[int | None]
     constraint: NotRequired[Literal['truncate', 'backtrack', 'epsilon']]
@@ -97,6 +98,11 @@ class AssetUpload(TypedDict):
     up: NotRequired[Literal['y', 'z'] | None]
     licence: NotRequired[str | None]
     credit: NotRequired[str | None]
+
+class AtEpsilon(TypedDict):
+    """The values of a group that are at its ε."""
+    coordinates: int
+    share: float
 
 class Attended(TypedDict):
     """The files that show what a function of a program attends to: grey images, white where an object of its set
@@ -229,6 +235,7 @@ class Cell(TypedDict):
     cancelled: int
     reused: int
     outcomes: dict[str, int]
+    held_within_epsilon: NotRequired[int]
     success: Rate
     loop_success: Rate
     perceptibility: float | None
@@ -768,6 +775,8 @@ class Outcome(TypedDict):
     answers: NotRequired[list[list[str]]]
     float_perceptibility: NotRequired[float | None]
     perceptibility: float
+    perceptibility_limit: NotRequired[float | None]
+    epsilon_bound: NotRequired[bool]
     steps: int
     queries: int
     seconds: float
@@ -978,6 +987,7 @@ class Result(TypedDict):
     float_perceptibility: NotRequired[float | None]
     perceptibility: float
     group_perceptibility: dict[str, float]
+    at_epsilon: NotRequired[dict[str, AtEpsilon]]
     beyond_truncation: int | None
     plan: Plan
     image_error: float

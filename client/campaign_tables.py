@@ -18,9 +18,9 @@ def campaign_state(state: str) -> Text:
 
 def results(found: Mapping[str, Any]) -> FittedTable:
     """The table of a campaign (services.analysis.campaign_table.Table, as JSON): a row for each target and attack."""
-    columns = ("target", "attack", "ended>", "n>", "success %>", "95 % interval>", "p ×1e-3>")
+    columns = ("target", "attack", "ended>", "n>", "success %>", "95 % interval>", "p ×1e-3>", "held within ε>")
     loop = ("in the loop %>", "p ×1e-3>", "truncated px>", "failed>", "reused>")
-    spare = ("reused", "truncated px", "failed", "in the loop %", "ended", "n")
+    spare = ("reused", "held within ε", "truncated px", "failed", "in the loop %", "ended", "n")
     return table((*columns, *loop), [_row(cell) for cell in found["cells"]], title=found["campaign"], spare=spare)
 
 
@@ -35,6 +35,7 @@ def _row(cell: Mapping[str, Any]) -> list[str | Text]:
         _number(success["rate"], 100),
         interval,
         _number(cell["perceptibility"], 1000),
+        str(cell["held_within_epsilon"] or ""),
         _number(cell["loop_success"]["rate"], 100),
         _number(cell["loop_perceptibility"], 1000),
         _number(cell["truncated"], 1),

@@ -6,7 +6,7 @@ from typing import Any
 from rich.text import Text
 
 from client.console import err, yes
-from services.attacks.verdict import SUCCESS, WRONG_BEFORE, with_outcome
+from services.attacks.verdict import SUCCESS, WRONG_BEFORE, held_within, with_outcome
 
 STYLES = {"fooled": "bold magenta", "held": "bold blue"}
 """The colours of outcomes; the others are yellow, since they are neither a success nor a failure."""
@@ -59,9 +59,11 @@ def answer_cell(outcome: Mapping[str, Any], when: str) -> str:
 
 
 def verdict(outcome: Mapping[str, Any]) -> Text:
-    """The word for what the attack came to, e.g. "fooled" or "held", in its colour."""
-    word = with_outcome(dict(outcome))["outcome"]
-    return Text(word, style=STYLES.get(word, "yellow"))
+    """The word for what the attack came to, e.g. "fooled" or "held", in its colour, and what bound a search."""
+    whole = with_outcome(dict(outcome))
+    text = Text(whole["outcome"], style=STYLES.get(whole["outcome"], "yellow"))
+    bound = held_within(whole)
+    return text.append(f" {bound}") if bound else text
 
 
 def verified(outcome: Mapping[str, Any]) -> Text:

@@ -6,6 +6,7 @@ from datetime import datetime
 from typing import Any
 
 from services.attacks.verdict import WRONG_BEFORE as WRONG_BEFORE
+from services.attacks.verdict import held_within as held_within
 from services.signed import signed
 
 FAILURES = {

@@ -24,6 +24,7 @@ class Case(_Record):
     state: str = Field(description='"succeeded" (ran to its end), "failed" or "cancelled"')
     right: bool = Field(description="whether the truth is known and the network's first answer was right")
     outcome: str | None = Field(None, description="the job's outcome; null if it did not run to its end")
+    epsilon_bound: bool = Field(False, description="some values of the stored perturbation are at their ε")
     success: bool = Field(False, description="outcome `fooled`, and verified")
     loop_success: bool = Field(
         False, description="right before, and fooled by the truncated image in the loop: the paper's count"
@@ -74,6 +75,9 @@ class Cell(_Record):
     cancelled: int = Field(description="cancelled jobs, which count nowhere")
     reused: int
     outcomes: dict[str, int]
+    held_within_epsilon: int = Field(
+        0, description="of those that held: ε bound the search, and nothing was tried beyond"
+    )
     success: Rate = Field(description="right before, fooled and verified")
     loop_success: Rate = Field(description="right before and fooled by the truncated image in the loop: the paper's")
     perceptibility: float | None = Field(
@@ -133,6 +137,7 @@ def _cell(target: str, attack: str, jobs: int, own: Sequence[Case]) -> Cell:
         cancelled=sum(case.state == "cancelled" for case in own),
         reused=sum(case.reused for case in own),
         outcomes=dict(sorted(Counter(case.outcome for case in own if case.outcome is not None).items())),
+        held_within_epsilon=sum(case.outcome == "held" and case.epsilon_bound for case in own),
         success=Rate.of_cases(len(won), len(counted)),
         loop_success=Rate.of_cases(len(in_loop), len(counted)),
         perceptibility=mean([case.perceptibility for case in won]),

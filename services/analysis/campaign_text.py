@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from services.analysis.campaign_table import Cell, Rate, Table
 
-FIELDS = ("jobs", "ended", "failed", "cancelled", "reused")
+FIELDS = ("jobs", "ended", "failed", "cancelled", "reused", "held_within_epsilon")
 RATES = ("success", "loop_success")
 OUTCOMES = ("fooled", "changed", "became-right", "still-wrong", "held")
 _TEX = {

@@ -17,6 +17,7 @@ _OF_CASE = (
     "state",
     "right",
     "outcome",
+    "epsilon_bound",
     "success",
     "loop_success",
     "perceptibility",

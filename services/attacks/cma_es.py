@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 from pydantic import Field, model_validator
 
 from services.attacks.limits import Limit
-from services.attacks.spec import AttackSettings, register
-from services.attacks.suggested import suggested_limits
+from services.attacks.spec import register
+from services.attacks.suggested import SearchWithinLimits, in_scale
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -23,10 +23,10 @@ DRAWS = 10
 """Times that a member is drawn until it is within the bounds; then it is clipped to them. Where the optimum is at a
 limit of many coordinates, nearly all are clipped, and the package's 100 draws would cost more than the network."""
 SPREAD = 1 / 3
-"""The default first standard deviation, in ε: a step of three of them ends at the limit."""
+"""The default first standard deviation, as a share of a group's scale: three of them end at an ε."""
 
 
-class CmaEs(AttackSettings):
+class CmaEs(SearchWithinLimits):
     """Covariance matrix adaptation (Hansen 2016): each step draws a population around the mean, asks the network for
     each member, and moves mean and covariance towards the better half. It needs scores only.
     """
@@ -38,22 +38,17 @@ class CmaEs(AttackSettings):
     )
     spread: dict[str, Limit] = Field(
         default_factory=dict,
-        description="first standard deviation of each group, in the group's units; default: a third of its `epsilon`",
+        description="first standard deviation of each group, in the group's units; default: a third of its `epsilon`, "
+        "without one 20 of the steps that its renderer suggests",
     )
 
     @classmethod
     def complete(cls, data: dict[str, Any]) -> dict[str, Any]:
-        """Fills in the limits that the renderer suggests for its groups, and the spreads that follow from them."""
-        data = suggested_limits(data)
-        limits, given = data.get("epsilon"), data.get("spread") or {}
-        if not isinstance(limits, dict) or not isinstance(given, dict):
-            return data
-        spreads = {group: SPREAD * limit for group, limit in limits.items() if isinstance(limit, int | float)}
-        return data | {"spread": spreads | given}
+        """Fills in the limits that the search needs, and the spreads."""
+        return in_scale(super().complete(data), "spread", SPREAD)
 
     @model_validator(mode="after")
     def _a_value_for_each_group(self) -> Self:
-        self.check_groups("epsilon", self.epsilon)
         self.check_groups("spread", self.spread)
         return self
 
@@ -77,8 +72,9 @@ class CmaEsMethod:
         self.best_objective = torch.tensor(torch.inf, dtype=torch.float64)
         self.spread = self.layout.spread(settings.spread)
         self.begin = (self.best.double() / self.spread).numpy()
-        sides = [{group: problem.bounds[group][side] for group in self.layout.groups} for side in (0, 1)]
-        self.bounds = torch.stack([self.layout.flatten(side).double() / self.spread for side in sides], dim=1).numpy()
+        far = torch.full_like(self.best, torch.inf)
+        sides = [self.layout.flatten(problem.clamp(self.layout.unflatten(end))) for end in (-far, far)]
+        self.bounds = torch.stack([side.double() / self.spread for side in sides], dim=1).numpy()
         self.optimiser = _saved(self._new())
 
     @property

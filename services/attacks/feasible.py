@@ -32,6 +32,8 @@ BACKTRACK_MARGIN = 0.5 / 255
 """Backtracking keeps this distance from U: the plan's error may take the exact image as far from the loop's."""
 P_MARGIN = 0.01
 """Backtracking keeps p below its limit by this share, for the same reason."""
+EDGE = 0.05
+"""Share of ε within which a value counts as at it: a search by random draws ends near ε, hardly ever on it."""
 ROUNDING = 1e-6
 """Tolerance of the comparison with U: float32 sums of k/255 are off by less, and a change of exactly U is allowed."""
 
@@ -111,6 +113,11 @@ def perturbation_bounds(
         if not bool(low.isinf().all() and high.isinf().all()):
             found[group] = (low, high)
     return found
+
+
+def at_epsilon(perturbation: Mapping[str, Tensor], epsilon: Mapping[str, float]) -> dict[str, Tensor]:
+    """Which values of each group that has an ε are at it, within `EDGE`: bool, of the shape of the group."""
+    return {group: perturbation[group].abs() >= (1 - EDGE) * limit for group, limit in epsilon.items()}
 
 
 def _check_start(group: str, value: Tensor, bounds: tuple[float, float]) -> None:

@@ -31,10 +31,11 @@ class PRgf(DifferencesWithinLimits):
         description="another target, whose scores have gradients: the direction of its gradient is tried at each step "
         "beside the random ones; null: random directions alone",
     )
-    rate_in_epsilon: ClassVar[float] = 1 / 4
+    rate_in_scale: ClassVar[float] = 1 / 4
     learning_rate: dict[str, Rate] = Field(
         default_factory=dict,
-        description="Adam's learning rate of each group, in the group's units; default: 1/4 of its `epsilon`",
+        description="Adam's learning rate of each group, in the group's units; default: 1/4 of its `epsilon`, without "
+        "one 15 of the steps that its renderer suggests",
     )
     pairs: Annotated[int, Field(ge=0, le=4096)] = Field(
         4,

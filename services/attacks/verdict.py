@@ -2,7 +2,7 @@
 can read it.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import Any, Literal, TypeVar
 
 Verdict = Literal["fooled", "changed", "became-right", "still-wrong", "held"]
@@ -45,6 +45,18 @@ def judge(
     if first not in truth:
         return "became-right" if attacked in after else "still-wrong"
     return "fooled" if met and after and attacked not in after else "held"
+
+
+def held_within(outcome: Mapping[str, Any]) -> str:
+    """What bound a search that held, by the fields of a job's outcome: "within ε, p used 21.30 of 50.00 ×10⁻³"; empty
+    unless ε did.
+    """
+    if outcome["outcome"] != "held" or not outcome.get("epsilon_bound"):
+        return ""
+    limit, p = outcome.get("perceptibility_limit"), outcome.get("float_perceptibility")
+    if limit is None or p is None:
+        return "within ε"
+    return f"within ε, p used {1000 * p:.2f} of {1000 * limit:.2f} ×10⁻³"
 
 
 def with_outcome(record: Any) -> Any:

@@ -51,6 +51,7 @@ def case_of(result: Result, target: str, attack: str, *, run_seconds: float | No
         state="succeeded",
         right=right,
         outcome=result.outcome,
+        epsilon_bound=result.epsilon_bound,
         success=success(result),
         loop_success=right and result.fooled,
         perceptibility=result.perceptibility if result.float_perceptibility is None else result.float_perceptibility,

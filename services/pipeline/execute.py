@@ -16,6 +16,7 @@ from services.analysis.expectation import held_over
 from services.analysis.perceptibility import beyond, of_float_images, of_groups, of_images
 from services.analysis.physical import changes_in_words
 from services.analysis.subsets import ScoredImage, subsets
+from services.attacks.feasible import at_epsilon
 from services.attacks.loop import Budget, run, sampled_error
 from services.attacks.masking import check_masking
 from services.attacks.method import Method
@@ -32,7 +33,7 @@ from services.pipeline.extensions import loaded_extensions
 from services.pipeline.leaving_out import LeavingOut, leaving_out
 from services.pipeline.prepare import Prepared, lit_by_map, prepare
 from services.pipeline.question_result import outcome_of, question_results
-from services.pipeline.result import Provenance, Result, subset_image
+from services.pipeline.result import AtEpsilon, Provenance, Result, subset_image
 from services.pipeline.spec import JobSpec
 from services.pipeline.warning import JobWarning
 from services.rendering.color import to_bytes
@@ -194,6 +195,10 @@ def _write(
         float_perceptibility=of_float_images(prepared.exact, exact),
         perceptibility=of_images(original, attacked),
         group_perceptibility=of_groups(prepared.renderer.name, found.stored),
+        at_epsilon={
+            group: AtEpsilon(coordinates=int(values.sum()), share=float(values.double().mean()))
+            for group, values in at_epsilon(found.stored, problem.epsilon).items()
+        },
         beyond_truncation=None if limit is None else beyond(original, attacked, limit),
         expectation=held,
         plan=_plan(prepared, left_out),

@@ -29,7 +29,7 @@ def tables() -> str:
     lines += ["## `attack.expectation`", "", " ".join((Expectation.__doc__ or "").split()), "", *_fields(Expectation)]
     lines += ["## Renderers and their parameter groups", ""]
     lines += ["If a request leaves `method` out, it is the method that this table gives for the renderer. *limit* is"]
-    lines += ["the `epsilon` of methods that need one, where the request gives none.", ""]
+    lines += ["the `epsilon` of methods that need one, where the request gives none and nothing else limits them.", ""]
     columns = ("renderer", "method", "group", "shape", "unit", "step of fgsm", "limit")
     return "\n".join(lines + list(_table(columns, _groups()))).rstrip()
 

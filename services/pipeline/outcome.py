@@ -35,6 +35,14 @@ class Outcome(BaseModel):
         None, description="p of the image before rounding, the paper's; null in results of version 0.1"
     )
     perceptibility: float = Field(description="p of the image as saved, of 8 bits")
+    perceptibility_limit: float | None = Field(
+        None, exclude_if=lambda limit: limit is None, description="the largest p that the request allowed"
+    )
+    epsilon_bound: bool = Field(
+        False,
+        exclude_if=operator.not_,
+        description="whether some values of the stored perturbation are at their ε: a search that held was bound by it",
+    )
     steps: int
     queries: int
     seconds: float
@@ -55,6 +63,7 @@ def success(record: Outcome | Result) -> bool:
 
 def outcome(result: Result) -> dict[str, Any]:
     """The outcome of a result as JSON data, which the database stores beside the result."""
+    request: Any = result.spec
     return Outcome(
         outcome=result.outcome,
         right_before=result.right_before,
@@ -68,6 +77,8 @@ def outcome(result: Result) -> dict[str, Any]:
         answers=[(one.before.label, one.after.label) for one in result.questions] if len(result.questions) > 1 else [],
         float_perceptibility=result.float_perceptibility,
         perceptibility=result.perceptibility,
+        perceptibility_limit=request["attack"].get("perceptibility"),
+        epsilon_bound=result.epsilon_bound,
         steps=result.steps,
         queries=result.queries,
         seconds=result.seconds,

@@ -50,6 +50,13 @@ class Provenance(_Record):
     )
 
 
+class AtEpsilon(_Record):
+    """The values of a group that are at its ε."""
+
+    coordinates: int = Field(description="values within 5 % of ε")
+    share: float = Field(description="their share of the group's values")
+
+
 class Result(_Record):
     """The outcome of a job that ran to its end.
 
@@ -91,6 +98,11 @@ class Result(_Record):
         description="p(ΔY) of the exact image of the stored perturbation as it is saved, rounded to 8 bits; in [0, √3]"
     )
     group_perceptibility: dict[str, float]
+    at_epsilon: dict[str, AtEpsilon] = Field(
+        {},
+        description="for each attacked group with an ε: the values of the stored perturbation that are at it. Where a "
+        "search held and some are, ε bound it, and nothing is said about perturbations beyond",
+    )
     beyond_truncation: int | None = Field(
         description="pixels of the exact image with a value that differs from the original by more than U"
     )
@@ -140,6 +152,11 @@ class Result(_Record):
     step: int = Field(description="the step at which the stored perturbation was found")
     trace: list[TraceRow]
     provenance: Provenance
+
+    @property
+    def epsilon_bound(self) -> bool:
+        """Whether any value of the stored perturbation is at its ε."""
+        return any(group.coordinates for group in self.at_epsilon.values())
 
     @model_validator(mode="before")
     @classmethod

@@ -53,6 +53,13 @@ CASES = [
 PLANNED = [("t", "a")] * 12 + [("t", "b"), ("u", "a")]
 
 
+def test_cases_that_held_within_their_epsilon_are_counted() -> None:
+    cases = [case(epsilon_bound=True), case(epsilon_bound=True), case(), fooled(7, epsilon_bound=True)]
+    found = table("c", [("t", "a")] * 4, cases).cell("t", "a")
+    assert found is not None
+    assert (found.outcomes, found.held_within_epsilon) == ({"fooled": 1, "held": 3}, 2)
+
+
 def test_only_scenes_that_were_right_count_and_no_failure_is_left_out() -> None:
     found = table("c", PLANNED, CASES).cell("t", "a")
     assert found is not None

@@ -134,3 +134,19 @@ def test_a_resumed_attack_goes_on_bit_for_bit(kind: str, monkeypatch: pytest.Mon
         if "funhist" not in name:  # the package's memory of former generations begins uninitialised
             assert torch.equal(value, rest.state()[name]), name
     assert float(whole.best_objective) < begin
+
+
+@pytest.mark.parametrize(("allowed", "reached"), [(1.05, 1.0), (0.5, 0.5)])
+def test_without_an_epsilon_it_goes_as_far_as_the_limit_on_p_allows(allowed: float, reached: float) -> None:
+    """The bottom of the bowl is at p; a search that may go further ends there, another at its limit. Backtracking keeps
+    1 % from the limit and is content with 4 % less."""
+    renderer = FreeRenderer()
+    bottom = {"a": torch.full((1, 2, 3), 0.3, dtype=torch.float64), "b": torch.full((1, 3), -0.3, dtype=torch.float64)}
+    image = renderer.render(bottom)[0]
+    p = float((image - renderer.base).square().sum(-1).mean().sqrt())
+    case = problem(renderer, Bowl(image), perceptibility=allowed * p)
+    method = CmaEsMethod(settings({"a": 0.1, "b": 0.1}), case)
+    for step in range(100):
+        method.advance(case, case.view(method.perturbation), step)
+    change = case.view(method.perturbation).images[0] - renderer.base
+    assert 0.95 * reached * p < float(change.square().sum(-1).mean().sqrt()) < 1.01 * reached * p

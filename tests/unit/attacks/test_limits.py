@@ -8,6 +8,8 @@ from services.attacks.fgsm import Fgsm
 from services.attacks.mi_fgsm import MiFgsm
 from services.attacks.square import Square
 from services.attacks.zoo import Zoo
+from services.pipeline.extensions import ATTACKS
+from services.rendering.pyrender_renderer.declaration import PYRENDER
 
 
 @pytest.mark.parametrize(
@@ -55,3 +57,35 @@ def test_methods_that_need_a_limit_take_the_one_that_the_renderer_suggests() -> 
     assert Square().renderer == "image"
     assert Square().base_renderer == "torch"
     assert Square().epsilon == {"image": 8 / 255}
+
+
+BLIND: dict[str, dict[str, float]] = {
+    "cma-es": {"spread": 20},
+    "spsa": {"delta": 3.75, "learning_rate": 3.75},
+    "p-rgf": {"delta": 3.75, "learning_rate": 15},
+}
+
+
+@pytest.mark.parametrize("name", BLIND)
+@pytest.mark.parametrize("limit", [{"constraint": "backtrack", "perceptibility": 0.05}, {"truncation": 18}])
+def test_a_search_that_p_or_u_limits_has_no_epsilon_that_nobody_asked_for(name: str, limit: dict[str, object]) -> None:
+    """Its steps are then those that the renderer suggests, times a factor."""
+    settings = ATTACKS[name].settings.model_validate({"renderer": "pyrender"} | limit)
+    assert settings.epsilon == {}
+    for field, factor in BLIND[name].items():
+        suggested = {group.name: factor * (group.suggested_step or 0) for group in PYRENDER.groups if group.by_default}
+        assert getattr(settings, field) == pytest.approx(suggested, rel=1e-12)
+    given = ATTACKS[name].settings.model_validate({"renderer": "pyrender", "epsilon": {"color": 0.3}} | limit)
+    assert given.epsilon == {"color": 0.3}
+
+
+@pytest.mark.parametrize("name", BLIND)
+def test_a_search_without_another_limit_takes_the_suggested_epsilon(name: str) -> None:
+    settings = ATTACKS[name].settings.model_validate({"renderer": "pyrender"})
+    assert settings.epsilon == {"illumination": 0.1, "color": 0.1, "translation": 0.02, "rotation": 0.1}
+    assert ATTACKS[name].settings.model_validate(settings.model_dump()) == settings
+
+
+def test_apgd_measures_its_step_in_an_epsilon_whatever_else_limits_it() -> None:
+    settings = Apgd.model_validate({"renderer": "pyrender", "constraint": "backtrack", "perceptibility": 0.05})
+    assert settings.epsilon["illumination"] == 0.1

@@ -30,6 +30,14 @@ def test_the_word_of_a_job_is_its_outcome(word: str) -> None:
     assert verdict(line(word, None)).plain == word
 
 
+def test_a_search_that_held_says_that_its_epsilon_bound_it() -> None:
+    bound = line("held", True) | {"epsilon_bound": True, "float_perceptibility": 0.0213}
+    assert verdict(bound).plain == "held within ε"
+    assert verdict(bound | {"perceptibility_limit": 0.05}).plain == "held within ε, p used 21.30 of 50.00 ×10⁻³"
+    assert verdict(bound | {"epsilon_bound": False}).plain == "held"
+    assert verdict(bound | {"outcome": "fooled"}).plain == "fooled"
+
+
 @pytest.mark.parametrize(
     ("word", "shown"), [("fooled", "yes"), ("changed", "yes"), ("became-right", ""), ("still-wrong", ""), (None, "yes")]
 )

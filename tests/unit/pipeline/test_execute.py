@@ -11,10 +11,12 @@ from safetensors.torch import load_file
 from services.analysis.images import load_png
 from services.attacks.loop import run
 from services.attacks.state import AttackState
+from services.attacks.verdict import held_within
 from services.errors import Cancelled
 from services.pipeline.execute import Progress, execute
+from services.pipeline.outcome import outcome
 from services.pipeline.prepare import prepare
-from services.pipeline.result import Result
+from services.pipeline.result import AtEpsilon, Result
 from services.pipeline.spec import parse
 from services.rendering.factory import build
 from services.rendering.pyrender_renderer import errors
@@ -99,6 +101,19 @@ def test_the_error_of_images_that_opengl_drew_too_is_in_the_result(
     assert exact.sampled_error is None
     again = Result.model_validate_json((tmp_path / "rasterised" / "result.json").read_text())
     assert again.sampled_error == result.sampled_error
+
+
+def test_a_search_that_held_at_its_epsilon_says_so(tmp_path: Path) -> None:
+    """APGD's first step moves each value to ε, within which the network holds: p is √3 · ε."""
+    limits = {"epsilon": {"image": 0.01}, "constraint": "backtrack", "perceptibility": 0.05}
+    result = execute(spec({"renderer": "image", "method": "apgd", "steps": 1} | limits), tmp_path, LIBRARY)
+    assert result.at_epsilon == {"image": AtEpsilon(coordinates=64 * 64 * 3, share=1.0)}
+    line = outcome(result)
+    assert (line["outcome"], line["epsilon_bound"], line["perceptibility_limit"]) == ("held", True, 0.05)
+    assert held_within(line) == "within ε, p used 17.32 of 50.00 ×10⁻³"
+    free = execute(spec({"renderer": "image", "method": "fgsm", "steps": 1}), tmp_path / "free", LIBRARY)
+    assert free.at_epsilon == {}
+    assert not held_within(outcome(free))
 
 
 @pytest.mark.parametrize(("drawn_by", "credited"), [("pyrender", False), ("torch", True)])
