@@ -7,10 +7,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from services.errors import InvalidRequest
+from services.errors import InvalidFields, InvalidRequest
 
 if TYPE_CHECKING:
-    from torch import nn
+    from torch import Tensor, nn
 
     from services.pipeline.execute import Progress
     from services.pipeline.result import Result
@@ -22,47 +22,90 @@ if TYPE_CHECKING:
 
 def attack(
     scene: Mapping[str, Any],
-    model: nn.Module | Target,
+    model: nn.Module | Target | Callable[[Tensor], Any],
     spec: Mapping[str, Any] | None = None,
     *,
-    labels: Sequence[str] = (),
+    labels: Sequence[str] | None = None,
     preprocessing: Mapping[str, Any] | None = None,
     name: str = "module",
     out: Path | str | None = None,
     progress: Callable[[Progress], None] = lambda _: None,
 ) -> Result:
-    """Runs one attack on a torch module, or on an object that implements `services.targets.protocol.Target`.
+    """Runs one attack on a torch module, on a function, or on a `services.targets.protocol.Target`.
 
-    A module takes images [B, 3, H, W] and returns scores [B, K] before the softmax; it is copied and not changed.
-    `labels` names its scores, by default "0" to "K-1". `preprocessing` has the fields of
+    A module takes images [B, 3, H, W] and returns scores [B, K] before the softmax; it is copied and not changed. A
+    function does the same with float32 CPU tensors, and may return any array; only methods without gradients attack it.
+    `labels` names the scores: a list, "imagenet" for ImageNet's 1,000 in their usual order, with which library meshes
+    have their truth, or None for "0" to "K-1". `preprocessing` has the fields of
     services.targets.preprocessing.Preprocessing: `input_size` (height and width, default 224×224), `mean`, `scale`,
     `resize`, `channels`. `scene` is the scene of a request and `spec` its other fields, such as `attack`, `goal` and
     `seed`; docs/scene.md describes them. A `mesh` may be a path relative to the working directory, "./chair.obj". The
-    files of a job are written into the folder `out` if it is given. Meshes, device and the like are those of the
-    SCENE_ATTACK_ variables. Raises InvalidRequest, which names the field, for
-    anything that cannot run, and JobFailure for a run that fails.
+    files of a job are written into the folder `out` if it is given; it may hold no other job's result. Meshes, device
+    and the like are those of the SCENE_ATTACK_ variables. Raises InvalidRequest, which names the field or the argument,
+    for anything that cannot run, and JobFailure for a run that fails.
     """
-    from torch import nn
-
     from client.local_meshes import local_library
+    from client.result_folder import check_free, prepare_folder
     from client.settings import read_settings
     from services.pipeline.execute import execute
     from services.pipeline.extensions import set_up
-    from services.targets.custom.in_process import describe, target_of
+    from services.targets.custom.in_process import describe
     from services.targets.registry import registered
 
     settings = read_settings()
     set_up(settings)
-    if isinstance(model, nn.Module):
-        chosen = _preprocessing(preprocessing or {})
-        target: Target = target_of(name, model, tuple(labels) or _numbers(model, chosen), chosen)
-    elif labels or preprocessing:
-        raise InvalidRequest("labels", "a target has labels and preprocessing of its own; leave both out")
-    else:
-        target = model
+    target = _target(name, model, labels, preprocessing)
     job = _spec(scene, name, spec or {}, settings)
-    with registered(describe(name, target), target), TemporaryDirectory() as folder:
+    if out is not None:
+        check_free(Path(out), job, "out", target.weights_sha256)
+        prepare_folder(Path(out), "out")
+    card = describe(name, target, "imagenet" if labels == "imagenet" else "custom")
+    with registered(card, target), TemporaryDirectory() as folder:
         return execute(job, Path(folder) if out is None else Path(out), local_library(settings), progress=progress)
+
+
+def _target(name: str, model: Any, labels: Any, preprocessing: Any) -> Target:
+    """The target of the arguments of `attack`. Raises InvalidRequest, which names the argument."""
+    from torch import nn
+
+    from services.targets.custom.in_process import scores_of, target_of
+
+    if not isinstance(model, nn.Module) and hasattr(model, "logits"):
+        missing = [part for part in _PARTS if not hasattr(model, part)]
+        if missing:
+            raise InvalidRequest("model", f"it has `logits` and so is a target, but no {' and no '.join(missing)}")
+        if labels is not None or preprocessing:
+            field = "preprocessing" if labels is None else "labels"
+            raise InvalidRequest(field, "a target has labels and preprocessing of its own; leave both out")
+        target: Target = model
+        return target
+    if not callable(model):
+        raise InvalidRequest(
+            "model",
+            f"must be a torch.nn.Module, a function of images [B, 3, H, W], or a target, not {type(model).__name__}",
+        )
+    chosen = _preprocessing({} if preprocessing is None else preprocessing)
+    named = _labels(labels) or _numbers(model, chosen)
+    return (target_of if isinstance(model, nn.Module) else scores_of)(name, model, named, chosen)
+
+
+_PARTS = ("name", "labels", "input_size", "differentiable", "takes_question", "weights_sha256", "backend")
+
+
+def _labels(given: Any) -> tuple[str, ...]:
+    """The labels of the argument; empty if it names none."""
+    from services.targets.imagenet import imagenet_labels
+
+    if given is None:
+        return ()
+    if isinstance(given, str) and given == "imagenet":
+        return imagenet_labels()
+    whole = isinstance(given, str) or not isinstance(given, Sequence)
+    wrong = [given] if whole else [one for one in given if not isinstance(one, str)]
+    if wrong:
+        found = f"{wrong[0]!r:.80}{'' if whole else ' in a list'}"
+        raise InvalidRequest("labels", f'must be a list of texts, "imagenet", or None for numbers, not {found}')
+    return tuple(given)
 
 
 def _spec(scene: Mapping[str, Any], name: str, spec: Mapping[str, Any], settings: Settings) -> JobSpec:
@@ -76,29 +119,35 @@ def _spec(scene: Mapping[str, Any], name: str, spec: Mapping[str, Any], settings
     return parse(with_meshes_added(data, Path.cwd(), to_library(settings)))
 
 
-def _preprocessing(given: Mapping[str, Any]) -> Preprocessing:
+def _preprocessing(given: Any) -> Preprocessing:
     from pydantic import ValidationError
 
     from services.pipeline.field_errors import invalid_fields
     from services.targets.preprocessing import Preprocessing
 
+    if not isinstance(given, Mapping):
+        detail = f"must be a mapping such as {{'input_size': [32, 32]}}, not {type(given).__name__}"
+        raise InvalidRequest("preprocessing", detail)
     try:
         return Preprocessing.model_validate(dict(given))
     except ValidationError as error:
-        first = invalid_fields(error.errors(include_url=False), Preprocessing.model_json_schema())[0]
-        raise InvalidRequest(f"preprocessing.{first.field}", first.detail) from error
+        found = invalid_fields(error.errors(include_url=False), Preprocessing.model_json_schema())
+        raise InvalidFields([InvalidRequest(f"preprocessing.{one.field}", one.detail) for one in found]) from error
 
 
-def _numbers(model: nn.Module, preprocessing: Preprocessing) -> tuple[str, ...]:
+def _numbers(model: Callable[[Tensor], Any], preprocessing: Preprocessing) -> tuple[str, ...]:
     """The numbers of the model's scores, found by showing a copy of it a black image."""
     from copy import deepcopy
 
     import torch
 
-    weight = next(model.parameters(), torch.zeros(1))
+    from services.targets.custom.in_process import ScoresOnly
+
+    network = deepcopy(model).eval() if isinstance(model, torch.nn.Module) else ScoresOnly(model)
+    weight = next(network.parameters(), torch.zeros(1))
     try:
         with torch.no_grad():
-            scores = deepcopy(model).eval()(weight.new_zeros(1, 3, *preprocessing.input_size))
+            scores = network(weight.new_zeros(1, 3, *preprocessing.input_size))
     except Exception as error:
         size = ", ".join(map(str, preprocessing.input_size))
         said = f"it takes no images [1, 3, {size}] ({error}); preprocessing.input_size says which it takes"

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,8 +16,12 @@ if TYPE_CHECKING:
 REMEDY = "name another folder, or remove this one"
 
 
-def check_free(folder: Path, spec: "JobSpec") -> None:
-    """Raises InvalidRequest("--out") if the folder holds the result or the checkpoint of another job than `spec`."""
+def check_free(folder: Path, spec: "JobSpec", field: str = "--out", weights_sha256: str | None = None) -> None:
+    """Raises InvalidRequest(field) if the folder holds the result or the checkpoint of another job than `spec`.
+
+    weights_sha256: of the network, if it is one that the request does not name; a result of another one is another
+    job's, too.
+    """
     from services.pipeline.names import attack_name, job_name
 
     for name, what in (("checkpoint.json", "the checkpoint"), ("result.json", "the result")):
@@ -27,9 +32,20 @@ def check_free(folder: Path, spec: "JobSpec") -> None:
         except FileNotFoundError:
             continue
         except (ValueError, KeyError, TypeError) as error:
-            raise InvalidRequest("--out", f"{folder} holds a {name} that is no job's; {REMEDY}") from error
-        if not _same(stored, spec):
-            raise InvalidRequest("--out", f"{folder} holds {what} of another job ({whose}); {REMEDY}")
+            raise InvalidRequest(field, f"{folder} holds a {name} that is no job's; {REMEDY}") from error
+        own = weights_sha256 is None or data.get("provenance", {}).get("weights_sha256") == weights_sha256
+        if not (own and _same(stored, spec)):
+            raise InvalidRequest(field, f"{folder} holds {what} of another job ({whose}); {REMEDY}")
+
+
+def prepare_folder(folder: Path, field: str = "--out") -> None:
+    """Makes the folder. Raises InvalidRequest(field) if it cannot be made or written."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InvalidRequest(field, f"cannot make the directory {folder}: {error.strerror}") from error
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise InvalidRequest(field, f"the directory {folder} cannot be written; name another one")
 
 
 def check_finished(folder: Path) -> None:

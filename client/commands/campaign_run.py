@@ -31,10 +31,11 @@ def run(
     """
     from client.campaign_live import CampaignLine
     from client.campaign_tables import results
-    from client.commands.run import keep_memory, library, prepare_folder
+    from client.commands.run import keep_memory, library
     from client.console import err, print_json, report_extensions
     from client.console import out as stdout
     from client.local_meshes import read_with_meshes
+    from client.result_folder import prepare_folder
     from client.settings import settings_to_run
     from services.pipeline.campaign_check import check_meshes, check_size
     from services.pipeline.campaign_select import nothing_chosen

@@ -239,10 +239,9 @@ def download(
     A directory that holds the result of another job is refused.
     """
     from client.api_client import ApiClient
-    from client.commands.run import prepare_folder
     from client.console import out, print_json
     from client.ids import job_id as whole_id
-    from client.result_folder import check_same_files
+    from client.result_folder import check_same_files, prepare_folder
 
     prepare_folder(to)
     with ApiClient(url) as client:

@@ -45,7 +45,7 @@ def run(
     from client.local_meshes import local_library, read_with_meshes
     from client.outcomes import COLUMNS, cells, goal_line
     from client.question_tables import print_answered
-    from client.result_folder import check_free
+    from client.result_folder import check_free, prepare_folder
     from client.settings import settings_to_run
     from services.pipeline.names import attack_name, job_name
     from services.pipeline.spec import parse
@@ -127,20 +127,6 @@ def keep_memory() -> None:
 
     if not ALLOCATOR.keys() <= os.environ.keys():
         os.execve(sys.executable, [sys.executable, "-m", "client", *sys.argv[1:]], os.environ | ALLOCATOR)
-
-
-def prepare_folder(out: Path) -> None:
-    """Makes the directory. Raises InvalidRequest("--out") if it cannot be made or written."""
-    import os
-
-    from services.errors import InvalidRequest
-
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InvalidRequest("--out", f"cannot make the directory {out}: {error.strerror}") from error
-    if not os.access(out, os.W_OK | os.X_OK):
-        raise InvalidRequest("--out", f"the directory {out} cannot be written; name another one")
 
 
 def library(settings: "Settings") -> "Library":

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from services.targets.protocol import Target
 
+Vocabulary = Literal["imagenet", "furniture-14", "clevr", "custom"]
 LONGEST_LABEL = 300
 """Largest number of characters of a label, so that a goal can name every label."""
 
@@ -36,7 +37,7 @@ class TargetInfo(BaseModel):
     takes_question: bool
     source: str
     licence: str
-    vocabulary: Literal["imagenet", "furniture-14", "clevr", "custom"] = "custom"
+    vocabulary: Vocabulary = "custom"
     example: str | None = None
     """A question that it takes, with which it is tried when it is loaded; None: any text."""
     card_sha256: str | None = None
