@@ -1206,6 +1206,7 @@ class TargetInfo(TypedDict):
     licence: str
     vocabulary: NotRequired[Literal['imagenet', 'furniture-14', 'clevr', 'custom']]
     example: NotRequired[str | None]
+    missing: NotRequired[str | None]
     card_sha256: NotRequired[str | None]
 
 class TargetList(TypedDict):

@@ -28,12 +28,12 @@ def targets(context: typer.Context, as_json: JsonOption = False) -> None:
     from client.console import out, print_json, report_extensions, report_targets, table, yes
     from client.settings import read_settings
     from services.pipeline.extensions import set_up
-    from services.targets.info import TARGETS
+    from services.targets.info import available
 
     set_up(read_settings())
     report_extensions()
     report_targets()
-    found = [target.info for target in TARGETS.values()]
+    found = available()
     if as_json:
         print_json([info.model_dump(mode="json") for info in found])
         return
@@ -49,6 +49,9 @@ def targets(context: typer.Context, as_json: JsonOption = False) -> None:
             spare=("licence", "task", "title"),
         )
     )
+    for t in found:
+        if t.missing is not None:
+            out().print(f"{t.name}: {t.missing}", markup=False, highlight=False, soft_wrap=True)
 
 
 @app.command(epilog="Example: [bold]scene-attack targets check efficientnet-lite0[/bold]")

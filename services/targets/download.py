@@ -4,29 +4,18 @@ import fcntl
 import hashlib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 import httpx
 
 from services.errors import InvalidRequest
+from services.targets.info import Published, known
 
 ATTEMPTS = 5
 """Connections that are tried before a download is given up; each goes on where the last one ended."""
+REACH = 3.0
+"""Longest wait for the answer of an address before a job is queued that needs a file from it, seconds."""
 TIMEOUT = httpx.Timeout(10.0, read=30.0)
-
-
-@dataclass(frozen=True)
-class Published:
-    """A file at its published address. `sha256` is the beginning of its SHA-256 (hex), as its name has it."""
-
-    url: str
-    sha256: str
-
-    @property
-    def name(self) -> str:
-        """The file's name."""
-        return self.url.rpartition("/")[2]
 
 
 def fetch(file: Published, folder: Path) -> Path:
@@ -48,6 +37,23 @@ def fetch(file: Published, folder: Path) -> Path:
                 "the published one",
             )
     return path
+
+
+def check_obtainable(name: str) -> None:
+    """Raises InvalidRequest("target.name") for an unknown target, and for one whose weights are missing and cannot be
+    fetched: their address does not answer within REACH seconds.
+    """
+    weights = known(name).weights
+    missing = None if weights is None else weights.missing()
+    if weights is None or missing is None:
+        return
+    try:
+        httpx.head(weights.url, timeout=REACH, follow_redirects=True).raise_for_status()
+    except httpx.HTTPError as error:
+        trouble = f"{type(error).__name__}: {error}".rstrip(": ")
+        raise InvalidRequest(
+            "target.name", f"{missing}, which cannot be reached ({trouble}); put the file there"
+        ) from error
 
 
 def _download(file: Published, path: Path) -> None:

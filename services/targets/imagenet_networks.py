@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from services.targets.architectures import register_architecture
 from services.targets.imagenet import imagenet_labels
-from services.targets.info import TargetInfo, register
+from services.targets.info import Published, TargetInfo, register
 
 if TYPE_CHECKING:
     import torch
@@ -64,7 +64,7 @@ def build_resnet34(classes: int) -> nn.Module:
     return ResNet(classes)
 
 
-@register(ALEXNET, imagenet_labels)
+@register(ALEXNET, imagenet_labels, Published(ALEXNET.source))
 def alexnet(dtype: torch.dtype) -> Target:
     """Loads AlexNet, frozen. Raises InvalidRequest("target.name") if its weights cannot be fetched."""
     from services.targets.networks.alexnet import AlexNet
@@ -72,7 +72,7 @@ def alexnet(dtype: torch.dtype) -> Target:
     return load_published(ALEXNET, AlexNet(), dtype)
 
 
-@register(RESNET34, imagenet_labels)
+@register(RESNET34, imagenet_labels, Published(RESNET34.source))
 def resnet34(dtype: torch.dtype) -> Target:
     """Loads ResNet-34, frozen. Raises InvalidRequest("target.name") if its weights cannot be fetched."""
     from services.targets.networks.resnet import ResNet
@@ -88,12 +88,11 @@ def load_published(card: TargetInfo, network: nn.Module, dtype: torch.dtype) -> 
     """
     import torch
 
-    from services.process import options
     from services.targets.classifier import Classifier
-    from services.targets.download import Published, fetch
+    from services.targets.download import fetch
 
-    digits = card.source.removesuffix(".pth").rpartition("-")[2]
-    path = fetch(Published(card.source, digits), options().cache / "weights")
+    weights = Published(card.source)
+    path = fetch(weights, weights.path.parent)
     network.load_state_dict(torch.load(path, weights_only=True, map_location="cpu"))
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()

@@ -2,12 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeVar
 
 from pydantic import BaseModel
 
 from services.errors import InvalidRequest
 from services.extensions import Registry
+from services.process import options
 from services.suggestions import there_are
 
 if TYPE_CHECKING:
@@ -40,8 +42,38 @@ class TargetInfo(BaseModel):
     vocabulary: Vocabulary = "custom"
     example: str | None = None
     """A question that it takes, with which it is tried when it is loaded; None: any text."""
+    missing: str | None = None
+    """What is not on this machine without which it cannot be loaded, and how to get it; None: nothing."""
     card_sha256: str | None = None
     """SHA-256 (hex) of the bytes of `card.json`, for a network that a user brings."""
+
+
+@dataclass(frozen=True)
+class Published:
+    """A file of weights at its published address, which is fetched when it is first needed."""
+
+    url: str
+
+    @property
+    def name(self) -> str:
+        """The file's name."""
+        return self.url.rpartition("/")[2]
+
+    @property
+    def sha256(self) -> str:
+        """The beginning of its SHA-256 (hex), in which its name ends."""
+        return self.name.removesuffix(".pth").rpartition("-")[2]
+
+    @property
+    def path(self) -> Path:
+        """Where it is on this machine, once it was fetched."""
+        return options().cache / "weights" / self.name
+
+    def missing(self) -> str | None:
+        """Says that it is not there, and how to get it; None if it is there."""
+        if self.path.exists():
+            return None
+        return f"its weights are not here yet; the first job fetches {self.url} into weights/ of SCENE_ATTACK_CACHE"
 
 
 Load = Callable[["torch.dtype"], "Target"]
@@ -55,6 +87,7 @@ class RegisteredTarget:
     info: TargetInfo
     labels: Callable[[], tuple[str, ...]]
     load: Load
+    weights: Published | None = None
 
 
 TARGETS: Registry[RegisteredTarget] = Registry("target", "services.targets")
@@ -63,8 +96,12 @@ UNAVAILABLE: dict[str, str] = {}
 """Name to reason of each folder of SCENE_ATTACK_TARGETS that cannot be a target."""
 
 
-def register(info: TargetInfo, labels: Callable[[], tuple[str, ...]]) -> Callable[[Loader], Loader]:
+def register(
+    info: TargetInfo, labels: Callable[[], tuple[str, ...]], weights: Published | None = None
+) -> Callable[[Loader], Loader]:
     """Returns a decorator of the function that loads a target, given its dtype. `labels` returns a label per score.
+
+    weights: the file that it needs, if that is fetched.
 
     Raises ValueError for a name that is taken, and for labels that are no function.
     """
@@ -74,7 +111,7 @@ def register(info: TargetInfo, labels: Callable[[], tuple[str, ...]]) -> Callabl
         )
 
     def decorate(load: Loader) -> Loader:
-        TARGETS.add(info.name, RegisteredTarget(info, labels, load))
+        TARGETS.add(info.name, RegisteredTarget(info, labels, load, weights))
         return load
 
     return decorate
@@ -90,5 +127,8 @@ def known(name: str) -> RegisteredTarget:
 
 
 def available() -> list[TargetInfo]:
-    """Returns the cards of all targets that this installation can load."""
-    return [target.info for target in TARGETS.values()]
+    """Returns the cards of all targets, each with what is missing on this machine."""
+    return [
+        target.info.model_copy(update={"missing": None if target.weights is None else target.weights.missing()})
+        for target in TARGETS.values()
+    ]
