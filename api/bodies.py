@@ -9,10 +9,13 @@ from pydantic import BaseModel, GetCoreSchemaHandler, GetJsonSchemaHandler, Vali
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, core_schema
 
+from api.authentication import CallerDependency
 from api.problems import BadRequestField
+from api.state import ServicesDependency, names_of
 from services import tracing
 from services.errors import InvalidRequest
 from services.json_text import NESTED
+from services.names import Names
 from services.strict import is_nested_deeper
 
 Parsed = TypeVar("Parsed", bound=BaseModel)
@@ -35,16 +38,29 @@ class _Unparsed:
 
 
 def body_of(model: type[Parsed]) -> Callable[..., Parsed]:
-    """Returns a dependency that parses the body. It answers 422 as if the framework had parsed the body."""
+    """Returns a dependency that parses the body. It answers 422 as if the framework had parsed the body.
 
-    def parsed(data: Annotated[Any, Body(), _Unparsed(model)]) -> Parsed:
+    Of a body that is invalid, the names in it that there are not are invalid, too.
+    """
+
+    def parsed(
+        data: Annotated[Any, Body(), _Unparsed(model)], services: ServicesDependency, caller: CallerDependency
+    ) -> Parsed:
         if is_nested_deeper(data):
             raise BadRequestField(InvalidRequest("body", NESTED))
         try:
             with tracing.span("validate"):
                 return model.model_validate(data)
         except ValidationError as error:
-            items = error.errors(include_url=False)
+            items = _with_names(data, model, error, names_of(services, caller)).errors(include_url=False)
             raise RequestValidationError([item | {"loc": ("body", *item["loc"])} for item in items]) from error
 
     return parsed
+
+
+def _with_names(data: Any, model: type[BaseModel], error: ValidationError, names: Names) -> ValidationError:
+    try:
+        model.model_validate(data, context=names)
+    except ValidationError as whole:
+        return whole
+    return error

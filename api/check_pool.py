@@ -13,7 +13,7 @@ from typing import Any, BinaryIO, Protocol
 
 from api.fair_queue import FairQueue, Place
 from api.warm_process import START_SECONDS, TooSlow, Unavailable
-from services.errors import InvalidRequest
+from services.errors import InvalidFields, InvalidRequest
 from services.jobs.child import ChildDied, OutOfMemory
 
 REMEMBERED = 1000
@@ -173,7 +173,7 @@ class CheckPool:
 
 def _said(answer: dict[str, Any] | InvalidRequest | Unavailable | TooSlow) -> dict[str, Any]:
     if isinstance(answer, InvalidRequest):  # a new one for each client: a remembered one would collect tracebacks
-        raise InvalidRequest(answer.field, answer.detail)
+        raise InvalidFields(answer.every)
     if isinstance(answer, TooSlow):
         raise TooSlow
     if isinstance(answer, Unavailable):

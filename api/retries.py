@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from api.state import Services, check_meshes_of
+from api.state import Services, names_of
 from services.access.caller import Caller
 from services.errors import InvalidRequest
 from services.jobs.models import Artifact, Job
@@ -21,7 +21,7 @@ def retry(
     Raises InvalidRequest if the request cannot run any more, and what `Submissions.submit` raises.
     """
     spec = parse(job.spec)
-    check_names(spec, check_meshes_of(services, caller))
+    check_names(spec, names_of(services, caller))
     try:
         needs = Needs.read(job.needs)
     except ValueError as error:

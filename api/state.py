@@ -1,8 +1,6 @@
 """The objects that the routes use, of which each app has its own, and dependencies that provide them."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Annotated
 
 from fastapi import Depends, HTTPException, Request
@@ -34,6 +32,8 @@ from services.jobs.service import Submissions
 from services.jobs.storage import Storage
 from services.jobs.target_record import TargetRecords
 from services.jobs.webhooks import Webhooks
+from services.names import Names
+from services.pipeline.names_known import names_in
 from services.scenes.library import Library
 
 
@@ -93,9 +93,9 @@ async def known_job(job_id: str, services: ServicesDependency, caller: CallerDep
 KnownJob = Annotated[Job, Depends(known_job)]
 
 
-def check_meshes_of(services: Services, caller: Caller) -> Callable[[str], None]:
-    """The function that raises InvalidRequest("mesh") for the name of a mesh that there is not for the caller."""
-    return partial(services.library.check_mesh, may_use=services.assets.visible(caller))
+def names_of(services: Services, caller: Caller) -> Names:
+    """The context in which the names in a caller's request are looked up."""
+    return names_in(services.library, services.assets.visible(caller))
 
 
 def no_such(what: str) -> HTTPException:

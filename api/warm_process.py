@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, BinaryIO
 
-from services.errors import InvalidRequest
+from services.errors import InvalidFields, InvalidRequest
 from services.jobs.child import Child, ChildDied, OutOfMemory
 from services.logs import logger
 from services.settings import Settings
@@ -72,8 +72,8 @@ class WarmProcess:
             if asked.sent and self._child is not None:
                 self._child.end()
             raise
-        if "field" in answer:
-            raise InvalidRequest(answer["field"], answer["detail"])
+        if "errors" in answer:
+            raise InvalidFields([InvalidRequest(*one) for one in answer["errors"]])
         if "trouble" in answer:
             raise Unavailable(f"the check of this request failed: {answer['trouble']}")
         return answer

@@ -55,12 +55,12 @@ def attack(
     settings = read_settings()
     set_up(settings)
     target = _target(name, model, labels, preprocessing)
-    job = _spec(scene, name, spec or {}, settings)
-    if out is not None:
-        check_free(Path(out), job, "out", target.weights_sha256)
-        prepare_folder(Path(out), "out")
     card = describe(name, target, "imagenet" if labels == "imagenet" else "custom")
     with registered(card, target), TemporaryDirectory() as folder:
+        job = _spec(scene, name, spec or {}, settings)
+        if out is not None:
+            check_free(Path(out), job, "out", target.weights_sha256)
+            prepare_folder(Path(out), "out")
         return execute(job, Path(folder) if out is None else Path(out), local_library(settings), progress=progress)
 
 
@@ -109,14 +109,17 @@ def _labels(given: Any) -> tuple[str, ...]:
 
 
 def _spec(scene: Mapping[str, Any], name: str, spec: Mapping[str, Any], settings: Settings) -> JobSpec:
-    from client.local_meshes import to_library, with_meshes_added
+    from client.local_meshes import local_library, to_library, with_meshes_added
+    from services.pipeline.names_known import names_in
     from services.pipeline.spec import parse
 
     for field, argument in (("scene", "scene"), ("target", "model")):
         if field in spec:
             raise InvalidRequest(f"spec.{field}", f"is given by the argument `{argument}`; leave it out of the spec")
-    data = {"scene": dict(scene), "target": {"name": name}, **spec}
-    return parse(with_meshes_added(data, Path.cwd(), to_library(settings)))
+    data, not_added = with_meshes_added(
+        {"scene": dict(scene), "target": {"name": name}, **spec}, Path.cwd(), to_library(settings)
+    )
+    return parse(data, names_in(local_library(settings), not_read=not_added))
 
 
 def _preprocessing(given: Any) -> Preprocessing:

@@ -4,10 +4,12 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from services.errors import InvalidRequest
+from services.errors import InvalidFields, InvalidRequest
 
 if TYPE_CHECKING:
     from client.api_client import ApiClient
+    from services.pipeline.campaign_spec import CampaignSpec
+    from services.pipeline.spec import JobSpec
     from services.scenes.bundle import Bundle
     from services.scenes.library import Library
     from services.settings import Settings
@@ -21,6 +23,8 @@ _PLACES = (
     "grids.*.scenes.*.objects.*.mesh",
 )
 """Where a job and a campaign name meshes; a star stands for each item of a list."""
+_NAMED = ("furniture/", "primitive/", "sha256:")
+"""How the names of meshes begin, which are no names of files."""
 
 
 def is_path(mesh: object) -> bool:
@@ -33,33 +37,72 @@ def folder_of(spec: str) -> Path:
     return Path.cwd() if spec == "-" else Path(spec).absolute().parent
 
 
-def read_with_meshes(spec: str, settings: "Settings", seed: int | None = None) -> dict[str, Any]:
-    """The request in the file `spec`, as `spec_input.read` has it, with its meshes added to this machine's uploads."""
+def read_job(spec: str, settings: "Settings", seed: int | None = None) -> "JobSpec":
+    """The job in the file `spec`, as `spec_input.read` has it, with its meshes added to this machine's uploads.
+
+    Raises InvalidFields with every wrong field, and every name that there is not.
+    """
     from client import spec_input
+    from services.pipeline.names_known import names_in
+    from services.pipeline.spec import parse
 
-    return with_meshes_added(spec_input.read(spec, seed), folder_of(spec), to_library(settings))
+    data, not_added = with_meshes_added(spec_input.read(spec, seed), folder_of(spec), to_library(settings))
+    return parse(data, names_in(local_library(settings), not_read=not_added))
 
 
-def with_meshes_added(data: dict[str, Any], folder: Path, add: Adding) -> dict[str, Any]:
+def read_campaign(spec: str, settings: "Settings") -> "CampaignSpec":
+    """The campaign in the file `spec`; as `read_job`."""
+    from client import spec_input
+    from services.pipeline.campaign_spec import parse
+    from services.pipeline.names_known import names_in
+
+    data, not_added = with_meshes_added(spec_input.read(spec), folder_of(spec), to_library(settings))
+    return parse(data, names_in(local_library(settings), not_read=not_added))
+
+
+def with_meshes_added(data: dict[str, Any], folder: Path, add: Adding) -> tuple[dict[str, Any], dict[str, str]]:
     """Adds the meshes that a job or a campaign names by paths relative to `folder`, each file once.
 
-    Returns the request with their names. What a mesh does not show is said on standard error. Raises InvalidRequest,
-    with the place in the request, if a file is not there or is no mesh.
+    Returns the request with their names, and of each mesh that could not be added, because there is no such file or it
+    is no mesh, the reason. Those are left as they are, and so is a file's name that is written as no path. What a mesh
+    does not show is said on standard error.
     """
     added: dict[str, str] = {}
+    not_added: dict[str, str] = {}
 
-    def named(mesh: str, place: str) -> str:
-        if mesh not in added:
+    def named(mesh: str, _: str) -> str:
+        if not is_path(mesh):
+            if not mesh.startswith(_NAMED) and (folder / mesh).is_file():
+                not_added[mesh] = f"there is no mesh {mesh!r}; a file beside the spec is written './{mesh}'"
+        elif mesh not in added and mesh not in not_added:
             try:
                 added[mesh], notes = add(folder / mesh)
             except InvalidRequest as error:
-                raise InvalidRequest(place, f"{mesh}: {error.detail}") from error
-            for note in notes:
-                _say(f"{mesh}: not shown: {note}")
-        return added[mesh]
+                not_added[mesh] = f"{mesh}: {error.detail}"
+            else:
+                for note in notes:
+                    _say(f"{mesh}: not shown: {note}")
+        return added.get(mesh, mesh)
 
     for place in _PLACES:
-        data = _replaced(data, place.split("."), (), named)
+        data = _replaced(data, place.split("."), named)
+    return data, not_added
+
+
+def uploaded(data: dict[str, Any], folder: Path, client: "ApiClient") -> dict[str, Any]:
+    """The request with the meshes that it names by paths uploaded. Raises InvalidFields with those that were not."""
+    data, not_added = with_meshes_added(data, folder, to_service(client))
+    wrong: list[InvalidRequest] = []
+
+    def refused(mesh: str, field: str) -> str:
+        if mesh in not_added:
+            wrong.append(InvalidRequest(field, not_added[mesh]))
+        return mesh
+
+    for place in _PLACES:
+        _replaced(data, place.split("."), refused)
+    if wrong:
+        raise InvalidFields(wrong)
     return data
 
 
@@ -120,15 +163,15 @@ def _chosen(path: Path, files: Sequence[object]) -> str | None:
     return path.name if len(files) > 1 else None
 
 
-def _replaced(data: Any, steps: Sequence[str], place: tuple[str, ...], named: Callable[[str, str], str]) -> Any:
-    """The data with a name for each path at the end of the steps; what has no such place is left to the parser."""
+def _replaced(data: Any, steps: Sequence[str], named: Callable[[str, str], str], place: str = "") -> Any:
+    """The data with `named(text, its place)` for each text at the end of the steps; the rest is left to the parser."""
     if not steps:
-        return named(data, ".".join(place)) if is_path(data) else data
+        return named(data, place) if isinstance(data, str) else data
     step, rest = steps[0], steps[1:]
     if step == "*" and isinstance(data, list | tuple):
-        return [_replaced(one, rest, (*place, str(k)), named) for k, one in enumerate(data)]
+        return [_replaced(one, rest, named, f"{place}.{k}") for k, one in enumerate(data)]
     if step != "*" and isinstance(data, Mapping) and step in data:
-        return {**data, step: _replaced(data[step], rest, (*place, step), named)}
+        return {**data, step: _replaced(data[step], rest, named, f"{place}.{step}".removeprefix("."))}
     return data
 
 

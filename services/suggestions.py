@@ -17,11 +17,16 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     At most three known names are suggested: the closest in spelling first, and at least one that sounds like it, if
     there is one. The result is empty if none is close.
     """
+    found = closest(name, known)
+    return f"; did you mean {' or '.join(map(repr, found))}?" if found else ""
+
+
+def closest(name: str, known: Iterable[str]) -> list[str]:
+    """Returns the known names that `did_you_mean` suggests for an unknown one, the closest first."""
     names = list(known)
     close = get_close_matches(name, names, n=MOST, cutoff=0.5)
     heard = [one for one in _sounding_like(name, names) if one not in close][:1]
-    found = [*close[: MOST - len(heard)], *heard]
-    return f"; did you mean {' or '.join(map(repr, found))}?" if found else ""
+    return [*close[: MOST - len(heard)], *heard]
 
 
 def there_are(name: str, known: Iterable[str]) -> str:

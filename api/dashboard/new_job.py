@@ -14,12 +14,13 @@ from starlette.concurrency import run_in_threadpool
 from api.authentication import CallerDependency
 from api.dashboard.pages import HEADERS, html
 from api.routes import jobs
-from api.state import Services, ServicesDependency, no_such
+from api.state import Services, ServicesDependency, names_of, no_such
 from services.access.caller import Caller
 from services.attacks.spec import ATTACKS
 from services.errors import InvalidRequest
 from services.jobs.placement import Demand, Priority
 from services.json_text import NotJson, read_json
+from services.names import Names
 from services.pipeline.spec import JobSpec, problems
 from services.rendering.declaration import RENDERERS
 from services.targets.info import available
@@ -57,7 +58,7 @@ async def submit(
 ) -> Response:
     """Queues the job whose JSON the form has, and goes to its page. Errors are shown with the form."""
     try:
-        parsed = await run_in_threadpool(_parsed, spec)
+        parsed = await run_in_threadpool(_parsed, spec, names_of(services, caller))
         priority = Demand(Priority.NORMAL)
         body = await jobs.submit_job(parsed, services, caller, request, Response(), None, priority, None)
     except Refused as refused:
@@ -97,10 +98,10 @@ class Refused(Exception):
         self.errors = errors
 
 
-def _parsed(text: str) -> JobSpec:
+def _parsed(text: str, names: Names) -> JobSpec:
     """The request that a text is. Raises Refused with every wrong field."""
     try:
-        return JobSpec.model_validate(read_json(text))
+        return JobSpec.model_validate(read_json(text), context=names)
     except NotJson as error:
         raise Refused([InvalidRequest("body", str(error))]) from error
     except ValidationError as error:

@@ -19,7 +19,7 @@ from api.demands import demand
 from api.routes.connection import while_connected
 from api.routes.jobs import client_of, json_body
 from api.schemas import cursor_after, read_cursor
-from api.state import Services, ServicesDependency, check_meshes_of, no_such
+from api.state import Services, ServicesDependency, names_of, no_such
 from services.access.caller import Caller
 from services.analysis.campaign_text import to_csv, to_latex
 from services.analysis.case_rows import to_csv as cases_to_csv
@@ -28,9 +28,10 @@ from services.jobs.campaign_service import request_digest
 from services.jobs.models import Campaign, CampaignState
 from services.jobs.placement import Demand, Priority
 from services.jobs.repository import Key
-from services.pipeline.campaign_check import check_meshes, check_size, placed, samples
+from services.pipeline.campaign_check import check_size, placed, samples
 from services.pipeline.campaign_result import CampaignResult
 from services.pipeline.campaign_spec import CampaignSpec
+from services.pipeline.names_known import check_names
 
 router = APIRouter(prefix="/v1/campaigns", tags=["campaigns"])
 
@@ -80,7 +81,7 @@ async def submit_campaign(
 
 async def _check(spec: CampaignSpec, services: Services, caller: Caller, client: str) -> None:
     check_size(spec, services.max_campaign_jobs)
-    await run_in_threadpool(lambda: check_meshes(spec, check_meshes_of(services, caller)))
+    await run_in_threadpool(lambda: check_names(spec, names_of(services, caller)))
     for job, places in await run_in_threadpool(lambda: list(samples(spec))):
         try:
             await services.preflight.check(job, client)

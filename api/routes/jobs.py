@@ -15,7 +15,7 @@ from api.job_places import SORT_PATTERN, read_cursor, write_cursor
 from api.retries import retry
 from api.routes.connection import while_connected
 from api.schemas import JobPage, JobSummary, JobView
-from api.state import KnownJob, ServicesDependency, check_meshes_of, no_such
+from api.state import KnownJob, ServicesDependency, names_of, no_such
 from services import tracing
 from services.access.caller import Caller
 from services.jobs.job_query import EXAMPLE, LONGEST, Term, parse_query
@@ -92,7 +92,7 @@ async def submit_job(
     body = None if key is None else await run_in_threadpool(services.repository.first_answer, key)
     if body is None:
         with tracing.span("names"):
-            await run_in_threadpool(lambda: check_names(spec, check_meshes_of(services, caller)))
+            await run_in_threadpool(lambda: check_names(spec, names_of(services, caller)))
         with tracing.span("check"):
             found = await while_connected(request, services.preflight.check(spec, client_of(request, caller)))
         spec, warnings = (spec, ()) if found is None else (found.spec, found.warnings)

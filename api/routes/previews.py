@@ -10,7 +10,7 @@ from api.authentication import CallerDependency
 from api.bodies import body_of
 from api.routes.connection import while_connected
 from api.routes.jobs import client_of, json_body
-from api.state import ServicesDependency, check_meshes_of
+from api.state import ServicesDependency, names_of
 from services.pipeline.job_plan import JobPlan
 from services.pipeline.names_known import check_names
 from services.pipeline.preview_record import Cost, PlannedCost, Preview
@@ -44,7 +44,7 @@ async def preview_job(
     takes longer than a preview may gets 413, and 503 says that other previews took all the time. A client that closes
     its connection gives up its turn.
     """
-    await run_in_threadpool(lambda: check_names(spec, check_meshes_of(services, caller)))
+    await run_in_threadpool(lambda: check_names(spec, names_of(services, caller)))
     client = client_of(request, caller)
     shown, png = await while_connected(request, services.previewer.preview(spec, client))
     planned: PlannedCost | None = None

@@ -12,7 +12,7 @@ from api.bodies import body_of
 from api.rerenderer import decoded
 from api.routes.connection import while_connected
 from api.routes.jobs import json_body
-from api.state import Services, ServicesDependency, check_meshes_of, no_such
+from api.state import Services, ServicesDependency, names_of, no_such
 from services.access.caller import Caller
 from services.analysis.records import Rerendering
 from services.analysis.requests import RerenderingRequest
@@ -98,5 +98,5 @@ def _read(body: RerenderingBody, services: Services, caller: Caller) -> tuple[by
         raise InvalidRequest("scene", "an image that is no file of a job needs its scene")
     spec = JobSpec.model_validate(given)
     if body.scene is not None:
-        check_names(spec, check_meshes_of(services, caller))
+        check_names(spec, names_of(services, caller))
     return image, spec

@@ -111,15 +111,14 @@ def rerender(
     from client.console import out as stdout
     from client.console import print_json
     from client.live import JobLine
-    from client.local_meshes import read_with_meshes
+    from client.local_meshes import read_job
     from client.settings import settings_to_run
     from services.analysis.requests import RerenderingRequest
     from services.errors import InvalidFields, InvalidRequest
     from services.pipeline.error_words import in_words
-    from services.pipeline.spec import parse
 
     settings = settings_to_run()
-    job = parse(read_with_meshes(spec, settings))
+    job = read_job(spec, settings)
     try:
         request = RerenderingRequest.model_validate({"steps": steps, "rate": rate, "optimiser": optimiser})
     except ValidationError as error:

@@ -38,11 +38,11 @@ def submit(
     from client import spec_input
     from client.api_client import ApiClient
     from client.console import out, print_json
-    from client.local_meshes import folder_of, to_service, with_meshes_added
+    from client.local_meshes import folder_of, uploaded
 
     data = spec_input.read(spec)
     with ApiClient(url) as client:
-        found = client.submit_campaign(with_meshes_added(data, folder_of(spec), to_service(client)), priority)
+        found = client.submit_campaign(uploaded(data, folder_of(spec), client), priority)
         if as_json:
             print_json(found)
         else:

@@ -34,26 +34,27 @@ def run(
     from client.commands.run import keep_memory, library
     from client.console import err, print_json, report_extensions
     from client.console import out as stdout
-    from client.local_meshes import read_with_meshes
+    from client.local_meshes import read_campaign
     from client.result_folder import prepare_folder
     from client.settings import settings_to_run
-    from services.pipeline.campaign_check import check_meshes, check_size
+    from services.pipeline.campaign_check import check_size
     from services.pipeline.campaign_select import nothing_chosen
-    from services.pipeline.campaign_spec import parse
     from services.scenes.catalogue import slugify
 
     settings = settings_to_run()
     keep_memory()
     report_extensions()
-    campaign = parse(read_with_meshes(spec, settings))
+    campaign = read_campaign(spec, settings)
     check_size(campaign, settings.max_campaign_jobs)
     folder = out or Path("out") / (slugify(campaign.name) or "campaign")
     prepare_folder(folder)
     assets = library(settings)
-    check_meshes(campaign, assets.check_mesh)
+    from services.pipeline.campaign_check import check_samples
     from services.pipeline.campaign_result import write
     from services.pipeline.campaign_run import run_campaign
+    from services.pipeline.prepare import preflight
 
+    check_samples(campaign, lambda job: preflight(job, assets))
     try:
         with CampaignLine(campaign.name) as line:
             found = run_campaign(campaign, folder, assets, progress=line.update)

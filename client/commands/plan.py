@@ -22,16 +22,16 @@ def plan(
     """Print how a job's images would be rendered: the parts kept, those left out and why, and the estimated error.
 
     Of a question about the image it prints the program, the right answer and what limits the search. The command runs
-    no attack and does not ask the network. It rasterises the scene and measures errors of images and gradients.
+    no attack; it rasterises the scene, asks the network once, and measures errors of images and gradients. A job that
+    cannot run ends with the same error as in `run`.
     """
     from client.console import err, print_json, report_extensions
-    from client.local_meshes import read_with_meshes
+    from client.local_meshes import read_job
     from client.settings import settings_to_run
-    from services.pipeline.spec import parse
 
     settings = settings_to_run()
     report_extensions()
-    job = parse(read_with_meshes(spec, settings))
+    job = read_job(spec, settings)
     with err().status("loading") as line:
         from client.commands.run import library
 

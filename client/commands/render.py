@@ -30,14 +30,13 @@ def render(
     """
     from client.commands.run import library
     from client.console import err, print_json, report_extensions
-    from client.local_meshes import read_with_meshes
+    from client.local_meshes import read_job
     from client.settings import settings_to_run
     from services.errors import InvalidRequest
-    from services.pipeline.spec import parse
 
     settings = settings_to_run()
     report_extensions()
-    job = parse(read_with_meshes(spec, settings))
+    job = read_job(spec, settings)
     if out is not None and not out.parent.is_dir():
         raise InvalidRequest("--out", f"there is no folder {out.parent}; make it first")
     with err().status("loading") as line:

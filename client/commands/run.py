@@ -42,18 +42,17 @@ def run(
     from client.console import err, print_json, report_extensions, table
     from client.console import out as stdout
     from client.live import JobLine
-    from client.local_meshes import local_library, read_with_meshes
+    from client.local_meshes import local_library, read_job
     from client.outcomes import COLUMNS, cells, goal_line
     from client.question_tables import print_answered
     from client.result_folder import check_free, prepare_folder
     from client.settings import settings_to_run
     from services.pipeline.names import attack_name, job_name
-    from services.pipeline.spec import parse
 
     settings = settings_to_run()
     keep_memory()
     report_extensions()
-    job = parse(read_with_meshes(spec, settings, seed))
+    job = read_job(spec, settings, seed)
     check_free(out, job)
     prepare_folder(out)
     words = job.model_dump(mode="json")

@@ -4,6 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from services.names import reference
 from services.scenes.description import Model
 
 Name = Annotated[str, Field(min_length=1, max_length=100)]
@@ -45,7 +46,9 @@ class MinimalRequest(Model):
 class TransferRequest(Model):
     """The stored perturbation before other networks, and in the other renderer."""
 
-    targets: Annotated[tuple[Name, ...], Field(max_length=16)] = Field((), description="targets to show the image to")
+    targets: Annotated[tuple[Annotated[Name, reference("target")], ...], Field(max_length=16)] = Field(
+        (), description="targets to show the image to"
+    )
     renderers: Annotated[tuple[Name, ...], Field(max_length=4)] = Field(
         (), description="renderers to draw the changed scene with, as far as the perturbation changes the scene itself"
     )

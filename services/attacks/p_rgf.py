@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from services.attacks.spec import Rate, register
 from services.attacks.suggested import DifferencesWithinLimits
+from services.names import reference
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -26,7 +27,7 @@ class PRgf(DifferencesWithinLimits):
     """
 
     method: Literal["p-rgf"] = "p-rgf"
-    surrogate: Annotated[str, Field(min_length=1, max_length=100)] | None = Field(
+    surrogate: Annotated[str, Field(min_length=1, max_length=100), reference("target")] | None = Field(
         None,
         description="another target, whose scores have gradients: the direction of its gradient is tried at each step "
         "beside the random ones; null: random directions alone",

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Annotated, Any, Literal, Self, TypeVar, get_args, get_origin
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from services.attacks.expectation import Expectation
 from services.attacks.limits import Limit, Limits
@@ -175,15 +175,21 @@ class AttackSettings(Limits):
     def _known_base_renderer(cls, value: str | None) -> str | None:
         return None if value is None else _one_of(_base_renderers(), value)
 
+    @field_validator("groups")
+    @classmethod
+    def _known_groups(cls, value: tuple[str, ...], info: ValidationInfo) -> tuple[str, ...]:
+        renderer = RENDERERS.get(info.data.get("renderer", ""))  # it may be refused itself
+        for group in value:
+            if renderer is not None and group not in renderer.group_names:
+                said = there_are(group, renderer.group_names)
+                raise ValueError(f"renderer {renderer.name} has no group {group!r}; {said}")
+        if len(set(value)) != len(value):
+            raise ValueError("each group at most once")
+        return value
+
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         has = RENDERERS[self.renderer]
-        for group in self.groups:
-            if group not in has.group_names:
-                there = ", ".join(has.group_names)
-                raise ValueError(f"groups: renderer {self.renderer} has no group {group!r}; it has {there}")
-        if len(set(self.groups)) != len(self.groups):
-            raise ValueError("groups: each group at most once")
         if self.base_renderer is not None and has.base_renderer is None:
             raise ValueError(f"base_renderer: renderer {self.renderer} works on no other's image; leave this out")
         if self.expectation is not None:

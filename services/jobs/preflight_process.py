@@ -30,8 +30,8 @@ def answer(message: dict[str, Any], data: bytes, library: Library) -> dict[str, 
     {"plan": spec} by {"plan", "cost"}, and {"rerender": {"spec", "fit"}}, with an image file as `data`, by
     {"rerendering", "png"}.
 
-    A request with a bad field is answered by {"field", "detail"}, one that needs too much memory by OUT_OF_MEMORY, and
-    a check that failed by {"trouble"}.
+    A request with bad fields is answered by {"errors": [[field, detail], …]}, one that needs too much memory by
+    OUT_OF_MEMORY, and a check that failed by {"trouble"}.
     """
     try:
         if "check" in message:
@@ -45,7 +45,7 @@ def answer(message: dict[str, Any], data: bytes, library: Library) -> dict[str, 
             return planned_cost(JobSpec.model_validate(message["plan"]), library).model_dump(mode="json")
         return _rerender(message["rerender"], data, library)
     except InvalidRequest as error:
-        return {"field": error.field, "detail": error.detail}
+        return {"errors": [(one.field, one.detail) for one in error.every]}
     except JobFailure as error:
         log.warning("preflight failed", kind=error.kind, exc_info=error)
         return OUT_OF_MEMORY if out_of_memory(error) else {"trouble": f"{error.kind}: {error.detail}"}

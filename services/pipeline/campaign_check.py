@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping
 
-from services.errors import InvalidRequest
+from services.errors import InvalidFields, InvalidRequest
 from services.pipeline.campaign_expand import job_of
 from services.pipeline.campaign_questions import Member
 from services.pipeline.campaign_scenes import SceneGrid
@@ -150,8 +150,21 @@ def _places_of_scene(grid: Grid, place: str) -> dict[str, str]:
     }
 
 
+def check_samples(campaign: CampaignSpec, check: Callable[[JobSpec], object]) -> None:
+    """Calls `check` with each of the `samples`. Raises its InvalidRequest with the field's path in the campaign."""
+    for job, places in samples(campaign):
+        try:
+            check(job)
+        except InvalidRequest as error:
+            raise placed(error, places) from error
+
+
 def placed(error: InvalidRequest, places: Places) -> InvalidRequest:
-    """The error of a job with the path that its field has in the campaign."""
+    """The errors of a job with the paths that their fields have in the campaign."""
+    return InvalidFields([_placed(one, places) for one in error.every])
+
+
+def _placed(error: InvalidRequest, places: Places) -> InvalidRequest:
     field = error.field
     for part, place in places.items():
         if part == "" or field == part or field.startswith(f"{part}."):

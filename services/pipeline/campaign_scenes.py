@@ -8,6 +8,7 @@ from typing import Annotated, Self, TypeVar
 from pydantic import Field, field_validator, model_validator
 
 from services.attacks.spec import Seed
+from services.names import reference
 from services.scenes import furniture_kinds
 from services.scenes.description import Angle, Camera, Colour, Lights, Model, Scene, SceneObject
 from services.suggestions import there_are
@@ -37,7 +38,7 @@ class RandomViews(Model):
 class SceneGrid(Model):
     """One object per scene: meshes × azimuths. All scenes have the same camera, lights, ground and material."""
 
-    meshes: tuple[Annotated[str, Field(min_length=1, max_length=200)], ...] = Field(
+    meshes: tuple[Annotated[str, Field(min_length=1, max_length=200), reference("mesh")], ...] = Field(
         (), max_length=MAX_LISTED, description="names of meshes"
     )
     kinds: tuple[str, ...] = Field(
@@ -49,7 +50,9 @@ class SceneGrid(Model):
     views: RandomViews | Annotated[tuple[Angle, ...], Field(min_length=1, max_length=1000)] = Field(
         (Camera().azimuth,), description="azimuths in radians, or how many to draw at random"
     )
-    material: str = Field("matte", max_length=64, description="DSBRDF preset of the torch renderer")
+    material: Annotated[str, reference("material")] = Field(
+        "matte", max_length=64, description="DSBRDF preset of the torch renderer"
+    )
     camera: Camera = Field(Camera(), description="the camera, whose azimuth the views replace")
     lights: Lights = Lights()
     ground: Colour = Scene.model_fields["ground"].default

@@ -7,15 +7,16 @@ from collections.abc import Iterable, Mapping
 from functools import cache
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, Field, ValidationError, field_validator, model_validator
+from pydantic import AfterValidator, Field, ValidationError, ValidationInfo, field_validator, model_validator
 
 from services.analysis.requests import AnalysisRequest
 from services.attacks.spec import AttackSettings, Goal, Seed
 from services.errors import InvalidFields, InvalidRequest
+from services.names import Names
 from services.pipeline.campaign_questions import Member, QuestionGrid
 from services.pipeline.campaign_scenes import MAX_LISTED, SceneGrid, once
 from services.pipeline.field_errors import invalid_fields
-from services.pipeline.spec import AnyAttack, AnyTolerance, JobSpec, TargetChoice, with_method
+from services.pipeline.spec import AnyAttack, AnyTolerance, JobSpec, TargetChoice, check_labels, with_method
 from services.rendering.plan import DEFAULT_TOLERANCE
 from services.scenes.description import Model, Scene, absent
 from services.written_text import line
@@ -97,6 +98,13 @@ class Grid(Model):
     def _names(cls, data: Any) -> Any:
         """A target that takes no question may be written as its name."""
         return [{"name": one} if isinstance(one, str) else one for one in data] if isinstance(data, list) else data
+
+    @field_validator("goal")
+    @classmethod
+    def _known_labels(cls, value: Goal, info: ValidationInfo) -> Goal:
+        if info.context:
+            check_labels(value, info.data.get("targets", ()))
+        return value
 
     @field_validator("attacks")
     @classmethod
@@ -182,10 +190,10 @@ class CampaignSpec(Model):
         return self
 
 
-def parse(data: object) -> CampaignSpec:
-    """Parses JSON data into a spec. Raises InvalidFields, which has every bad field."""
+def parse(data: object, names: Names | None = None) -> CampaignSpec:
+    """Parses JSON data into a spec. Raises InvalidFields, which has every bad field; `names` as in `spec.parse`."""
     try:
-        return CampaignSpec.model_validate(data)
+        return CampaignSpec.model_validate(data, context=names)
     except ValidationError as error:
         raise InvalidFields(named(error.errors(include_url=False))) from error
 

@@ -11,6 +11,7 @@ from math import pi
 from typing import Any
 
 from services.errors import InvalidRequest, encodable
+from services.names import UNKNOWN
 from services.pipeline.error_words import in_words, looks_like_degrees
 from services.suggestions import there_are
 
@@ -71,6 +72,8 @@ def _error(item: Mapping[str, Any], schema: Schema) -> tuple[tuple[str, ...], st
     if kind == "missing" and loc and isinstance(loc[-1], int):
         loc, kind = loc[:-1], "too_short"  # a list lacks this element
     place = _place(loc, schema)
+    if kind == UNKNOWN:
+        return place.path, item["ctx"]["detail"]
     if kind in _OWN_WORDS:
         detail = str(item["msg"]).removeprefix("Value error, ")
         name, colon, rest = detail.partition(": ")  # a check over several fields names its own

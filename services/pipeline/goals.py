@@ -7,26 +7,13 @@ from torch import Tensor
 
 from services.analysis.transfer import indices
 from services.attacks.goal import ResolvedGoal
-from services.attacks.spec import MAX_LABELS, Goal, Labels
+from services.attacks.spec import MAX_LABELS, Goal
 from services.errors import InvalidRequest
+from services.pipeline.goal_labels import Asked, with_same
 from services.pipeline.warning import JobWarning, warnings
-from services.suggestions import did_you_mean
 from services.targets.info import TargetInfo
 from services.targets.scores import probability
-from services.targets.truth import same_labels, truth_labels
-
-
-@dataclass(frozen=True)
-class Asked:
-    """A goal as the request states it, in label indices. A truth of None is one that the request leaves out."""
-
-    goal: Goal
-    labels: tuple[str, ...]
-    same: tuple[frozenset[int], ...]
-    """Groups of labels that mean the same."""
-    truth: frozenset[int] | None
-    leave: frozenset[int]
-    reach: int | None
+from services.targets.truth import truth_labels
 
 
 @dataclass(frozen=True)
@@ -39,26 +26,6 @@ class Settled:
     truth: tuple[int, ...]
     """The labels that are right; empty if nobody knows them."""
     warnings: tuple[JobWarning, ...]
-
-
-def asked(goal: Goal, target: TargetInfo, labels: tuple[str, ...]) -> Asked:
-    """Looks up the labels of a goal, and with each those that mean the same.
-
-    Raises InvalidRequest if a label is not among the target's, or if the label to reach is one to leave.
-    """
-    same = tuple(frozenset(labels.index(one) for one in group if one in labels) for group in same_labels(target))
-
-    def looked_up(field: str, wanted: Labels | None) -> frozenset[int]:
-        if not isinstance(wanted, tuple):
-            return frozenset() if wanted is None else frozenset([_index(wanted, labels, field, target.name)])
-        return frozenset(_index(one, labels, f"{field}.{i}", target.name) for i, one in enumerate(wanted))
-
-    truth = None if goal.truth is None else _with_same(looked_up("goal.truth", goal.truth), same)
-    leave = _with_same(looked_up("goal.leave", goal.leave), same)
-    reach = None if goal.reach is None else _index(goal.reach, labels, "goal.reach", target.name)
-    if reach in leave:
-        raise InvalidRequest("goal.reach", f"is a label to leave ({labels[reach]!r}); name another one")
-    return Asked(goal, labels, same, truth, leave, reach)
 
 
 def table_truth(meshes: Iterable[str], target: TargetInfo, labels: tuple[str, ...]) -> tuple[int, ...]:
@@ -108,14 +75,14 @@ def settle(asked: Asked, table: Iterable[int], logits: Tensor) -> Settled:
     if first == reach:
         raise InvalidRequest("goal.reach", f"the network already says {said}; there is nothing to attack")
     # stated, reviewed, or implied by the label to leave
-    truth = asked.truth if asked.truth is not None else _with_same(frozenset(table), asked.same) or leave
+    truth = asked.truth if asked.truth is not None else with_same(frozenset(table), asked.same) or leave
     right = first in truth
     if right and reach in truth:
         raise InvalidRequest("goal.reach", f"is as right as the network's answer {said}; name a label that is wrong")
     if right:
         leave |= truth
     elif reach is None:
-        leave |= _with_same(frozenset([first]), asked.same)
+        leave |= with_same(frozenset([first]), asked.same)
     if len(leave) == len(labels):
         field = "goal.leave" if asked.leave else "goal.truth"
         raise InvalidRequest(field, "these are all labels of the network; there is no other answer")
@@ -142,20 +109,5 @@ def _filled_in(asked: Asked, truth: frozenset[int], leave: frozenset[int]) -> Go
     )
 
 
-def _with_same(labels: frozenset[int], groups: Iterable[frozenset[int]]) -> frozenset[int]:
-    """The labels, and those that mean the same as one of them."""
-    return labels.union(*(group for group in groups if group & labels))
-
-
 def _words(indices: frozenset[int], labels: tuple[str, ...]) -> str:
     return " or ".join(repr(labels[i]) for i in sorted(indices))
-
-
-def _index(wanted: str | int, labels: tuple[str, ...], field: str, target: str) -> int:
-    if isinstance(wanted, int):
-        if wanted >= len(labels):
-            raise InvalidRequest(field, f"{target} has labels 0 to {len(labels) - 1}, not {wanted}")
-        return wanted
-    if wanted not in labels:
-        raise InvalidRequest(field, f"{target} has no label {wanted!r}{did_you_mean(wanted, labels)}")
-    return labels.index(wanted)

@@ -1,6 +1,6 @@
 """Prepares a job: resolves its assets, target and labels, builds the renderer, and checks the network's answer."""
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from weakref import ref
 
@@ -12,13 +12,13 @@ from services.attacks.goal import ResolvedGoal
 from services.attacks.spec import ATTACKS
 from services.attacks.surrogate import Surrogate
 from services.attacks.verifier import Verifier
-from services.errors import InvalidRequest, named
-from services.pipeline import goals
+from services.errors import InvalidFields, InvalidRequest, named
+from services.pipeline import goal_labels, goals
 from services.pipeline.analysis_fields import check_analysis, load_targets
 from services.pipeline.checked import Checked
 from services.pipeline.expectations import check_range, moving_groups, with_cost
 from services.pipeline.job_plan import JobPlan
-from services.pipeline.questions import AskedQuestion, asked_questions, check_scene, goal_of
+from services.pipeline.questions import AskedQuestion, asked_questions, goal_of
 from services.pipeline.recall import recall
 from services.pipeline.scene_limits import SceneLimits, limits_of
 from services.pipeline.spec import JobSpec
@@ -31,7 +31,7 @@ from services.rendering.plan import Tolerance
 from services.rendering.protocol import Renderer
 from services.rendering.torch_renderer.declaration import TORCH
 from services.rendering.torch_renderer.map_size import smallest_map
-from services.rendering.torch_renderer.presets import preset
+from services.rendering.torch_renderer.preset_names import check_preset
 from services.scenes.description import Environment
 from services.scenes.library import Library
 from services.scenes.resolve import ResolvedScene, resolve
@@ -91,19 +91,10 @@ def prepare_exactly(spec: JobSpec, library: Library) -> Prepared:
 def plan(spec: JobSpec, library: Library) -> JobPlan:
     """Returns the plan that a job would run, with its questions and what limits its search.
 
-    The network is not asked. It is loaded only for a question, whose program it makes. Raises InvalidRequest as
-    `prepare` does.
+    Raises InvalidRequest as `prepare` does, so that a job with a plan also runs.
     """
-    scene = resolved_scene(spec, library)
-    questions: tuple[AskedQuestion, ...] = ()
-    check_scene(spec)
-    if spec.target.asked is not None or spec.target.questions:
-        asking = spec.model_copy(update={"scene": scene.description})
-        questions = asked_questions(asking, registry.load(spec.target.name))
-    renderer = _renderer(spec, scene, spec.tolerance)
-    start = renderer.initial()
-    limits = limits_of(questions, renderer.name, {group: start[group] for group in spec.attack.groups})
-    return plan_of(spec, renderer, questions, limits)
+    found = prepare(spec, library)
+    return plan_of(found.spec, found.renderer, found.questions, found.limits)
 
 
 def plan_of(
@@ -136,9 +127,13 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
     if len(labels) < 2:
         raise InvalidRequest("target.name", f"{spec.target.name} has one label only; there is no other answer")
     card = registry.card(spec.target.name)
-    goals.asked(spec.goal, card, labels)  # refuses unknown labels before anything is loaded
-    check_analysis(spec)
-    check_surrogate(spec)
+    _check_together(  # before anything is rendered
+        lambda: goal_labels.asked(spec.goal, card, labels),
+        lambda: check_analysis(spec),
+        lambda: check_surrogate(spec),
+        lambda: _check_gradient(spec),
+        lambda: _check_materials(spec),
+    )
     scene = resolved_scene(spec, library)
     spec = spec.model_copy(update={"scene": scene.description})
     target = answering = registry.load(spec.target.name)
@@ -148,14 +143,7 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
         target = Together(answering, spec.target.together, several)
     else:
         spec = spec.model_copy(update={"goal": goal_of(spec.goal, questions)})
-    asked = goals.asked(spec.goal, card, labels)
-    if ATTACKS[spec.attack.method].needs_gradient and not registry.has_gradient(target.name):
-        others = ", ".join(name for name, one in ATTACKS.items() if not one.needs_gradient)
-        raise InvalidRequest(
-            "attack.method",
-            f"{spec.attack.method} needs gradients, and the scores of {target.name} have none with respect to the "
-            f"image ({registry.no_gradient(target.name)}); methods without gradients are {others}",
-        )
+    asked = goal_labels.asked(spec.goal, card, labels)
     renderer = _renderer(spec, scene, tolerance)
     if spec.attack.expectation is not None:
         check_range(spec.attack.expectation, renderer)
@@ -200,6 +188,37 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
     )
 
 
+def _check_together(*checks: Callable[[], object]) -> None:
+    """Makes all of the checks. Raises InvalidFields with every field that one of them refuses."""
+    wrong: list[InvalidRequest] = []
+    for check in checks:
+        try:
+            check()
+        except InvalidRequest as error:
+            wrong += error.every
+    if wrong:
+        raise InvalidFields(wrong)
+
+
+def _check_gradient(spec: JobSpec) -> None:
+    name, method = spec.target.name, spec.attack.method
+    if ATTACKS[method].needs_gradient and not registry.has_gradient(name):
+        others = ", ".join(other for other, one in ATTACKS.items() if not one.needs_gradient)
+        raise InvalidRequest(
+            "attack.method",
+            f"{method} needs gradients, and the scores of {name} have none with respect to the image "
+            f"({registry.no_gradient(name)}); methods without gradients are {others}",
+        )
+
+
+def _check_materials(spec: JobSpec) -> None:
+    materials = {f"scene.objects.{k}.material": thing.material for k, thing in enumerate(spec.scene.objects)}
+    if spec.scene.floor is not None:
+        materials["scene.floor.material"] = spec.scene.floor.material
+    for field, name in materials.items():
+        check_preset(name, field)
+
+
 def _exact_image(spec: JobSpec, scene: ResolvedScene, verifier: Verifier) -> Tensor:
     """The exact image of the scene. It counts as rendered also if it was recalled: a result is the same either way."""
     renders = verifier.renders
@@ -236,10 +255,7 @@ def _drawn_by(spec: JobSpec) -> tuple[Hashable, ...]:
 
 def resolved_scene(spec: JobSpec, library: Library) -> ResolvedScene:
     """The scene of a spec with its assets. Raises InvalidRequest for an unknown material, and as `resolve` does."""
-    for index, thing in enumerate(spec.scene.objects):
-        preset(thing.material, f"scene.objects.{index}.material")
-    if spec.scene.floor is not None:
-        preset(spec.scene.floor.material, "scene.floor.material")
+    _check_materials(spec)
     scene = resolve(spec.scene, library)
     if spec.scene.lights.environment.size == "auto":
         recall(scene)  # the size that is chosen for it is measured

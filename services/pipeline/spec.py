@@ -17,16 +17,19 @@ from pydantic import (
     GetJsonSchemaHandler,
     TypeAdapter,
     ValidationError,
+    ValidationInfo,
     field_validator,
     model_validator,
 )
 from pydantic.json_schema import JsonSchemaValue
-from pydantic_core import CoreSchema, core_schema
+from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
 from services.analysis.requests import AnalysisRequest
 from services.attacks.spec import ATTACKS, AttackSettings, Goal, Seed
 from services.errors import InvalidFields, InvalidRequest
+from services.names import Names, reference, unknown_parts
 from services.pipeline.field_errors import invalid_fields
+from services.pipeline.goal_labels import asked as looked_up
 from services.pipeline.question_request import MOST_TOGETHER, Call, Calls, Text, program, with_scene
 from services.questions.written import written
 from services.rendering.declaration import RENDERERS
@@ -34,6 +37,47 @@ from services.rendering.plan import DEFAULT_TOLERANCE
 from services.scenes.clevr.records import SceneRecord
 from services.scenes.clevr.request import Generate
 from services.scenes.description import Model, Scene, absent
+from services.suggestions import closest
+from services.targets.info import TARGETS
+from services.targets.label_list import labels
+
+
+def _validated(data: Any, names: Names | None) -> AttackSettings:
+    """Validates an attack. The other fields of an attack whose method there is not are named, too.
+
+    They are taken for those of the closest method or, where none is close, of the renderer's own: then only what no
+    method has, or what all methods have, is known to be wrong.
+    """
+    union = _union(_registered())
+    try:
+        return union.validate_python(data, context=names)
+    except ValidationError as error:
+        if error.errors()[0]["type"] != "union_tag_invalid":
+            raise
+        close = closest(data["method"], ATTACKS) if isinstance(data["method"], str) else []
+        method = close[0] if close else _method_for(data)
+        try:
+            union.validate_python({**data, "method": method}, context=names)
+        except ValidationError as others:
+            wrong = [one for one in others.errors() if close or not _may_be_anothers(one)]
+            items = [_again(one) for one in (*error.errors(), *wrong)]
+            raise ValidationError.from_exception_data(error.title, items) from error
+        raise
+
+
+def _may_be_anothers(error: Any) -> bool:
+    """Whether an error of an attack is of a field that only some methods have."""
+    field = error["loc"][1] if len(error["loc"]) > 1 else ""
+    some = {name for one in ATTACKS.values() for name in one.settings.model_fields}
+    return field in some - set(AttackSettings.model_fields)
+
+
+def _again(error: Any) -> InitErrorDetails:
+    """An error of a ValidationError, to be raised in another."""
+    kind: Any = error["type"]
+    if kind in ("value_error", "assertion_error", "unknown_name"):
+        kind = PydanticCustomError(kind, "{said}", {"said": error["msg"], **error.get("ctx", {})})
+    return InitErrorDetails(type=kind, loc=error["loc"], input=error["input"], ctx=error.get("ctx", {}))
 
 
 def _registered() -> tuple[type[AttackSettings], ...]:
@@ -50,10 +94,10 @@ class _Registered:
 
     @classmethod
     def __get_pydantic_core_schema__(cls, _source: object, _handler: GetCoreSchemaHandler) -> CoreSchema:
-        def validate(data: object) -> AttackSettings:
-            return _union(_registered()).validate_python(data)  # its errors become those of the field
+        def validate(data: object, info: ValidationInfo) -> AttackSettings:
+            return _validated(data, info.context)  # its errors become those of the field
 
-        return core_schema.no_info_plain_validator_function(validate)
+        return core_schema.with_info_plain_validator_function(validate)
 
     @classmethod
     def __get_pydantic_json_schema__(cls, _schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
@@ -72,7 +116,9 @@ DEFAULT_TARGET = "efficientnet-lite0"
 class TargetChoice(Model):
     """The network under attack and, if it answers questions about images, the question."""
 
-    name: str = Field(DEFAULT_TARGET, min_length=1, max_length=100, description="a name that `GET /v1/targets` lists")
+    name: Annotated[str, reference("target")] = Field(
+        DEFAULT_TARGET, min_length=1, max_length=100, description="a name that `GET /v1/targets` lists"
+    )
     question: Text | Calls | None = Field(
         None, description="the question, for targets that take one: in words, or its program as in CLEVR's files"
     )
@@ -173,6 +219,13 @@ class JobSpec(Model):
             raise ValueError(said) from error
         return value
 
+    @field_validator("goal")
+    @classmethod
+    def _known_labels(cls, value: Goal, info: ValidationInfo) -> Goal:
+        if info.context and "target" in info.data:
+            check_labels(value, [info.data["target"]])
+        return value
+
     @model_validator(mode="before")
     @classmethod
     def _filled_in(cls, data: Any) -> Any:
@@ -198,10 +251,28 @@ def _method_for(attack: Mapping[str, Any]) -> str:
     return RENDERERS[renderer if known else default].method
 
 
-def parse(data: object) -> JobSpec:
-    """Parses JSON data into a spec. Raises InvalidFields, which has every bad field."""
+def check_labels(goal: Goal, targets: Iterable[TargetChoice]) -> None:
+    """Raises ValidationError with the labels of a goal that one of the targets does not have.
+
+    Several questions have answers of their own, and a target's labels may not be listed: both are refused elsewhere.
+    """
+    for choice in targets:
+        if choice.name in TARGETS and not choice.questions:
+            target = TARGETS[choice.name]
+            try:
+                looked_up(goal, target.info, labels(choice.name, target))
+            except InvalidRequest as error:
+                if error.field != "target.name":
+                    raise unknown_parts("goal", error.every, "goal", goal.model_dump()) from error
+
+
+def parse(data: object, names: Names | None = None) -> JobSpec:
+    """Parses JSON data into a spec. Raises InvalidFields, which has every bad field.
+
+    Names of meshes, maps, materials, targets and labels are looked up in `names`, if it is given.
+    """
     try:
-        return JobSpec.model_validate(data)
+        return JobSpec.model_validate(data, context=names)
     except ValidationError as error:
         raise InvalidFields(problems(error)) from error
 

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, ValidationInfo, field_validator
 
+from services.names import reference
 from services.strict import Strict
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -78,12 +79,14 @@ class Camera(Model):
 class SceneObject(Model):
     """A mesh in the scene, with its surface and its pose."""
 
-    mesh: str = Field(
+    mesh: Annotated[str, reference("mesh")] = Field(
         min_length=1,
         max_length=200,
         description="`furniture/<slug>`, `primitive/<name>`, or the id of an uploaded mesh (`sha256:<hex>`)",
     )
-    material: str = Field("matte", max_length=64, description="DSBRDF preset of the torch renderer")
+    material: Annotated[str, reference("material")] = Field(
+        "matte", max_length=64, description="DSBRDF preset of the torch renderer"
+    )
     color: Colour = Field((1.0, 1.0, 1.0), description="linear RGB factor on the mesh's own colours")
     translation: Vector = Field((0.0, 0.0, 0.0), description="position of the object's centre, scene units")
     rotation: Rotation = Field((0.0, 0.0, 0.0), description="rotation vector (axis times angle), radians")
@@ -115,7 +118,9 @@ class Floor(Model):
         description="whether `height` is above the lowest point of the objects, so that they stand on it at 0",
     )
     color: Colour = Field((0.5, 0.5, 0.5), description="linear RGB")
-    material: str = Field("matte", max_length=64, description="DSBRDF preset of the torch renderer")
+    material: Annotated[str, reference("material")] = Field(
+        "matte", max_length=64, description="DSBRDF preset of the torch renderer"
+    )
     metallic: Unit | None = Field(
         None,
         exclude_if=absent,
@@ -195,7 +200,7 @@ def _direction(value: tuple[float, float, float]) -> tuple[float, float, float]:
 class Environment(Model):
     """A high-dynamic-range environment map: the light of the torch renderer."""
 
-    map: str = Field(
+    map: Annotated[str, reference("map")] = Field(
         "studio",
         min_length=1,
         max_length=200,

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from services.blobs import blobs
 from services.errors import InvalidRequest
+from services.scenes import lights_map
 from services.scenes.bundle import Bundle
 from services.scenes.catalogue import Model, read_catalogue
 from services.scenes.entries import (
@@ -86,6 +87,20 @@ class Library:
             kind == "furniture" and rest in self._catalogue()
         ):
             raise self._unknown_mesh(name)
+
+    def check_map(self, name: str, may_use: Callable[[str], bool] = lambda _: True) -> None:
+        """Raises InvalidRequest("environment", …) as `environment` does for an unknown name, without reading its file.
+
+        The map `lights`, which is made of a scene's own lights, is known. An upload for whose name `may_use` is false
+        is not.
+        """
+        if upload := _UPLOAD.fullmatch(name):
+            record = self._uploads.record(upload[1]) if may_use(name) else None
+            if record is None or not is_map(record.kind):
+                raise InvalidRequest("environment", f"there is no environment map {name!r}")
+        elif name != lights_map.NAME and not (known := {one.name: one for one in self.environments()}).get(name):
+            hint = "" if len(known) > 1 else f"; {SETUP}"
+            raise InvalidRequest("environment", _unknown("environment map", name, known) + hint)
 
     def has_upload(self, name: str) -> bool:
         """Whether there is an uploaded mesh of that name, `sha256:<hex>`."""
@@ -172,16 +187,14 @@ class Library:
         Raises InvalidRequest("environment", …) with close matches.
         """
         if upload := _UPLOAD.fullmatch(name):
+            self.check_map(name)
             record = self._uploads.record(upload[1])
-            if record is None or not is_map(record.kind):
-                raise InvalidRequest("environment", f"there is no environment map {name!r}")
+            assert record is not None
             return self._uploads.load_map(record)
         with self._lock:
             if name not in self._maps:
+                self.check_map(name)
                 known = {entry.name: entry for entry in self.environments()}
-                if name not in known:
-                    hint = "" if len(known) > 1 else f"; {SETUP}"
-                    raise InvalidRequest("environment", _unknown("environment map", name, known) + hint)
                 path = self._environments / f"{name}.exr"
                 self._maps[name] = uniform() if name == "uniform" else read_exr(path, known[name].credit)
             return self._maps[name]

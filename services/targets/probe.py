@@ -1,14 +1,13 @@
 """Tries a target once after it is loaded, so that one that breaks its protocol is refused before a job is queued."""
 
-from collections import Counter
 from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
-from services.errors import InvalidRequest, JobFailure, out_of_memory, printable, summary
 from services.finite import finite
-from services.targets.info import LONGEST_LABEL, RegisteredTarget
+from services.targets.info import RegisteredTarget
+from services.targets.label_list import in_words, labels, refused
 from services.targets.protocol import Target
 
 ANY_QUESTION = "What is this?"
@@ -16,30 +15,8 @@ ANY_QUESTION = "What is this?"
 _REPEATED = 0.01
 """Largest difference between two scores of one image, relative to the largest score. Another batch changes the last
 bits of a sum; dropout, or batch normalisation over the batch, changes far more."""
-_SHOWN = 400
-"""Characters of a target's own error that a message shows; torch lists every weight that is missing."""
 _SUM = 1e-4
 """Largest difference between 1 and the sum of float32 probabilities."""
-
-
-def labels(name: str, known: RegisteredTarget) -> tuple[str, ...]:
-    """Returns the labels of a target without loading it.
-
-    Raises InvalidRequest("target.name") if they cannot be listed, are no text that can be printed, or are not unique.
-    """
-    try:
-        found = tuple(known.labels())
-    except (Exception, SystemExit) as error:
-        raise _refused(name, f"cannot list its labels: {_words(name, error)}") from error
-    for label in found:
-        if not isinstance(label, str) or not label or printable(label) != label:
-            raise _refused(name, f"has the label {label!r:.80}, which is no text to be shown")
-        if len(label) > LONGEST_LABEL:
-            raise _refused(name, f"has the label {label!r:.80}… of {len(label):,} characters; {LONGEST_LABEL} are most")
-    for label, times in Counter(found).items():
-        if times > 1:
-            raise _refused(name, f"has the label {label!r} more than once; labels are unique")
-    return found
 
 
 @torch.no_grad()
@@ -55,12 +32,12 @@ def load(name: str, known: RegisteredTarget, dtype: torch.dtype) -> Target:
         target = known.load(dtype)
         found = tuple(getattr(target, "labels", ()))
     except (Exception, SystemExit) as error:
-        raise _refused(name, f"cannot be loaded: {_words(name, error)}") from error
+        raise refused(name, f"cannot be loaded: {in_words(name, error)}") from error
     _check_labels(name, known, found, listed)
     height, width = known.info.input_size
     if tuple(target.input_size) != (height, width):
         size = "×".join(map(str, target.input_size))
-        raise _refused(name, f"has input_size {size}, but its card says {height}×{width}")
+        raise refused(name, f"has input_size {size}, but its card says {height}×{width}")
     images = _images(target).to(dtype)
     question = _question(target, known.info.example)
     scores = _scores(name, target, images, question)
@@ -68,7 +45,7 @@ def load(name: str, known: RegisteredTarget, dtype: torch.dtype) -> Target:
     alone = _scores(name, target, images[:1], question)
     difference, largest = float((alone - scores[:1]).abs().max()), float(scores.abs().max())
     if difference > _REPEATED * largest:
-        raise _refused(
+        raise refused(
             name,
             f"gives an image other scores when it is alone in its batch, by {difference:.2g}: scores may depend on "
             "nothing else (is dropout or batch normalisation in training mode?)",
@@ -98,9 +75,9 @@ def _images(target: Target) -> Tensor:
 
 def _check_labels(name: str, known: RegisteredTarget, found: Sequence[str], listed: Sequence[str]) -> None:
     if tuple(found) != tuple(listed):
-        raise _refused(name, f"has {len(found)} labels once it is loaded; they are not the {len(listed)} of its card")
+        raise refused(name, f"has {len(found)} labels once it is loaded; they are not the {len(listed)} of its card")
     if known.info.classes != len(listed):
-        raise _refused(name, f"has {len(listed)} labels, but its card says {known.info.classes} classes")
+        raise refused(name, f"has {len(listed)} labels, but its card says {known.info.classes} classes")
 
 
 def _scores(name: str, target: Target, images: Tensor, question: str | None) -> Tensor:
@@ -108,8 +85,8 @@ def _scores(name: str, target: Target, images: Tensor, question: str | None) -> 
         return target.logits(images, question)
     except (Exception, SystemExit) as error:
         size = "×".join(map(str, target.input_size))
-        raise _refused(
-            name, f"fails on {len(images)} RGB images of its input_size {size}: {_words(name, error)}"
+        raise refused(
+            name, f"fails on {len(images)} RGB images of its input_size {size}: {in_words(name, error)}"
         ) from error
 
 
@@ -117,28 +94,14 @@ def _check_scores(name: str, scores: Tensor, labels: Sequence[str]) -> None:
     shape = (2, len(labels))
     if not isinstance(scores, Tensor) or scores.shape != shape or not scores.is_floating_point():
         found = f"{scores.dtype} {list(scores.shape)}" if isinstance(scores, Tensor) else type(scores).__name__
-        raise _refused(
+        raise refused(
             name, f"returns {found} for 2 images; floating-point {list(shape)} is due, one score for each label"
         )
     if not finite(scores):
-        raise _refused(name, "returns scores that are not finite")
+        raise refused(name, "returns scores that are not finite")
     if bool((scores >= 0).all()) and bool(((scores.sum(dim=1) - 1).abs() < _SUM).all()):
-        raise _refused(
+        raise refused(
             name,
             "returns probabilities, which sum to 1; return the scores before the softmax, or the logarithms of the "
             'probabilities, or state "output": "probabilities" in its card',
         )
-
-
-def _words(name: str, error: BaseException) -> str:
-    """The error in words. Raises JobFailure("out-of-memory") if memory has run out: other jobs may have taken it."""
-    if isinstance(error, InvalidRequest):
-        raise error
-    if out_of_memory(error):
-        raise JobFailure("out-of-memory", f"target {name!r} needs more memory than is left") from error
-    words = summary(error)
-    return words if len(words) <= _SHOWN else f"{words[:_SHOWN]}…"
-
-
-def _refused(name: str, why: str) -> InvalidRequest:
-    return InvalidRequest("target.name", f"target {name!r} {why}")

@@ -1,23 +1,12 @@
 """Named materials: DSBRDF coefficients fitted to analytic reference BRDFs by scripts/fit_materials.py."""
 
-import json
 from functools import lru_cache
-from importlib.resources import files
-from typing import Any
 
 import torch
 from torch import Tensor
 
-from services.errors import InvalidRequest
 from services.rendering.torch_renderer.dsbrdf import SHAPE
-from services.suggestions import did_you_mean
-
-
-@lru_cache(maxsize=1)
-def _committed() -> dict[str, dict[str, Any]]:
-    text = files("services.rendering.torch_renderer").joinpath("presets.json").read_text()
-    found: dict[str, dict[str, Any]] = json.loads(text)["presets"]
-    return found
+from services.rendering.torch_renderer.preset_names import check_preset, stored_presets
 
 
 @lru_cache(maxsize=1)
@@ -28,7 +17,7 @@ def presets() -> dict[str, Tensor]:
     """
     return {
         name: torch.tensor(fit["coefficients"], dtype=torch.float64).reshape(SHAPE)
-        for name, fit in _committed().items()
+        for name, fit in stored_presets().items()
     }
 
 
@@ -37,11 +26,8 @@ def preset(name: str, field: str = "material") -> Tensor:
 
     Raises InvalidRequest(field, …) with the nearest names for an unknown name.
     """
-    known = presets()
-    if name not in known:
-        hint = did_you_mean(name, known) or f"; there are {', '.join(known)}"
-        raise InvalidRequest(field, f"there is no material preset {name!r}{hint}")
-    return known[name].clone()
+    check_preset(name, field)
+    return presets()[name].clone()
 
 
 def colored_lobes(name: str, field: str = "material") -> tuple[bool, ...]:
@@ -51,4 +37,4 @@ def colored_lobes(name: str, field: str = "material") -> tuple[bool, ...]:
     Raises InvalidRequest as `preset` does.
     """
     preset(name, field)
-    return tuple(_committed()[name]["colored_lobes"])
+    return tuple(stored_presets()[name]["colored_lobes"])

@@ -8,11 +8,11 @@ import pytest
 from torch import nn
 from typer.testing import CliRunner
 
-from client import attack
+from client import attack, local_meshes
 from client.api_client import ApiClient
 from client.cli import app
-from client.local_meshes import Adding, bundle_at, folder_of, to_library, with_meshes_added
-from services.errors import InvalidRequest
+from client.local_meshes import Adding, bundle_at, folder_of, read_campaign, read_job, to_library, with_meshes_added
+from services.errors import InvalidFields, InvalidRequest
 from services.scenes.library import Library
 from services.settings import DEFAULTS, Settings
 from tests.unit.client.test_api_client import Script, client, says, script
@@ -61,7 +61,7 @@ def test_paths_are_relative_to_the_spec_and_bring_their_files(
     for name, data in {"chair.obj": OBJ, "my chair.mtl": MTL, "tex/wood.png": image()}.items():
         (tmp_path / "models" / name).write_bytes(data)
     given = request_with("../models/chair.obj", "primitive/cube")
-    found = with_meshes_added(given, tmp_path / "specs", into(library))
+    found, _ = with_meshes_added(given, tmp_path / "specs", into(library))
     first, second = found["scene"]["objects"]
     assert given == request_with("../models/chair.obj", "primitive/cube"), "what was given is not changed"
     assert found | {"scene": None} == given | {"scene": None}
@@ -72,7 +72,7 @@ def test_paths_are_relative_to_the_spec_and_bring_their_files(
     assert "texture tex/wood.png" in entry.used
     assert "not shown: bump map bumps.png missing" in capsys.readouterr().err
     assert any(part.textured for part in library.mesh(first["mesh"]).parts)
-    assert with_meshes_added(given, tmp_path / "specs", into(library)) == found
+    assert with_meshes_added(given, tmp_path / "specs", into(library)) == (found, {})
 
 
 def test_paths_of_standard_input_are_relative_to_the_working_directory(
@@ -80,26 +80,35 @@ def test_paths_of_standard_input_are_relative_to_the_working_directory(
 ) -> None:
     (tmp_path / "chair.obj").write_bytes(OBJ)
     monkeypatch.chdir(tmp_path)
-    found = with_meshes_added(request_with("./chair.obj"), folder_of("-"), into(library))
+    found, _ = with_meshes_added(request_with("./chair.obj"), folder_of("-"), into(library))
     assert found["scene"]["objects"][0]["mesh"].startswith("sha256:")
 
 
-@pytest.mark.parametrize(("name", "said"), [("./none.obj", "there is no file"), ("./bad.obj", "no vertices")])
-def test_a_file_that_is_no_mesh_is_refused_with_its_place(
-    tmp_path: Path, library: Library, name: str, said: str
+def test_files_that_are_no_meshes_are_refused_with_all_else_that_is_wrong(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, library: Library
 ) -> None:
     (tmp_path / "bad.obj").write_bytes(b"hello")
-    with pytest.raises(InvalidRequest, match=said) as error:
-        with_meshes_added(request_with("primitive/cube", name), tmp_path, into(library))
-    assert error.value.field == "scene.objects.1.mesh"
+    (tmp_path / "chair.obj").write_bytes(OBJ)
+    monkeypatch.setattr(local_meshes, "to_library", lambda _: into(library))
+    meshes = ("primitive/cube", "./none.obj", "./bad.obj", "chair.obj")
+    spec = written(tmp_path, request_with(*meshes) | {"target": {"name": "nobody"}, "attack": {"steps": -3}})
+    with pytest.raises(InvalidFields) as refused:
+        read_job(spec, Settings())
+    found = {one.field: one.detail for one in refused.value.every}
+    assert list(found) == [*(f"scene.objects.{k}.mesh" for k in (1, 2, 3)), "target.name", "attack.steps"]
+    assert "there is no file" in found["scene.objects.1.mesh"]
+    assert "no vertices" in found["scene.objects.2.mesh"]
+    assert found["scene.objects.3.mesh"] == (
+        "there is no mesh 'chair.obj'; a file beside the spec is written './chair.obj'"
+    )
 
 
 @pytest.mark.parametrize("data", [{}, {"scene": 3}, {"scene": {"objects": "x"}}, {"scene": {"objects": [3, {}]}}])
 def test_what_is_no_request_is_left_to_the_parser(library: Library, data: dict[str, Any]) -> None:
-    assert with_meshes_added(data, Path(), into(library)) == data
+    assert with_meshes_added(data, Path(), into(library)) == (data, {})
 
 
-def test_a_campaign_names_a_file_in_every_place_where_it_has_meshes(folder: Path, library: Library) -> None:
+def test_a_campaign_names_a_file_in_every_place_where_it_has_meshes(folder: Path) -> None:
     scene = request_with("./chair.obj")["scene"]
     grids = [{"scenes": {"meshes": ["primitive/cube", "./chair.obj"]}}, {"scenes": [{"ground": None}, scene]}]
     asked: list[Path] = []
@@ -108,14 +117,14 @@ def test_a_campaign_names_a_file_in_every_place_where_it_has_meshes(folder: Path
         asked.append(path)
         return NAME, ()
 
-    found = with_meshes_added({"grids": grids, "jobs": [{"scene": scene}]}, folder, add)
+    found, _ = with_meshes_added({"grids": grids, "jobs": [{"scene": scene}]}, folder, add)
     assert json.dumps(found).count(NAME) == 3
     assert "chair.obj" not in json.dumps(found)
     assert asked == [folder / "chair.obj"], "it is added once"
     (folder / "chair.obj").unlink()
     with pytest.raises(InvalidRequest, match="there is no file") as error:
-        with_meshes_added({"grids": grids}, folder, into(library))
-    assert error.value.field == "grids.0.scenes.meshes.1"
+        read_campaign(written(folder, {"grids": [grid | {"attacks": []} for grid in grids]}), Settings())
+    assert "grids.0.scenes.meshes.1" in {one.field for one in error.value.every}
 
 
 @pytest.mark.parametrize("command", [["submit"], ["campaign", "submit"]], ids=" ".join)

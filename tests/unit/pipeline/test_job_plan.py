@@ -3,13 +3,13 @@
 import pytest
 
 from services.errors import InvalidRequest
-from services.pipeline.prepare import plan
+from services.pipeline.prepare import plan, prepare_exactly
 from services.pipeline.spec import JobSpec, parse
 from services.scenes.clevr.description import describe
 from services.scenes.clevr.generator import generate
 from services.targets import registry
 from tests.unit.jobs.small import LIBRARY, SPHERE
-from tests.unit.targets.iep.seeded import COUNT, INFO, TAUGHT, program, target
+from tests.unit.targets.iep.seeded import COUNT, INFO, TAUGHT, favouring, program, target
 
 RECORD = generate(8, 2, objects=(4, 4))
 SCENE = describe(RECORD, (60, 80)).model_copy(update={"shadows": None})
@@ -22,8 +22,18 @@ def asking(*questions: object) -> JobSpec:
     return parse(where | {"target": asked, "attack": {"renderer": "pyrender", "method": "zoo"}})
 
 
+def asking_one(question: object) -> JobSpec:
+    spec = asking()
+    target_of = spec.target.model_dump(mode="json") | {"question": question}
+    return parse(spec.model_dump(mode="json") | {"target": target_of})
+
+
 def test_it_has_the_questions_and_what_the_search_leaves_out() -> None:
     with registry.registered(INFO, target()):
+        with pytest.raises(InvalidRequest, match="gets it wrong before the attack"):
+            plan(asking(COUNT.written(), WORDS), LIBRARY)
+        scores = prepare_exactly(asking_one(COUNT.written()), LIBRARY).logits
+    with registry.registered(INFO, favouring("4", scores[None])):
         found = plan(asking(COUNT.written(), WORDS), LIBRARY)
         with pytest.raises(InvalidRequest, match="there are 4"):
             plan(asking(program("scene", "unique 0", "query_size 1").written()), LIBRARY)
