@@ -81,6 +81,8 @@ def _export_job(job: str, to: Path | None, url: str) -> Path:
 
     from client.api_client import ApiClient
     from client.ids import SHORT, job_id
+    from services.export.destinations import into_folder
+    from services.scenes.bundle import clean_name
 
     with ApiClient(url) as client, TemporaryDirectory() as folder:
         whole = job_id(client, job)
@@ -90,9 +92,9 @@ def _export_job(job: str, to: Path | None, url: str) -> Path:
             return to
         archive = Path(folder) / "export.zip"
         client.download_export(whole, archive)
-        to.mkdir(parents=True, exist_ok=True)
+        write = into_folder(to)
         with ZipFile(archive) as found:
-            for entry in found.infolist():
+            for name in found.namelist():
                 # A service can name no file outside the folder.
-                (to / Path(entry.filename).name).write_bytes(found.read(entry))
+                write(clean_name(name.partition("/")[2]), found.read(name))
     return to

@@ -81,7 +81,7 @@ def run(
 
 
 def replay(
-    directory: Annotated[Path, typer.Argument(help="The directory that `run --out` wrote.")],
+    directory: Annotated[Path, typer.Argument(help="The directory that `run --out` or `export` wrote.")],
     as_json: JsonOption = False,
 ) -> None:
     """Render a stored perturbation again and compare label and image with the stored ones.
@@ -98,7 +98,7 @@ def replay(
     with err().status("rendering"):
         from services.pipeline.replay import replay as render_again
 
-        again = render_again(directory, library(settings))
+        again = render_again(directory, library(settings), settings)
     same = again.stored.label == again.replayed.label and (again.pixels_differing == 0 or not again.same_backend)
     if as_json:
         print_json(again.model_dump(mode="json") | {"reproduced": same})

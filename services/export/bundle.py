@@ -24,6 +24,7 @@ from services.export.scene_glb import scene_glb
 from services.export.scene_values import moves_the_scene, scene_values
 from services.export.torch_values import as_colors, light_maps, normal_maps
 from services.pipeline.execute import RESULT
+from services.pipeline.exported_targets import exported_targets, write_targets
 from services.pipeline.names import job_name
 from services.pipeline.perturbation_file import PERTURBATION
 from services.pipeline.prepare import lit_by_map, resolved_scene
@@ -31,6 +32,7 @@ from services.pipeline.result import Result
 from services.pipeline.spec import JobSpec, parse
 from services.rendering.protocol import Parameters
 from services.rendering.torch_renderer.declaration import TORCH
+from services.scenes.exported_assets import write_assets
 from services.scenes.library import Library
 from services.scenes.resolve import ResolvedScene
 
@@ -81,8 +83,8 @@ def read_finished(files: Files, library: Library) -> Finished:
 
 
 def write_bundle(files: Files, library: Library, write: Write, job: str | None = None) -> None:
-    """Calls `write` with the name and the bytes of each file of the bundle; names have no folder. Raises as
-    `read_finished` does. Draws with OpenGL for jobs of the torch renderer."""
+    """Calls `write` with the path and the bytes of each file of the bundle. Raises as `read_finished` does. Draws with
+    OpenGL for jobs of the torch renderer."""
     done = read_finished(files, library)
     written: list[str] = []
 
@@ -108,8 +110,11 @@ def write_bundle(files: Files, library: Library, write: Write, job: str | None =
     }
     table = parameter_table(done.scene, done.spec.attack.renderer, done.perturbation, of_groups)
     put("parameters.json", _json(table.model_dump(mode="json")))
+    write_assets(done.spec.scene, library, put)
+    targets = exported_targets(done.result, done.spec)
+    write_targets(targets, put)
     put("report.html", report(done.result, done.name, table, files, job).encode())
-    put("README.md", readme(done.result, done.name, done.spec, done.scene, written, job).encode())
+    put("README.md", readme(done.result, done.name, done.spec, done.scene, written, targets, job).encode())
 
 
 def _write_maps(done: Finished, put: Write) -> None:

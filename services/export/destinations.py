@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import BinaryIO
 from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile, ZipInfo
 
-_COMPRESSED = (".png", ".exr", ".zip")
+_COMPRESSED = (".png", ".jpg", ".exr", ".sh3f", ".zip")
 
 
 @contextmanager
@@ -23,10 +23,12 @@ def zipped(file: BinaryIO, folder: str) -> Iterator[Callable[[str, bytes], None]
 
 
 def into_folder(folder: Path) -> Callable[[str, bytes], None]:
-    """A function that writes a file into a folder, which is made."""
+    """A function that writes a file into a folder, which is made; so are the folders of the file's path in it."""
     folder.mkdir(parents=True, exist_ok=True)
 
     def write(name: str, data: bytes) -> None:
-        (folder / name).write_bytes(data)
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data)
 
     return write

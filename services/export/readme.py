@@ -1,5 +1,6 @@
-"""The README of an export: what each file is, in which units, what glTF cannot say, credits, and how to cite."""
+"""The README of an export: its files, their units, what glTF cannot say, what `replay` needs, credits, how to cite."""
 
+import re
 from collections.abc import Sequence
 from fnmatch import fnmatch
 from importlib.metadata import version
@@ -8,6 +9,7 @@ from importlib.resources import files
 import torch
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from services.pipeline.exported_targets import FOLDER, ExportedTarget
 from services.pipeline.names import attack_name
 from services.pipeline.prepare import lit_by_map
 from services.pipeline.result import Result
@@ -35,6 +37,12 @@ CONTENTS = {
     "render_exported.py": "draws a `.glb` of this folder with trimesh and pyrender alone",
     "mesh.vert": "its vertex shader",
     "mesh.frag": "its fragment shader: the shading model in one file",
+    "assets/furniture/*": "a model of the furniture library, as a library of its own; Sweet Home 3D opens it too",
+    "assets/environments/*": "the environment map of the request",
+    "assets/uploads/*.json": "what was said of an upload: its title, licence and credit, and which way is up",
+    "assets/uploads/*": "the files of an upload, as they were sent",
+    "targets/*.json": "a network of the job: its card, and the SHA-256 of its weights",
+    "targets/*": "the card of a user's own network, and its labels",
     "report.html": "images, tables and curves on one page, which needs no other file",
     "subset-*.png": "the image with only some of the changed groups: the row of that number, from 0, of `subsets` in "
     "`result.json`",
@@ -48,15 +56,29 @@ CONTENTS = {
 }
 """What files are, by name or pattern; the first that fits."""
 
+
+def escaped(text: str) -> str:
+    """A text that people wrote, for Markdown that shows it as it is: no markup, and no HTML."""
+    return re.sub(r"([\\`*_{}\[\]<>#|~!&$])", r"\\\1", text)
+
+
 _templates = Environment(
     loader=PackageLoader(__package__), undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, autoescape=False
 )
+_templates.filters["escaped"] = escaped
 
 
 def readme(
-    result: Result, name: str, spec: JobSpec, scene: ResolvedScene, names: Sequence[str], job: str | None
+    result: Result,
+    name: str,
+    spec: JobSpec,
+    scene: ResolvedScene,
+    paths: Sequence[str],
+    targets: Sequence[ExportedTarget],
+    job: str | None,
 ) -> str:
-    """The text, in Markdown. `name` is that of the scene or question, and `names` are those of the other files."""
+    """The text, in Markdown. `name` is that of the scene or question, `paths` are those of the other files, and
+    `targets` are the job's networks."""
     mapped = lit_by_map(spec)
     return _templates.get_template("README.md").render(
         name=name,
@@ -64,7 +86,9 @@ def readme(
         target=spec.target.name,
         job=job,
         sentence=sentence(result),
-        files=[(name, content(name)) for name in names],
+        files=[(path, content(path)) for path in dict.fromkeys(map(_listed, paths))],
+        missing=[missing for one in targets if (missing := one.missing(FOLDER)) is not None],
+        written_by=result.provenance.versions.get("scene-attack", version("scene-attack")),
         lengths=_lengths(scene),
         same_scene=spec.attack.renderer != PYRENDER.name,
         why_same="the attack changes pixels" if not mapped else "see below",
@@ -85,6 +109,12 @@ def sentence(result: Result) -> str:
     said = f"The network said “{before.label}” ({before.confidence:.1%}) of the scene as it was, and says "
     said += f"“{after.label}” ({after.confidence:.1%}) of the scene under attack"
     return f"{said}: {result.outcome}{', verified' if result.verified else ', not verified'}."
+
+
+def _listed(path: str) -> str:
+    """The path of a file, or of the folder of an upload or a network, whose files may have any names."""
+    folder = re.match(r"(assets/uploads|targets)/[^/]+/", path)
+    return path if folder is None else folder[0]
 
 
 def content(name: str) -> str:

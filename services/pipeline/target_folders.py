@@ -56,10 +56,11 @@ def register_folders(root: Path | None, allowed: AllowList = NOTHING) -> tuple[T
         folders = sorted(one for one in root.iterdir() if one.is_dir() and not one.name.startswith("."))
     except OSError as error:
         return (TargetFolder(printable(str(root)), error=f"it cannot be read: {error.strerror}"),)
-    return tuple(_register(folder, allowed) for folder in folders)
+    return tuple(register_folder(folder, allowed) for folder in folders)
 
 
-def _register(folder: Path, allowed: AllowList) -> TargetFolder:
+def register_folder(folder: Path, allowed: AllowList) -> TargetFolder:
+    """Registers the target in a folder, or finds the reason for which it is none."""
     name = printable(folder.name)
     try:
         if not NAME.fullmatch(folder.name):
@@ -95,7 +96,10 @@ def _register(folder: Path, allowed: AllowList) -> TargetFolder:
 
         return loading.load(info.name, file, card, labels, digest, allowed, dtype)
 
-    TARGETS.add(info.name, RegisteredTarget(info, lambda: labels, load))
+    card_files = [folder / CARD]
+    if isinstance(card.labels, str) and card.labels.endswith(".txt"):
+        card_files.append(folder / card.labels)
+    TARGETS.add(info.name, RegisteredTarget(info, lambda: labels, load, tuple(card_files), file))
     return TargetFolder(name, digest)
 
 

@@ -64,16 +64,21 @@ class Bundle:
             digest.update(data)
         return digest.hexdigest()
 
+    def files(self) -> dict[str, bytes]:
+        """The mesh, `mesh.<kind>`, and then the others, by relative paths none of which leads out of their folder."""
+        above = max((name.split("/").count("..") for name in self.others), default=0)
+        folder = "mesh/" * above
+        named = ((f"mesh.{self.kind}", self.data), *sorted(self.others.items()))
+        return {posixpath.normpath(folder + name): data for name, data in named}
+
     def stored(self) -> bytes:
         """The bytes that are kept: the mesh file itself, or a zip file of it and the others, always the same."""
         if not self.others:
             return self.data
-        above = max(name.split("/").count("..") for name in self.others)
-        folder = "mesh/" * above  # deep enough that no path leaves the archive
         buffer = BytesIO()
         with zipfile.ZipFile(buffer, "w") as archive:
-            for name, data in ((f"mesh.{self.kind}", self.data), *sorted(self.others.items())):
-                archive.writestr(zipfile.ZipInfo(posixpath.normpath(folder + name)), data)
+            for name, data in self.files().items():
+                archive.writestr(zipfile.ZipInfo(name), data)
         return buffer.getvalue()
 
 

@@ -71,9 +71,10 @@ def read_catalogue(directory: Path, index: Path) -> dict[str, Model]:
 
 
 def read_archive(path: Path) -> list[Model]:
-    """Returns the models of an archive, in the order of their numbers; their slugs are still empty.
+    """Returns the models of an archive, in the order of their numbers.
 
-    Models without a name, a size or an OBJ file that is in the archive are left out.
+    Their slugs are still empty, but in an archive of one model, which `archive_of` writes for an export. Models without
+    a name, a size or an OBJ file that is in the archive are left out.
     """
     with zipfile.ZipFile(path) as archive:
         values = parse_properties(archive.read(CATALOGUE))
@@ -91,7 +92,7 @@ def read_archive(path: Path) -> list[Model]:
         identity = values.get(f"id#{number}", title)
         models.append(
             Model(
-                slug="",
+                slug=values.get(f"slug#{number}", ""),
                 key=identity.rpartition("#")[2],
                 title=title,
                 category=values.get(f"category#{number}", "").strip() or "Miscellaneous",
@@ -109,7 +110,8 @@ def read_archive(path: Path) -> list[Model]:
 
 
 def with_slugs(models: list[Model]) -> list[Model]:
-    """Returns the models, each with a unique slug: its title; if taken, with its key, its library or a number added.
+    """Returns the models, each with a unique slug: the one that it has, or its title; if taken, with its key, its
+    library or a number added.
 
     Slugs are assigned in the order of the list, so a slug means the same model as long as no archive is added before
     its own.
@@ -121,7 +123,7 @@ def with_slugs(models: list[Model]) -> list[Model]:
         words = key if key.startswith(plain) else slugify(f"{plain} {key}")
         longer = slugify(f"{words} {model.library}")
         numbered = (f"{words}-{n}" for n in count(2))
-        slug = next(slug for slug in chain((plain, words, longer), numbered) if slug not in taken)
+        slug = model.slug or next(slug for slug in chain((plain, words, longer), numbered) if slug not in taken)
         taken.add(slug)
         named.append(model.model_copy(update={"slug": slug}))
     return named

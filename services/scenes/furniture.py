@@ -4,14 +4,16 @@ import hashlib
 import posixpath
 import zipfile
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from services.errors import JobFailure
-from services.scenes.catalogue import Model
+from services.scenes.catalogue import CATALOGUE, Model
 from services.scenes.mesh import Mesh, Part
+from services.scenes.properties import write_properties
 from services.scenes.store import load_parts, mesh_path, save_parts
 
 if TYPE_CHECKING:
@@ -24,11 +26,7 @@ def load_model(model: Model, furniture: Path, cache: Path) -> Mesh:
     `furniture` is the directory of the archives, `cache` that of processed meshes. The mesh's sha256 covers the model's
     size and rotation and every file it uses. Raises JobFailure("asset-missing") if the archive is missing or damaged.
     """
-    try:
-        with zipfile.ZipFile(furniture / model.archive) as archive:
-            files = _files(archive, model.path)
-    except (OSError, KeyError, zipfile.BadZipFile) as error:
-        raise JobFailure("asset-missing", f"cannot read {model.archive}: {error}; run scripts/setup again") from error
+    files = _read(model, furniture)
     digest = _digest(model, files)
     kept = mesh_path(cache, digest)
     parts = load_parts(kept)
@@ -40,6 +38,34 @@ def load_model(model: Model, furniture: Path, cache: Path) -> Mesh:
         parts = to_parts(upright(model, read_obj(files, posixpath.basename(model.path))))
         save_parts(kept, parts)
     return Mesh(parts=parts, sha256=digest, credit=model.credit, centimetres=_centimetres(model, parts))
+
+
+def archive_of(model: Model, furniture: Path) -> bytes:
+    """Returns a furniture library, a `*.sh3f` file, of one model under the slug that it has in the whole library.
+
+    Raises JobFailure("asset-missing") if the archive is missing or damaged.
+    """
+    width, depth, height = model.size
+    values = {
+        "name": model.library,
+        "license": model.licence,
+        "slug#1": model.slug,
+        "id#1": model.key,
+        "name#1": model.title,
+        "category#1": model.category,
+        "creator#1": model.creator,
+        "model#1": f"/{model.path}",
+        "width#1": repr(width),
+        "depth#1": repr(depth),
+        "height#1": repr(height),
+        "modelRotation#1": " ".join(map(repr, model.rotation)),
+    }
+    folder, buffer = posixpath.dirname(model.path), BytesIO()
+    files = {f"{folder}/{name}": data for name, data in _read(model, furniture).items()}
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in ((CATALOGUE, write_properties(values)), *files.items()):
+            archive.writestr(zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0)), data, zipfile.ZIP_DEFLATED)
+    return buffer.getvalue()
 
 
 def read_icon(model: Model, furniture: Path) -> bytes | None:
@@ -76,6 +102,15 @@ def _centimetres(model: Model, parts: tuple[Part, ...]) -> float:
     width, depth, height = model.size
     longest = int(extent.argmax())
     return float((width, height, depth)[longest] / extent[longest])
+
+
+def _read(model: Model, furniture: Path) -> dict[str, bytes]:
+    """Returns the files of a model. Raises JobFailure("asset-missing") if its archive is missing or damaged."""
+    try:
+        with zipfile.ZipFile(furniture / model.archive) as archive:
+            return _files(archive, model.path)
+    except (OSError, KeyError, zipfile.BadZipFile) as error:
+        raise JobFailure("asset-missing", f"cannot read {model.archive}: {error}; run scripts/setup again") from error
 
 
 def _files(archive: zipfile.ZipFile, path: str) -> dict[str, bytes]:

@@ -21,7 +21,7 @@ from services.scenes.entries import (
     upload_entry,
 )
 from services.scenes.environment import EnvironmentMap, read_exr, uniform
-from services.scenes.furniture import load_model, read_icon
+from services.scenes.furniture import archive_of, load_model, read_icon
 from services.scenes.mesh import Mesh
 from services.scenes.primitives import PRIMITIVES, primitive
 from services.scenes.uploads import Uploads, is_map
@@ -111,6 +111,26 @@ class Library:
         """The titles that people gave uploads, by name; `names` may have others, which are left out."""
         records = {name: self._uploads.record(found[1]) for name in names if (found := _UPLOAD.fullmatch(name))}
         return {name: one.about.title for name, one in records.items() if one is not None and one.about.title}
+
+    def upload(self, name: str) -> Bundle | None:
+        """Returns an upload as it was sent, a mesh or a map; None for a name that is no upload's.
+
+        Raises JobFailure("asset-missing") if its files are missing or changed.
+        """
+        upload = _UPLOAD.fullmatch(name)
+        record = None if upload is None else self._uploads.record(upload[1])
+        return None if record is None else self._uploads.bundle(record)
+
+    def furniture_archive(self, name: str) -> bytes | None:
+        """Returns a furniture library of one model, `furniture/<slug>`; None for another name."""
+        kind, _, slug = name.partition("/")
+        model = self._catalogue().get(slug) if kind == "furniture" else None
+        return None if model is None else archive_of(model, self._furniture)
+
+    def map_file(self, name: str) -> bytes | None:
+        """Returns the OpenEXR file of an environment map; None for `uniform`, for an upload, and for an unknown one."""
+        known = {entry.name for entry in self.environments()} - {UNIFORM.name}
+        return (self._environments / f"{name}.exr").read_bytes() if name in known else None
 
     def remove_upload(self, name: str) -> None:
         """Removes the files of an uploaded mesh, if there are any. Other processes may keep it in memory."""

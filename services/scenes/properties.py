@@ -1,7 +1,7 @@
-"""Parses Java's .properties format, without its XML variant."""
+"""Reads and writes Java's .properties format, without its XML variant."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 _ESCAPES = {"t": "\t", "n": "\n", "r": "\r", "f": "\f"}
 
@@ -18,6 +18,17 @@ def parse_properties(data: bytes) -> dict[str, str]:
         assert match is not None  # every part may be empty
         values[_unescape(match[1])] = _unescape(match[2])
     return values
+
+
+def write_properties(values: Mapping[str, str]) -> bytes:
+    """Returns a .properties file, which `parse_properties` reads; keys have neither blanks nor `:`, `=` or a backslash,
+    and values neither begin nor end with blanks.
+    """
+    return "".join(f"{key}={_escaped(value)}\n" for key, value in values.items()).encode("ascii")
+
+
+def _escaped(text: str) -> str:
+    return "".join(c if " " <= c <= "~" and c != "\\" else f"\\u{ord(c):04x}" for c in text)
 
 
 def _logical_lines(text: str) -> Iterator[str]:

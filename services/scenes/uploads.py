@@ -5,6 +5,7 @@ ever. What was parsed is kept with the bytes: a later parser reads only what is 
 """
 
 import hashlib
+import zipfile
 from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
@@ -16,7 +17,7 @@ from services import atomic_write
 from services.blobs import Blobs
 from services.errors import InvalidRequest, JobFailure
 from services.scenes.about import NOTHING_SAID, About
-from services.scenes.bundle import MAP_KINDS, PARSER, Bundle
+from services.scenes.bundle import MAP_KINDS, PARSER, Bundle, bundle_of
 from services.scenes.environment import EnvironmentMap, radiance_of
 from services.scenes.isolated_reading import reader
 from services.scenes.mesh import Mesh
@@ -139,6 +140,18 @@ class Uploads:
         """Stores the thumbnail of an upload."""
         self._files.write(f"{sha256}.png", png)
 
+    def bundle(self, upload: Upload) -> Bundle:
+        """Returns an upload as it was sent. Raises JobFailure("asset-missing") if its files are missing or changed."""
+        data = self._read(upload.sha256, None, upload)
+        files = {f"mesh.{upload.kind}": data}
+        if len(data) != upload.size:  # the zip file of `Bundle.stored`, which is longer than what it holds
+            with zipfile.ZipFile(BytesIO(data)) as archive:
+                files = {name: archive.read(name) for name in archive.namelist()}
+        bundle = bundle_of(files, upload.kind, next(iter(files)), upload.about)
+        if bundle.sha256 != upload.sha256:
+            raise JobFailure("asset-missing", f"the uploaded mesh {upload.sha256} has changed where it is kept")
+        return bundle
+
     def remove(self, sha256: str) -> None:
         """Removes the files of the upload with this digest, those that there are. Nobody may be about to add it."""
         for ending in (".json", ".npz", ".png", ""):  # the metadata first, so that every listed upload is complete
@@ -168,13 +181,13 @@ class Uploads:
             radiance = radiance_of(arrays["texels"])
         return EnvironmentMap(f"sha256:{upload.sha256}", radiance, upload.sha256, upload.about.credit)
 
-    def _read(self, name: str, sha256: str, upload: Upload) -> bytes:
+    def _read(self, name: str, sha256: str | None, upload: Upload) -> bytes:
         try:
             with self._files.open(name) as file:
                 data = file.read()
         except FileNotFoundError as error:
             raise JobFailure("asset-missing", f"the uploaded mesh {upload.sha256} has gone: {error}") from error
-        if hashlib.sha256(data).hexdigest() != sha256:
+        if sha256 is not None and hashlib.sha256(data).hexdigest() != sha256:
             raise JobFailure("asset-missing", f"the uploaded mesh {upload.sha256} has changed where it is kept")
         return data
 

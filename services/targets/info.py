@@ -88,6 +88,10 @@ class RegisteredTarget:
     labels: Callable[[], tuple[str, ...]]
     load: Load
     weights: Published | None = None
+    card_files: tuple[Path, ...] = ()
+    """Of a network that a user brings: its card, then the file of its labels if it has one."""
+    model_file: Path | None = None
+    """Its model file; None for a factory, an endpoint, and a network that somebody else brings."""
 
 
 TARGETS: Registry[RegisteredTarget] = Registry("target", "services.targets")

@@ -232,7 +232,8 @@ def test_the_service_exports_a_finished_job(stack: Stack, tmp_path: Path) -> Non
         )
 
     assert export(tmp_path / "taken").returncode == 0
-    assert {file.name for file in (tmp_path / "taken").iterdir()} == names
+    taken = tmp_path / "taken"
+    assert {file.relative_to(taken).as_posix() for file in taken.rglob("*") if file.is_file()} == names
     assert export(tmp_path / "taken.zip").returncode == 0
     assert (tmp_path / "taken.zip").read_bytes() == answer.content
     refused = export(tmp_path / "taken")

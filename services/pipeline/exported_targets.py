@@ -1,0 +1,109 @@
+"""The networks of a job as files of an export: what they are and where they come from, but not their weights.
+
+`targets/<name>.json` is an `ExportedTarget`. For a network that a user brings in a file, `targets/<name>/` has its card
+and its labels: it is the folder that `SCENE_ATTACK_TARGETS` would have, once the model file is put into it.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from pydantic import BaseModel, Field, ValidationError
+
+from services.errors import InvalidRequest
+from services.pipeline.extensions import loaded_extensions
+from services.pipeline.result import Result
+from services.pipeline.spec import JobSpec
+from services.pipeline.target_folders import CARD, MODEL_FILES, register_folder
+from services.targets.custom.allow_list import AllowList
+from services.targets.info import TARGETS, TargetInfo
+
+FOLDER = "targets"
+"""The folder in an export."""
+
+
+class ExportedTarget(BaseModel):
+    """A network of a job, in an export."""
+
+    name: str
+    card: TargetInfo | None = Field(description="its card; null if the network was not known where this was exported")
+    weights_sha256: str = Field(description="SHA-256 (hex) of its weights, as `result.json` has it")
+    model_file: str | None = Field(
+        description="the file of a user's own network to put into the folder of this name; null for other networks"
+    )
+    extensions: dict[str, str] = Field(
+        description="name to SHA-256 of the extension files that register the network; put them beside others in "
+        "SCENE_ATTACK_EXTENSIONS"
+    )
+
+    def missing(self, folder: str) -> str | None:
+        """What another machine lacks to load the network, as a sentence; None if scene-attack comes with it.
+
+        `folder` is the path of the folder `targets` of the export, as the sentence is to name it.
+        """
+        if self.model_file is not None:
+            return (
+                f"the weights of the network {self.name!r} are not in the export: put {self.model_file}, whose SHA-256 "
+                f"is {self.weights_sha256}, into {folder}/{self.name}"
+            )
+        if self.extensions:
+            files = ", ".join(f"{name} (SHA-256 {sha256})" for name, sha256 in self.extensions.items())
+            return f"the network {self.name!r} is registered by {files}: name it in SCENE_ATTACK_EXTENSIONS"
+        if self.card is not None and self.card.card_sha256 is None:
+            return None
+        return (
+            f"the network {self.name!r} is not in the export: install a target of this name whose weights have the "
+            f"SHA-256 {self.weights_sha256} (docs/targets.md)"
+        )
+
+
+def exported_targets(result: Result, spec: JobSpec) -> list[ExportedTarget]:
+    """Returns the network under attack and then the surrogate, if there is one."""
+    weights = {spec.target.name: result.provenance.weights_sha256}
+    if spec.attack.guide is not None and result.provenance.surrogate_sha256 is not None:
+        weights[spec.attack.guide] = result.provenance.surrogate_sha256
+    return [_exported(name, sha256, result) for name, sha256 in weights.items()]
+
+
+def _exported(name: str, weights_sha256: str, result: Result) -> ExportedTarget:
+    known = TARGETS.get(name)
+    used = result.provenance.extensions
+    return ExportedTarget(
+        name=name,
+        card=None if known is None else known.info,
+        weights_sha256=weights_sha256,
+        model_file=None if known is None or known.model_file is None else known.model_file.name,
+        extensions={
+            one.name: used[one.name] for one in loaded_extensions() if one.name in used and ("target", name) in one.adds
+        },
+    )
+
+
+def write_targets(targets: list[ExportedTarget], write: Callable[[str, bytes], None]) -> None:
+    """Calls `write` with the path and the bytes of each file."""
+    for target in targets:
+        write(f"{FOLDER}/{target.name}.json", target.model_dump_json(indent=1).encode() + b"\n")
+        known = TARGETS.get(target.name)
+        # The card of a factory or an endpoint names what is private to the machine that has it.
+        for file in () if known is None or known.model_file is None else known.card_files:
+            write(f"{FOLDER}/{target.name}/{file.name}", file.read_bytes())
+
+
+def register_exported(export: Path) -> None:
+    """Registers the networks of an export that this machine does not know.
+
+    Raises InvalidRequest("directory"), which says what is missing and where it goes.
+    """
+    for file in sorted((export / FOLDER).glob("*.json")):
+        try:
+            target = ExportedTarget.model_validate_json(file.read_bytes())
+        except ValidationError as error:
+            raise InvalidRequest("directory", f"{file} is damaged") from error
+        folder = file.with_suffix("")
+        if target.name in TARGETS:
+            continue
+        if (folder / CARD).is_file() and any((folder / name).is_file() for name in MODEL_FILES):
+            reason = register_folder(folder, AllowList()).error
+            if reason is not None:
+                raise InvalidRequest("directory", f"the network in {folder} cannot be used: {reason}")
+        elif (missing := target.missing(str(export / FOLDER))) is not None:
+            raise InvalidRequest("directory", missing)
