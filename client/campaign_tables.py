@@ -19,7 +19,7 @@ def campaign_state(state: str) -> Text:
 def results(found: Mapping[str, Any]) -> FittedTable:
     """The table of a campaign (services.analysis.campaign_table.Table, as JSON): a row for each target and attack."""
     columns = ("target", "attack", "ended>", "n>", "success %>", "95 % interval>", "p ×1e-3>", "held within ε>")
-    loop = ("in the loop %>", "p ×1e-3>", "truncated px>", "failed>", "reused>")
+    loop = ("in the loop %>", "p in the loop ×1e-3>", "truncated px>", "failed>", "reused>")
     spare = ("reused", "held within ε", "truncated px", "failed", "in the loop %", "ended", "n")
     return table((*columns, *loop), [_row(cell) for cell in found["cells"]], title=found["campaign"], spare=spare)
 

@@ -13,13 +13,14 @@ from sqlalchemy.orm import Session, undefer
 
 from services.analysis.campaign_table import Case
 from services.jobs import outbox
+from services.jobs.asset_uses import titles
 from services.jobs.models import Campaign, CampaignJob, CampaignState, Job, JobKind, State
 from services.jobs.placement import CAMPAIGNS, Demand
 from services.jobs.transactions import Transactions, not_held
 from services.logs import logger
 from services.pipeline.campaign_case import case_of, curves_of, curves_record, reusable, unfinished
 from services.pipeline.campaign_expand import View, filled, jobs, views
-from services.pipeline.campaign_select import FirstAnswer, choose
+from services.pipeline.campaign_select import FirstAnswer, choose, meshes_of
 from services.pipeline.campaign_spec import CampaignSpec
 from services.pipeline.result import Result
 from services.pipeline.spec import digest
@@ -128,10 +129,11 @@ class Feeder(Transactions):
         with self._read() as session:
             own = (Job.campaign_id == campaign_id, Job.kind == JobKind.SELECTION)
             asked = list(session.scalars(select(Job).where(*own).options(undefer(Job.result))))
+            named = titles(session, meshes_of(found))
         if CHUNK * len(asked) < len(found) or not all(job.state.terminal for job in asked):
             return
         answers = _answers(asked)
-        chosen = choose(found, answers)
+        chosen = choose(found, answers, named)
         picked = [filled(view, answers[view.number].spec) for view in found if chosen[view.number].chosen]
         rows = [
             {

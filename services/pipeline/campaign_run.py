@@ -16,7 +16,7 @@ from services.errors import InvalidRequest, JobFailure
 from services.pipeline.campaign_case import case_of, curves_of, reusable, unfinished
 from services.pipeline.campaign_expand import PlannedJob, View, filled, jobs, views
 from services.pipeline.campaign_result import CampaignResult
-from services.pipeline.campaign_select import FirstAnswer, choose
+from services.pipeline.campaign_select import FirstAnswer, choose, meshes_of
 from services.pipeline.campaign_spec import CampaignSpec
 from services.pipeline.campaign_views import first_answer, first_answers
 from services.pipeline.execute import RESULT, execute
@@ -57,7 +57,7 @@ def run_campaign(
     """
     found = views(campaign)
     answers = _answers(campaign, found, out, library, progress, cancelled)
-    chosen = choose(found, answers)
+    chosen = choose(found, answers, library.titles(meshes_of(found)))
     picked = [filled(view, answers[view.number].spec) for view, one in zip(found, chosen, strict=True) if one.chosen]
     planned = list(jobs(campaign, picked))
     cells = [(job.target, job.attack) for job in planned]

@@ -57,11 +57,20 @@ class ChosenView(BaseModel):
     why: str = Field(description="why the view is not attacked; empty for a chosen one")
 
 
-def choose(views: Sequence[View], answers: Mapping[int, FirstAnswer]) -> list[ChosenView]:
+def meshes_of(views: Sequence[View]) -> set[str]:
+    """The names of all meshes in the views' scenes."""
+    return {thing.mesh for view in views for thing in view.probe.scene.objects}
+
+
+def choose(
+    views: Sequence[View], answers: Mapping[int, FirstAnswer], titles: Mapping[str, str] | None = None
+) -> list[ChosenView]:
     """Applies each grid's rules to the views of each target and renderer, and returns all views in their order.
 
-    Of equally confident views the earlier one is taken. A view without an answer is not chosen.
+    Of equally confident views the earlier one is taken. A view without an answer is not chosen. `titles` are those of
+    uploaded meshes, by name.
     """
+    titles = _distinct(titles or {})
     why = {view.number: _unfit(view, answers.get(view.number)) for view in views}
     for group in dict.fromkeys(view.group for view in views):
         units: dict[tuple[int, str], list[View]] = {}
@@ -73,7 +82,13 @@ def choose(views: Sequence[View], answers: Mapping[int, FirstAnswer]) -> list[Ch
         for unit in units.values():
             reason = passed.get(unit[0].number, "") or _of_another(unit, why)
             why |= {view.number: why[view.number] or reason for view in unit}
-    return [_record(view, answers.get(view.number), why[view.number]) for view in views]
+    return [_record(view, answers.get(view.number), why[view.number], titles) for view in views]
+
+
+def _distinct(titles: Mapping[str, str]) -> dict[str, str]:
+    """The titles; one that several uploads have is followed by the beginning of their hash, as tables are by scene."""
+    count = Counter(titles.values())
+    return {name: title if count[title] == 1 else f"{title} ({name[:14]})" for name, title in titles.items()}
 
 
 def _unfit(view: View, answer: FirstAnswer | None) -> str:
@@ -154,10 +169,10 @@ def _confidence(answer: FirstAnswer) -> float:
     return 0.0 if answer.confidence is None else answer.confidence
 
 
-def _record(view: View, answer: FirstAnswer | None, why: str) -> ChosenView:
+def _record(view: View, answer: FirstAnswer | None, why: str, titles: Mapping[str, str]) -> ChosenView:
     return ChosenView(
         number=view.number,
-        scene=scene_name({"scene": {"objects": [{"mesh": thing.mesh} for thing in view.probe.scene.objects]}}),
+        scene=scene_name({"scene": {"objects": [{"mesh": one.mesh} for one in view.probe.scene.objects]}}, titles),
         questions=[one.question for one in view.asked],
         azimuth=view.probe.scene.camera.azimuth,
         target=view.probe.target.name,

@@ -1,8 +1,10 @@
 """A campaign through the real stack: paused, resumed, with a worker killed under it, and taken again."""
 
+import re
 from typing import Any
 
 import pytest
+import trimesh
 
 from tests.integration.conftest import Stack, until
 from tests.integration.specs import QUICK, long
@@ -70,3 +72,29 @@ def test_a_campaign_survives_a_killed_worker_and_a_pause(stack: Stack) -> None:
         (job["job"], True) for job in jobs
     ]
     assert get(stack, again)["reused"] == 3
+
+
+def test_a_campaign_calls_uploads_by_their_titles(stack: Stack) -> None:
+    """Two uploads of one title stay two scenes of its tables."""
+    names = []
+    for subdivisions in (1, 2):
+        ball = trimesh.creation.icosphere(subdivisions=subdivisions).export(file_type="obj")
+        files = {"file": ("ball.obj", ball, "model/obj")}
+        names.append(stack.client.post("/v1/assets", files=files, data={"name": "a red ball"}).json()["name"])
+    spec = campaign("titles")
+    spec["grids"][0]["scenes"] |= {"meshes": names, "views": [0.1]}
+    spec["grids"][0]["attacks"][0]["attack"]["steps"] = 1
+    answer = stack.client.post("/v1/campaigns", json=spec)
+    assert answer.status_code == 202, answer.text
+    address = f"/v1/campaigns/{answer.json()['id']}"
+    until(lambda: get(stack, address)["state"] == "finished", "the campaign ends")
+    titled = [f"a red ball ({name[:14]})" for name in names]
+    assert [view["scene"] for view in get(stack, f"{address}/table.json")["views"]] == titled
+    page = stack.client.get(address.removeprefix("/v1")).text
+    assert names[0] not in page.split('<h2 id="heat">')[1]
+    heads = [
+        re.findall(r"<th scope=\"col\"[^>]*>(.*?)</th>", head)
+        for head in re.findall(r"<thead>(.*?)</thead>", page, re.S)
+    ]
+    assert ["its p ×10⁻³" in columns for columns in heads].count(True) == 1
+    assert all(len(set(columns)) == len(columns) for columns in heads)

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from playwright.sync_api import Browser, ConsoleMessage, Page, expect
+from playwright.sync_api import Browser, ConsoleMessage, Page, Route, expect
 
 from tests.integration.browser import fresh_page, launched
 from tests.integration.conftest import Stack, until
+from tests.integration.specs import QUICK
 from tests.integration.test_accessibility import AXE, RUN, THEMES, WIDTHS, save, watched
 
 pytestmark = pytest.mark.integration
@@ -203,3 +204,43 @@ def test_the_whole_form_is_accessible(stack: Stack, browser: Browser, theme: Any
         assert not found, [(one["id"], one["help"], [node["target"] for node in one["nodes"]][:5]) for one in found]
         assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth"), "it scrolls sideways"
         assert [one for one in complaints if "422" not in one] == []
+
+
+@pytest.mark.parametrize("which", ["beside the fields", "beside the preview"])
+def test_a_pressed_button_says_at_once_that_the_request_is_checked(stack: Stack, page: Page, which: str) -> None:
+    page.goto(f"{stack.client.base_url}/new?mesh=primitive/sphere")
+    wait_for_answer(page)
+    held: list[Route] = []
+    page.route("**/v1/jobs", lambda route: held.append(route))
+    buttons = page.get_by_role("button", name="Submit the job")
+    pressed = buttons.nth(0 if which == "beside the fields" else 1)
+    place = "#submit" if which == "beside the fields" else "#preview [type=submit]"
+    pressed.click()
+    expect(page.locator(place)).to_have_text("Checking…")
+    expect(page.locator("#submitting")).to_have_text("Checking…")
+    expect(page.locator("[type=submit][form=new], #submit").and_(page.locator(":disabled"))).to_have_count(2)
+    held[0].fulfill(status=422, json={"detail": "no", "errors": [{"field": "seed", "detail": "no"}]})
+    expect(page.locator("#problems")).to_contain_text("seed")
+    expect(buttons).to_have_count(2)
+    expect(page.locator("#submitting")).to_be_empty()
+
+
+def test_a_form_of_the_service_s_own_waits_too_and_works_without_a_script(stack: Stack, browser: Browser) -> None:
+    """The page of a finished job, whose request is tried again: first with the script, and then without."""
+    job = stack.ended(stack.submit(QUICK))
+    with fresh_page(browser) as page:
+        page.goto(f"{stack.client.base_url}/jobs/{job['id']}")
+        page.route("**/retry", lambda route: route.fulfill(status=204))  # so that the browser stays on the page
+        page.get_by_role("button", name="Retry").click()
+        expect(page.locator("#retry")).to_have_text("Checking…")
+        expect(page.locator("#retry")).to_be_disabled()
+        expect(page.locator("#submitting")).to_have_text("Checking…")
+        page.unroute("**/retry")
+        page.reload()
+        page.get_by_role("button", name="Retry").click()
+        page.wait_for_url(lambda url: job["id"] not in url)
+    with fresh_page(browser, java_script_enabled=False) as page:
+        page.goto(f"{stack.client.base_url}/new?mesh=primitive/sphere")
+        expect(page.locator("noscript")).to_contain_text("a few seconds")
+        page.get_by_role("button", name="Submit the job").click()
+        page.wait_for_url("**/jobs/*")

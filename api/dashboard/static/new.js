@@ -2,6 +2,7 @@
 import { Fields } from "./form.js";
 import { ask, plan, preview } from "./preview.js";
 import { parsed } from "./schema.js";
+import { busy } from "./submitting.js";
 
 const form = document.getElementById("new");
 const text = document.getElementById("spec");
@@ -103,8 +104,7 @@ function summarise(answer) {
 
 form.addEventListener("submit", async (event) => {
   event.preventDefault();
-  const buttons = [...form.elements].filter((one) => one.type === "submit");
-  for (const button of buttons) button.disabled = true;
+  const ready = busy(form, event.submitter);
   try {
     const { ok, answer } = await ask("/v1/jobs", text.value);
     if (ok) return location.assign(`/jobs/${answer.id}`);
@@ -113,7 +113,7 @@ form.addEventListener("submit", async (event) => {
   } catch {
     summarise({ detail: "The service does not answer; nothing was submitted." });
   }
-  for (const button of buttons) button.disabled = false;
+  ready();
 });
 text.addEventListener("input", fromText);
 document.getElementById("plan").addEventListener("click", () => plan(text.value));
