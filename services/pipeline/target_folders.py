@@ -99,7 +99,7 @@ def register_folder(folder: Path, allowed: AllowList) -> TargetFolder:
     card_files = [folder / CARD]
     if isinstance(card.labels, str) and card.labels.endswith(".txt"):
         card_files.append(folder / card.labels)
-    TARGETS.add(info.name, RegisteredTarget(info, lambda: labels, load, tuple(card_files), file))
+    TARGETS.add(info.name, RegisteredTarget(info, lambda: labels, load, card_files=tuple(card_files), model_file=file))
     return TargetFolder(name, digest)
 
 

@@ -96,5 +96,5 @@ def test_a_campaign_calls_uploads_by_their_titles(stack: Stack) -> None:
         re.findall(r"<th scope=\"col\"[^>]*>(.*?)</th>", head)
         for head in re.findall(r"<thead>(.*?)</thead>", page, re.S)
     ]
-    assert ["its p ×10⁻³" in columns for columns in heads].count(True) == 1
+    assert ["p in the loop ×10⁻³" in columns for columns in heads].count(True) == 1
     assert all(len(set(columns)) == len(columns) for columns in heads)
