@@ -117,7 +117,8 @@ def install(app: FastAPI) -> None:
         items = [_without_file(item) for item in items]
         asked = [item for item in items if item["loc"][:1] != ("body",)]
         sent = [item | {"loc": item["loc"][1:]} for item in items if item["loc"][:1] == ("body",)]
-        parameters = [InvalidRequest(".".join(map(str, item["loc"][1:])), in_words(item)) for item in asked]
+        # One of several values of a parameter is called by the parameter's name, as it was sent.
+        parameters = [InvalidRequest(str(item["loc"][1]), in_words(item)) for item in asked]
         return invalid([*parameters, *_fields_of(request)(sent)])
 
     @app.exception_handler(HTTPException)
