@@ -6,8 +6,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import httpx
-
 from services.errors import InvalidRequest
 from services.targets.info import Published, known
 
@@ -15,7 +13,8 @@ ATTEMPTS = 5
 """Connections that are tried before a download is given up; each goes on where the last one ended."""
 REACH = 3.0
 """Longest wait for the answer of an address before a job is queued that needs a file from it, seconds."""
-TIMEOUT = httpx.Timeout(10.0, read=30.0)
+CONNECT, READ = 10.0, 30.0
+"""Longest waits for a connection and for the next bytes of a download, seconds."""
 
 
 def fetch(file: Published, folder: Path) -> Path:
@@ -47,6 +46,8 @@ def check_obtainable(name: str) -> None:
     missing = None if weights is None else weights.missing()
     if weights is None or missing is None:
         return
+    import httpx  # most processes fetch nothing
+
     try:
         httpx.head(weights.url, timeout=REACH, follow_redirects=True).raise_for_status()
     except httpx.HTTPError as error:
@@ -57,6 +58,8 @@ def check_obtainable(name: str) -> None:
 
 
 def _download(file: Published, path: Path) -> None:
+    import httpx
+
     part = path.with_name(f"{file.name}.part")
     trouble = "the connection ended early"
     for _ in range(ATTEMPTS):
@@ -78,9 +81,12 @@ def _download(file: Published, path: Path) -> None:
 
 def _continued(url: str, part: Path) -> bool:
     """Downloads what `part` lacks; returns whether it is complete. Raises httpx.HTTPError."""
+    import httpx
+
     have = part.stat().st_size if part.exists() else 0
     headers = {"Range": f"bytes={have}-", "Accept-Encoding": "identity"} if have else {"Accept-Encoding": "identity"}
-    with httpx.stream("GET", url, headers=headers, timeout=TIMEOUT, follow_redirects=True) as answer:
+    limits = httpx.Timeout(CONNECT, read=READ)
+    with httpx.stream("GET", url, headers=headers, timeout=limits, follow_redirects=True) as answer:
         if answer.status_code == httpx.codes.REQUESTED_RANGE_NOT_SATISFIABLE:  # nothing is missing
             return True
         answer.raise_for_status()
