@@ -65,6 +65,7 @@ def describe(app: FastAPI) -> None:
             schema = original()
             _name_form(schema)
             _add_examples(schema)
+            schema["components"] = _for_generators(schema["components"])
             _errors(schema)
         assert app.openapi_schema is not None
         return app.openapi_schema
@@ -80,6 +81,24 @@ def _name_form(schema: dict[str, Any]) -> None:
     }
     form = schema["paths"]["/v1/assets"]["post"]["requestBody"]["content"]["multipart/form-data"]
     form["schema"] = {"$ref": "#/components/schemas/AssetUpload"}
+
+
+def _for_generators(schema: Any) -> Any:
+    """The schema in the words that generators of clients read: a file of a form is of format `binary`, and one text
+    among other types an `enum`, as they take a `const` for the only type."""
+    if isinstance(schema, list):
+        return [_for_generators(one) for one in schema]
+    if not isinstance(schema, dict):
+        return schema
+    found = {name: _for_generators(value) for name, value in schema.items()}
+    if found.get("contentMediaType") == "application/octet-stream":
+        found["format"] = "binary"
+    if "anyOf" in found:
+        found["anyOf"] = [
+            {"enum": [one["const"]], "type": one["type"]} if set(one) == {"const", "type"} else one
+            for one in found["anyOf"]
+        ]
+    return found
 
 
 def _add_examples(schema: dict[str, Any]) -> None:

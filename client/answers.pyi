@@ -477,7 +477,7 @@ class Grid(TypedDict):
     """All combinations of scenes, targets, attacks and seeds."""
     scenes: NotRequired[SceneGrid | list[Scene] | None]
     generate: NotRequired[QuestionGrid | None]
-    targets: NotRequired[list[TargetChoice]]
+    targets: NotRequired[list[str | TargetChoice]]
     attacks: list[Column]
     seeds: NotRequired[list[int]]
     goal: NotRequired[Goal]

@@ -165,19 +165,31 @@ def get_campaign_table(campaign: WholeCampaign, services: ServicesDependency) ->
     return services.campaigns.result(campaign)
 
 
-@router.get("/{campaign_id}/table.csv", response_class=Response, responses={200: {"content": {"text/csv": {}}}})
+@router.get(
+    "/{campaign_id}/table.csv",
+    response_class=Response,
+    responses={200: {"content": {"text/csv": {"schema": {"type": "string"}}}}},
+)
 def get_campaign_table_csv(campaign: WholeCampaign, services: ServicesDependency) -> Response:
     """Returns the table as CSV, one line for each target and attack."""
     return Response(to_csv(services.campaigns.result(campaign, curves=False).table), media_type="text/csv")
 
 
-@router.get("/{campaign_id}/table.tex", response_class=Response, responses={200: {"content": {"text/x-tex": {}}}})
+@router.get(
+    "/{campaign_id}/table.tex",
+    response_class=Response,
+    responses={200: {"content": {"text/x-tex": {"schema": {"type": "string"}}}}},
+)
 def get_campaign_table_latex(campaign: WholeCampaign, services: ServicesDependency) -> Response:
     """Returns the table as LaTeX, in the paper's layout, for the package booktabs."""
     return Response(to_latex(services.campaigns.result(campaign, curves=False).table), media_type="text/x-tex")
 
 
-@router.get("/{campaign_id}/cases.csv", response_class=Response, responses={200: {"content": {"text/csv": {}}}})
+@router.get(
+    "/{campaign_id}/cases.csv",
+    response_class=Response,
+    responses={200: {"content": {"text/csv": {"schema": {"type": "string"}}}}},
+)
 def get_campaign_cases_csv(campaign: WholeCampaign, services: ServicesDependency) -> Response:
     """Returns the jobs that have ended as CSV, one line for each, with scene, seed, outcome, p, queries and seconds."""
     return Response(cases_to_csv(services.campaigns.cases(campaign)), media_type="text/csv")

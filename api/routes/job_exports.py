@@ -90,7 +90,11 @@ def job_rows(
 JobRows = Annotated[Iterator[dict[str, Any]], Depends(job_rows)]
 
 
-@router.get("/jobs.csv", response_class=StreamingResponse, responses={200: {"content": {"text/csv": {}}}})
+@router.get(
+    "/jobs.csv",
+    response_class=StreamingResponse,
+    responses={200: {"content": {"text/csv": {"schema": {"type": "string"}}}}},
+)
 def get_job_table_csv(rows: JobRows) -> StreamingResponse:
     """Every job that meets a query, as a table with one line each. p is a number, not in thousandths."""
     return _file(_csv_lines(rows), "text/csv; charset=utf-8", "jobs.csv")

@@ -7,7 +7,15 @@ from collections.abc import Iterable, Mapping
 from functools import cache
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, Field, ValidationError, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from services.analysis.requests import AnalysisRequest
 from services.attacks.spec import AttackSettings, Goal, Seed
@@ -74,6 +82,13 @@ class Column(Model):
         return with_method(data)
 
 
+def _by_name(target: Any) -> Any:
+    return {"name": target} if isinstance(target, str) else target
+
+
+NamedTarget = Annotated[TargetChoice, BeforeValidator(_by_name, json_schema_input_type=str | TargetChoice)]
+
+
 class Grid(Model):
     """All combinations of scenes, targets, attacks and seeds."""
 
@@ -83,8 +98,11 @@ class Grid(Model):
     generate: QuestionGrid | None = Field(
         None, exclude_if=absent, description="in place of `scenes`: scenes after CLEVR, and questions about each"
     )
-    targets: tuple[TargetChoice, ...] = Field(
-        (TargetChoice(),), min_length=1, max_length=32, description="the networks; each is a row of the table"
+    targets: tuple[NamedTarget, ...] = Field(
+        (TargetChoice(),),
+        min_length=1,
+        max_length=32,
+        description="the networks; each is a row of the table; one that takes no question may be written as its name",
     )
     attacks: tuple[Column, ...] = Field(min_length=1, max_length=64)
     seeds: tuple[Seed, ...] = Field((0,), min_length=1, max_length=1000)
@@ -92,12 +110,6 @@ class Grid(Model):
     tolerance: AnyTolerance = DEFAULT_TOLERANCE
     analysis: AnalysisRequest = Field(AnalysisRequest(), description="analyses to make after each attack; default none")
     selection: Selection = Field(Selection(), description="which views are attacked")
-
-    @field_validator("targets", mode="before")
-    @classmethod
-    def _names(cls, data: Any) -> Any:
-        """A target that takes no question may be written as its name."""
-        return [{"name": one} if isinstance(one, str) else one for one in data] if isinstance(data, list) else data
 
     @field_validator("goal")
     @classmethod
