@@ -44,6 +44,8 @@ def attack(
     and the like are those of the SCENE_ATTACK_ variables. Raises InvalidRequest, which names the field or the argument,
     for anything that cannot run, and JobFailure for a run that fails.
     """
+    from torch import nn
+
     from client.local_meshes import local_library
     from client.result_folder import check_free, prepare_folder
     from client.settings import read_settings
@@ -52,6 +54,9 @@ def attack(
     from services.targets.custom.in_process import describe
     from services.targets.registry import registered
 
+    for argument, value in (("scene", scene), ("spec", {} if spec is None else spec)):
+        if not isinstance(value, Mapping):
+            raise InvalidRequest(argument, f"must be a dictionary, as a request has it, not {type(value).__name__}")
     settings = read_settings()
     set_up(settings)
     target = _target(name, model, labels, preprocessing)
@@ -59,8 +64,10 @@ def attack(
     with registered(card, target), TemporaryDirectory() as folder:
         job = _spec(scene, name, spec or {}, settings)
         if out is not None:
-            check_free(Path(out), job, "out", target.weights_sha256)
+            module = isinstance(model, nn.Module) or hasattr(model, "logits")
+            # Nobody knows whether two functions are the same: a folder with a result of one is never free.
             prepare_folder(Path(out), "out")
+            check_free(Path(out), job, "out", (target.weights_sha256, card.card_sha256) if module else ())
         return execute(job, Path(folder) if out is None else Path(out), local_library(settings), progress=progress)
 
 

@@ -89,21 +89,32 @@ def with_meshes_added(data: dict[str, Any], folder: Path, add: Adding) -> tuple[
     return data, not_added
 
 
-def uploaded(data: dict[str, Any], folder: Path, client: "ApiClient") -> dict[str, Any]:
-    """The request with the meshes that it names by paths uploaded. Raises InvalidFields with those that were not."""
+def sent(
+    data: dict[str, Any], folder: Path, client: "ApiClient", send: Callable[[dict[str, Any]], dict[str, Any]]
+) -> dict[str, Any]:
+    """The service's answer to a request, which `send` sends, with the meshes that it names by paths uploaded.
+
+    Raises InvalidFields with every wrong field: a mesh that was not uploaded, and what the service finds beside it.
+    """
+    from client.request import ApiError
+
     data, not_added = with_meshes_added(data, folder, to_service(client))
-    wrong: list[InvalidRequest] = []
+    wrong: dict[str, InvalidRequest] = {}
 
     def refused(mesh: str, field: str) -> str:
         if mesh in not_added:
-            wrong.append(InvalidRequest(field, not_added[mesh]))
+            wrong[field] = InvalidRequest(field, not_added[mesh])
         return mesh
 
     for place in _PLACES:
         _replaced(data, place.split("."), refused)
-    if wrong:
-        raise InvalidFields(wrong)
-    return data
+    try:
+        return send(data)
+    except ApiError as error:
+        if error.status != 422 or not wrong:
+            raise
+        found = (InvalidRequest(one["field"], one["detail"]) for one in error.problem.get("errors", ()))
+        raise InvalidFields([*wrong.values(), *(one for one in found if one.field not in wrong)]) from error
 
 
 def to_library(settings: "Settings") -> Adding:

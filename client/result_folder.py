@@ -3,7 +3,7 @@
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,11 +16,13 @@ if TYPE_CHECKING:
 REMEDY = "name another folder, or remove this one"
 
 
-def check_free(folder: Path, spec: "JobSpec", field: str = "--out", weights_sha256: str | None = None) -> None:
+def check_free(
+    folder: Path, spec: "JobSpec", field: str = "--out", network: Sequence[str | None] | None = None
+) -> None:
     """Raises InvalidRequest(field) if the folder holds the result or the checkpoint of another job than `spec`.
 
-    weights_sha256: of the network, if it is one that the request does not name; a result of another one is another
-    job's, too.
+    network: the hashes of weights and card, if it is a network that the request does not name, and nothing if they are
+    not known; a result of another network is another job's, too.
     """
     from services.pipeline.names import attack_name, job_name
 
@@ -33,13 +35,17 @@ def check_free(folder: Path, spec: "JobSpec", field: str = "--out", weights_sha2
             continue
         except (ValueError, KeyError, TypeError) as error:
             raise InvalidRequest(field, f"{folder} holds a {name} that is no job's; {REMEDY}") from error
-        own = weights_sha256 is None or data.get("provenance", {}).get("weights_sha256") == weights_sha256
-        if not (own and _same(stored, spec)):
+        if not _same(stored, spec):
             raise InvalidRequest(field, f"{folder} holds {what} of another job ({whose}); {REMEDY}")
+        made_by = data.get("provenance", {})
+        if network is not None and (made_by.get("weights_sha256"), made_by.get("card_sha256")) != tuple(network):
+            raise InvalidRequest(field, f"{folder} holds {what} of another network ({whose}); {REMEDY}")
 
 
 def prepare_folder(folder: Path, field: str = "--out") -> None:
     """Makes the folder. Raises InvalidRequest(field) if it cannot be made or written."""
+    if folder.exists() and not folder.is_dir():
+        raise InvalidRequest(field, f"{folder} is a file; name a folder")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

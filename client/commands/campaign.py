@@ -38,11 +38,11 @@ def submit(
     from client import spec_input
     from client.api_client import ApiClient
     from client.console import out, print_json
-    from client.local_meshes import folder_of, uploaded
+    from client.local_meshes import folder_of, sent
 
     data = spec_input.read(spec)
     with ApiClient(url) as client:
-        found = client.submit_campaign(uploaded(data, folder_of(spec), client), priority)
+        found = sent(data, folder_of(spec), client, lambda request: client.submit_campaign(request, priority))
         if as_json:
             print_json(found)
         else:

@@ -34,12 +34,12 @@ def submit(
     from client import spec_input
     from client.api_client import ApiClient
     from client.console import err, out, print_json
-    from client.local_meshes import folder_of, uploaded
+    from client.local_meshes import folder_of, sent
     from client.outcomes import warn
 
     data = spec_input.read(spec, seed)
     with ApiClient(url) as client:
-        job = client.submit_job(uploaded(data, folder_of(spec), client), priority)
+        job = sent(data, folder_of(spec), client, lambda request: client.submit_job(request, priority))
         warn(job.get("warnings", ()))
         if not job.get("checked", True):
             err().print("accepted before its check had ended; a worker checks it first")

@@ -45,7 +45,11 @@ def scores_of(
 
 
 def describe(name: str, target: Target, vocabulary: Vocabulary = "custom") -> TargetInfo:
-    """Returns the card of a target that has no other. `vocabulary` says what its labels are, as a card does."""
+    """Returns the card of a target that has no other. `vocabulary` says what its labels are, as a card does.
+
+    Its hash is that of all but the weights: labels, and of a `Classifier` the preprocessing.
+    """
+    about = [getattr(target, part, None) for part in ("labels", "input_size", "mean", "scale", "resize")]
     return TargetInfo(
         name=name,
         title=name,
@@ -57,4 +61,5 @@ def describe(name: str, target: Target, vocabulary: Vocabulary = "custom") -> Ta
         source="passed in the process",
         licence="not stated",
         vocabulary=vocabulary,
+        card_sha256=hashlib.sha256(repr(about).encode()).hexdigest(),
     )

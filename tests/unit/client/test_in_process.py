@@ -66,6 +66,8 @@ def test_a_method_that_needs_gradients_of_a_function_is_refused_with_what_would_
         ("model", "resnet", "not str"),
         ("model", 5, "not int"),
         ("preprocessing", 3, "not int"),
+        ("scene", "scene.json", "must be a dictionary, as a request has it, not str"),
+        ("spec", [], "must be a dictionary, as a request has it, not list"),
     ],
 )
 def test_anything_else_is_refused_by_the_name_of_its_argument(field: str, given: Any, said: str) -> None:
@@ -78,8 +80,20 @@ def test_a_folder_with_another_result_is_refused_and_the_same_request_is_taken(t
     attack(SCENE, network(), SPEC, out=tmp_path / "out", **SMALL)
     attack(SCENE, network(), SPEC, out=tmp_path / "out", **SMALL)
     before = (tmp_path / "out" / "result.json").read_bytes()
-    for model, spec in ((network(seed=1), SPEC), (network(), SPEC | {"seed": 1})):
-        with pytest.raises(InvalidRequest, match="holds the result of another job") as refused:
-            attack(SCENE, model, spec, out=tmp_path / "out", **SMALL)
+    others: list[tuple[Any, dict[str, Any], dict[str, Any]]] = [
+        (network(seed=1), SPEC, SMALL),
+        (network(), SPEC | {"seed": 1}, SMALL),
+        (network(), SPEC, SMALL | {"labels": list("xyz")}),
+        (network(), SPEC, {"preprocessing": {"input_size": [8, 8], "mean": [0.1, 0.2, 0.3]}}),
+        (network().forward, SEARCH, SMALL),
+    ]
+    for model, spec, about in others:
+        with pytest.raises(InvalidRequest, match=r"holds the result of another (job|network)") as refused:
+            attack(SCENE, model, spec, out=tmp_path / "out", **about)
         assert refused.value.field == "out"
+    attack(SCENE, network().forward, SEARCH, out=tmp_path / "function", **SMALL)
+    with pytest.raises(InvalidRequest, match="holds the result of another network"):  # it may be another function
+        attack(SCENE, network().forward, SEARCH, out=tmp_path / "function", **SMALL)
+    with pytest.raises(InvalidRequest, match="is a file; name a folder"):
+        attack(SCENE, network(), SPEC, out=tmp_path / "out" / "result.json", **SMALL)
     assert (tmp_path / "out" / "result.json").read_bytes() == before

@@ -148,14 +148,19 @@ def test_a_mesh_is_uploaded_before_it_is_submitted(
     assert thing == {"mesh": NAME, "scale": 2}
 
 
-def test_a_mesh_that_the_service_refuses_has_its_place(client: ApiClient, script: Script, folder: Path) -> None:
-    script.answers = [says(422, {"detail": "file: no vertices"}, "application/problem+json")]
+def test_a_mesh_that_the_service_refuses_is_named_with_all_else_that_it_refuses(
+    client: ApiClient, script: Script, folder: Path
+) -> None:
+    named = [{"field": "attack.steps", "detail": "too few"}, {"field": "scene.objects.0.mesh", "detail": "unknown"}]
+    script.answers = [
+        says(422, {"detail": "file: no vertices"}, "application/problem+json"),
+        says(422, {"detail": "2 fields are wrong", "errors": named}, "application/problem+json"),
+    ]
     done = CliRunner().invoke(app, ["submit", written(folder, request_with("./chair.obj")), "--url", client.url])
     assert isinstance(done.exception, InvalidRequest)
-    assert (done.exception.field, "./chair.obj: file: no vertices" in done.exception.detail) == (
-        "scene.objects.0.mesh",
-        True,
-    )
+    mesh, steps = done.exception.every
+    assert (mesh.field, steps.field, steps.detail) == ("scene.objects.0.mesh", "attack.steps", "too few")
+    assert "./chair.obj: file: no vertices" in mesh.detail
 
 
 @pytest.mark.parametrize("command", ["plan", "render"])
