@@ -104,7 +104,8 @@ def out_of_memory(error: BaseException) -> bool:
     if isinstance(error, OSError):
         return error.errno == errno.ENOMEM
     refused = isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError"
-    return refused or any(words in summary(error) for words in ("can't allocate memory", "std::bad_alloc"))
+    words = ("can't allocate memory", "can't start new thread", "std::bad_alloc")
+    return refused or any(one in summary(error) for one in words)
 
 
 def summary(error: BaseException) -> str:

@@ -132,10 +132,10 @@ class Runner:
             with suppress(SQLAlchemyError):
                 self._repository.lose(attempt, self._settings.max_attempts)
         except OutOfMemory as error:
-            self.close()
             log.warning("job process ended, it has too much memory", job=job_id, attempt=attempt.number)
-            with suppress(SQLAlchemyError):
+            with suppress(SQLAlchemyError):  # before the process has ended: freeing gigabytes may outlast the lease
                 self._repository.fail(attempt, "out-of-memory", f"the job needed {error}")
+            self.close()
         except BaseException:
             self.close()  # nobody would watch the job, and its answer would be taken for that of the next one
             raise

@@ -7,10 +7,12 @@ JSON object, followed by the bytes of a file if the request sends one.
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -74,6 +76,7 @@ class Child:
             start_new_session=True,  # a Ctrl-C is for the supervisor to handle
         )
         theirs.close()
+        self._ended = False
         self._stillness = Stillness(self.pid)
         self.limit = memory_limit(settings)
 
@@ -84,7 +87,7 @@ class Child:
 
     def alive(self) -> bool:
         """Whether the child still runs."""
-        return self._process.poll() is None
+        return not self._ended and self._process.poll() is None
 
     def memory(self) -> int:
         """The child's resident memory in bytes, or 0 once it has ended.
@@ -122,7 +125,7 @@ class Child:
         try:
             while not self._connection.poll(min(LOOK_SECONDS, max(0.0, deadline - time.monotonic()))):
                 if self.memory() > self.limit:
-                    self.kill()
+                    self.end()  # the caller waits for it: freeing gigabytes takes seconds
                     raise OutOfMemory(more_than(self.limit))
                 if time.monotonic() >= deadline:
                     return None
@@ -134,12 +137,14 @@ class Child:
         return answer
 
     def end(self) -> None:
-        """Kills the child, from any thread. A thread that waits in `receive` then gets ChildDied."""
-        self._process.kill()
+        """Kills the child and what it has started, from any thread. A thread that waits in `receive` gets ChildDied."""
+        self._ended = True
+        with suppress(ProcessLookupError):
+            os.killpg(self.pid, signal.SIGKILL)  # the child leads a group, which its own children are in
 
     def kill(self) -> int:
         """Kills the child and waits until it has ended. Returns its exit status, negative for a signal."""
-        self._process.kill()
+        self.end()
         self._connection.close()
         return self._process.wait()
 

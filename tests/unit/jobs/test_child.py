@@ -55,6 +55,7 @@ def test_one_that_has_too_much_memory_is_killed_also_if_it_is_shared(tmp_path: P
     with pytest.raises(OutOfMemory, match="SCENE_ATTACK_JOB_MEMORY_BYTES"):
         child.receive(60)
     assert not child.alive()
+    assert child.kill() == -signal.SIGKILL
 
 
 def test_silence_is_not_death(child: Child) -> None:
