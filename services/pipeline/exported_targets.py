@@ -6,14 +6,17 @@ and its labels: it is the folder that `SCENE_ATTACK_TARGETS` would have, once th
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Literal
 
 from pydantic import BaseModel, Field, ValidationError
 
 from services.errors import InvalidRequest
+from services.extensions import NAME
 from services.pipeline.extensions import loaded_extensions
 from services.pipeline.result import Result
 from services.pipeline.spec import JobSpec
 from services.pipeline.target_folders import CARD, MODEL_FILES, register_folder
+from services.scenes.exported_assets import check_plain
 from services.targets.custom.allow_list import AllowList
 from services.targets.info import TARGETS, TargetInfo
 
@@ -24,10 +27,10 @@ FOLDER = "targets"
 class ExportedTarget(BaseModel):
     """A network of a job, in an export."""
 
-    name: str
+    name: str = Field(pattern=f"^{NAME.pattern}$")
     card: TargetInfo | None = Field(description="its card; null if the network was not known where this was exported")
     weights_sha256: str = Field(description="SHA-256 (hex) of its weights, as `result.json` has it")
-    model_file: str | None = Field(
+    model_file: Literal["model.pt2", "model.onnx", "model.safetensors"] | None = Field(
         description="the file of a user's own network to put into the folder of this name; null for other networks"
     )
     extensions: dict[str, str] = Field(
@@ -89,21 +92,24 @@ def write_targets(targets: list[ExportedTarget], write: Callable[[str, bytes], N
 
 
 def register_exported(export: Path) -> None:
-    """Registers the networks of an export that this machine does not know.
+    """Registers the networks of an export: those whose model file was put into it, in place of this machine's.
 
     Raises InvalidRequest("directory"), which says what is missing and where it goes.
     """
+    if not (export / FOLDER).is_dir():
+        return
+    check_plain(export / FOLDER)
     for file in sorted((export / FOLDER).glob("*.json")):
         try:
             target = ExportedTarget.model_validate_json(file.read_bytes())
         except ValidationError as error:
             raise InvalidRequest("directory", f"{file} is damaged") from error
         folder = file.with_suffix("")
-        if target.name in TARGETS:
-            continue
         if (folder / CARD).is_file() and any((folder / name).is_file() for name in MODEL_FILES):
+            # What somebody put into the export is meant, whatever this machine calls by the same name.
+            TARGETS.restore({name: one for name, one in TARGETS.snapshot().items() if name != target.name})
             reason = register_folder(folder, AllowList()).error
             if reason is not None:
                 raise InvalidRequest("directory", f"the network in {folder} cannot be used: {reason}")
-        elif (missing := target.missing(str(export / FOLDER))) is not None:
+        elif target.name not in TARGETS and (missing := target.missing(str(export / FOLDER))) is not None:
             raise InvalidRequest("directory", missing)

@@ -7,16 +7,18 @@
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from math import inf
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from pydantic import BaseModel, ValidationError
 
-from services.errors import InvalidRequest
+from services.errors import InvalidRequest, printable
 from services.scenes.about import About
 from services.scenes.bundle import bundle_of
 from services.scenes.description import Scene
 from services.scenes.library import Library
+from services.scenes.uploads import max_unpacked
 from services.settings import Settings
 
 ASSETS = "assets"
@@ -58,11 +60,22 @@ def exported_library(export: Path, limits: Settings) -> Iterator[Library]:
     """
     with TemporaryDirectory() as scratch:  # a library writes what it derives beside its files
         place = Path(scratch) / ASSETS
+        check_plain(export / ASSETS, max_unpacked(limits))
         shutil.copytree(export / ASSETS, place)
         library = Library(place, place / "data")
         for file in sorted((place / "uploads").glob("*.json")):
             _add_again(file, library, limits)
         yield library
+
+
+def check_plain(folder: Path, max_bytes: float = inf) -> None:
+    """Raises InvalidRequest("directory") unless all in a folder of an export are folders and files of at most
+    `max_bytes`, and no links: a folder that somebody sent is not to make this machine read its other files."""
+    for path in (folder, *sorted(folder.rglob("*"))):
+        if path.is_symlink() or not (path.is_dir() or path.is_file()):
+            raise InvalidRequest("directory", f"{printable(str(path))} is neither a file nor a folder")
+        if path.is_file() and path.stat().st_size > max_bytes:
+            raise InvalidRequest("directory", f"{printable(str(path))} has more than {max_bytes:,} bytes")
 
 
 def _add_again(file: Path, library: Library, limits: Settings) -> None:

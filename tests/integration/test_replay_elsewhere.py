@@ -135,6 +135,11 @@ def test_a_changed_upload_is_not_taken_for_the_one_that_was_sent(library: Librar
     refused = elsewhere(home, "replay", str(export))
     assert refused.returncode == 2
     assert "are not those that were uploaded" in refused.stderr
+    mesh.unlink()
+    mesh.symlink_to(tmp_path / "done" / "result.json")
+    refused = elsewhere(home, "replay", str(export))
+    assert refused.returncode == 2
+    assert "mesh.obj is neither a file nor a folder" in refused.stderr
 
 
 def test_a_network_of_ones_own_is_asked_for_by_its_file_and_its_place(home: Path, tmp_path: Path) -> None:
@@ -178,3 +183,8 @@ def test_a_network_of_ones_own_is_asked_for_by_its_file_and_its_place(home: Path
 
     (place / "my-net/model.safetensors").write_bytes(model)
     reproduced(home, export)
+
+    # A network of this name on the colleague's machine does not take the place of the one that was put in.
+    save_file(architecture.build(3).state_dict(), mine / "model.safetensors")
+    done = elsewhere(home, "replay", str(export), SCENE_ATTACK_TARGETS=str(mine.parent))
+    assert done.returncode == 0, done.stderr
