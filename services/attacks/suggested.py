@@ -12,8 +12,9 @@ from services.rendering.declaration import RENDERERS, Group
 HALF_STEP = 1 / 16
 """The default half-step, as a share of a group's scale."""
 STEPS_OF_SCALE = 60
-"""The scale of a group that has no ε, in the steps that its renderer suggests. For pyrender's light and colours it is
-0.3, for positions 0.03 scene units, for rotations 0.06 radians."""
+"""The scale of a group that has no ε, in the steps that its renderer suggests, and at least the ε that it suggests. For
+pyrender's light and colours it is 0.3, for positions 0.03 scene units, for rotations 0.1 radians; for the torch
+renderer's light and material 3, as their steps are small beside what fools."""
 
 
 def suggested(data: dict[str, Any], field: str, suggestion: Callable[[Group], float | None]) -> dict[str, Any]:
@@ -35,18 +36,20 @@ def suggested_limits(data: dict[str, Any]) -> dict[str, Any]:
 
 
 def in_scale(data: dict[str, Any], field: str, share: float) -> dict[str, Any]:
-    """Request data with `field`, by default this share of each attacked group's scale: its ε, or without one
-    `STEPS_OF_SCALE` of the steps that its renderer suggests.
+    """Request data with `field`, by default this share of each attacked group's scale: its ε, or without one the larger
+    of `STEPS_OF_SCALE` of the steps and the ε that its renderer suggests.
     """
     limits, given = data.get("epsilon") or {}, data.get(field) or {}
     if not isinstance(limits, dict) or not isinstance(given, dict):
         return data
     values = {group: share * limit for group, limit in limits.items() if isinstance(limit, int | float)}
-    return suggested(data | {field: values | given}, field, lambda group: _steps(group, share * STEPS_OF_SCALE))
+    return suggested(data | {field: values | given}, field, lambda group: _scaled(group, share))
 
 
-def _steps(group: Group, count: float) -> float | None:
-    return None if group.suggested_step is None else count * group.suggested_step
+def _scaled(group: Group, share: float) -> float | None:
+    if group.suggested_step is None:
+        return None
+    return share * max(STEPS_OF_SCALE * group.suggested_step, group.suggested_limit or 0.0)
 
 
 class SuggestedRates(AttackSettings):

@@ -10,6 +10,7 @@ from services.attacks.square import Square
 from services.attacks.zoo import Zoo
 from services.pipeline.extensions import ATTACKS
 from services.rendering.pyrender_renderer.declaration import PYRENDER
+from services.rendering.torch_renderer.declaration import TORCH
 
 
 @pytest.mark.parametrize(
@@ -69,12 +70,17 @@ BLIND: dict[str, dict[str, float]] = {
 @pytest.mark.parametrize("name", BLIND)
 @pytest.mark.parametrize("limit", [{"constraint": "backtrack", "perceptibility": 0.05}, {"truncation": 18}])
 def test_a_search_that_p_or_u_limits_has_no_epsilon_that_nobody_asked_for(name: str, limit: dict[str, object]) -> None:
-    """Its steps are then those that the renderer suggests, times a factor."""
-    settings = ATTACKS[name].settings.model_validate({"renderer": "pyrender"} | limit)
-    assert settings.epsilon == {}
-    for field, factor in BLIND[name].items():
-        suggested = {group.name: factor * (group.suggested_step or 0) for group in PYRENDER.groups if group.by_default}
-        assert getattr(settings, field) == pytest.approx(suggested, rel=1e-12)
+    """Its steps are then those that the renderer suggests, times a factor, and no shorter than with the suggested ε."""
+    for declaration in (PYRENDER, TORCH):
+        settings = ATTACKS[name].settings.model_validate({"renderer": declaration.name} | limit)
+        assert settings.epsilon == {}
+        for field, factor in BLIND[name].items():
+            suggested = {
+                group.name: factor * max(group.suggested_step or 0, (group.suggested_limit or 0) / 60)
+                for group in declaration.groups
+                if group.by_default
+            }
+            assert getattr(settings, field) == pytest.approx(suggested, rel=1e-12)
     given = ATTACKS[name].settings.model_validate({"renderer": "pyrender", "epsilon": {"color": 0.3}} | limit)
     assert given.epsilon == {"color": 0.3}
 
