@@ -28,8 +28,8 @@ EVERY = 128
 """One image in so many of an attack is drawn by OpenGL too."""
 HALF_STEP = 0.01
 """Half-step of the central differences whose error is measured, in the groups' units."""
-MAX_COORDINATES = 6
-"""Maximum number of coordinates of a group whose differences are measured, evenly spaced."""
+MAX_COORDINATES = 12
+"""Maximum number of coordinates of a group whose differences are measured: of each object one, then another."""
 GRADIENT_SHARE = 100.0
 """Relative error of a group's gradient that a tolerance of 1 would allow: a tenth at the default tolerance."""
 
@@ -81,7 +81,8 @@ def measure_gradients(renderer: Renderer, opengl: Renderer, groups: tuple[str, .
 
     They are the expected errors of the gradient of a sum of the displayed values with normally distributed random
     weights: its relative error is that of the differences of images, in length, and its sign is wrong with probability
-    θ / π, where θ is the angle between the two differences. Coordinates that change nothing do not count.
+    θ / π, where θ is the angle between the two differences. Coordinates that change nothing do not count, and one that
+    changes the image of only one of them counts as a wrong sign.
     """
     found = []
     for group in groups:
@@ -92,8 +93,10 @@ def measure_gradients(renderer: Renderer, opengl: Renderer, groups: tuple[str, .
         length, error = float(exact.norm()), float((ours - exact).norm())
         angles = [
             acos(max(-1.0, min(1.0, float(own @ true) / float(own.norm() * true.norm()))))
-            for own, true in zip(ours, exact, strict=True)
             if own.any() and true.any()
+            else pi  # a difference that only one of them has is of no sign in the other
+            for own, true in zip(ours, exact, strict=True)
+            if own.any() or true.any()
         ]
         relative = error / length if length else float(error > 0)
         wrong_signs = sum(angles) / (pi * len(angles)) if angles else 0.0
@@ -104,7 +107,10 @@ def measure_gradients(renderer: Renderer, opengl: Renderer, groups: tuple[str, .
 def sides_of(start: Parameters, group: str) -> Parameters:
     """`start` with each of at most MAX_COORDINATES coordinates of a group moved up, then down, {group: [B, ...]}."""
     count = start[group].numel()
-    chosen = torch.linspace(0, count - 1, min(count, MAX_COORDINATES)).round().long()
+    # Three coordinates are an object's: one of each object, along axes in turn, then a second, then the third.
+    triples = range(-(-count // 3))
+    places = [3 * number + (number + turn) % 3 for turn in range(3) for number in triples]
+    chosen = torch.tensor([place for place in places if place < count][:MAX_COORDINATES])
     steps = HALF_STEP * torch.nn.functional.one_hot(chosen, count).to(start[group].dtype)
     moves = torch.stack([steps, -steps], dim=1).reshape(-1, *start[group].shape)
     sides = {name: value.expand(len(moves), *value.shape) for name, value in start.items()}

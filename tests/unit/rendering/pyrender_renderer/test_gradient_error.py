@@ -37,7 +37,7 @@ def differences(images: Tensor) -> Tensor:
 
 
 def test_the_plan_states_the_error_of_gradients(touching: ResolvedScene) -> None:
-    """Within a factor of three of all 32 coordinates under random weights: the plan measures six of each group."""
+    """As random weights show it at all 32 coordinates. 300 weights leave it uncertain by 8 %, and signs by 0.01."""
     renderer = PyrenderRenderer(touching, GROUPS, tolerance=1.0)
     assert renderer.rasterises
     assert tuple(one.group for one in renderer.plan.gradients) == GROUPS
@@ -49,8 +49,8 @@ def test_the_plan_states_the_error_of_gradients(touching: ResolvedScene) -> None
         gradients, exact = own @ weights, true @ weights
         relative = float((gradients - exact).norm() / exact.norm())
         wrong = float((gradients.sign() != exact.sign()).double().mean())
-        assert relative / 3 < stated.relative < 3 * relative, stated.group
-        assert wrong / 3 - 1e-3 < stated.wrong_signs < 3 * wrong + 1e-3, stated.group
+        assert stated.relative == pytest.approx(relative, rel=0.25), stated.group
+        assert stated.wrong_signs == pytest.approx(wrong, rel=0.25, abs=0.01), stated.group
         largest = max(largest, relative)
     assert largest > 0.05
 
@@ -70,6 +70,20 @@ def test_opengl_draws_if_gradients_are_off_by_more_than_the_tolerance_allows(tou
     assert "the error of its gradients is beyond the tolerance" in passes.why
     assert "rotation 0." in passes.why
     assert torch.equal(renderer.render({}), renderer.exact().render({}))
+
+
+def test_one_object_among_many_counts(tmp_path: Path) -> None:
+    """Six cubes are drawn as by OpenGL, a helmet between them is not; most coordinates are not measured."""
+    meshes = ["primitive/cube"] * 3 + ["furniture/helmet"] + ["primitive/cube"] * 3
+    objects = [
+        {"mesh": mesh, "scale": 0.35 if "helmet" in mesh else 0.16, "translation": (0.28 * (k - 3), 0.0, 0.0)}
+        for k, mesh in enumerate(meshes)
+    ]
+    scene = Scene.model_validate({"objects": objects})
+    renderer = PyrenderRenderer(resolve(scene, Library(Settings().cache_dir, tmp_path)), GROUPS)
+    assert not renderer.rasterises
+    [passes] = [item for item in renderer.plan.items if item.what == "passes through OpenGL"]
+    assert "the error of its gradients is beyond the tolerance" in passes.why
 
 
 def test_groups_that_are_not_attacked_do_not_count(touching: ResolvedScene) -> None:
