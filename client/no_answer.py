@@ -24,5 +24,5 @@ def why(error: httpx.HTTPError) -> str:
     if isinstance(error, httpx.DecodingError):
         return f"{reason}; is --url the address of a service?"
     if isinstance(error, httpx.RemoteProtocolError) and origin.startswith("http:"):
-        return f"no answer from the service ({reason}); if it speaks https, try --url {other}"
-    return f"no answer from the service ({reason}); {START}"
+        return f"no answer from {origin} ({reason}); if it speaks https, try --url {other}"
+    return f"no answer from {origin or 'the service'} ({reason}); {START}"

@@ -57,6 +57,8 @@ def prepare_folder(folder: Path, field: str = "--out") -> None:
 def check_finished(folder: Path) -> None:
     """Raises InvalidRequest("directory") unless the folder has a result, whose other files are read later."""
     path = folder / "result.json"
+    if folder.suffix == ".zip" and folder.is_file():
+        raise InvalidRequest("directory", f"{folder} is a zip file; unpack it, and name the folder that is in it")
     if not path.is_file():
         raise InvalidRequest("directory", f"{folder} is not the output of a finished job: there is no file {path}")
 

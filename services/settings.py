@@ -140,6 +140,23 @@ class Settings(BaseSettings):
                 raise ValueError(f"{part!r} can never match: {refusal}")
         return value
 
+    @field_validator("cache", "data", "targets", "kernel_dir")
+    @classmethod
+    def _has_a_home(cls, value: Path | None) -> Path | None:
+        try:
+            if value is not None:
+                value.expanduser()
+        except RuntimeError as error:
+            raise ValueError(f"{value}: there is no such user") from error
+        return value
+
+    @field_validator("database_url")
+    @classmethod
+    def _is_kept(cls, value: str | None) -> str | None:
+        if value is not None and value.startswith("sqlite") and value.partition(":")[2].strip("/") in ("", ":memory:"):
+            raise ValueError("a database in memory is lost with its process; name a file, or leave it out")
+        return value
+
     @property
     def cache_dir(self) -> Path:
         """The cache directory, absolute."""

@@ -5,6 +5,8 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 
 MOST = 3
+MAX_LETTERS = 100
+"""Longest name that is compared with others; comparing takes time that grows with its length."""
 _CLASSES = {
     letter: code for code, letters in enumerate(("bfpv", "cgjkqsxz", "dt", "l", "mn", "r"), 1) for letter in letters
 }
@@ -23,6 +25,8 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 
 def closest(name: str, known: Iterable[str]) -> list[str]:
     """Returns the known names that `did_you_mean` suggests for an unknown one, the closest first."""
+    if len(name) > MAX_LETTERS:
+        return []
     names = list(known)
     close = get_close_matches(name, names, n=MOST, cutoff=0.5)
     heard = [one for one in _sounding_like(name, names) if one not in close][:1]

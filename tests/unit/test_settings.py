@@ -1,4 +1,5 @@
 import pytest
+from pydantic import ValidationError
 
 from services.settings import Settings
 
@@ -18,3 +19,18 @@ def test_an_empty_variable_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv(f"SCENE_ATTACK_{name}", "")
     for name in ("data", "port", "database_url"):
         assert getattr(Settings(), name) == Settings.model_fields[name].default
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("data", "~nobody-of-this-name/x", "there is no such user"),
+        ("cache", "~nobody-of-this-name/x", "there is no such user"),
+        ("database_url", "sqlite://", "a database in memory is lost with its process"),
+        ("database_url", "sqlite:///:memory:", "a database in memory is lost with its process"),
+    ],
+)
+def test_a_place_that_cannot_keep_anything_is_refused(name: str, value: str, said: str) -> None:
+    with pytest.raises(ValidationError, match=said):
+        Settings.model_validate({name: value})
+    assert Settings.model_validate({"data": "~/x", "database_url": "sqlite:////tmp/jobs.sqlite"})

@@ -93,7 +93,7 @@ export async function plan(text) {
 
 function costs({ plan, cost }) {
   const limit = cost.queries === null ? "" : `, at most ${cost.queries} queries`;
-  const seconds = (value) => (value < 1 ? `${(1000 * value).toPrecision(2)} ms` : `${value.toPrecision(2)} s`);
+  const seconds = (value) => (value < 1 ? `${Number((1000 * value).toPrecision(2))} ms` : `${Number(value.toPrecision(2))} s`);
   const list = document.createElement("ul");
   for (const stage of plan.stages) list.append(made("li", `${stage.part} ${stage.name}: ${stage.method}, ${stage.when}`.trim()));
   return [
