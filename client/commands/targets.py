@@ -4,7 +4,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from client.commands.clevr_iep import EXAMPLE, convert
 from client.commands.options import JsonOption
 
 if TYPE_CHECKING:
@@ -81,9 +80,6 @@ def check(
         print_json(found.model_dump(mode="json"))
     else:
         _print(found)
-
-
-app.command("convert-clevr-iep", epilog=EXAMPLE)(convert)
 
 
 def _print(found: "TargetCheck") -> None:

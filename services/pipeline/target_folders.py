@@ -14,9 +14,8 @@ from services.errors import InvalidRequest, printable
 from services.extensions import NAME
 from services.json_text import NotJson, read_json
 from services.pipeline.field_errors import invalid_fields
-from services.questions.answers import ANSWERS
 from services.suggestions import there_are
-from services.targets.architectures import ARCHITECTURES, AnsweringArchitecture
+from services.targets.architectures import ARCHITECTURES
 from services.targets.custom.allow_list import NOTHING, AllowList
 from services.targets.custom.card import Card
 from services.targets.imagenet import imagenet_labels
@@ -74,20 +73,17 @@ def register_folder(folder: Path, allowed: AllowList) -> TargetFolder:
         reason = f"{error.field}: {error.detail}"
         UNAVAILABLE[folder.name] = reason
         return TargetFolder(name, error=reason)
-    architecture = None if card.architecture is None else ARCHITECTURES[card.architecture]
-    answers = isinstance(architecture, AnsweringArchitecture)
     info = TargetInfo(
         name=folder.name,
         title=card.title or folder.name,
-        task="question answering" if answers else "classification",
+        task="classification",
         input_size=card.preprocessing.input_size,
         classes=len(labels),
         differentiable=_differentiable(file, card),
-        takes_question=answers,
+        takes_question=False,
         source=card.source,
         licence=card.licence,
-        vocabulary=card.labels if card.labels in ("imagenet", "clevr") else "custom",
-        example=architecture.example if isinstance(architecture, AnsweringArchitecture) else None,
+        vocabulary="imagenet" if card.labels == "imagenet" else "custom",
         card_sha256=digest,
     )
 
@@ -173,11 +169,9 @@ def _labels(folder: Path, card: Card) -> tuple[str, ...]:
         return card.labels
     if card.labels == "imagenet":
         return imagenet_labels()
-    if card.labels == "clevr":
-        return ANSWERS
     field = f"{CARD}: labels"
     if Path(card.labels).name != card.labels or not card.labels.endswith(".txt"):
-        raise InvalidRequest(field, 'must be a list, "imagenet", "clevr", or the name of a .txt file in the folder')
+        raise InvalidRequest(field, 'must be a list, "imagenet", or the name of a .txt file in the folder')
     try:
         lines = _read(folder / card.labels, "write one label a line").decode("utf-8").splitlines()
     except UnicodeDecodeError as error:

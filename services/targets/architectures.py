@@ -7,19 +7,11 @@ from typing import TYPE_CHECKING, TypeVar
 from services.extensions import Registry
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    import torch
     from torch import Tensor, nn
-
-    from services.targets.preprocessing import Preprocessing
-    from services.targets.protocol import Target
 
 Build = Callable[[int], "nn.Module"]
 Builder = TypeVar("Builder", bound=Build)
 Fill = Callable[["nn.Module", Mapping[str, "Tensor"]], None]
-LoadAnswering = Callable[[str, "Path", "Preprocessing", "torch.dtype"], "Target"]
-AnsweringLoader = TypeVar("AnsweringLoader", bound=LoadAnswering)
 
 
 def fill_by_name(network: "nn.Module", state: Mapping[str, "Tensor"]) -> None:
@@ -50,21 +42,7 @@ class Architecture:
     fill: Fill
 
 
-@dataclass(frozen=True)
-class AnsweringArchitecture:
-    """A registered architecture that gives one of the 28 answers to questions about scenes after CLEVR.
-
-    load: returns the target of a name, a weights file, a preprocessing and a dtype; raises ValueError if the file does
-    not fit. example: a question that every such network takes.
-    """
-
-    load: LoadAnswering
-    example: str
-
-
-ARCHITECTURES: Registry[Architecture | AnsweringArchitecture] = Registry(
-    "architecture", "services.targets", "register_(?:architecture|answering)"
-)
+ARCHITECTURES: Registry[Architecture] = Registry("architecture", "services.targets", "register_architecture")
 
 
 def register_architecture(name: str, fill: Fill = fill_by_name) -> Callable[[Builder], Builder]:
@@ -78,19 +56,5 @@ def register_architecture(name: str, fill: Fill = fill_by_name) -> Callable[[Bui
     def decorate(build: Builder) -> Builder:
         ARCHITECTURES.add(name, Architecture(build, fill))
         return build
-
-    return decorate
-
-
-def register_answering(name: str, example: str) -> Callable[[AnsweringLoader], AnsweringLoader]:
-    """Returns a decorator of the function that loads a network that answers questions; see `AnsweringArchitecture`.
-
-    As with `register_architecture`, the module must not import torch when it is imported. Raises ValueError for a name
-    that is taken.
-    """
-
-    def decorate(load: AnsweringLoader) -> AnsweringLoader:
-        ARCHITECTURES.add(name, AnsweringArchitecture(load, example))
-        return load
 
     return decorate

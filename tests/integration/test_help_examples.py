@@ -29,7 +29,6 @@ ELSEWHERE = {
     "doctor": "test_command_line runs it",
     "accuracy": "minutes of measurements; tests of services/accuracy run their parts",
     "train": "hours; tests of services/training run their parts",
-    "convert-clevr-iep": "files that a reader has; tests/unit/client converts small ones",
     "pg_restore": "a program of PostgreSQL; tests/unit/jobs restores a copy with it",
 }
 """Examples that are not run here, by a word of them, and why. A unit test parses them."""

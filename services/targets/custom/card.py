@@ -23,7 +23,7 @@ class Card(BaseModel):
     title: Line | None = Field(None, description="a line for lists; default: the folder's name")
     labels: Annotated[tuple[Label, ...], Field(min_length=1, max_length=MAX_LABELS)] | Line = Field(
         description="the label of each score, in order: a list, the name of a text file in the folder with one label a "
-        'line, "imagenet" for the 1,000 classes of ImageNet-1k, or "clevr" for the 28 answers to questions after CLEVR'
+        'line, or "imagenet" for the 1,000 classes of ImageNet-1k'
     )
     preprocessing: Preprocessing = Field(Preprocessing(), description="how an image becomes the network's input")
     output: Literal["scores", "probabilities"] = Field(

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from services.errors import InvalidRequest
-from services.targets.architectures import ARCHITECTURES, AnsweringArchitecture, Architecture
+from services.targets.architectures import ARCHITECTURES
 from services.targets.classifier import Classifier
 from services.targets.custom import exported, factory, weights
 from services.targets.custom.allow_list import AllowList
@@ -97,9 +97,6 @@ def _load(
     dtype: torch.dtype,
 ) -> Target:
     size, probabilities = card.preprocessing.input_size, card.output == "probabilities"
-    architecture = None if card.architecture is None else ARCHITECTURES[card.architecture]
-    if file is not None and isinstance(architecture, AnsweringArchitecture):
-        return _answering(name, file, card, architecture, dtype)
     if card.endpoint is not None:
         return Endpoint(name, card.endpoint, labels, size, probabilities, card_sha256, allowed)
     scores_only: str | None = None
@@ -128,15 +125,6 @@ def _load(
     return classifier(*of, probabilities=probabilities, scores_only=scores_only)
 
 
-def _answering(name: str, file: Path, card: Card, architecture: AnsweringArchitecture, dtype: torch.dtype) -> Target:
-    if card.output == "probabilities":
-        raise Unreadable(f"{card.architecture} returns scores; leave `output` out of the card")
-    try:
-        return architecture.load(name, file, card.preprocessing, dtype)
-    except ValueError as error:
-        raise Unreadable(f"it does not fit {card.architecture}: {error}") from error
-
-
 def _network(file: Path, card: Card, classes: int, dtype: torch.dtype) -> tuple[nn.Module, str | None]:
     """The network of a model file, and the reason for which it has no gradients."""
     size = card.preprocessing.input_size
@@ -144,9 +132,7 @@ def _network(file: Path, card: Card, classes: int, dtype: torch.dtype) -> tuple[
         return exported.read(file, size), None
     if file.suffix == ".safetensors":
         assert card.architecture is not None
-        architecture = ARCHITECTURES[card.architecture]
-        assert isinstance(architecture, Architecture)
-        return weights.read(file, card.architecture, architecture, classes), None
+        return weights.read(file, card.architecture, ARCHITECTURES[card.architecture], classes), None
     try:
         from services.targets.custom import onnx_file
     except ImportError as error:

@@ -29,7 +29,6 @@ COMMANDS = [
     ["demo"],
     ["targets"],
     ["targets", "check"],
-    ["targets", "convert-clevr-iep"],
     *(["jobs", *rest] for rest in ([], ["list"], ["show"], ["watch"], ["cancel"], ["delete"], ["download"])),
     *(["jobs", one] for one in ("retry", "continue", "edit")),
     *(["campaign", *rest] for rest in ([], ["run"], ["submit"], ["list"], ["show"], ["pause"], ["resume"], ["cancel"])),

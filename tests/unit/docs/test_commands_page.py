@@ -16,14 +16,13 @@ from client.commands_page import commands, examples, page
 
 ROOT = Path(__file__).parents[3]
 EXAMPLES = [example for _, command in commands() for example in examples(command)]
-THEIR_OWN = "convert-clevr-iep"  # takes files that a reader has
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]
 TYPED = [
     (page.name, line.removeprefix(".venv/bin/"))
     for page in sorted(PAGES)
     for block in re.findall(r"^```(?:sh|bash)[^\n]*\n(.*?)^```$", page.read_text("utf-8"), re.M | re.S)
     for line in block.replace("\\\n", " ").splitlines()
-    if re.match(r"(\.venv/bin/)?scene-attack ", line) and THEIR_OWN not in line and page.name != "commands.md"
+    if re.match(r"(\.venv/bin/)?scene-attack ", line) and page.name != "commands.md"
 ]
 
 
@@ -38,7 +37,7 @@ def test_the_page_has_every_command() -> None:
     assert [name for name in names if f"`{name}`\n" not in (ROOT / "docs" / "commands.md").read_text("utf-8")] == []
 
 
-@pytest.mark.parametrize("example", [one for one in EXAMPLES if "scene-attack" in one and THEIR_OWN not in one])
+@pytest.mark.parametrize("example", [one for one in EXAMPLES if "scene-attack" in one])
 def test_an_example_of_help_can_be_parsed_and_its_files_are_there(example: str) -> None:
     words = shlex.split(example.partition(" < ")[0])
     begin = words.index("scene-attack") + 1
@@ -69,7 +68,7 @@ def parsed(command: Any, arguments: list[str], parent: Any = None) -> None:
         parsed(found, left, context)
 
 
-WITHOUT_JSON = ("serve", "api", "worker", "demo", "train ", THEIR_OWN)  # what they print is progress
+WITHOUT_JSON = ("serve", "api", "worker", "demo", "train ")  # what they print is progress
 
 
 def test_every_command_with_an_answer_can_print_it_as_json() -> None:
