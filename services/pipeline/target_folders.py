@@ -183,4 +183,4 @@ def _differentiable(file: Path | None, card: Card) -> bool | None:
     """Whether its scores have gradients, as far as that is known before the network is read."""
     if card.endpoint is not None:
         return False
-    return None if file is None or file.suffix == ".onnx" else True
+    return None if file is None else file.suffix != ".onnx"

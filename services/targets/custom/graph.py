@@ -1,4 +1,4 @@
-"""Runs a network that was read from a file as a list of steps: the .pt2 and .onnx readers build these."""
+"""Runs a network that was read from a file as a list of steps: the reader of .pt2 files builds these."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -25,11 +25,11 @@ class InputDevice:
 
 @dataclass(frozen=True)
 class Step:
-    """One operation: `run` is a function, or the name of a module of the network."""
+    """One operation."""
 
     label: str
     """The operator and its place, for error messages."""
-    run: Callable[..., Any] | str
+    run: Callable[..., Any]
     inputs: tuple[Any, ...]
     outputs: tuple[str, ...]
     keywords: Mapping[str, Any] = field(default_factory=dict)
@@ -38,22 +38,13 @@ class Step:
 class GraphNetwork(nn.Module):
     """A frozen network of steps. It maps its one input to its one output, both tensors."""
 
-    def __init__(
-        self,
-        source: str,
-        result: str,
-        steps: Sequence[Step],
-        weights: Mapping[str, Tensor],
-        layers: Mapping[str, nn.Module] | None = None,
-    ) -> None:
+    def __init__(self, source: str, result: str, steps: Sequence[Step], weights: Mapping[str, Tensor]) -> None:
         """`source` and `result` name input and output. Raises Unreadable if a step refers to what no step makes."""
         super().__init__()
         self._source, self._result, self._steps = source, result, tuple(steps)
         self._buffer = {name: f"weight_{index}" for index, name in enumerate(weights)}
         for name, value in weights.items():
             self.register_buffer(self._buffer[name], value)
-        for name, layer in (layers or {}).items():
-            self.add_module(name, layer)
         self._last = self._last_uses()
 
     def _last_uses(self) -> dict[int, list[str]]:
@@ -80,11 +71,10 @@ class GraphNetwork(nn.Module):
         values: dict[str, Any] = {name: getattr(self, buffer) for name, buffer in self._buffer.items()}
         values[self._source] = x
         for index, step in enumerate(self._steps):
-            run = getattr(self, step.run) if isinstance(step.run, str) else step.run
             inputs = _resolved(step.inputs, values, x.device)
             keywords = {name: _resolved(value, values, x.device) for name, value in step.keywords.items()}
             try:
-                made = run(*inputs, **keywords)
+                made = step.run(*inputs, **keywords)
             except (RuntimeError, TypeError, ValueError, IndexError) as error:
                 raise RuntimeError(f"{step.label}: {error}") from error
             if len(step.outputs) == 1:

@@ -120,12 +120,12 @@ def _load(
     else:
         with file.open("rb") as opened:
             digest = hashlib.file_digest(opened, "sha256").hexdigest()
-        network, scores_only = _network(file, card, len(labels), dtype)
+        network, scores_only = _network(file, card, len(labels))
     of = (name, network, labels, card.preprocessing, digest, dtype)
     return classifier(*of, probabilities=probabilities, scores_only=scores_only)
 
 
-def _network(file: Path, card: Card, classes: int, dtype: torch.dtype) -> tuple[nn.Module, str | None]:
+def _network(file: Path, card: Card, classes: int) -> tuple[nn.Module, str | None]:
     """The network of a model file, and the reason for which it has no gradients."""
     size = card.preprocessing.input_size
     if file.suffix == ".pt2":
@@ -137,4 +137,4 @@ def _network(file: Path, card: Card, classes: int, dtype: torch.dtype) -> tuple[
         from services.targets.custom import onnx_file
     except ImportError as error:
         raise Unreadable(f"it needs the packages of the extra `onnx`: {error}") from error
-    return onnx_file.read(file, size, dtype)
+    return onnx_file.read(file, size), onnx_file.SCORES_ONLY

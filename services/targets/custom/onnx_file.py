@@ -1,12 +1,7 @@
-"""Reads an .onnx file: scores are computed by onnxruntime, gradients by the network converted to torch.
-
-Both are on the CPU. The converted network is compared with onnxruntime when it is loaded; where an operator is not
-converted or the scores differ, the network has scores only.
-"""
+"""Reads an .onnx file: scores are computed by onnxruntime, on the CPU. They have no gradients."""
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import onnx
 import onnxruntime
@@ -14,38 +9,30 @@ import torch
 from google.protobuf.message import DecodeError, Message
 from torch import Tensor, nn
 
-from services.device import device
 from services.targets.custom.graph import FixedBatch, Unreadable, check_input
-from services.targets.custom.onnx_graph import convert
-from services.targets.packing import pack, to_channels_last
 
-TOLERANCE = 1e-4
-"""Largest difference between a score in torch and in onnxruntime, relative to the largest score or 1."""
+SCORES_ONLY = "an ONNX file gives scores only; for gradients save the network by torch.export.save, as model.pt2"
 _ERRORS_ONLY = 3
-_TRIED = 2
 
 
 class OnnxNetwork(nn.Module):
-    """Scores of onnxruntime, and where a gradient is asked for those of the converted network."""
+    """Scores of onnxruntime, without gradients."""
 
-    def __init__(self, session: onnxruntime.InferenceSession, converted: nn.Module | None) -> None:
+    def __init__(self, session: onnxruntime.InferenceSession) -> None:
         super().__init__()
-        self._session, self.converted = session, converted
+        self._session = session
         (given,), (result,) = session.get_inputs(), session.get_outputs()
         self._input, self._output = given.name, result.name
 
     def forward(self, x: Tensor) -> Tensor:
         """Maps inputs [B, 3, h, w] to scores."""
-        if self.converted is not None and torch.is_grad_enabled() and x.requires_grad:
-            found: Tensor = self.converted(x)
-            return found
         values = x.detach().to("cpu", torch.float32).contiguous().numpy()
         (scores,) = self._session.run([self._output], {self._input: values})
         return torch.from_numpy(scores).to(x.device)
 
 
-def read(path: Path, size: tuple[int, int], dtype: torch.dtype) -> tuple[nn.Module, str | None]:
-    """Returns the network of an .onnx file, and the reason for which it has no gradients, None if it has.
+def read(path: Path, size: tuple[int, int]) -> nn.Module:
+    """Returns the network of an .onnx file.
 
     Raises Unreadable for what is no ONNX, refers to other files, or has other than one input and one output.
     """
@@ -58,13 +45,7 @@ def read(path: Path, size: tuple[int, int], dtype: torch.dtype) -> tuple[nn.Modu
         raise Unreadable("its weights are in another file; save it as one file, without external data")
     session = _session(data)
     count = _count(session, size)
-    try:
-        converted: nn.Module | None = _converted(model, session, size, count, dtype)
-        reason = None
-    except (Unreadable, RuntimeError, ValueError) as error:
-        converted, reason = None, str(error)
-    network: nn.Module = OnnxNetwork(session, converted)
-    return (network if count is None else FixedBatch(network, count)), reason
+    return OnnxNetwork(session) if count is None else FixedBatch(OnnxNetwork(session), count)
 
 
 def _tensors(message: Message) -> Iterator[onnx.TensorProto]:
@@ -104,27 +85,3 @@ def _count(session: onnxruntime.InferenceSession, size: tuple[int, int]) -> int 
         if one.type != "tensor(float)":
             raise Unreadable(f"{one.name!r} is {one.type}; tensor(float) is due, which is float32")
     return check_input([one if isinstance(one, int) else None for one in given[0].shape], size)
-
-
-def _converted(
-    model: onnx.ModelProto,
-    session: onnxruntime.InferenceSession,
-    size: tuple[int, int],
-    count: int | None,
-    dtype: torch.dtype,
-) -> nn.Module:
-    """The network in torch. Raises Unreadable if its scores are not those of onnxruntime."""
-    network = convert(model).to(device(), dtype).eval().requires_grad_(False)
-    if device().type == "cpu" and dtype == torch.float32 and count in (None, 1):
-        to_channels_last(network)
-        pack(network, size)
-    tried = torch.randn((count or _TRIED, 3, *size), generator=torch.Generator().manual_seed(0))
-    with torch.no_grad():
-        wanted = OnnxNetwork(session, None)(tried)
-        found: Any = network(tried.to(device(), dtype)).cpu()
-    if found.shape != wanted.shape:
-        raise Unreadable(f"its scores in torch are {list(found.shape)}, in onnxruntime {list(wanted.shape)}")
-    difference, largest = float((found - wanted).abs().max()), max(1.0, float(wanted.abs().max()))
-    if not difference <= TOLERANCE * largest:
-        raise Unreadable(f"its scores in torch differ from those of onnxruntime by {difference:.1e}")
-    return network

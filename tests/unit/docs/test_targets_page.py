@@ -88,7 +88,7 @@ def test_every_folder_of_the_page_gives_the_same_answers() -> None:
     for name in TARGET_NAMES:
         found = registry.load(name).logits(images).log_softmax(dim=1)
         torch.testing.assert_close(found, wanted, rtol=0, atol=1e-4, msg=name)
-    assert [name for name in TARGET_NAMES if registry.has_gradient(name)] == TARGET_NAMES[1:]
+    assert [name for name in TARGET_NAMES if not registry.has_gradient(name)] == ["endpoint", "onnx"]
 
 
 def test_the_ten_lines_find_an_adversary(folder: Path) -> None:

@@ -30,7 +30,8 @@ FACTORIES = {"target_factories": f"{MODULE}:network,{MODULE}:maite,{MODULE}:nump
 SCENE = {"camera": {"size": [48, 48]}, "objects": [{"mesh": "primitive/sphere"}]}
 FGSM = {"renderer": "image", "base_renderer": "pyrender", "method": "fgsm", "steps": 40}
 ALL = ("exported", "exported-1", "onnx", "onnx-2", "weights", "module", "maite", "maite-numpy")
-WITH_GRADIENTS = tuple(name for name in ALL if name != "maite-numpy")
+WITHOUT_GRADIENTS = {"onnx", "onnx-2", "maite-numpy"}
+WITH_GRADIENTS = tuple(name for name in ALL if name not in WITHOUT_GRADIENTS)
 
 
 @pytest.fixture(scope="module")
@@ -73,9 +74,10 @@ def test_all_formats_give_the_same_answers() -> None:
 @pytest.mark.usefixtures("formats")
 def test_they_have_gradients_where_they_can_and_say_so() -> None:
     listed = {name: TARGETS[name].info.differentiable for name in ALL}
-    assert listed == dict.fromkeys(ALL[:5], True) | dict.fromkeys(ALL[5:], None) | {"onnx": None, "onnx-2": None}
+    assert listed == dict.fromkeys(ALL[:5], True) | dict.fromkeys(ALL[5:], None) | {"onnx": False, "onnx-2": False}
     assert [name for name in ALL if registry.has_gradient(name)] == list(WITH_GRADIENTS)
     assert "it fails on images that need gradients" in registry.no_gradient("maite-numpy")
+    assert "torch.export.save" in registry.no_gradient("onnx")
     leaf = torch.rand(2, 32, 32, 3, generator=torch.Generator().manual_seed(2)).requires_grad_()
     exact = leaf.detach().double().requires_grad_()
     (wanted,) = torch.autograd.grad(reference(exact)[:, 1].sum(), exact)
@@ -103,8 +105,7 @@ def test_they_give_the_same_adversary(tmp_path: Path) -> None:
         # the sign of a gradient of nearly zero is decided by rounding
         assert float((same != stored).float().mean()) < 0.01, name
         assert result.provenance.card_sha256 == TARGETS[name].info.card_sha256
-    digests = {name: result.provenance.weights_sha256 for name, result in found.items()}
-    assert digests["exported"] != digests["onnx"] != digests["weights"]
+    assert found["exported"].provenance.weights_sha256 != found["weights"].provenance.weights_sha256
 
 
 @pytest.mark.usefixtures("formats")
@@ -157,20 +158,28 @@ def test_a_module_that_takes_no_such_image_is_told_the_size() -> None:
 
 @pytest.mark.usefixtures("formats")
 def test_convolutions_are_packed_where_they_are_layers() -> None:
-    for name in ("onnx", "weights", "module"):
+    for name in ("weights", "module"):
         target = registry.load(name)
         assert isinstance(target, Classifier)
         assert sum(isinstance(part, PackedConvolution) for part in target.network.modules()) == 2, name
 
 
+@pytest.mark.parametrize(
+    ("name", "reason"), [("maite-numpy", "it fails on images that need gradients"), ("onnx", "torch.export.save")]
+)
 @pytest.mark.usefixtures("formats")
-def test_a_gradient_method_on_scores_only_is_refused() -> None:
-    with pytest.raises(InvalidRequest, match=r"it fails on images that need gradients.*methods without") as refused:
-        preflight(parse({"scene": SCENE, "target": {"name": "maite-numpy"}, "attack": FGSM}), LIBRARY)
+def test_a_gradient_method_on_scores_only_is_refused(name: str, reason: str) -> None:
+    with pytest.raises(InvalidRequest, match=f"{reason}.*methods without") as refused:
+        preflight(parse({"scene": SCENE, "target": {"name": name}, "attack": FGSM}), LIBRARY)
     assert refused.value.field == "attack.method"
 
 
-@pytest.mark.parametrize("name", ["onnx", "maite-numpy"])
+@pytest.mark.usefixtures("formats")
+def test_scores_of_onnx_are_attacked_without_gradients(tmp_path: Path) -> None:
+    assert job("onnx", tmp_path, method="square", steps=400, epsilon={"image": 0.3}).verified
+
+
+@pytest.mark.parametrize("name", ["exported", "onnx", "maite-numpy"])
 @pytest.mark.usefixtures("formats")
 def test_a_check_shows_what_it_is(name: str) -> None:
     said: list[str] = []
@@ -179,7 +188,7 @@ def test_a_check_shows_what_it_is(name: str) -> None:
     assert len(said) == 4
     assert {answer.label for answer in found.answers} == set(LABELS)
     assert sum(answer.probability for answer in found.answers) == pytest.approx(1)
-    assert found.gradient == (found.no_gradient is None) == (name == "onnx")
+    assert found.gradient == (found.no_gradient is None) == (name == "exported")
     assert all(seconds > 0 for seconds in found.seconds.values())
 
 
