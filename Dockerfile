@@ -41,7 +41,6 @@ COPY services services
 COPY api api
 COPY worker worker
 COPY client client
-COPY docs/accuracy/rasterised_images.json docs/accuracy/stability.json docs/accuracy/work-precision.json docs/accuracy/
 
 ENV PATH=/app/.venv/bin:$PATH \
     PYTHONDONTWRITEBYTECODE=1 \

@@ -89,7 +89,6 @@ RULES: dict[str, Scope | None] = {
     "GET /assets/scenes/{asset:path}": _READ,
     "GET /assets/{asset:path}": _READ,
     "GET /targets": _READ,
-    "GET /accuracy": _READ,
     "GET /static/{path:path}": OPEN,
     "GET /sign-in": OPEN,
     "POST /sign-in": OPEN,
@@ -118,7 +117,6 @@ PAGES = frozenset(
         "POST /assets",
         "GET /assets/{asset:path}",
         "GET /targets",
-        "GET /accuracy",
         "GET /docs",
         "POST /campaigns/{campaign_id}/{move}",
     }

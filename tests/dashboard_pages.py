@@ -13,7 +13,6 @@ PAGES: dict[str, str] = {
     "/assets": "/assets",
     "/assets/{asset:path}": "/assets/primitive/sphere",
     "/targets": "/targets",
-    "/accuracy": "/accuracy",
     "/docs": "/docs",
     "/sign-in": "/sign-in",
 }

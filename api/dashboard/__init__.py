@@ -3,7 +3,6 @@
 from fastapi import APIRouter
 
 from api.dashboard import (
-    accuracy,
     asset_form,
     assets,
     campaign_comparison,
@@ -31,6 +30,5 @@ router.include_router(campaigns.router)
 router.include_router(assets.router)
 router.include_router(asset_form.router)
 router.include_router(targets.router)
-router.include_router(accuracy.router)
 router.include_router(reference.router)
 router.include_router(sign_in.router)

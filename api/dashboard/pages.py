@@ -45,7 +45,6 @@ AREAS = (
     ("campaigns", "/campaigns", "Campaigns"),
     ("assets", "/assets", "Assets"),
     ("targets", "/targets", "Targets"),
-    ("accuracy", "/accuracy", "Accuracy"),
     ("reference", "/docs", "API reference"),
 )
 """The areas of the dashboard: name, address and title. A template sets `area` to the name of its own."""

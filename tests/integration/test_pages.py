@@ -1,4 +1,4 @@
-"""The pages about campaigns, assets, targets and accuracy, in a real browser on the real stack."""
+"""The pages about campaigns, assets and targets, in a real browser on the real stack."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -7,7 +7,7 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from tests.integration.browser import fresh_page, launched, wait_for_images
-from tests.integration.conftest import Stack, until
+from tests.integration.conftest import Stack
 from tests.integration.test_accessibility import filled, watched
 from tests.unit.scenes.test_beside import MTL, OBJ
 
@@ -82,33 +82,3 @@ def test_targets_show_a_card_for_each_network(page: Page, stack: Stack) -> None:
     names = [one["name"] for one in stack.client.get("/v1/targets").json()["items"]]
     expect(page.locator(".card")).to_have_count(len(names))
     expect(page.locator("nav [aria-current=page]")).to_have_text("Targets")
-
-
-def test_another_plot_is_chosen(page: Page) -> None:
-    page.goto("/accuracy")
-    section = page.locator("section[aria-labelledby=shading]")
-    marks = section.locator(".scatter .mark title")
-    before = marks.count()
-    section.get_by_label("Groups").select_option("normals")
-    section.get_by_role("button", name="Show").click()
-    until(lambda: 0 < marks.count() < before, "a plot of fewer marks")
-    expect(section.get_by_label("Groups")).to_have_value("normals")
-    section.get_by_text("The plot as a table").click()
-    expect(section.get_by_role("row").nth(1)).to_be_visible()
-
-
-def test_a_key_hides_its_series_and_a_point_is_read_out(stack: Stack, browser: Browser) -> None:
-    with fresh_page(browser, base_url=str(stack.client.base_url)) as page:
-        page.goto("/accuracy")
-        plot = page.locator('[data-plot="shading"]')
-        points = plot.locator("[data-points]").first
-        points.locator(".mark").first.scroll_into_view_if_needed()
-        box = points.locator(".mark").first.bounding_box()
-        assert box is not None
-        page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
-        expect(plot.locator(".read")).to_contain_text("error")
-        expect(plot.locator(".near")).to_have_count(1)
-        plot.get_by_role("checkbox").first.uncheck()
-        expect(points).to_be_hidden()
-        plot.get_by_role("checkbox").first.check()
-        expect(points).to_be_visible()
