@@ -107,7 +107,8 @@ def _place(loc: Sequence[int | str], schema: Schema) -> _Place:
                 at = {"$ref": chosen}
                 continue
             options = _options(whole, schema)
-            if len(options) > 1 and not tagged:
+            named = any(part in option.get("properties", ()) for option in options)  # no alternative: a validator chose
+            if len(options) > 1 and not tagged and not named:
                 tagged = True
                 continue
             parent = next((option for option in options if _child(option, part) is not None), options[0])
