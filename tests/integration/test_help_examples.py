@@ -205,7 +205,7 @@ def assets_and_keys(reader: Reader) -> None:
     for example in [one for one in reader.left if "backup" in one]:
         monday = str(reader.folder / "backups" / str(len(reader.left)))
         own = {"/backups/monday": monday}
-        if "=/srv" in example:
+        if "/srv" in example:
             own["/srv/scene-attack"] = reader.environ["SCENE_ATTACK_DATA"]
         run(example, **own)
     run("scene-attack keys create alice")
