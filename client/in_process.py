@@ -66,8 +66,8 @@ def attack(
         if out is not None:
             module = isinstance(model, nn.Module) or hasattr(model, "logits")
             # Nobody knows whether two functions are the same: a folder with a result of one is never free.
-            prepare_folder(Path(out), "out")
             check_free(Path(out), job, "out", (target.weights_sha256, card.card_sha256) if module else ())
+            prepare_folder(Path(out), "out")
         return execute(job, Path(folder) if out is None else Path(out), local_library(settings), progress=progress)
 
 

@@ -19,7 +19,8 @@ REMEDY = "name another folder, or remove this one"
 def check_free(
     folder: Path, spec: "JobSpec", field: str = "--out", network: Sequence[str | None] | None = None
 ) -> None:
-    """Raises InvalidRequest(field) if the folder holds the result or the checkpoint of another job than `spec`.
+    """Raises InvalidRequest(field) if the folder holds the result or the checkpoint of another job than `spec`,
+    or is a file.
 
     network: the hashes of weights and card, if it is a network that the request does not name, and nothing if they are
     not known; a result of another network is another job's, too.
@@ -33,6 +34,8 @@ def check_free(
             whose = f"{job_name(stored)}, {attack_name(stored)}"
         except FileNotFoundError:
             continue
+        except NotADirectoryError as error:
+            raise InvalidRequest(field, f"{folder} is a file; name a folder") from error
         except (ValueError, KeyError, TypeError) as error:
             raise InvalidRequest(field, f"{folder} holds a {name} that is no job's; {REMEDY}") from error
         if not _same(stored, spec):
@@ -44,8 +47,6 @@ def check_free(
 
 def prepare_folder(folder: Path, field: str = "--out") -> None:
     """Makes the folder. Raises InvalidRequest(field) if it cannot be made or written."""
-    if folder.exists() and not folder.is_dir():
-        raise InvalidRequest(field, f"{folder} is a file; name a folder")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

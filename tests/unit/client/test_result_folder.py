@@ -48,3 +48,10 @@ def test_a_file_that_is_no_result_is_not_written_over(tmp_path: Path) -> None:
     (tmp_path / "result.json").write_text("my notes")
     with pytest.raises(InvalidRequest, match=r"holds a result\.json that is no job's"):
         check_free(tmp_path, parse(SPHERE))
+
+
+def test_a_file_is_no_folder(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(InvalidRequest, match="is a file; name a folder") as refused:
+        check_free(tmp_path / "file", parse(SPHERE))
+    assert refused.value.field == "--out"
