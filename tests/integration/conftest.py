@@ -83,13 +83,7 @@ class Stack:
         return found
 
     def one(self, module: str) -> psutil.Process:
-        """The process that runs a module, once none that it forked for an earlier request is left."""
-
-        def alone() -> psutil.Process | None:
-            found = self.processes(module)
-            return found[0] if len(found) == 1 else None
-
-        process: psutil.Process = until(alone, f"one process of {module}")
+        (process,) = self.processes(module)
         return process
 
     def ready(self) -> None:
