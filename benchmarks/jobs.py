@@ -4,9 +4,8 @@ A job of 120 steps runs through services.pipeline.execute in a process set up as
 small that the image does not change, so the network holds and all steps run. After each step, the network alone makes a
 forward and backward pass on an image of 224², because the speed of a shared machine changes from second to second, and
 so that job and pass find the processor's caches in the same state. The time of these passes is subtracted from the
-job's. This is measured for the packed network that jobs use, and again for the same network in plain torch
-(channels_last). Ratios and seconds are medians of the repeats. Memory is the peak resident set of a fresh process that
-runs a job of 448².
+job's. Ratios and seconds are medians of the repeats. Memory is the peak resident set of a fresh process that runs a job
+of 448².
 """
 
 import argparse
@@ -17,15 +16,12 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 import torch
-from torch import Tensor
 
-from benchmarks.peers import Lite0
 from benchmarks.report import RESULTS, save, shortest
 from benchmarks.rounded_gradient import ATTACKS
 from client.settings import settings_to_run
@@ -36,6 +32,7 @@ from services.pipeline.prepare import prepare
 from services.pipeline.spec import JobSpec, parse
 from services.scenes.library import Library
 from services.targets import registry
+from services.targets.protocol import Target
 
 STILL = 1e-9
 STEPS = 120
@@ -92,20 +89,16 @@ def _measure(attack: str, size: int, steps: int, repeats: int) -> dict[str, Any]
             return {"peak MiB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024}
         target = registry.load(spec.target.name)
         execute(parse({"scene": scene, "attack": chosen | held | {"steps": 2}}), Path(out), library)  # warms up
-        plain = Lite0(torch.channels_last)
         found: list[dict[str, float]] = []
         for _ in range(repeats):
-            job, loop, network = _beside(spec, Path(out), library, target.logits)
-            job_again, _, unpacked = _beside(spec, Path(out), library, lambda x: plain(x.permute(0, 3, 1, 2)))
+            job, loop, network = _beside(spec, Path(out), library, target)
             found.append(
                 {
                     "job s": job,
                     "loop s": loop,
                     "network s": network,
-                    "plain network s": unpacked,
                     "job / network": job / network,
                     "loop / network": loop / network,
-                    "job / plain network": job_again / unpacked,
                 }
             )
     middle: dict[str, Any] = {name: median(one[name] for one in found) for name in found[0]}
@@ -115,9 +108,7 @@ def _measure(attack: str, size: int, steps: int, repeats: int) -> dict[str, Any]
     }
 
 
-def _beside(
-    spec: JobSpec, out: Path, library: Library, logits: Callable[[Tensor], Tensor]
-) -> tuple[float, float, float]:
+def _beside(spec: JobSpec, out: Path, library: Library, target: Target) -> tuple[float, float, float]:
     """Seconds of a job, of its loop, and of as many passes of a network as it makes steps, each after one of them."""
     image = torch.full((1, 224, 224, 3), 0.5)
     passes: list[float] = []
@@ -125,7 +116,7 @@ def _beside(
     @torch.enable_grad()
     def once() -> None:
         leaf = image.clone().requires_grad_()
-        torch.autograd.grad(logits(leaf)[0, 0], leaf)
+        torch.autograd.grad(target.logits(leaf)[0, 0], leaf)
 
     def beside(progress: Progress) -> None:
         if progress.row is not None and progress.step < spec.attack.steps:

@@ -85,7 +85,6 @@ def _jobs() -> list[str]:
             f"{row['loop s']:.2f}",
             f"{row['loop / network']:.2f}",
             f"{row['job / network']:.2f}",
-            f"{row['job / plain network']:.2f}",
             f"{row['peak MiB at 448²']:.0f}",
         ]
         for row in result["rows"]
@@ -93,9 +92,8 @@ def _jobs() -> list[str]:
     return [
         "## FGSM jobs",
         f"Jobs of {result['steps']} steps at 224², each step beside a forward and backward pass of EfficientNet-Lite0 "
-        "alone: as jobs use it, with packed weights, and in plain torch (channels_last). Memory is the peak of a fresh "
-        "process at 448².",
-        _table(("attacked", "loop s", "loop / network", "job / network", "job / plain network", "MiB"), rows),
+        "alone. Memory is the peak of a fresh process at 448².",
+        _table(("attacked", "loop s", "loop / network", "job / network", "MiB"), rows),
         _foot(result),
     ]
 
@@ -152,7 +150,6 @@ def _zoo() -> list[str]:
                 f"{view['ratios'][name]:.2f}"
                 for name in (
                     "zoo_step / network_28",
-                    "zoo_step / plain_network_28",
                     "loop_of_28 / zoo_step",
                     "images_28_alone / images_28_shared",
                     "frame / stock_pyrender_frame",
@@ -163,16 +160,15 @@ def _zoo() -> list[str]:
     ]
     return [
         "## A step of ZOO",
-        "Differences of all 14 coordinates on pyrender at 224², beside the network's batch of 28, packed as jobs use "
-        "it and in plain torch (channels_last), and beside a loop that renders a frame and asks the network one at a "
-        "time; its 28 images beside OpenGL's one by one, and a frame beside stock pyrender's.",
+        "Differences of all 14 coordinates on pyrender at 224², beside the network's batch of 28, and beside a loop "
+        "that renders a frame and asks the network one at a time; its 28 images beside OpenGL's one by one, and a "
+        "frame beside stock pyrender's.",
         _table(
             (
                 "mesh",
                 "faces",
                 "step ms",
                 "step / network",
-                "step / plain network",
                 "loop / step",
                 "OpenGL / images",
                 "frame / stock frame",

@@ -1,13 +1,12 @@
 """Compares one step of ZOO over the 14 parameters with the network's pass, and our frames with pyrender's. Writes
 results/zoo_step.json.
 
-For each view it measures in turn: the network's pass over 28 images, packed as jobs use it and in plain torch
-(channels_last); our step (both sides of 14 differences rendered and classified, and the move); the same step as a loop
-that renders and classifies 28 images one by one (as 3DB does); the 28 images alone, with shared stages and one by one;
-a frame of ours, the pass over the geometry alone (one pixel read), and a frame of pyrender's own renderer (8 bits, its
-own shading). It runs with the allocator settings of a job's process. Seconds are the shortest of the rounds, and ratios
-are medians over the rounds, because the speed of a shared machine changes from second to second. Times are given by the
-clock and by the processor.
+For each view it measures in turn: the network's pass over 28 images; our step (both sides of 14 differences rendered
+and classified, and the move); the same step as a loop that renders and classifies 28 images one by one (as 3DB does);
+the 28 images alone, with shared stages and one by one; a frame of ours, the pass over the geometry alone (one pixel
+read), and a frame of pyrender's own renderer (8 bits, its own shading). It runs with the allocator settings of a job's
+process. Seconds are the shortest of the rounds, and ratios are medians over the rounds, because the speed of a shared
+machine changes from second to second. Times are given by the clock and by the processor.
 """
 
 import argparse
@@ -23,7 +22,6 @@ import torch
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.peers import Lite0
 from benchmarks.report import RESULTS, save
 from benchmarks.views import right
 from client.settings import settings_to_run
@@ -75,7 +73,7 @@ def _measure(library: Library, mesh: str, label: str, repeats: int) -> dict[str,
     sides = both_sides(renderer.initial(), spec.attack.groups)
     start = {group: value[None] for group, value in renderer.initial().items()}
     images = renderer.render(sides)
-    exact, plain = renderer.exact(), Lite0(torch.channels_last)
+    exact = renderer.exact()
 
     def one_by_one() -> None:
         for row in range(len(images)):
@@ -86,7 +84,6 @@ def _measure(library: Library, mesh: str, label: str, repeats: int) -> dict[str,
             {
                 "network_28": lambda: ready.target.logits(images),
                 "zoo_step": lambda: method.advance(problem, view, 0),
-                "plain_network_28": lambda: plain(images.permute(0, 3, 1, 2)),
                 "loop_of_28": one_by_one,
                 "images_28_shared": lambda: renderer.render(sides),
                 "images_28_alone": lambda: exact.render(sides),
@@ -98,7 +95,6 @@ def _measure(library: Library, mesh: str, label: str, repeats: int) -> dict[str,
         )
     ratios = {
         "zoo_step / network_28": ("zoo_step", "network_28"),
-        "zoo_step / plain_network_28": ("zoo_step", "plain_network_28"),
         "loop_of_28 / zoo_step": ("loop_of_28", "zoo_step"),
         "images_28_alone / images_28_shared": ("images_28_alone", "images_28_shared"),
         "frame / bare_pass": ("frame", "bare_pass"),

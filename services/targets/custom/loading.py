@@ -50,7 +50,7 @@ def classifier(
     probabilities: bool = False,
     scores_only: str | None = None,
 ) -> Classifier:
-    """Returns a torch module as a target. It is changed: frozen, and its convolutions are packed."""
+    """Returns a torch module as a target. It is changed: frozen, and its weights are laid out channels last."""
     if preprocessing.channels == "bgr":
         network = nn.Sequential(Bgr(), network)
     return Classifier(

@@ -13,10 +13,7 @@ MEAN, SCALE = 0.5, 0.25
 
 
 class Convolution(nn.Sequential):
-    """A convolution that keeps the size or divides it by its stride, batch normalisation, and optionally ReLU.
-
-    In evaluation the normalisation is an affine map, which `services.targets.packing` folds into the convolution.
-    """
+    """A convolution that keeps the size or divides it by its stride, batch normalisation, and optionally ReLU."""
 
     def __init__(self, inputs: int, outputs: int, kernel: int, stride: int = 1, relu: bool = True):
         convolution = nn.Conv2d(inputs, outputs, kernel, stride, kernel // 2, bias=False)

@@ -17,9 +17,7 @@ from services.pipeline.result import Result
 from services.pipeline.spec import parse
 from services.pipeline.target_check import check
 from services.targets import registry
-from services.targets.classifier import Classifier
 from services.targets.info import TARGETS
-from services.targets.packed import PackedConvolution
 from tests.unit.jobs.small import LIBRARY
 from tests.unit.targets.custom import small_network
 from tests.unit.targets.custom.conftest import Scan
@@ -118,7 +116,6 @@ def test_a_module_that_is_passed_gives_it_too(tmp_path: Path) -> None:
     assert result.attacked.label == wanted.attacked.label
     assert result.step == wanted.step
     assert module.training  # it was copied
-    assert not any(isinstance(part, PackedConvolution) for part in module.modules())
     assert "mine" not in TARGETS
 
 
@@ -154,14 +151,6 @@ def test_a_module_that_takes_no_such_image_is_told_the_size() -> None:
     ) as refused:
         attack(SCENE, torch.nn.Sequential(torch.nn.Flatten(), torch.nn.Linear(27, 2)))
     assert refused.value.field == "model"
-
-
-@pytest.mark.usefixtures("formats")
-def test_convolutions_are_packed_where_they_are_layers() -> None:
-    for name in ("weights", "module"):
-        target = registry.load(name)
-        assert isinstance(target, Classifier)
-        assert sum(isinstance(part, PackedConvolution) for part in target.network.modules()) == 2, name
 
 
 @pytest.mark.parametrize(
