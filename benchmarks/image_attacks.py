@@ -2,11 +2,11 @@
 results/image_attacks.json.
 
 Time: every attack takes the same number of steps, which are so small that no network is fooled and no attack ends
-early. The other packages take turns, and our attack runs before and after each of their runs, because the speed of a
-shared machine changes from second to second. The result gives the shortest time per step, and the median ratio of each
-run to ours around it. Success: all attacks have the same step size and bound. The same network classifies every
-adversary rounded to 8 bits; p is the mean over the adversaries that fool it. The other packages attack the network as
-plain torch provides it (contiguous) and in channels_last; ours attacks the network that jobs use.
+early, on one image. The other packages take turns, and our attack runs before and after each of their runs, because the
+speed of a shared machine changes from second to second. The result gives the shortest time per step, and the median
+ratio of each run to ours around it. Success: all attacks have the same step size and bound. The same network
+classifies every adversary rounded to 8 bits; p is the mean over the adversaries that fool it. The other packages attack
+the network as plain torch provides it (contiguous) and in channels_last; ours attacks the network that jobs use.
 """
 
 import argparse
@@ -26,7 +26,7 @@ from client.settings import settings_to_run
 from services.analysis.perceptibility import of_images
 from services.attacks.fgsm import Fgsm, FgsmMethod
 from services.attacks.goal import ResolvedGoal
-from services.attacks.loop import AttackRun, Budget, run_together
+from services.attacks.loop import Budget, run
 from services.attacks.problem import AttackProblem
 from services.attacks.verifier import Verifier
 from services.pipeline.prepare import prepare
@@ -59,23 +59,25 @@ Attacks = Callable[[Images, float, int], Tensor]
 
 
 def ours(momentum: float) -> Attacks:
-    """FGSM on the renderer `image`, whose only group is the pixels; the images of a batch run in lockstep."""
+    """FGSM on the renderer `image`, whose only group is the pixels; one image after the other."""
     target = registry.load("efficientnet-lite0")
 
     def attack(subjects: Images, step: float, steps: int) -> Tensor:
-        attacks = [
-            _attack(target, *one, step, steps, momentum) for one in zip(subjects.saved, subjects.labels, strict=True)
-        ]
-        return torch.stack([found.image for found in run_together(attacks)])
+        return torch.stack(
+            [
+                _attacked(target, image, label, step, steps, momentum)
+                for image, label in zip(subjects.saved, subjects.labels, strict=True)
+            ]
+        )
 
     return attack
 
 
-def _attack(target: Target, saved: Tensor, label: Tensor, step: float, steps: int, momentum: float) -> AttackRun:
+def _attacked(target: Target, saved: Tensor, label: Tensor, step: float, steps: int, momentum: float) -> Tensor:
     chosen = Fgsm(method="fgsm", renderer="image", learning_rate={"image": step}, momentum=momentum)
     renderer = ImageRenderer(from_bytes(saved), "a file")
     problem = AttackProblem(renderer, target, ResolvedGoal((int(label),), None), ("image",), truncation=BOUND)
-    return AttackRun(problem, FgsmMethod(chosen, problem), Verifier(renderer, target), Budget(steps))
+    return run(problem, FgsmMethod(chosen, problem), Verifier(renderer, target), Budget(steps)).image
 
 
 def torchattacks(network: Lite0, name: str) -> Attacks:
@@ -114,7 +116,7 @@ def _bytes(images: Tensor) -> Tensor:
 def main() -> None:
     """Runs the comparison; see --help."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--views", type=int, default=8, help="images, and the larger batch (default 8)")
+    parser.add_argument("--views", type=int, default=8, help="images that are attacked (default 8)")
     parser.add_argument("--steps", type=int, default=20, help="steps that are timed (default 20)")
     parser.add_argument("--repeats", type=int, default=3, help="repeats of the timing (default 3)")
     parser.add_argument("--success-steps", type=int, default=20, help="most steps of an attack (default 20)")
@@ -132,11 +134,7 @@ def main() -> None:
             attacks[f"torchattacks {name}, {format_name}"] = torchattacks(network, name)
         for name in ("LinfBasicIterativeAttack", "LinfMomentumIterativeFastGradientMethod"):
             attacks[f"Foolbox {name}, {format_name}"] = foolbox(network, name)
-    timing = [
-        row
-        for batch in sorted({1, options.views})
-        for row in _time(attacks, Images(subjects.saved[:batch], subjects.labels[:batch]), options)
-    ]
+    timing = _time(attacks, Images(subjects.saved[:1], subjects.labels[:1]), options)
     success = [
         {"attack": name} | _success(target, attack, subjects, options.success_steps) for name, attack in attacks.items()
     ]
@@ -161,26 +159,25 @@ def _time(attacks: dict[str, Attacks], subjects: Images, options: argparse.Names
     took: dict[str, list[float]] = {name: [] for name in attacks}
     times: dict[str, list[float]] = {name: [] for name in attacks}
 
-    def run(name: str) -> float:
+    def timed(name: str) -> float:
         began = time.perf_counter()
         attacks[name](subjects, STILL, options.steps)
         took[name].append((time.perf_counter() - began) / options.steps)
         return took[name][-1]
 
     for name in attacks:  # warms up
-        run(name)
+        timed(name)
     for seconds in took.values():
         seconds.clear()
     for _ in range(options.repeats):
-        before = run(OURS)
+        before = timed(OURS)
         for name in (name for name in attacks if name != OURS):
-            other, after = run(name), run(OURS)
+            other, after = timed(name), timed(OURS)
             times[name].append(2 * other / (before + after))
             before = after
     return [
         {
             "attack": name,
-            "batch": len(subjects.labels),
             "ms a step": 1e3 * min(seconds),
             "times ours": statistics.median(times[name] or [1.0]),
         }

@@ -28,9 +28,9 @@ from benchmarks.report import RESULTS, save
 from benchmarks.views import VIEWS
 from client.settings import settings_to_run
 from services.attacks.goal import ResolvedGoal
-from services.attacks.loop import AttackRun, Budget, run_together
+from services.attacks.loop import Budget, run
 from services.attacks.method import Method
-from services.attacks.problem import AttackProblem, ask, gradients
+from services.attacks.problem import AttackProblem, gradients
 from services.attacks.quantize import quantize
 from services.attacks.spec import ATTACKS
 from services.attacks.verifier import Verifier
@@ -39,7 +39,6 @@ from services.pipeline.prepare import prepare
 from services.pipeline.spec import parse
 from services.rendering.color import from_bytes, to_bytes
 from services.rendering.image_renderer import ImageRenderer
-from services.rendering.protocol import Parameters
 from services.scenes.library import Library
 from services.targets import registry
 from services.targets.protocol import Target
@@ -89,32 +88,30 @@ class Case:
 
 def ours(case: Case, name: str, steps: int, seed: int | None = None, **given: Any) -> Tensor:
     """All steps of our method, without ending early. Begins at random if there is a seed, and then keeps the best."""
-    problems = case.problems(given.get("loss", "log-odds"), seed or 0)
-    if seed is not None:
-        for problem in problems:
+    images = []
+    for problem in case.problems(given.get("loss", "log-odds"), seed or 0):
+        if seed is not None:
             problem.restart(1)
-    methods = [case.method(name, problem, steps=steps, **given) for problem in problems]
-    best: list[tuple[float, Parameters]] = [(torch.inf, {})] * len(methods)
-    for step in range(steps + 1):
-        views = [p.view(m.perturbation, gradient=True) for p, m in zip(problems, methods, strict=True)]
-        logits = ask(problems, quantize(torch.cat([view.images for view in views]))[1])
-        found = gradients(problems, views, logits)
-        for index, (problem, method, view) in enumerate(zip(problems, methods, views, strict=True)):
-            objective = float(problem.objective(logits[index].detach()))
-            if seed is None or objective < best[index][0]:
-                best[index] = (objective, {g: v.detach() for g, v in view.perturbation.items()})
-            method.advance(problem, replace(view, gradients=found[index], objective=objective), step)
-    images = [p.initial["image"] + kept["image"] for p, (_, kept) in zip(problems, best, strict=True)]
+        method = case.method(name, problem, steps=steps, **given)
+        best, kept = torch.inf, problem.nothing()
+        for step in range(steps + 1):
+            view = problem.view(method.perturbation, gradient=True)
+            logits = problem.logits(quantize(view.images)[1])
+            objective = float(problem.objective(logits[0].detach()))
+            if seed is None or objective < best:
+                best, kept = objective, {g: v.detach() for g, v in view.perturbation.items()}
+            found = gradients(problem, view, logits)
+            method.advance(problem, replace(view, gradients=found, objective=objective), step)
+        images.append(problem.initial["image"] + kept["image"])
     return to_bytes(torch.stack(images))
 
 
 def our_square(case: Case, queries: int, seed: int) -> tuple[Tensor, float]:
     """Our Square through the loop, which ends at the first success; the images, and the mean of the queries."""
-    runs = [
-        AttackRun(p, case.method("square", p, steps=queries), Verifier(p.renderer, case.target), Budget(queries))
+    found = [
+        run(p, case.method("square", p, steps=queries), Verifier(p.renderer, case.target), Budget(queries))
         for p in case.problems("margin", seed)
     ]
-    found = run_together(runs)
     return torch.stack([one.image for one in found]), sum(one.step for one in found) / len(found)
 
 

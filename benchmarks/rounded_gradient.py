@@ -19,7 +19,7 @@ from client.settings import settings_to_run
 from services.analysis.perceptibility import of_images
 from services.attacks.fgsm import FgsmMethod
 from services.attacks.loop import Budget, run
-from services.attacks.problem import AttackProblem, Evaluation, ask, gradients
+from services.attacks.problem import AttackProblem, Evaluation, gradients
 from services.pipeline.prepare import Prepared, prepare
 from services.pipeline.spec import JobSpec, parse
 from services.scenes.library import Library
@@ -39,7 +39,7 @@ class FloatImageFgsm(FgsmMethod):
     def advance(self, problem: AttackProblem, view: Evaluation, step: int) -> int:
         """One step along the float image's gradients."""
         again = problem.view(self.perturbation, gradient=True)
-        [found] = gradients([problem], [again], ask([problem], again.images))
+        found = gradients(problem, again, problem.logits(again.images))
         return super().advance(problem, replace(view, gradients=found), step)
 
 

@@ -169,7 +169,7 @@ def _errors(renderer: TorchRenderer, groups: tuple[str, ...], steps: int) -> Ite
         view = problem.view(method.perturbation, gradient=True)
         yield _error(renderer, problem, view.images.detach(), method)
         if step < steps:
-            [found] = gradients([problem], [view], problem.logits(quantize(view.images)[1]))
+            found = gradients(problem, view, problem.logits(quantize(view.images)[1]))
             method.advance(problem, replace(view, gradients=found), step)
 
 

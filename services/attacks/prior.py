@@ -66,8 +66,8 @@ class Prior:
         with torch.enable_grad():
             view = self.own.view(perturbation, gradient=True)
             logits = self.own.logits(quantize(view.images)[1])
-        [found] = gradients([self.own], [view], logits)
-        found = mean_gradients(found, sample(self.own, view, gradient=True))
+        of_scene = gradients(self.own, view, logits)
+        found = mean_gradients(of_scene, sample(self.own, view, gradient=True))
         self._count(problem)
         return self.own.layout.flatten(found).double()
 

@@ -1,6 +1,6 @@
 """An attack's problem: a renderer, a network and a goal, with counts of the images rendered and classified."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from math import nan
@@ -221,40 +221,29 @@ class AttackProblem:
         return loss(self.loss, self.goal, logits)
 
     def logits(self, images: Tensor) -> Tensor:
-        """Scores [B, K] of images. Raises JobFailure as `ask` does."""
-        return ask([self] * len(images), images)
+        """Scores [B, K] of images [B, H, W, 3]. Raises JobFailure for what are no scores (`contract`)."""
+        self.queries += len(images)
+        with named(f"target {self.target.name!r}"):
+            logits = self.target.logits(images, self.question)
+        check_scores(self.target, logits, len(images))
+        return logits
 
 
-def ask(problems: Sequence[AttackProblem], images: Tensor) -> Tensor:
-    """Scores [B, K] of images [B, H, W, 3] by one pass of the network the problems share; image b is counted for
-    problem b. Raises JobFailure for what are no scores (`contract`).
+def gradients(problem: AttackProblem, view: Evaluation, logits: Tensor) -> Parameters:
+    """∂objective/∂perturbation at a view, by group.
+
+    The objective is the goal's, plus λ·‖ΔY‖² if the problem has a `weight`. `logits` [1, K] has a graph that leads to
+    the view. Raises JobFailure("non-finite") naming the group, and JobFailure("internal") if there is no graph.
     """
-    for problem in problems:
-        problem.queries += 1
-    target = problems[0].target
-    with named(f"target {target.name!r}"):
-        logits = target.logits(images, problems[0].question)
-    check_scores(target, logits, len(images))
-    return logits
-
-
-def gradients(problems: Sequence[AttackProblem], views: Sequence[Evaluation], logits: Tensor) -> list[Parameters]:
-    """∂objective/∂perturbation of each problem at its view, by group, in one backward pass.
-
-    The objective is the goal's, plus λ·‖ΔY‖² if the problem has a `weight`. `logits` [B, K] has one row for each
-    problem, and a graph that leads to the views. Raises JobFailure("non-finite") naming the group, and
-    JobFailure("internal") if there is no graph.
-    """
-    check_graph(problems[0].renderer, problems[0].target, views[0].images, logits)
-    objective = torch.stack([p.objective(of) for p, of in zip(problems, logits, strict=True)]).sum()
-    for p, view in zip(problems, views, strict=True):
-        if p.weight:
-            objective = objective + p.weight * (view.images - p.original).square().sum().to(objective.device)
-    leaves = [view.perturbation[group] for p, view in zip(problems, views, strict=True) for group in p.groups]
+    check_graph(problem.renderer, problem.target, view.images, logits)
+    objective = problem.objective(logits[0])
+    if problem.weight:
+        objective = objective + problem.weight * (view.images - problem.original).square().sum().to(objective.device)
+    leaves = [view.perturbation[group] for group in problem.groups]
     # zeros where every pixel is truncated, or does not depend on the parameter
-    by_leaf = iter(torch.autograd.grad(objective, leaves, materialize_grads=True))
-    found = [{group: next(by_leaf) for group in p.groups} for p in problems]
-    for group, gradient in (item for of in found for item in of.items()):
+    by_leaf = torch.autograd.grad(objective, leaves, materialize_grads=True)
+    found = dict(zip(problem.groups, by_leaf, strict=True))
+    for group, gradient in found.items():
         if not finite(gradient):
             raise JobFailure("non-finite", f"the gradient of group {group!r} has values that are not finite")
     return found

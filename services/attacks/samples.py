@@ -27,7 +27,7 @@ class Sampled:
 def sample(problem: AttackProblem, view: Evaluation, gradient: bool) -> Sampled:
     """Asks the network about a perturbation under each variation of the step, with gradients if `gradient`.
 
-    Takes a query and an image for each variation. Raises as `AttackProblem.view` and `ask` do.
+    Takes a query and an image for each variation. Raises as `AttackProblem.view` and `AttackProblem.logits` do.
     """
     rows, found = [], []
     for variation in problem.variations:
@@ -35,7 +35,7 @@ def sample(problem: AttackProblem, view: Evaluation, gradient: bool) -> Sampled:
             own = problem.view(view.perturbation, gradient)
             logits = problem.logits(quantize(own.images)[1])
             if gradient:
-                found += gradients([problem], [own], logits)
+                found.append(gradients(problem, own, logits))
         rows.append(logits.detach())
     return Sampled(torch.cat(rows) if rows else torch.zeros(0, len(problem.target.labels)), found)
 

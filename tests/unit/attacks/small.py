@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from services.attacks.goal import ResolvedGoal
-from services.attacks.problem import AttackProblem, Evaluation, ask, gradients
+from services.attacks.problem import AttackProblem, Evaluation, gradients
 from services.attacks.quantize import quantize
 from services.rendering.image_error import ImageError
 from services.rendering.plan import Plan
@@ -128,8 +128,8 @@ def problem(
 def guided(case: AttackProblem, perturbation: Parameters) -> Evaluation:
     """The view of a perturbation with the objective and its gradients, as the loop hands it to gradient methods."""
     view = case.view(perturbation, gradient=True)
-    logits = ask([case], quantize(view.images)[1])
-    [found] = gradients([case], [view], logits)
+    logits = case.logits(quantize(view.images)[1])
+    found = gradients(case, view, logits)
     return replace(view, gradients=found, objective=float(case.objective(logits.detach())))
 
 

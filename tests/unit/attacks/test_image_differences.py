@@ -5,7 +5,7 @@ succeed with it. Each of these is compared with a reference that shares no code 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +22,8 @@ from services.attacks.image_differences import (
     measure_half_steps,
     projected,
 )
-from services.attacks.loop import AttackRun, Budget, run, run_together
-from services.attacks.problem import AttackProblem, ask, gradients
+from services.attacks.loop import Budget, run
+from services.attacks.problem import AttackProblem, gradients
 from services.attacks.state import AttackState
 from services.attacks.verifier import Verifier
 from services.errors import Cancelled, JobFailure
@@ -31,7 +31,6 @@ from services.rendering.protocol import InactiveCoordinate, Parameters
 from tests.unit.attacks.small import CurvedRenderer, LinearTarget, OpaqueCurvedRenderer, problem
 
 FGSM = Fgsm.model_construct(learning_rate={"a": 0.01, "b": 0.01}, momentum=0.9, weight_decay=1e-4)
-BATCHES = [1, 8, 64]
 
 
 @dataclass
@@ -63,10 +62,10 @@ def place(seed: int) -> Parameters:
     }
 
 
-def found(cases: list[AttackProblem], places: list[Parameters]) -> list[Parameters]:
-    """Gradients by one backward pass for all, on float images."""
-    views = [case.view(at, gradient=True) for case, at in zip(cases, places, strict=True)]
-    return gradients(cases, views, ask(cases, torch.cat([view.images for view in views])))
+def found(case: AttackProblem, at: Parameters) -> Parameters:
+    """The gradient on the float image."""
+    view = case.view(at, gradient=True)
+    return gradients(case, view, case.logits(view.images))
 
 
 def autograd(seed: int, at: Parameters, truncation: float | None = None, weight: float = 0.0) -> Parameters:
@@ -92,24 +91,10 @@ def assert_same(ours: Parameters, true: Parameters, rtol: float = 1e-6) -> None:
         torch.testing.assert_close(ours[group], value, rtol=rtol, atol=rtol * float(value.abs().max()))
 
 
-@pytest.mark.parametrize("batch", BATCHES)
-def test_every_gradient_of_a_batch_has_the_scale_and_direction_of_autograd(batch: int) -> None:
+def test_every_gradient_has_the_scale_and_direction_of_autograd() -> None:
     """Foolbox's estimator is 0.24 times as long as the gradient, and at a batch of 64 its cosine to it is 0.67."""
-    places = [place(seed) for seed in range(batch)]
-    ours = found([opaque(seed) for seed in range(batch)], places)
-    for seed in range(batch):
-        assert_same(ours[seed], autograd(seed, places[seed]))
-
-
-@pytest.mark.parametrize("batch", BATCHES[1:])
-def test_no_other_problem_of_the_batch_matters(batch: int) -> None:
-    """Problems of very different scale: the sum of a batch's losses inside one loss would mix them."""
-    scaled = [opaque(seed, weight=10.0**k) for k, seed in enumerate(range(3))] + [opaque(k) for k in range(3, batch)]
-    places = [place(seed) for seed in range(batch)]
-    together = found(scaled, places)
-    for k in (0, 1, 2, batch - 1):
-        [alone] = found([scaled[k]], [places[k]])
-        assert_same(together[k], alone, 1e-9)
+    for seed in range(64):
+        assert_same(found(opaque(seed), place(seed)), autograd(seed, place(seed)))
 
 
 @pytest.mark.parametrize("weight", [0.0, 0.3])
@@ -119,14 +104,14 @@ def test_truncated_values_pass_no_gradient_and_the_weight_is_part_of_it(
 ) -> None:
     case, at = opaque(truncation=truncation, weight=weight), place(0)
     assert (int(case.view(at).truncated.sum()) > 3) == (truncation is not None)
-    assert_same(found([case], [at])[0], autograd(0, at, truncation, weight))
+    assert_same(found(case, at), autograd(0, at, truncation, weight))
 
 
 def test_a_difference_at_a_bound_is_divided_by_what_remains_of_it() -> None:
     """Group b starts at its lower bound: one side is clamped there, and the estimate is of first order in δ."""
     case, at = opaque(), place(0)
     at["b"] = torch.zeros(3, dtype=torch.float64)
-    ours, true = found([case], [at])[0], autograd(0, at)
+    ours, true = found(case, at), autograd(0, at)
     assert_same({"a": ours["a"]}, {"a": true["a"]})
     assert_same({"b": ours["b"]}, {"b": true["b"]}, 1e-3)
 
@@ -142,7 +127,7 @@ def test_batches_of_images_of_any_size_give_the_same(chunk: int, monkeypatch: py
         return true(parameters)
 
     case.renderer.render = render  # type: ignore[method-assign]
-    assert_same(found([case], [at])[0], autograd(0, at))
+    assert_same(found(case, at), autograd(0, at))
     assert max(sizes) <= max(2, chunk)
     assert sum(sizes) == 1 + 2 * 9
 
@@ -175,26 +160,6 @@ def test_it_fools_as_autograd_does() -> None:
         torch.testing.assert_close(states[1].stored[group], value)
 
 
-def test_attacks_together_through_renderers_with_and_without_gradients_end_as_alone() -> None:
-    target = LinearTarget()
-    cases = [problem(kind(seed=k), target) for k in range(2) for kind in (OpaqueCurvedRenderer, CurvedRenderer)]
-    alone = [run(c, FgsmMethod(FGSM, c), Verifier(c.renderer, target), Budget(40)) for c in map(fresh, cases)]
-    together = run_together(
-        [AttackRun(c, FgsmMethod(FGSM, c), Verifier(c.renderer, target), Budget(40)) for c in map(fresh, cases)]
-    )
-    assert len({state.step for state in alone}) > 1
-    for one, other in zip(alone, together, strict=True):
-        assert one.step == other.step
-        assert one.trace[-1].queries == other.trace[-1].queries
-        for group, value in one.stored.items():
-            torch.testing.assert_close(other.stored[group], value)
-
-
-def fresh(case: AttackProblem) -> AttackProblem:
-    """The same problem with nothing counted."""
-    return replace(case, queries=0, renders=0)
-
-
 def test_differences_below_the_rounding_of_the_image_are_zero() -> None:
     """A step of 1e-12 moves a float32 image by nothing, or by one rounding: no gradient is made of it."""
     case = problem(OpaqueCurvedRenderer(torch.float32))
@@ -214,7 +179,7 @@ def test_half_steps_are_measured_and_recorded() -> None:
     assert all(1e-4 < value < 1e-1 for value in chosen.values())
     assert case.queries == 1
     case.differences = ImageDifferences(case, chosen)
-    ours = found([case], [{g: v.float() for g, v in place(0).items()}])[0]
+    ours = found(case, {g: v.float() for g, v in place(0).items()})
     assert_same({g: v.double() for g, v in ours.items()}, autograd(0, place(0)), 5e-3)
     state = run(case, FgsmMethod(FGSM, case), Verifier(case.renderer, case.target), Budget(1))
     assert state.settings == {"image_differences": {"delta": chosen, "skipped": []}}
@@ -237,9 +202,9 @@ def test_a_coordinate_that_was_inactive_at_the_start_counts_where_it_is_active()
     case, at = problem(HiddenAtFirst()), place(0)
     case.differences = ImageDifferences(case, HALF_STEPS)
     assert [one.name for one in case.differences.skipped] == ["b 1"]
-    start = found([case], [{"a": torch.zeros(2, 3).double(), "b": at["b"]}])[0]
+    start = found(case, {"a": torch.zeros(2, 3).double(), "b": at["b"]})
     assert float(start["b"][1]) == 0 != float(start["b"][0])
-    assert_same(found([case], [at])[0], autograd(0, at))
+    assert_same(found(case, at), autograd(0, at))
 
 
 def test_a_resumed_attack_ends_in_the_same_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -270,10 +235,10 @@ def test_a_resumed_attack_ends_in_the_same_result(tmp_path: Path, monkeypatch: p
 def test_an_image_that_is_not_finite_ends_the_job_from_inside_the_backward_pass() -> None:
     case, at = opaque(), place(0)
     view = case.view(at, gradient=True)
-    logits = ask([case], view.images)
+    logits = case.logits(view.images)
     case.renderer.base[0, 0, 0] = torch.nan  # type: ignore[attr-defined]
     with pytest.raises(JobFailure, match="non-finite: the renderer"):
-        gradients([case], [view], logits)
+        gradients(case, view, logits)
 
 
 def test_a_network_without_gradients_is_named() -> None:

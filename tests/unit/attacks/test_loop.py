@@ -8,7 +8,7 @@ import torch
 
 from services.attacks.fgsm import Fgsm, FgsmMethod
 from services.attacks.goal import ResolvedGoal
-from services.attacks.loop import AttackRun, Budget, run, run_together, sampled_error
+from services.attacks.loop import Budget, run, sampled_error
 from services.attacks.problem import AttackProblem, Evaluation
 from services.attacks.quantize import quantize
 from services.attacks.state import AttackState
@@ -225,41 +225,6 @@ def test_a_image_of_nan_ends_the_job() -> None:
     renderer.base[0, 0, 0] = torch.nan
     with pytest.raises(JobFailure, match="non-finite: the renderer"):
         problem(renderer)
-
-
-def test_attacks_run_together_end_as_they_do_alone() -> None:
-    """Four problems of which each stops at a step of its own; in float64, where a batch's rounding decides nothing."""
-    target = LinearTarget()
-
-    def cases() -> list[AttackProblem]:
-        return [problem(LinearRenderer(seed=seed), target, truncation=0.05) for seed in range(3, 7)]
-
-    alone = [attack(case, Budget(6)) for case in cases()]
-    together = run_together(
-        [AttackRun(case, FgsmMethod(FGSM, case), Verifier(case.renderer, target), Budget(6)) for case in cases()]
-    )
-    assert len({found.step for found in alone}) > 1
-    assert {found.stopped for found in alone} == {"verified", "steps"}
-    for one, other in zip(alone, together, strict=True):
-        assert one.stopped == other.stopped
-        assert one.stored_step == other.stored_step
-        assert torch.equal(one.ever, other.ever)
-        assert torch.equal(one.image, other.image)
-        for group, value in one.stored.items():
-            torch.testing.assert_close(value, other.stored[group], rtol=0, atol=1e-12)
-        for row, beside in zip(one.trace, other.trace, strict=True):
-            assert (row.label, row.queries, row.renders) == (beside.label, beside.queries, beside.renders)
-            # sums of 60 products, in another order
-            assert row.advantage == pytest.approx(beside.advantage, abs=1e-12)
-
-
-def test_attacks_run_together_share_the_network() -> None:
-    cases = [problem(), problem()]
-    assert cases[0].target is not cases[1].target
-    with pytest.raises(ValueError, match="share network"):
-        run_together(
-            [AttackRun(case, FgsmMethod(FGSM, case), Verifier(case.renderer, case.target), Budget(2)) for case in cases]
-        )
 
 
 def test_a_saved_image_passes_the_slope_on_as_it_is() -> None:

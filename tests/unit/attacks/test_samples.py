@@ -11,7 +11,7 @@ from services.attacks.expectation import Expectation
 from services.attacks.goal import ResolvedGoal
 from services.attacks.image_differences import ImageDifferences
 from services.attacks.loop import Budget, run
-from services.attacks.problem import AttackProblem, ask, gradients
+from services.attacks.problem import AttackProblem, gradients
 from services.attacks.samples import mean_gradients, sample
 from services.attacks.spec import ATTACKS
 from services.attacks.state import AttackState
@@ -74,7 +74,7 @@ def test_the_gradient_is_the_means() -> None:
     (truth,) = torch.autograd.grad(leads(case, leaf), leaf)
     view = case.view(case.layout.unflatten(at), gradient=True)
     sampled = sample(case, view, gradient=True)
-    [own] = gradients([case], [view], ask([case], view.images))
+    own = gradients(case, view, case.logits(view.images))
     found = case.layout.flatten(mean_gradients(own, sampled))
     assert float((found - truth).norm() / truth.norm()) < 0.02
     assert float((case.layout.flatten(own) - truth).norm() / truth.norm()) > 0.04  # the scene's alone is another one
@@ -199,7 +199,7 @@ def test_the_mean_gradient_through_pyrender_is_that_of_the_mean_objective() -> N
     case.draw(0)
     case.differences = ImageDifferences(case, {"color": 0.01})
     view = case.view(case.nothing(), gradient=True)
-    [own] = gradients([case], [view], ask([case], view.images))
+    own = gradients(case, view, case.logits(view.images))
     queries = case.queries
     found = case.layout.flatten(mean_gradients(own, sample(case, view, gradient=True)))
     assert case.queries - queries == 2
