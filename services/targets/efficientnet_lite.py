@@ -6,10 +6,10 @@ folding it (in float64) saves a third of the memory traffic.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from torch import Tensor, nn
-
-from services.targets.same_padding import SameConv2d
+from torch.nn import functional as F
 
 EPSILON = 1e-3
 """Epsilon of the batch normalisation."""
@@ -24,6 +24,32 @@ LITE0 = (
     (1, 3, 1, 6, 320),
 )
 """Stages of EfficientNet-Lite0: (repeats, kernel, stride of the first block, expansion, output channels)."""
+
+
+class SameConv2d(nn.Conv2d):
+    """`nn.Conv2d` with TensorFlow's SAME padding: its output has ⌈size / stride⌉ rows and columns; an odd row or column
+    of zeros comes last.
+    """
+
+    def __init__(self, inputs: int, outputs: int, kernel: int, **options: Any) -> None:
+        """`options` are those of `nn.Conv2d`, except padding and dilation."""
+        super().__init__(inputs, outputs, kernel, **options)
+
+    def forward(self, input: Tensor) -> Tensor:  # noqa: A002 - torch's name
+        """Maps [B, inputs, h, w] to [B, outputs, ⌈h/stride⌉, ⌈w/stride⌉]."""
+        (top, bottom), (left, right) = self.zeros((input.shape[-2], input.shape[-1]))
+        padding = (top, left)
+        if (top, left) != (bottom, right):
+            input, padding = F.pad(input, [left, right, top, bottom]), (0, 0)  # noqa: A001
+        return F.conv2d(input, self.weight, self.bias, self.stride, padding, groups=self.groups)
+
+    def zeros(self, size: tuple[int, int]) -> tuple[tuple[int, int], tuple[int, int]]:
+        """Returns the padding of an input of `size` (height, width): (above, below) and (left, right)."""
+        found = []
+        for length, kernel, stride in zip(size, self.kernel_size, self.stride, strict=True):
+            total = max((-(-length // stride) - 1) * stride + kernel - length, 0)
+            found.append((total // 2, total - total // 2))
+        return found[0], found[1]
 
 
 class Convolution(nn.Sequential):
