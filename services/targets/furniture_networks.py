@@ -1,4 +1,4 @@
-"""What the networks that were trained on views of the furniture library have in common; see docs/training.md."""
+"""AlexNet and ResNet-34 trained on views of the furniture library; see docs/training.md."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from services.targets.info import TargetInfo
+from services.targets.info import TargetInfo, register
 
 if TYPE_CHECKING:
     import torch
@@ -69,3 +69,23 @@ def load(info: TargetInfo, network: nn.Module, dtype: torch.dtype) -> Target:
 
 def _path(name: str, ending: str) -> Path:
     return Path(str(files("services.targets").joinpath("weights"))) / f"{name}.{ending}"
+
+
+ALEXNET = card("alexnet-furniture", "AlexNet")
+RESNET34 = card("resnet34-furniture", "ResNet-34")
+
+
+@register(ALEXNET, lambda: labels(ALEXNET.name))
+def alexnet(dtype: torch.dtype) -> Target:
+    """Loads AlexNet with the weights that ship with the project, frozen."""
+    from services.targets.networks.alexnet import AlexNet
+
+    return load(ALEXNET, AlexNet(ALEXNET.classes), dtype)
+
+
+@register(RESNET34, lambda: labels(RESNET34.name))
+def resnet34(dtype: torch.dtype) -> Target:
+    """Loads ResNet-34 with the weights that ship with the project, frozen."""
+    from services.targets.networks.resnet import ResNet
+
+    return load(RESNET34, ResNet(RESNET34.classes), dtype)
