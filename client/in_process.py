@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from services.pipeline.result import Result
     from services.pipeline.spec import JobSpec
     from services.settings import Settings
-    from services.targets.preprocessing import Preprocessing
+    from services.targets.custom.card import Preprocessing
     from services.targets.protocol import Target
 
 
@@ -37,7 +37,7 @@ def attack(
     function does the same with float32 CPU tensors, and may return any array; only methods without gradients attack it.
     `labels` names the scores: a list, "imagenet" for ImageNet's 1,000 in their usual order, with which library meshes
     have their truth, or None for "0" to "K-1". `preprocessing` has the fields of
-    services.targets.preprocessing.Preprocessing: `input_size` (height and width, default 224×224), `mean`, `scale`,
+    services.targets.custom.card.Preprocessing: `input_size` (height and width, default 224×224), `mean`, `scale`,
     `resize`, `channels`. `scene` is the scene of a request and `spec` its other fields, such as `attack`, `goal` and
     `seed`; docs/scene.md describes them. A `mesh` may be a path relative to the working directory, "./chair.obj". The
     files of a job are written into the folder `out` if it is given; it may hold no other job's result. Meshes, device
@@ -133,7 +133,7 @@ def _preprocessing(given: Any) -> Preprocessing:
     from pydantic import ValidationError
 
     from services.pipeline.field_errors import invalid_fields
-    from services.targets.preprocessing import Preprocessing
+    from services.targets.custom.card import Preprocessing
 
     if not isinstance(given, Mapping):
         detail = f"must be a mapping such as {{'input_size': [32, 32]}}, not {type(given).__name__}"

@@ -9,10 +9,10 @@ import torch
 from torch import Tensor, nn
 
 from services.targets.classifier import Classifier
+from services.targets.custom.card import Preprocessing
 from services.targets.custom.factory import digest
 from services.targets.custom.loading import classifier
 from services.targets.info import TargetInfo, Vocabulary
-from services.targets.preprocessing import Preprocessing
 from services.targets.protocol import Target
 
 

@@ -11,10 +11,9 @@ from services.targets.architectures import ARCHITECTURES
 from services.targets.classifier import Classifier
 from services.targets.custom import exported, factory, weights
 from services.targets.custom.allow_list import AllowList
-from services.targets.custom.card import Card
+from services.targets.custom.card import Card, Preprocessing
 from services.targets.custom.endpoint import Endpoint
 from services.targets.custom.graph import Unreadable
-from services.targets.preprocessing import Preprocessing
 from services.targets.protocol import Target
 
 

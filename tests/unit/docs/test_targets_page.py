@@ -18,8 +18,7 @@ from services.settings import Settings
 from services.targets import registry
 from services.targets.architectures import ARCHITECTURES
 from services.targets.custom.allow_list import AllowList
-from services.targets.custom.card import Card
-from services.targets.preprocessing import Preprocessing
+from services.targets.custom.card import Card, Preprocessing
 from tests.unit.targets.custom.registries import restored
 
 ROOT = Path(__file__).parents[3]
