@@ -7,9 +7,10 @@ import torch
 from torch import Tensor, nn
 
 from services.errors import InvalidRequest
-from services.targets.architectures import ARCHITECTURES
+from services.targets import weights_file
+from services.targets.architectures import ARCHITECTURES, Architecture
 from services.targets.classifier import Classifier
-from services.targets.custom import exported, factory, weights
+from services.targets.custom import exported, factory
 from services.targets.custom.allow_list import AllowList
 from services.targets.custom.card import Card, Preprocessing
 from services.targets.custom.endpoint import Endpoint
@@ -131,9 +132,29 @@ def _network(file: Path, card: Card, classes: int) -> tuple[nn.Module, str | Non
         return exported.read(file, size), None
     if file.suffix == ".safetensors":
         assert card.architecture is not None
-        return weights.read(file, card.architecture, ARCHITECTURES[card.architecture], classes), None
+        return _read_weights(file, card.architecture, ARCHITECTURES[card.architecture], classes), None
     try:
         from services.targets.custom import onnx_file
     except ImportError as error:
         raise Unreadable(f"it needs the packages of the extra `onnx`: {error}") from error
     return onnx_file.read(file, size), onnx_file.SCORES_ONLY
+
+
+def _read_weights(path: Path, name: str, known: Architecture, classes: int) -> nn.Module:
+    """Returns the network of an architecture with the weights of the file.
+
+    Raises Unreadable if the file is no safetensors file, has a weight that is not finite, or does not fit; names what
+    is missing or left over.
+    """
+    try:
+        state, _ = weights_file.read(path)
+    except ValueError as error:
+        raise Unreadable(str(error)) from error
+    network = known.build(classes)
+    try:
+        known.fill(network, state)
+    except KeyError as error:
+        raise Unreadable(f"it does not fit {name} with {classes} classes: it lacks {error.args[0]}") from error
+    except (ValueError, RuntimeError) as error:
+        raise Unreadable(f"it does not fit {name} with {classes} classes: {error}") from error
+    return network
