@@ -51,7 +51,7 @@ def card(name: str, title: str) -> TargetInfo:
 def load(info: TargetInfo, network: nn.Module, dtype: torch.dtype) -> Target:
     """Returns the target of a card, with the weights that ship with the project in `network`, frozen."""
     from services.targets.classifier import Classifier
-    from services.targets.quantized import load_in_factors
+    from services.targets.weights_file import load_in_factors
 
     path, found = _path(info.name, "safetensors"), facts(info.name)
     load_in_factors(network, path)

@@ -15,7 +15,7 @@ from services import atomic_write
 from services.scenes.library import Library
 from services.targets.networks.alexnet import AlexNet
 from services.targets.networks.resnet import ResNet
-from services.targets.quantized import dequantize, load_into, quantize, to_bytes
+from services.targets.weights_file import dequantize, load_into, quantize, to_bytes
 from services.training.batches import MEAN, SCALE
 from services.training.cards import data_card, model_card
 from services.training.evaluation import RENDERERS, VIEWS, Images, answers, clustered_error, confusion, held_out, wilson

@@ -7,7 +7,6 @@ import torch
 from torch import Tensor, nn
 
 from services.errors import InvalidRequest
-from services.targets import weights_file
 from services.targets.architectures import ARCHITECTURES, Architecture
 from services.targets.classifier import Classifier
 from services.targets.custom import exported, factory
@@ -16,6 +15,7 @@ from services.targets.custom.card import Card, Preprocessing
 from services.targets.custom.endpoint import Endpoint
 from services.targets.custom.graph import Unreadable
 from services.targets.protocol import Target
+from services.targets.weights_file import read_tensors
 
 
 class Bgr(nn.Module):
@@ -147,7 +147,7 @@ def _read_weights(path: Path, name: str, known: Architecture, classes: int) -> n
     is missing or left over.
     """
     try:
-        state, _ = weights_file.read(path)
+        state, _ = read_tensors(path)
     except ValueError as error:
         raise Unreadable(str(error)) from error
     network = known.build(classes)

@@ -1,6 +1,6 @@
 """The checkpoint of IEP: the weights of trunk, engine and program generator in one safetensors file of flat names.
 
-Weights are in 8 bits (`services.targets.quantized`), with a scale for each output of each module; biases and
+Weights are in 8 bits (`services.targets.weights_file`), with a scale for each output of each module; biases and
 normalisation are in float32. The metadata states what the weights stand for: the answers, the modules of each kind, the
 words, the cells. A file with other answers, modules or words is refused, as its weights would be read as those of
 others.
@@ -20,8 +20,7 @@ from services.targets.iep.network import Network
 from services.targets.iep.prefix import TOKENS
 from services.targets.iep.program_generator import ProgramGenerator
 from services.targets.iep.vocabulary import KINDS
-from services.targets.quantized import dequantize, quantize
-from services.targets.weights_file import read
+from services.targets.weights_file import dequantize, quantize, read_tensors
 
 MAX_BYTES = 10_000_000
 HOW_TO_GET_WEIGHTS = "restore the project's own, or train them: scene-attack train iep"
@@ -59,7 +58,7 @@ def round_weights(module: nn.Module) -> None:
 def load(path: Path) -> Checkpoint:
     """Reads a checkpoint. Raises ValueError, which says why, if the file is not one of this code."""
     try:
-        tensors, metadata = read(path)
+        tensors, metadata = read_tensors(path)
     except (ValueError, OSError) as error:
         raise ValueError(f"{path.name} cannot be read: {error}") from error
     for name, expected in _fixed().items():

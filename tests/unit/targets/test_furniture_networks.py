@@ -20,7 +20,7 @@ from services.targets.furniture_networks import facts
 from services.targets.info import available
 from services.targets.networks.alexnet import AlexNet
 from services.targets.networks.resnet import ResNet
-from services.targets.quantized import load_into, read
+from services.targets.weights_file import load_into, read
 from services.training.split import committed
 
 WEIGHTS = Path(str(files("services.targets").joinpath("weights")))

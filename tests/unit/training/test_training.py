@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from services.errors import InvalidRequest
-from services.targets.quantized import dequantize, load_into, quantize
+from services.targets.weights_file import dequantize, load_into, quantize
 from services.training.batches import shade
 from services.training.data import gather
 from services.training.export import ARCHITECTURES
