@@ -54,10 +54,6 @@ RULES: dict[str, Scope | None] = {
     "DELETE /v1/assets/{sha256}": _UPLOAD,
     "GET /v1/scenes": _READ,
     "GET /v1/targets": _READ,
-    "POST /v1/webhooks": _WRITE,
-    "GET /v1/webhooks": _READ,
-    "GET /v1/webhooks/{webhook_id}/deliveries": _READ,
-    "DELETE /v1/webhooks/{webhook_id}": _WRITE,
     # Its description
     "GET /openapi.json": _READ,
     "GET /docs": _READ,

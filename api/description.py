@@ -23,7 +23,6 @@ TAGS = [
     {"name": "assets", "description": "Meshes and environment maps: those that you upload, and the library."},
     {"name": "targets", "description": "The networks that can be attacked."},
     {"name": "defences", "description": "Defences against attacks."},
-    {"name": "webhooks", "description": "URLs that are told when jobs and campaigns end."},
     {"name": "service", "description": "Health and metrics of the service."},
 ]
 
@@ -143,7 +142,7 @@ def _possible(method: str, path: str, operation: dict[str, Any]) -> list[str]:
         found += ["408", "413", "415", "422"]
     elif "422" in operation["responses"]:
         found.append("422")
-    if method == "delete" and "webhooks" not in operation["tags"]:
+    if method == "delete":
         found.append("409")
     if path.endswith(("/export", "/scene.glb", "/continue")):
         found.append("409")

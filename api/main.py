@@ -50,7 +50,6 @@ from api.routes import (
     library,
     previews,
     rerenderings,
-    webhooks,
 )
 from api.routes import metrics as scraping
 from api.same_site import SameSite
@@ -83,7 +82,6 @@ from services.jobs.repository import Repository
 from services.jobs.service import Submissions
 from services.jobs.storage import Storage
 from services.jobs.target_record import TargetRecords
-from services.jobs.webhooks import Webhooks
 from services.logs import configure, logger
 from services.pipeline.extensions import log_extensions, set_up
 from services.scenes.library import Library
@@ -148,8 +146,6 @@ def create_app(values: Settings) -> FastAPI:
             target_records=TargetRecords(engine),
             watcher=watcher,
             list_watcher=list_watcher,
-            webhooks=Webhooks(engine),
-            webhook_hosts=values.allowed_webhook_hosts,
             storage=Storage(values.data_dir, store),
             housekeeping=Housekeeping(engine, store, values.data_dir),
             deleted_assets=DeletedAssets(engine, library),
@@ -215,7 +211,6 @@ def create_app(values: Settings) -> FastAPI:
         assets,
         library,
         health,
-        webhooks,
         scraping,
         dashboard,
     ):

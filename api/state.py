@@ -31,7 +31,6 @@ from services.jobs.repository import Repository
 from services.jobs.service import Submissions
 from services.jobs.storage import Storage
 from services.jobs.target_record import TargetRecords
-from services.jobs.webhooks import Webhooks
 from services.names import Names
 from services.pipeline.names_known import names_in
 from services.scenes.library import Library
@@ -64,8 +63,6 @@ class Services:
     target_records: TargetRecords
     watcher: Watcher
     list_watcher: ListWatcher
-    webhooks: Webhooks
-    webhook_hosts: frozenset[str]
     storage: Storage
     housekeeping: Housekeeping
     deleted_assets: DeletedAssets

@@ -330,20 +330,6 @@ class Curve(TypedDict):
     before: list[float]
     after: list[float]
 
-class DeliveryList(TypedDict):
-    """The last messages to a webhook, newest first."""
-    items: list[DeliveryView]
-
-class DeliveryView(TypedDict):
-    """A message to a webhook."""
-    id: str
-    created: str
-    attempts: int
-    delivered: str | None
-    next: str | None
-    status: int | None
-    error: str | None
-
 class DirectionalLight(TypedDict):
     """A light of the pyrender renderer at infinite distance, with parallel rays, like the sun."""
     energy: NotRequired[float]
@@ -751,13 +737,6 @@ class NaturalGradient(TypedDict):
     method: NotRequired[Literal['natural-gradient']]
     steps: NotRequired[int]
     radius: NotRequired[float]
-
-class NewWebhook(TypedDict):
-    """A webhook with its secret, which is shown once."""
-    id: str
-    url: str
-    created: str
-    secret: str
 
 ObjectRecord = TypedDict("ObjectRecord", {"shape": Literal['cube', 'sphere', 'cylinder'], "size": Literal['small', 'large'], "material": Literal['rubber', 'metal'], "color": Literal['gray', 'red', 'blue', 'green', 'brown', 'purple', 'cyan', 'yellow'], "3d_coords": list[float], "rotation": float, "pixel_coords": list[int | float]})
 
@@ -1265,20 +1244,6 @@ class Uploaded(TypedDict):
 class ViewList(TypedDict):
     """All views of a campaign, with the networks' first answers; empty until they are known."""
     items: list[ChosenView]
-
-class WebhookList(TypedDict):
-    """Webhooks, oldest first."""
-    items: list[WebhookView]
-
-class WebhookRequest(TypedDict):
-    """Whom to tell."""
-    url: str
-
-class WebhookView(TypedDict):
-    """A webhook."""
-    id: str
-    url: str
-    created: str
 
 class Zoo(TypedDict):
     """Zeroth-order optimisation: Adam on central differences at random coordinates, of loss + weight·‖ΔY‖² (paper,

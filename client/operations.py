@@ -27,13 +27,11 @@ if TYPE_CHECKING:
     from client.answers import (
         ArtifactList,
         AssetList,
-        DeliveryList,
         Health,
         JobPage,
         JobSpec,
         JobTable,
         JobView,
-        NewWebhook,
         PreviewView,
         Priority,
         Readiness,
@@ -43,7 +41,6 @@ if TYPE_CHECKING:
         State,
         TargetList,
         Uploaded,
-        WebhookList,
     )
 
 
@@ -214,26 +211,6 @@ def get_scene_library(
 def list_targets() -> Request[TargetList]:
     """The networks that can be attacked."""
     return Request("GET", "/v1/targets")
-
-
-def list_webhooks() -> Request[WebhookList]:
-    """The webhooks of the caller."""
-    return Request("GET", "/v1/webhooks")
-
-
-def create_webhook(url: str) -> Request[NewWebhook]:
-    """Registers a URL that is told when jobs and campaigns end. The answer's `secret` is shown this once."""
-    return Request("POST", "/v1/webhooks", json={"url": url})
-
-
-def delete_webhook(webhook_id: str) -> Request[None]:
-    """Deletes a webhook."""
-    return Request("DELETE", "/v1/webhooks/{webhook_id}", {"webhook_id": webhook_id})
-
-
-def list_deliveries(webhook_id: str) -> Request[DeliveryList]:
-    """The last hundred messages of a webhook."""
-    return Request("GET", "/v1/webhooks/{webhook_id}/deliveries", {"webhook_id": webhook_id})
 
 
 def get_health() -> Request[Health]:

@@ -83,11 +83,6 @@ class Settings(BaseSettings):
     preview_seconds: float = Field(
         10.0, gt=0, description="longest preview, and longest wait for one; a preview has two parts, the plan apart"
     )
-    webhook_hosts: str | None = Field(
-        None,
-        description="hosts and IP addresses, separated by commas, that webhooks may tell by http and though they are "
-        "not public",
-    )
     max_queued: int = Field(1000, ge=1, description="queued jobs beyond which new ones get 503")
     owner_queued: int = Field(
         500, ge=1, description="queued jobs of one owner of keys beyond which its new ones get 429; so below likewise"
@@ -130,7 +125,7 @@ class Settings(BaseSettings):
         "out-of-memory; default: an equal share of the machine's memory, of 4 to 16 GiB",
     )
 
-    @field_validator("hosts", "webhook_hosts", "target_endpoints")
+    @field_validator("hosts", "target_endpoints")
     @classmethod
     def _can_match(cls, value: str | None, about: ValidationInfo) -> str | None:
         for part in sorted(_listed(value)):
@@ -200,12 +195,8 @@ class Settings(BaseSettings):
     @property
     def own_hosts(self) -> frozenset[str]:
         """The names by which clients may call the service, besides loopback's: those listed, and its own address."""
-        return (_hosts(self.hosts) | {self.host.lower()}) - {"", "0.0.0.0", "::"}
-
-    @property
-    def allowed_webhook_hosts(self) -> frozenset[str]:
-        """The hosts and addresses that webhooks may have though they are not public."""
-        return _hosts(self.webhook_hosts)
+        listed = {host.lower() for host in _listed(self.hosts)}
+        return frozenset(listed | {self.host.lower()}) - {"", "0.0.0.0", "::"}
 
     def environ(self) -> dict[str, str]:
         """Returns the environment variables that give a child process these settings."""
@@ -215,10 +206,6 @@ class Settings(BaseSettings):
 
 def _listed(text: str | None) -> frozenset[str]:
     return frozenset(part.strip() for part in (text or "").split(",") if part.strip())
-
-
-def _hosts(text: str | None) -> frozenset[str]:
-    return frozenset(host.lower() for host in _listed(text))
 
 
 DEFAULTS = Settings.model_construct()

@@ -46,9 +46,8 @@ def run(values: Settings) -> int:
 
 
 def workers(values: Settings, repository: Repository) -> list[Program]:
-    """The worker programs, as many as the settings say, and the one that sends messages to webhooks."""
-    deliveries = Program("deliveries", lambda: [sys.executable, "-m", "worker.deliveries"], values.environ())
-    return [*(_worker(index, values, repository) for index in range(values.workers)), deliveries]
+    """The worker programs, as many as the settings say."""
+    return [_worker(index, values, repository) for index in range(values.workers)]
 
 
 def _worker(index: int, values: Settings, repository: Repository) -> Program:

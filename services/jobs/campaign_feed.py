@@ -12,7 +12,6 @@ from sqlalchemy import Engine, func, select, update
 from sqlalchemy.orm import Session, undefer
 
 from services.analysis.campaign_table import Case
-from services.jobs import outbox
 from services.jobs.asset_uses import titles
 from services.jobs.models import Campaign, CampaignJob, CampaignState, Job, JobKind, State
 from services.jobs.placement import CAMPAIGNS, Demand
@@ -120,7 +119,6 @@ class Feeder(Transactions):
             active = (Campaign.id == campaign_id, Campaign.state.in_((CampaignState.SELECTING, CampaignState.RUNNING)))
             if session.scalar(update(Campaign).where(*active).values(values).returning(Campaign.id)) is None:
                 return  # paused, or ended meanwhile
-            outbox.tell_of_campaign(session, campaign_id, self._now(session))
         log.warning("campaign failed", campaign=campaign_id, why=why)
 
     def _plan(self, campaign_id: str) -> None:
@@ -233,7 +231,6 @@ class Feeder(Transactions):
             done = (Campaign.id == campaign_id, Campaign.state == CampaignState.RUNNING, ~left)
             values = {"state": CampaignState.FINISHED, "ended_at": self._now(session)}
             if session.scalar(update(Campaign).where(*done).values(values).returning(Campaign.id)) is not None:
-                outbox.tell_of_campaign(session, campaign_id, self._now(session))
                 log.info("campaign finished", campaign=campaign_id)
 
 

@@ -13,7 +13,6 @@ from sqlalchemy.orm import Session, defer, undefer
 from services.analysis.campaign_curves import Curves
 from services.analysis.campaign_table import Case
 from services.errors import QuotaExceeded
-from services.jobs import outbox
 from services.jobs.asset_uses import check_held, refer_from_campaign, uploads_among
 from services.jobs.campaign_cases import CampaignCases
 from services.jobs.models import Campaign, CampaignJob, CampaignState, Job, JobKind, State
@@ -146,7 +145,6 @@ class Campaigns(CampaignCases):
                 for job_id in session.scalars(select(Job.id).where(*own).order_by(Job.id).with_for_update()).all():
                     if self._move(session, job_id, State.CANCELLED, [Job.state == State.QUEUED]) is None:
                         self._move(session, job_id, State.CANCELLING, [Job.state == State.RUNNING])
-                outbox.tell_of_campaign(session, campaign_id, self._now(session))
             return session.get(Campaign, campaign_id)
 
     def _set(self, session: Session, campaign_id: str, states: Sequence[CampaignState], **values: Any) -> bool:

@@ -11,7 +11,7 @@ from sqlalchemy import Engine, func, or_, select, update
 from sqlalchemy.orm import Session
 from sqlalchemy.sql.elements import ColumnElement
 
-from services.jobs import outbox, totals
+from services.jobs import totals
 from services.jobs.asset_uses import refer_from_job, titles, uploads_of
 from services.jobs.listed import listed
 from services.jobs.models import Campaign, CampaignState, Event, Job, JobKind, State
@@ -133,8 +133,6 @@ class Transactions:
                 totals.count_stage(session, "waiting", (now - job.queued_at).total_seconds())
             if to.terminal:
                 totals.count_end(session, job, None if job.phase_at is None else (now - job.phase_at).total_seconds())
-                if job.kind is JobKind.ATTACK:
-                    outbox.tell_of_job(session, job, story(job), now)
         return job
 
 

@@ -55,7 +55,7 @@ def test_an_endpoint_that_can_never_match_says_why(part: str, said: str) -> None
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("hosts", "a,https://b"), ("webhook_hosts", "B.example:443"), ("target_endpoints", "http://b.example/")],
+    [("hosts", "a,https://b"), ("hosts", "B.example:443"), ("target_endpoints", "http://b.example/")],
 )
 def test_the_settings_refuse_them(name: str, value: str) -> None:
     with pytest.raises(ValidationError, match="can never match"):
@@ -63,6 +63,5 @@ def test_the_settings_refuse_them(name: str, value: str) -> None:
 
 
 def test_hosts_are_compared_in_lower_case() -> None:
-    values = Settings(hosts="Me.Example", webhook_hosts="B.Example, FD00::7", host="127.0.0.1")
-    assert values.own_hosts == {"me.example", "127.0.0.1"}
-    assert values.allowed_webhook_hosts == {"b.example", "fd00::7"}
+    values = Settings(hosts="Me.Example, FD00::7", host="127.0.0.1")
+    assert values.own_hosts == {"me.example", "fd00::7", "127.0.0.1"}

@@ -18,7 +18,7 @@ from services.scenes.bundle import Bundle
 SPHERE = {"camera": {"size": [32, 32]}, "objects": [{"mesh": "primitive/sphere"}]}
 ATTACK = {"renderer": "pyrender", "steps": 1, "queries": 20}
 CAMPAIGN = {"grids": [{"scenes": [SPHERE], "attacks": [{"name": "a", "attack": ATTACK}]}]}
-_IDS = ("{job_id}", "{campaign_id}", "{webhook_id}", "{sha256}")
+_IDS = ("{job_id}", "{campaign_id}", "{sha256}")
 UPLOAD = Bundle("off", b"OFF\n4 4 0\n0 0 0\n5 0 0\n0 6 0\n0 0 7\n3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 3\n", {})
 MESH = UPLOAD.sha256
 """The digits of an upload of alice's."""
@@ -40,7 +40,6 @@ class Guarded:
     headers: dict[str, dict[str, str]]
     job: str
     campaign: str
-    webhook: str
 
     def ask(self, route: str, caller: str, *, exists: bool = True) -> httpx.Response:
         """The answer to a request for a route ("GET /v1/jobs/{job_id}"), of what alice has or of nothing."""
@@ -50,7 +49,7 @@ class Guarded:
     def place(self, route: str, *, exists: bool = True) -> tuple[str, str]:
         """The method and path of a route, of what alice has or of nothing."""
         method, path = route.split(" ")
-        names = {"job_id": self.job, "campaign_id": self.campaign, "webhook_id": self.webhook, "sha256": MESH}
+        names = {"job_id": self.job, "campaign_id": self.campaign, "sha256": MESH}
         names = names if exists else dict.fromkeys(names, "x")
         path = path.replace(":path}", "}")
         return method, path.format(
@@ -58,12 +57,11 @@ class Guarded:
         )
 
     def untouched(self) -> bool:
-        """Whether alice's job, campaign, webhook and upload are as they were."""
+        """Whether alice's job, campaign and upload are as they were."""
         job = self.services.repository.line(self.job)
         campaign = self.services.campaigns.record.get(self.campaign)
         assert job is not None
         assert campaign is not None
-        assert self.webhook in {one.id for one in self.services.webhooks.all("alice")}
         assert self.services.assets.visible(ALICE)(f"sha256:{MESH}")
         return (job.state, campaign.state) == (State.QUEUED, CampaignState.SELECTING)
 
@@ -93,11 +91,10 @@ def guarding(app: FastAPI, client: httpx.Client) -> Iterator[Guarded]:
             services.keys.revoke(key.prefix)
     headers["not a bearer"] = {"authorization": headers["admin"]["authorization"].replace("Bearer", "Basic")}
     campaign = services.campaigns.submit(parse_campaign(CAMPAIGN), None, "alice")
-    webhook = services.webhooks.create("alice", "https://receiver.example/")
     services.assets.add("alice", f"sha256:{MESH}", 1)
     services.library.add(UPLOAD)
     services.library.keep_thumbnail(f"sha256:{MESH}", b"PNG")
-    guarded = Guarded(services, client, headers, job.id, campaign.id, webhook.id)
+    guarded = Guarded(services, client, headers, job.id, campaign.id)
     yield guarded
     assert guarded.untouched()
 

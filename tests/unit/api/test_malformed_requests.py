@@ -131,6 +131,14 @@ def test_a_form_with_a_wrong_part_is_answered_in_words(client: Client, name: str
     assert not [one for one in INTERNALS if one in answer.text], answer.text
 
 
+def test_a_misspelt_field_is_answered_by_those_that_there_are(client: Client) -> None:
+    """Those of the request itself, and not those of a job."""
+    for path, there in (("/v1/rerenderings", "image, scene"), ("/v1/campaigns", "name, grids")):
+        answer = client.post(path, json={"uri": "https://example.org/"}).json()
+        [detail] = [error["detail"] for error in answer["errors"] if error["field"] == "uri"]
+        assert detail.startswith(f"there is no such field; there are {there}"), detail
+
+
 @pytest.mark.parametrize(
     ("body", "status", "said"),
     [
@@ -141,7 +149,7 @@ def test_a_form_with_a_wrong_part_is_answered_in_words(client: Client, name: str
     ],
     ids=["half", "a long number", "nested", "latin-1"],
 )
-@pytest.mark.parametrize("path", [*POSTS, "/v1/webhooks", "/v1/preview"])
+@pytest.mark.parametrize("path", [*POSTS, "/v1/preview"])
 def test_a_body_that_cannot_be_read_is_answered_in_words(
     client: Client, path: str, body: str, status: int, said: str
 ) -> None:

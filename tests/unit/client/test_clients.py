@@ -116,7 +116,7 @@ def test_every_operation_can_be_called(client: ApiClient, script: Script) -> Non
     with Client(client.url) as service:
         assert service.call(operations.list_targets())["items"] == []
         assert service.call(operations.get_campaign_table_csv("1")) == "a,b\n"
-        service.call(operations.delete_webhook("1"))
+        service.call(operations.delete_asset("sha256:1"))
 
 
 def test_files_are_written_into_the_folder_whatever_their_names(

@@ -1,6 +1,5 @@
 """What another process commits between two statements of a transaction."""
 
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -12,12 +11,11 @@ from sqlalchemy.exc import OperationalError
 
 from services.jobs.deletion import Deletions
 from services.jobs.figures import Figures
-from services.jobs.models import Campaign, CampaignState, Job, State
+from services.jobs.models import Campaign, CampaignState, Job
 from services.jobs.repository import Repository
-from services.jobs.webhooks import Webhooks
 from tests.unit.jobs.campaign_stage import Stage, spec
-from tests.unit.jobs.records import OUTCOME, add, start, state
-from tests.unit.jobs.test_several_supervisors import POSTGRESQL, waits_for_a_lock
+from tests.unit.jobs.records import OUTCOME, add, start
+from tests.unit.jobs.test_several_supervisors import POSTGRESQL
 
 
 @contextmanager
@@ -36,26 +34,6 @@ def meanwhile(engine: Engine, before: str, action: Callable[[], Any]) -> Iterato
     finally:
         event.remove(engine, "before_cursor_execute", act)
     assert met, f"no statement has {before!r}"
-
-
-@POSTGRESQL
-def test_a_webhook_that_is_deleted_meanwhile_does_not_fail_the_job(engine: Engine, repository: Repository) -> None:
-    webhooks = Webhooks(engine)
-    webhook = webhooks.create("", "https://example.org")
-    job = add(repository)
-    attempt = start(repository, job)
-    removing = threading.Thread(target=webhooks.remove, args=(webhook.id, None))
-
-    def remove() -> None:
-        removing.start()
-        while removing.is_alive() and not waits_for_a_lock(engine):
-            pass
-
-    with meanwhile(engine, "INSERT INTO deliveries", remove):
-        assert repository.succeed(attempt, {}, OUTCOME, [])
-    removing.join()
-    assert state(repository, job.id) is State.SUCCEEDED
-    assert webhooks.all(None) == []
 
 
 @POSTGRESQL
@@ -87,15 +65,12 @@ def test_counters_do_not_fall_when_a_job_ends_while_they_are_read(engine: Engine
 
 def test_a_campaign_that_is_cancelled_meanwhile_does_not_fail(engine: Engine, repository: Repository) -> None:
     stage = Stage(engine, repository)
-    Webhooks(engine).create("", "https://example.org")
     campaign = stage.begin(spec())
     with engine.execution_options(writes=True).begin() as connection:
         connection.execute(update(Campaign).values(spec={"name": "of another version"}))
     with meanwhile(engine, "SELECT campaigns.spec", lambda: stage.campaigns.cancel(campaign)):
         stage.feeder.tick()
     assert stage.campaign(campaign).state is CampaignState.CANCELLED
-    [webhook] = Webhooks(engine).all(None)
-    assert len(Webhooks(engine).deliveries(webhook.id)) == 1
 
 
 def test_a_campaign_that_is_cancelled_meanwhile_is_not_planned(engine: Engine, repository: Repository) -> None:
