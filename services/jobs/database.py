@@ -165,8 +165,8 @@ def be_patient(connection: Connection) -> None:
 def check_database(engine: Engine, settings: Settings) -> tuple[str | None, str]:
     """Returns the revision of the tables, None if there are none yet, and the newest revision.
 
-    Raises UnusableDatabase for a file that is no database or is damaged, and for tables of another program or of a
-    newer version; OperationalError if the database does not answer.
+    Raises UnusableDatabase for a file that is no database or is damaged, and for tables of another program or of
+    another version; OperationalError if the database does not answer.
     """
     scripts = ScriptDirectory.from_config(_config())
     newest = scripts.get_current_head()

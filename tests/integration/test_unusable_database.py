@@ -3,6 +3,7 @@
 import sqlite3
 from collections.abc import Callable
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -25,10 +26,10 @@ def foreign(file: Path) -> None:
         connection.execute("CREATE TABLE cats (name TEXT)")
 
 
-def newer(file: Path) -> None:
+def of_revision(revision: str, file: Path) -> None:
     with closing(sqlite3.connect(file)) as connection:
         connection.execute("CREATE TABLE alembic_version (version_num TEXT)")
-        connection.execute("INSERT INTO alembic_version VALUES ('9999')")
+        connection.execute("INSERT INTO alembic_version VALUES (?)", [revision])
         connection.commit()
 
 
@@ -44,11 +45,14 @@ def tables(file: Path) -> list[str] | bytes:
 UNUSABLE: dict[str, tuple[Callable[[Path], None], str]] = {
     "no database": (no_database, "file is not a database; restore it, or name another one"),
     "foreign": (foreign, "it has tables of another program, such as cats; name an empty database"),
-    "newer": (
-        newer,
-        "its tables are of revision 9999, which this version does not know; install the version of scene-attack that "
-        "wrote them, or a newer one",
-    ),
+    **{
+        kind: (
+            partial(of_revision, revision),
+            f"its tables are of revision {revision}, which this version does not know; install the version of "
+            "scene-attack that wrote them, or a newer one",
+        )
+        for kind, revision in (("newer", "9999"), ("older", "0018"))
+    },
 }
 
 

@@ -1,3 +1,4 @@
+import shutil
 import sqlite3
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -10,7 +11,8 @@ from sqlalchemy.exc import IntegrityError
 
 import services.access.models  # noqa: F401 - a table of the same database
 from services.errors import InvalidRequest
-from services.jobs.database import connect, migrate
+from services.jobs import database
+from services.jobs.database import check_database, connect, migrate
 from services.jobs.models import Base
 from services.settings import Settings
 
@@ -23,12 +25,49 @@ def test_the_migrations_make_the_tables_of_the_models(engine: Engine) -> None:
         assert compare_metadata(context, Base.metadata) == []
 
 
+def fresh(kind: str, folder: Path, request: pytest.FixtureRequest) -> Settings:
+    """Settings with a database of its own that has no tables yet."""
+    if kind == "sqlite":
+        return Settings(data=folder)
+    server = request.getfixturevalue("postgresql_server")
+    return Settings(data=folder, database_url=server.url(server.create()))
+
+
+def with_a_later_revision(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Adds a revision, which gives uploads another column, to those of this version."""
+    migrations = folder / "migrations"
+    shutil.copytree(database.MIGRATIONS, migrations)
+    (migrations / "versions" / "later.py").write_text(
+        "import sqlalchemy as sa\n"
+        "from alembic import op\n"
+        "revision, down_revision = 'later', '0019'\n"
+        "def upgrade():\n"
+        "    op.add_column('assets', sa.Column('colour', sa.String(16), nullable=False, server_default='grey'))\n"
+    )
+    monkeypatch.setattr(database, "MIGRATIONS", migrations)
+
+
+@pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
+def test_a_later_revision_keeps_what_is_there(
+    kind: str, tmp_path: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = fresh(kind, tmp_path / "data", request)
+    engine = connect(settings)
+    migrate(engine, settings)
+    with engine.execution_options(writes=True).begin() as connection:
+        connection.execute(text("INSERT INTO assets (name) VALUES ('sphere')"))
+    with_a_later_revision(tmp_path, monkeypatch)
+    assert check_database(engine, settings) == ("0019", "later")
+    migrate(engine, settings)
+    assert check_database(engine, settings) == ("later", "later")
+    with engine.connect() as connection:
+        assert connection.execute(text("SELECT name, colour FROM assets")).all() == [("sphere", "grey")]
+    engine.dispose()
+
+
 @pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
 def test_processes_that_start_together_migrate_once(kind: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
-    settings = Settings(data=tmp_path)
-    if kind == "postgresql":
-        server = request.getfixturevalue("postgresql_server")
-        settings = Settings(data=tmp_path, database_url=server.url(server.create()))
+    settings = fresh(kind, tmp_path, request)
     engines = [connect(settings) for _ in range(4)]
     with ThreadPoolExecutor(4) as pool:
         list(pool.map(lambda engine: migrate(engine, settings), engines))
