@@ -226,10 +226,6 @@ def _one_of(names: list[str], value: str) -> str:
 def _completed(settings: type[AttackSettings], given: dict[str, Any]) -> dict[str, Any]:
     """The data with renderer, groups and base renderer filled in where they were left out."""
     data = {"renderer": settings.model_fields["renderer"].default} | given
-    if "picture" in data:  # the name of `base_renderer` in version 0.1
-        if "base_renderer" in data:
-            raise ValueError("base_renderer: `picture` is the old name of this field; leave `picture` out")
-        data["base_renderer"] = data.pop("picture")
     renderer = RENDERERS.get(data["renderer"]) if isinstance(data["renderer"], str) else None
     if renderer is None:
         return data

@@ -1,6 +1,6 @@
 """The trace of an attack, with one row for each step. The dashboard draws its curves from it."""
 
-from pydantic import AliasChoices, BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field
 
 
 class TraceRow(BaseModel):
@@ -33,7 +33,6 @@ class TraceRow(BaseModel):
     truncated: int = Field(description="pixels with a value truncated to U in this step")
     below_noise: int = Field(
         0,
-        validation_alias=AliasChoices("below_noise", "flat"),  # the latter in version 0.1
         description="in the update before this row: differences below the noise (zoo), groups whose gradient is zero "
         "(fgsm)",
     )

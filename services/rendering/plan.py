@@ -7,7 +7,7 @@ executable form of it and run nothing that the plan does not list.
 from collections.abc import Sequence
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field
 
 Tolerance = float | Literal["exact"]
 """Largest error of a displayed value, in [0,1], that images inside the attack may have; "exact" allows no shortcut."""
@@ -47,11 +47,6 @@ class Stage(_Record):
     share: float = Field(
         0.0, description="estimated share of covered pixels whose error exceeds 1/255; rasterised images only"
     )
-
-    @field_validator("when", mode="before")
-    @classmethod
-    def _old_word(cls, value: object) -> object:
-        return "every image" if value == "every picture" else value  # as results of version 0.1 say it
 
 
 class GradientError(_Record):

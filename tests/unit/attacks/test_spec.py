@@ -4,37 +4,16 @@ from math import nan
 from typing import Literal
 
 import pytest
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
 from services.attacks.fgsm import Fgsm
 from services.attacks.spec import ATTACKS, AttackSettings, register
-from services.attacks.trace import TraceRow
 from services.attacks.zoo import Zoo
-
-ROW = {
-    "step": 1, "loss": 0.5, "label": "cat", "confidence": 0.5, "advantage": 1.0, "distance": 0.1, "perceptibility": 0.1,
-    "truncated": 0, "queries": 2, "renders": 2, "seconds": 0.1,
-}  # fmt: skip
 
 
 def test_the_built_in_attacks_are_found() -> None:
     found = {name: (one.settings, one.needs_gradient) for name, one in ATTACKS.items()}
     assert (found["fgsm"], found["zoo"]) == ((Fgsm, True), (Zoo, False))
-
-
-def test_the_old_names_of_fields_are_still_read_and_the_new_ones_written() -> None:
-    settings = Fgsm.model_validate({"renderer": "image", "picture": "pyrender"})
-    assert settings == Fgsm.model_validate({"renderer": "image", "base_renderer": "pyrender"})
-    assert "picture" not in settings.model_dump()
-    row = TraceRow.model_validate(ROW | {"flat": 7})
-    assert row.below_noise == 7
-    assert row == TraceRow.model_validate(ROW | {"below_noise": 7})
-    assert row.model_dump()["below_noise"] == 7
-
-
-def test_both_names_at_once_are_refused() -> None:
-    with pytest.raises(ValidationError, match="old name"):
-        Fgsm.model_validate({"renderer": "image", "picture": "torch", "base_renderer": "torch"})
 
 
 def test_learning_rates_are_those_that_the_groups_suggest() -> None:
