@@ -12,7 +12,6 @@ from pydantic_core import CoreSchema, core_schema
 from api.authentication import CallerDependency
 from api.problems import BadRequestField
 from api.state import ServicesDependency, names_of
-from services import tracing
 from services.errors import InvalidRequest
 from services.json_text import NESTED
 from services.names import Names
@@ -49,8 +48,7 @@ def body_of(model: type[Parsed]) -> Callable[..., Parsed]:
         if is_nested_deeper(data):
             raise BadRequestField(InvalidRequest("body", NESTED))
         try:
-            with tracing.span("validate"):
-                return model.model_validate(data)
+            return model.model_validate(data)
         except ValidationError as error:
             items = _with_names(data, model, error, names_of(services, caller)).errors(include_url=False)
             raise RequestValidationError([item | {"loc": ("body", *item["loc"])} for item in items]) from error

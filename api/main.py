@@ -55,9 +55,7 @@ from api.routes import metrics as scraping
 from api.same_site import SameSite
 from api.slow_clients import BodyPace
 from api.state import Services
-from api.traced import Traced
 from api.watcher import Watcher
-from services import tracing
 from services.access.assets import OwnedAssets
 from services.access.keys import AccessKeys
 from services.access.listening import check_listening, listen
@@ -181,7 +179,6 @@ def create_app(values: Settings) -> FastAPI:
         redoc_url=None,
         middleware=[
             Middleware(RequestId),
-            *([Middleware(Traced)] if tracing.wanted() else []),
             Middleware(Measured, metrics=metrics),
             Middleware(Compression),
             Middleware(Conditional),
@@ -255,7 +252,6 @@ def run(values: Settings, listener: socket.socket | None = None) -> int:
     or other machines reach it and there is no key.
     """
     configure("api")
-    tracing.configure("api")
     set_up(values)
     check_device()
     check_listening(values)
@@ -278,7 +274,6 @@ def run(values: Settings, listener: socket.socket | None = None) -> int:
         timeout_graceful_shutdown=2,  # event streams of running jobs would not end
     )
     uvicorn.Server(config).run(sockets=[listener])
-    tracing.close()
     return 0
 
 

@@ -12,7 +12,6 @@ from math import inf
 from pathlib import Path
 from typing import Any
 
-from services import tracing
 from services.device import device
 from services.errors import Cancelled, InvalidRequest, JobFailure, out_of_memory, summary
 from services.jobs.artifacts import ArtifactStore
@@ -71,11 +70,9 @@ class Reporter:
         self._phase: str | None = None
         self._reported_at = self._checked_at = float("-inf")
         self._stop = False
-        self.stages = tracing.Stages()
 
     def progress(self, progress: Progress) -> None:
         """Records the progress; the job calls it once a step. Raises JobFailure("non-finite")."""
-        self.stages.enter(progress.phase)
         if progress.row is not None:
             self._rows.append(finite(progress.row.model_dump(mode="json")))
         now = self._clock()
@@ -125,14 +122,6 @@ class Jobs:
         job = repository.work(attempt.job_id)
         if job is None:
             return
-        about = tracing.job(job.id, attempt.number)
-        if job.queued_at is not None and job.running_at is not None:
-            tracing.record("queued", job.queued_at, job.running_at, job.traceparent, about)
-        with tracing.span("job", job.traceparent, "consumer", about):
-            self._run(attempt, job)
-
-    def _run(self, attempt: Attempt, job: Job) -> None:
-        repository = self._repository
         reporter = Reporter(repository, attempt, seconds=self._seconds)
         try:
             if job.kind is JobKind.SELECTION:
@@ -147,10 +136,7 @@ class Jobs:
                 raise
             failure = classify(error, self._memory)
             log.warning("job failed", kind=failure.kind, exc_info=error)
-            tracing.describe({"error.type": failure.kind}, error=failure.detail)
             repository.fail(attempt, failure.kind, failure.detail, self._kept.left(attempt, job))
-        finally:
-            reporter.stages.enter(None)
         self._working_files.forget(repository, attempt.job_id)
 
     def _attack(self, attempt: Attempt, job: Job, reporter: Reporter) -> None:
@@ -189,14 +175,12 @@ class Jobs:
                     checkpoint=checkpoint,
                     checked=checked,
                 )
-            reporter.stages.enter("keeping")
             self._keep(attempt, result, out)
 
     def _select(self, attempt: Attempt, job: Job, reporter: Reporter) -> None:
         """Finds the first answers to some views of a campaign."""
         asked = [View(one["number"], None, 0, parse(one["probe"]), None) for one in job.spec["views"]]
         answers = []
-        reporter.stages.enter("selecting")
         for answer in first_answers(asked, self._library, reporter.stop):
             answers.append(finite(answer.model_dump(mode="json")))
             self._repository.progress(attempt, "selecting", len(answers), len(asked), [])
@@ -240,7 +224,6 @@ def abilities(values: Settings) -> Abilities:
 def main() -> None:
     """Loads network and OpenGL once, reports that it is ready, then runs jobs until its parent ends."""
     configure("job")
-    tracing.configure("job")
     give_way()
     values = Settings()
     connection = connect()

@@ -17,7 +17,6 @@ from rq.job import Job as Message
 from rq.utils import now
 from rq.worker_registration import clean_worker_registry
 
-from services import tracing
 from services.jobs import queue, watchdog
 from services.jobs.child import ChildDied
 from services.jobs.database import connect as connect_database
@@ -141,7 +140,6 @@ def _work(runner: Runner, name: str, redis_url: str) -> None:
 def main() -> None:
     """Runs jobs until SIGTERM or SIGINT; exits with status 1 if the job process cannot be started."""
     configure("worker")
-    tracing.configure("worker")
     values = Settings()
     name = sys.argv[1]
     runner = Runner(values, Repository(connect_database(values)), name)
@@ -160,7 +158,6 @@ def main() -> None:
         sys.exit(1)
     finally:
         runner.close()
-        tracing.close()
 
 
 if __name__ == "__main__":

@@ -6,11 +6,9 @@ The worker's process loads neither torch nor OpenGL, so it survives a crash of t
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from datetime import UTC, datetime
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from services import tracing
 from services.jobs import watchdog
 from services.jobs.artifacts import ArtifactStore
 from services.jobs.attempts import Attempt, Standing
@@ -111,7 +109,6 @@ class Runner:
         answer, the record sends the job again: it is queued, or its lease lapses.
         """
         self.ensure_ready()
-        began = datetime.now(UTC)
         try:
             attempt = self._lease(job_id)
         except SQLAlchemyError as error:
@@ -121,7 +118,6 @@ class Runner:
             log.info("no such job is queued, message dropped", job=job_id)
             return
         job_id = attempt.job_id
-        tracing.record("lease", began, datetime.now(UTC), attempt.traceparent, tracing.job(job_id, attempt.number))
         log.info("job taken", job=job_id, attempt=attempt.number)
         self._jobs += 1
         try:

@@ -16,7 +16,6 @@ from api.retries import retry
 from api.routes.connection import while_connected
 from api.schemas import JobPage, JobSummary, JobView
 from api.state import KnownJob, ServicesDependency, names_of, no_such
-from services import tracing
 from services.access.caller import Caller
 from services.jobs.job_query import EXAMPLE, LONGEST, Term, parse_query
 from services.jobs.models import Job, State
@@ -91,10 +90,8 @@ async def submit_job(
     key = None if idempotency_key is None else Key(idempotency_key, digest(spec), caller.owner)
     body = None if key is None else await run_in_threadpool(services.repository.first_answer, key)
     if body is None:
-        with tracing.span("names"):
-            await run_in_threadpool(lambda: check_names(spec, names_of(services, caller)))
-        with tracing.span("check"):
-            found = await while_connected(request, services.preflight.check(spec, client_of(request, caller)))
+        await run_in_threadpool(lambda: check_names(spec, names_of(services, caller)))
+        found = await while_connected(request, services.preflight.check(spec, client_of(request, caller)))
         spec, warnings = (spec, ()) if found is None else (found.spec, found.warnings)
         whose, most = caller.owner, services.quotas.queued_of(caller.owner)
         about: dict[str, Any] = {"checked": found is not None, "owner": whose, "owner_queued": most, "demand": asked}

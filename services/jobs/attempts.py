@@ -5,7 +5,7 @@ given to a later attempt.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import timedelta
 from enum import Enum
 from typing import Any
@@ -34,8 +34,6 @@ class Attempt:
 
     job_id: str
     number: int
-    traceparent: str | None = field(default=None, compare=False)
-    """The context of the request that queued the job."""
 
 
 class Standing(Enum):
@@ -68,7 +66,7 @@ class Attempts(Transactions):
                 waiting=None,
                 phase_at=None,
             )
-            return None if job is None else Attempt(job.id, job.attempt, job.traceparent)
+            return None if job is None else Attempt(job.id, job.attempt)
 
     def standing(self, attempt: Attempt) -> Standing:
         """Reads whether the attempt should go on."""

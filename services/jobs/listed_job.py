@@ -14,7 +14,6 @@ _UNLISTED = [
     "note",
     "needs",
     "digest",
-    "traceparent",
     "sent_at",
     "phase_at",
     "lease_owner",

@@ -155,8 +155,6 @@ class Job(Base):
     outcome: Mapped[dict[str, Any] | None]
     """The part of the result that lists show (services.pipeline.outcome)."""
     result: Mapped[dict[str, Any] | None] = mapped_column(deferred=True)
-    traceparent: Mapped[str | None] = mapped_column(String(55))
-    """The context of the request that queued the job (services.tracing); None without traces."""
     failure_kind: Mapped[str | None] = mapped_column(String(64))
     failure_detail: Mapped[str | None] = mapped_column(Text)
     events: Mapped[int] = mapped_column(default=0)

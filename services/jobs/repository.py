@@ -82,7 +82,6 @@ class Repository(Turns):
         owner: str = "",
         owner_queued: int | None = None,
         demand: Demand = NO_DEMAND,
-        traceparent: str | None = None,
         retry_of: str | None = None,
         checkpoint: Artifact | None = None,
     ) -> tuple[Job | None, dict[str, Any]]:
@@ -114,7 +113,6 @@ class Repository(Turns):
                 checked=checked,
                 owner=owner,
                 demand=demand,
-                traceparent=traceparent,
                 retry_of=retry_of,
             )
             if checkpoint is not None:

@@ -8,7 +8,6 @@ from typing import Any
 from redis.exceptions import RedisError
 from sqlalchemy.exc import IntegrityError
 
-from services import tracing
 from services.jobs.models import Artifact, Job
 from services.jobs.placement import NO_DEMAND, Demand, Needs
 from services.jobs.queue import Queue
@@ -52,17 +51,14 @@ class Submissions:
         """
         given = (spec, self.max_queued, key, answer, warnings)
         about: dict[str, Any] = {"checked": checked, "owner": owner, "owner_queued": owner_queued, "demand": demand}
-        about |= {"traceparent": tracing.context(), "retry_of": retry_of, "checkpoint": checkpoint}
+        about |= {"retry_of": retry_of, "checkpoint": checkpoint}
         create = partial(self.repository.create, *given, **about)
-        with tracing.span("record"):
-            try:
-                job, said = create()
-            except IntegrityError:  # another process recorded the same key at the same moment
-                job, said = create()
+        try:
+            job, said = create()
+        except IntegrityError:  # another process recorded the same key at the same moment
+            job, said = create()
         if job is not None:
-            tracing.describe({"scene_attack.job.id": job.id})
-            with tracing.span("send", kind="producer"):
-                self._send(job)
+            self._send(job)
         return said
 
     def _send(self, job: Job) -> None:

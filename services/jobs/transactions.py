@@ -77,7 +77,6 @@ class Transactions:
         checked: bool = True,
         owner: str = "",
         demand: Demand = NO_DEMAND,
-        traceparent: str | None = None,
         retry_of: str | None = None,
     ) -> Job:
         """Records a new queued job and its first event."""
@@ -100,7 +99,6 @@ class Transactions:
             needs=demand.needs(targets_of(spec)).text,
             warnings=[one.model_dump(mode="json") for one in warnings],
             events=1,
-            traceparent=traceparent,
             retry_of=retry_of,
             **(listed(spec, titles(session, uploads_of(spec))) if kind is JobKind.ATTACK else {}),
         )

@@ -15,7 +15,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 EXTRAS = PROJECT["optional-dependencies"]
 DIRECT = {
     "requirements.txt": PROJECT["dependencies"]
-    + [one for extra in ("onnx", "postgresql", "s3", "tracing") for one in EXTRAS[extra]],
+    + [one for extra in ("onnx", "postgresql", "s3") for one in EXTRAS[extra]],
     "requirements-dev.txt": EXTRAS["dev"],
 }
 

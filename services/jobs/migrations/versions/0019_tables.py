@@ -104,7 +104,6 @@ def upgrade() -> None:
         sa.Column("queries_done", sa.BigInteger(), nullable=False, server_default="0"),
         sa.Column("outcome", sa.JSON()),
         sa.Column("result", sa.JSON()),
-        sa.Column("traceparent", sa.String(55)),
         sa.Column("failure_kind", sa.String(64)),
         sa.Column("failure_detail", sa.Text()),
         sa.Column("events", sa.Integer(), nullable=False),
