@@ -8,20 +8,22 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
+from api.limits import FORM_BYTES
 from api.routes import health
 from client.cli import app
 from services.addresses import is_loopback
-from services.settings import Settings
+from services.settings import DEFAULTS, Settings
 
 ROOT = Path(__file__).parents[3]
 COMPOSE: dict[str, Any] = yaml.safe_load((ROOT / "docker-compose.yml").read_text())
+NGINX = (ROOT / "deploy/nginx.conf").read_text()
 DOCKERFILE = (ROOT / "Dockerfile").read_text()
 BUILD, PRODUCTION = re.split(r"^FROM .* AS production$", DOCKERFILE, flags=re.MULTILINE)
 OURS = {name: service for name, service in COMPOSE["services"].items() if service.get("image") == "scene-attack"}
 
 
-def test_there_are_an_api_a_redis_and_several_workers() -> None:
-    assert set(COMPOSE["services"]) == {"redis", "api", "worker"}
+def test_there_are_a_proxy_an_api_a_redis_and_several_workers() -> None:
+    assert set(COMPOSE["services"]) == {"redis", "api", "proxy", "worker"}
     assert set(OURS) == {"api", "worker"}
     assert COMPOSE["services"]["worker"]["deploy"]["replicas"] >= 2
 
@@ -38,7 +40,7 @@ def test_commands_are_commands_of_the_command_line(name: str) -> None:
 @pytest.mark.parametrize("name", OURS)
 def test_environment_variables_are_settings(name: str) -> None:
     known = {f"SCENE_ATTACK_{field.upper()}" for field in Settings.model_fields}
-    assert set(OURS[name]["environment"]) <= known
+    assert set(OURS[name]["environment"]) - {"FORWARDED_ALLOW_IPS"} <= known  # the server's own
     assert set(re.findall(r"SCENE_ATTACK_\w+", DOCKERFILE)) <= known
 
 
@@ -63,7 +65,25 @@ def test_every_service_is_watched_and_keeps_its_hands_to_itself() -> None:
         assert service["healthcheck"]["test"][0] == "CMD"
         assert service["read_only"] is True
         assert service["cap_drop"] == ["ALL"]
-    assert all(port.startswith("127.0.0.1:") for port in COMPOSE["services"]["api"]["ports"])
+
+
+def test_the_service_is_reached_through_the_proxy_only_which_says_whose_a_request_is() -> None:
+    assert [name for name, service in COMPOSE["services"].items() if "ports" in service] == ["proxy"]
+    proxy = COMPOSE["services"]["proxy"]
+    listens = re.findall(r"^ +listen (\d+);$", NGINX, re.MULTILINE)
+    assert [f"127.0.0.1:8008:{port}" for port in listens] == proxy["ports"]
+    assert f"http://127.0.0.1:{listens[0]}/" in proxy["healthcheck"]["test"][-1]
+    assert proxy["volumes"] == [f"./deploy/nginx.conf:{proxy['command'][2]}:ro"]
+    assert f"server api:{OURS['api']['command'][-1]};" in NGINX
+    # A client's own word is replaced, not added to: the service lets loopback in while there is no key.
+    assert "proxy_set_header X-Forwarded-For $remote_addr;" in NGINX
+    assert OURS["api"]["environment"]["FORWARDED_ALLOW_IPS"] == "*"
+    assert "FORWARDED_ALLOW_IPS" not in OURS["worker"]["environment"]
+
+
+def test_the_proxy_takes_the_largest_upload() -> None:
+    (megabytes,) = re.findall(r"client_max_body_size (\d+)m;", NGINX)
+    assert int(megabytes) * 2**20 >= DEFAULTS.max_upload_bytes + FORM_BYTES
 
 
 def test_redis_asks_for_a_password_that_no_command_line_shows() -> None:
