@@ -3,7 +3,6 @@
 While there is no key, the programs of this machine are let in and nobody else.
 """
 
-from math import ceil
 from typing import Annotated, Protocol
 from urllib.parse import urlencode
 
@@ -19,7 +18,6 @@ from api.accept import asks_for_html
 from api.auth_rules import OPEN, Rule, rule_of
 from api.problems import problem
 from api.reading import Reading
-from api.request_rate import RequestRate
 from services.access.caller import KEYLESS, Caller
 from services.access.caller import Scope as AccessScope
 from services.access.keys import AccessKeys
@@ -43,14 +41,10 @@ class Doors(Protocol):
 
 
 class Authentication:
-    """Answers 401 without a valid key, 403 if its scopes do not allow the route, 429 if its owner has sent too much.
+    """Answers 401 without a valid key, and 403 if its scopes do not allow the route; else it passes the caller on."""
 
-    Otherwise it passes the caller on.
-    """
-
-    def __init__(self, app: ASGIApp, rate: RequestRate) -> None:
+    def __init__(self, app: ASGIApp) -> None:
         self.app = app
-        self.rate = rate
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """ASGI."""
@@ -66,7 +60,7 @@ class Authentication:
             scope["state"]["caller"] = caller
             if caller is not None and caller.key and services.keys.use_is_due(caller.key):
                 await run_in_threadpool(services.keys.record_use, caller.key)  # a write, which may wait for others
-            refusal = None if is_open else _refusal(rule, caller, scope) or self._too_many(caller)
+            refusal = None if is_open else _refusal(rule, caller, scope)
         except SQLAlchemyError as error:
             if not is_open:
                 log.warning("keys out of reach", error=str(error))
@@ -74,13 +68,6 @@ class Authentication:
         if refusal is not None:
             return await refusal(scope, receive, send)
         return await self.app(scope, receive, send)
-
-    def _too_many(self, caller: Caller | None) -> Response | None:
-        seconds = 0.0 if caller is None else self.rate.wait(caller.owner)
-        if not seconds:
-            return None
-        detail = "this owner has sent as many requests as it may in a minute"
-        return problem(429, detail, headers={"Retry-After": str(ceil(seconds))})
 
 
 def _caller(services: Doors, scope: Scope) -> Caller | None:

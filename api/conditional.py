@@ -1,42 +1,16 @@
-"""Compression, and conditional requests: a JSON answer names its content, and a client that has it gets 304."""
+"""Conditional requests: a JSON answer names its content, and a client that has it gets 304."""
 
 import re
 from hashlib import sha256
 
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-LEAST = 1024
-"""Bytes of the smallest answer that is compressed."""
 THREADED = 2**16
-"""Bytes of an answer from which on it is hashed and compressed in a thread: 36 MB take seconds, in which the event loop
-would answer nobody."""
-LEVEL = 4
-"""A list of 50 jobs shrinks to a tenth in 0.05 ms; the highest level takes twice as long for 1 % less."""
+"""Bytes of an answer from which on it is hashed in a thread, so that the event loop answers others meanwhile."""
 _KEPT = (b"etag", b"cache-control", b"x-content-type-options", b"content-security-policy")
 """Headers of an answer that 304 has, too."""
-
-
-class Compression(GZipMiddleware):
-    """Compresses answers, but for event streams, images, files of jobs, scenes of assets and exports: their ETags and
-    ranges are of the bytes of a file.
-    """
-
-    def __init__(self, app: ASGIApp) -> None:
-        excluded = (*DEFAULT_EXCLUDED_CONTENT_TYPES, "application/octet-stream")
-        super().__init__(app, LEAST, LEVEL, THREADED, exclude_content_types=excluded)
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """ASGI."""
-        if scope["type"] == "http" and not _is_file(scope["path"]):
-            return await super().__call__(scope, receive, send)
-        return await self.app(scope, receive, send)
-
-
-def _is_file(path: str) -> bool:
-    return "/artifacts/" in path or path.startswith("/assets/scenes/") or path.endswith(("/export", "/scene.glb"))
 
 
 class Conditional:

@@ -31,16 +31,17 @@ ERRORS = {
     "401": "A key is needed, and none was sent that is known, not revoked and not expired.",
     "403": "The key's scopes do not allow this, or another web site made a browser send it.",
     "404": "The path names nothing that exists.",
-    "408": "The body came too slowly.",
     "409": "It is in use, has no result, or cannot be continued.",
     "413": "The body is too large.",
     "415": "The body has the wrong media type.",
     "416": "The file has no such range.",
     "422": "A field is wrong; `errors` names it.",
-    "429": "The owner of the key has as much as it may, or sends too much; `Retry-After` says when to try again.",
+    "429": "The owner of the key has as much as it may; `Retry-After` says when to try again.",
     "503": "The service cannot take the request now; `Retry-After` says when to try again.",
 }
 
+LIMITED = ("submit_job", "retry_job", "continue_job", "submit_campaign", "upload_asset")
+"""The operations that make what an owner may have only so much of."""
 EXAMPLES = Path(__file__).with_name("examples.json")
 KEY = {
     "type": "http",
@@ -135,17 +136,19 @@ def _errors(schema: dict[str, Any]) -> None:
 
 
 def _possible(method: str, path: str, operation: dict[str, Any]) -> list[str]:
-    found = ["400", *(["401", "403", "429", "503"] if operation["security"] else [])]  # the database may not answer
+    found = ["400", *(["401", "403", "503"] if operation["security"] else [])]  # the database may not answer
     if "{" in path:
         found.append("404")
     if "requestBody" in operation:
-        found += ["408", "413", "415", "422"]
+        found += ["413", "415", "422"]
     elif "422" in operation["responses"]:
         found.append("422")
     if method == "delete":
         found.append("409")
     if path.endswith(("/export", "/scene.glb", "/continue")):
         found.append("409")
+    if operation["operationId"] in LIMITED:
+        found.append("429")
     if "206" in operation["responses"]:
         found.append("416")
     return found

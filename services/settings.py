@@ -89,9 +89,6 @@ class Settings(BaseSettings):
     )
     owner_campaigns: int = Field(50, ge=1, description="campaigns of one owner that have not ended")
     owner_upload_bytes: int = Field(10 * 2**30, ge=0, description="bytes of all uploads of one owner")
-    owner_requests: int = Field(
-        6000, ge=1, description="requests of one owner in a minute, counted by each process of the API"
-    )
     max_campaign_jobs: int = Field(10_000, ge=1, description="largest campaign, in jobs and in views")
     max_campaign_queued: int = Field(
         8, ge=1, le=1000, description="queued jobs of all campaigns; more workers than that need more"

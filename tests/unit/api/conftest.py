@@ -7,11 +7,9 @@ from typing import Any
 
 import httpx
 import pytest
-import uvicorn
 from fastapi import FastAPI
 
-from api.main import create_app
-from api.protocol import LimitedHttp
+from api.main import create_app, server
 from api.state import Services
 from services.jobs.models import Artifact
 from services.pipeline.outcome import Outcome
@@ -60,15 +58,15 @@ def app(redis_url: str, tmp_path_factory: pytest.TempPathFactory) -> FastAPI:
 def serving(app: FastAPI) -> Iterator[httpx.Client]:
     """Serves an app, and gives a client of it, over HTTP."""
     listener = socket.create_server(("127.0.0.1", 0))
-    server = uvicorn.Server(uvicorn.Config(app, http=LimitedHttp, log_config=None, timeout_graceful_shutdown=1))
-    thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
+    made = server(app)
+    thread = threading.Thread(target=made.run, kwargs={"sockets": [listener]})
     thread.start()
     try:
         with httpx.Client(base_url=f"http://127.0.0.1:{listener.getsockname()[1]}", timeout=300) as client:
             assert client.get("/healthz").status_code == 200  # the socket listens: it waits until the app has started
             yield client
     finally:
-        server.should_exit = True
+        made.should_exit = True
         thread.join()
         listener.close()
 
