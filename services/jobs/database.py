@@ -186,7 +186,7 @@ def check_database(engine: Engine, settings: Settings) -> tuple[str | None, str]
         raise UnusableDatabase(settings, reason, "name an empty database")
     if revision not in {None, *(script.revision for script in scripts.walk_revisions())}:
         reason = f"its tables are of revision {revision}, which this version does not know"
-        remedy = "install the version of scene-attack that wrote them, or a newer one"
+        remedy = "install the version of scene-attack that wrote them, or name another database"
         raise UnusableDatabase(settings, reason, remedy)
     return revision, newest
 

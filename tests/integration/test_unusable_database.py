@@ -49,7 +49,7 @@ UNUSABLE: dict[str, tuple[Callable[[Path], None], str]] = {
         kind: (
             partial(of_revision, revision),
             f"its tables are of revision {revision}, which this version does not know; install the version of "
-            "scene-attack that wrote them, or a newer one",
+            "scene-attack that wrote them, or name another database",
         )
         for kind, revision in (("newer", "9999"), ("older", "0018"))
     },
