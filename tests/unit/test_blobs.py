@@ -9,6 +9,8 @@ from services import blobs as module
 from services.blobs import Blobs, blobs
 from services.errors import InvalidRequest
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(params=["folder", "file URL", "S3"])
 def place(request: pytest.FixtureRequest, tmp_path: Path) -> Path | str:

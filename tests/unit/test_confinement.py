@@ -10,6 +10,8 @@ import pytest
 
 from services.confinement import seccomp
 
+pytestmark = pytest.mark.slow
+
 SCRIPT = """
 import ctypes, json, os, resource, signal, socket, subprocess, sys
 from services.confinement.confine import Limits, address_space, confine, drop_privileges

@@ -22,6 +22,8 @@ from services.scenes.resolve import resolve
 from services.settings import Settings
 from services.targets import registry
 
+pytestmark = pytest.mark.slow
+
 PRESENT = ["cpu", *(f"cuda:{i}" for i in range(min(1, torch.cuda.device_count())))]
 """The devices of this machine."""
 

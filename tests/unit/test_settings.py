@@ -3,6 +3,8 @@ from pydantic import ValidationError
 
 from services.settings import Settings
 
+pytestmark = pytest.mark.slow
+
 
 def test_a_child_process_gets_the_same_settings(monkeypatch: pytest.MonkeyPatch) -> None:
     given = Settings(workers=3, redis_url="unix:///tmp/a b.sock", lease_seconds=1.5, gl="osmesa")

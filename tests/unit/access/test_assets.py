@@ -23,6 +23,8 @@ from services.scenes.library import Library
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import attacks
 
+pytestmark = pytest.mark.slow
+
 ALICE, BOB = Caller("alice", frozenset(), "sa_1"), Caller("bob", frozenset(), "sa_2")
 ROOT = Caller("root", frozenset({Scope.ADMIN}), "sa_3")
 MESH = "sha256:" + "0a" * 32

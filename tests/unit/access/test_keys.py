@@ -1,5 +1,6 @@
 from hashlib import sha256
 
+import pytest
 from sqlalchemy import Engine, event, select
 from sqlalchemy.exc import OperationalError
 
@@ -7,6 +8,8 @@ from services.access.caller import Caller, Scope
 from services.access.keys import USE_SECONDS, AccessKeys
 from services.access.models import AccessKey
 from tests.unit.jobs.conftest import Clock
+
+pytestmark = pytest.mark.slow
 
 READ = {Scope.JOBS_READ}
 

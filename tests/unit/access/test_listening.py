@@ -10,6 +10,8 @@ from services.access.listening import check_listening
 from services.errors import InvalidRequest
 from services.settings import Settings
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "", "192.0.2.7", "service.example"])
 def test_a_service_without_a_key_does_not_listen_where_others_reach_it(host: str, tmp_path: Path) -> None:

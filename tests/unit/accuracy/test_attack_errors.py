@@ -21,6 +21,8 @@ from services.accuracy.attack_errors import (
 from services.accuracy.placing import library
 from services.rendering.torch_renderer.renderer import TorchRenderer
 
+pytestmark = pytest.mark.slow
+
 REPORT = Path(__file__).parents[3] / "benchmarks" / "results" / "attack_bounds.json"
 
 

@@ -3,9 +3,13 @@
 import json
 from pathlib import Path
 
+import pytest
+
 from services.accuracy.rasterised_images import beyond, compare, scenes
 from services.scenes.library import Library
 from services.settings import Settings
+
+pytestmark = pytest.mark.slow
 
 PAGES = Path(__file__).parents[3] / "docs" / "accuracy"
 

@@ -7,6 +7,8 @@ from services.accuracy.stability.cases import cases
 from tests.unit.accuracy.mutants import MUTANTS
 from tests.unit.accuracy.sabotage import BROKEN
 
+pytestmark = pytest.mark.slow
+
 ALL = {(case.family, case.name): case for case in cases()}
 QUICK = cases(quick=True)
 

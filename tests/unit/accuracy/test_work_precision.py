@@ -27,6 +27,8 @@ from services.rendering.torch_renderer import lookup_table, shader
 from services.rendering.torch_renderer.planner import exact_recipe
 from services.rendering.torch_renderer.shader import Shader
 
+pytestmark = pytest.mark.slow
+
 SMALL = ("furniture/soccer-ball", "brushed-metal", (64, 64), (8, 16))
 
 

@@ -14,6 +14,8 @@ from services.rendering.compositing import over_ground
 from services.rendering.factory import build
 from services.rendering.pyrender_renderer.renderer import EXPOSURE
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def gradient_rows() -> list[GradientRow]:

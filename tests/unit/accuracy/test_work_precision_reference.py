@@ -13,6 +13,8 @@ from services.accuracy.work_precision.shading_subject import GROUPS, Subject, su
 from services.accuracy.work_precision.signs import wrong_signs
 from services.rendering.torch_renderer.shader import Shader
 
+pytestmark = pytest.mark.slow
+
 SMALL = ("furniture/soccer-ball", "brushed-metal", (64, 64), (8, 16))
 
 

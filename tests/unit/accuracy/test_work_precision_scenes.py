@@ -15,6 +15,8 @@ from services.accuracy.work_precision.report import markdown, read, report, writ
 from services.accuracy.work_precision.scene_options import TOLERANCES, SceneRow, scenes
 from services.accuracy.work_precision.shadow_resolution import ShadowRow
 
+pytestmark = pytest.mark.slow
+
 NAMES = ["matte objects", "rubber and metal", "floor", "shadows"]
 MAP = MapRow(mesh="m", material="matte", map=(4, 8), reference=(64, 128), pixels=1, largest=0.5, rms=0.5)
 SHADOW = ShadowRow(

@@ -9,6 +9,8 @@ from services.settings import Settings
 from tests.unit.api.conftest import serving
 from tests.unit.api.guarded import CLOSED, Guarded, bearer
 
+pytestmark = pytest.mark.slow
+
 BAD_KEYS = ("none", "unknown", "revoked", "expired", "not a bearer")
 
 

@@ -13,6 +13,8 @@ from api.state import Services
 from tests.unit.api.conftest import SPHERE
 from tests.unit.jobs.records import attacks
 
+pytestmark = pytest.mark.slow
+
 
 def count(services: Services) -> int:
     return len(attacks(services.repository))

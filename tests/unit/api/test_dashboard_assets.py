@@ -14,6 +14,8 @@ from tests.unit.api.test_dashboard_pages import Tags
 from tests.unit.api.test_sign_in import FOREIGN
 from tests.unit.scenes.test_beside import MTL, OBJ, image
 
+pytestmark = pytest.mark.slow
+
 HTML = {"accept": "text/html"}
 MESH_FILES = [("file", ("chair.obj", OBJ)), ("file", ("my chair.mtl", MTL)), ("file", ("wood.png", image()))]
 

@@ -17,7 +17,7 @@ from tests.unit.api.dashboard_records import app
 from tests.unit.api.test_dashboard_pages import Tags
 from tests.unit.jobs.campaign_stage import Stage, spec
 
-pytestmark = pytest.mark.anyio
+pytestmark = [pytest.mark.slow, pytest.mark.anyio]
 
 
 @pytest.fixture

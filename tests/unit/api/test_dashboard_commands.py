@@ -14,6 +14,8 @@ import pytest
 
 from api.dashboard.commands import commands
 
+pytestmark = pytest.mark.slow
+
 SPEC = {
     "scene": {"objects": [{"mesh": 'it\'s $HOME """ \\n `x` é\nJSON\n'}], "empty": ""},
     "seed": 3,

@@ -59,7 +59,7 @@ def anyio_backend() -> str:
     return "asyncio"
 
 
-pytestmark = pytest.mark.anyio
+pytestmark = [pytest.mark.slow, pytest.mark.anyio]
 
 
 async def test_an_empty_list_says_how_to_begin(repository: Repository) -> None:

@@ -40,7 +40,7 @@ CALLS = program(
     "count 8",
 ).written()
 
-pytestmark = pytest.mark.anyio
+pytestmark = [pytest.mark.slow, pytest.mark.anyio]
 
 
 @pytest.fixture

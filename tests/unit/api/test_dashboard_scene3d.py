@@ -13,7 +13,7 @@ from services.pipeline.spec import JobSpec, parse
 from tests.unit.api.dashboard_records import SPEC, add, record, result, start
 from tests.unit.api.test_dashboard_pages import Tags, get
 
-pytestmark = pytest.mark.anyio
+pytestmark = [pytest.mark.slow, pytest.mark.anyio]
 MOVED = parse({"scene": {"objects": [{"mesh": "furniture/grand-piano"}]}, "attack": {"renderer": "pyrender"}})
 
 

@@ -8,6 +8,8 @@ from services.access.caller import Scope
 from tests.unit.api.guarded import Guarded
 from tests.unit.api.test_dashboard_pages import Tags
 
+pytestmark = pytest.mark.slow
+
 BROWSER = {"accept": "text/html,application/xhtml+xml,application/xml;q=0.9,*/*;q=0.8"}
 NO_BROWSER = ["*/*", "application/json", "text/html;q=0, */*", "application/text/html"]
 OWNED_PAGES = [route for route in sorted(PAGES) if "_id}" in route]

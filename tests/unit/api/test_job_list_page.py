@@ -15,7 +15,7 @@ from services.pipeline.spec import parse
 from tests.unit.api.dashboard_records import SPEC, add, app, record, result, start, succeed
 from tests.unit.api.test_dashboard_pages import Tags
 
-pytestmark = pytest.mark.anyio
+pytestmark = [pytest.mark.slow, pytest.mark.anyio]
 HOSTILE = '"><script>alert(1)</script>'
 
 

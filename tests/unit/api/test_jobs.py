@@ -12,6 +12,8 @@ from tests.processes import command_line
 from tests.unit.api.conftest import SPHERE
 from tests.unit.jobs.records import attacks
 
+pytestmark = pytest.mark.slow
+
 AZIMUTHS = (0.001 * k for k in itertools.count(1))
 
 

@@ -1,7 +1,10 @@
 import subprocess
 import sys
 
+import pytest
 from httpx import Client
+
+pytestmark = pytest.mark.slow
 
 
 def test_scenes_list_meshes_maps_and_whom_to_thank(client: Client) -> None:

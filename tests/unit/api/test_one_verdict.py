@@ -14,6 +14,8 @@ from client import attack
 from client.cli import app
 from services.errors import InvalidRequest
 
+pytestmark = pytest.mark.slow
+
 SPHERE: dict[str, Any] = {"objects": [{"mesh": "primitive/sphere"}], "camera": {"size": [32, 32]}}
 ATTACK: dict[str, Any] = {"renderer": "image", "base_renderer": "pyrender", "steps": 2}
 BAD: dict[str, tuple[set[str], dict[str, Any]]] = {

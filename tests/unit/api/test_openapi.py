@@ -13,6 +13,8 @@ from api.openapi import document
 from api.problems import ProblemDetails
 from services.settings import Settings
 
+pytestmark = pytest.mark.slow
+
 COMMITTED = Path(__file__).parents[3] / "openapi.yaml"
 
 

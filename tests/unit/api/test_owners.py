@@ -5,6 +5,8 @@ from httpx import Response
 
 from tests.unit.api.guarded import ATTACK, CAMPAIGN, OWNED, SPHERE, Guarded
 
+pytestmark = pytest.mark.slow
+
 TETRAHEDRON = b"OFF\n4 4 0\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 3\n"
 UNKNOWN = "sha256:" + "0" * 64
 

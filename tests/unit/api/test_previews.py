@@ -19,6 +19,8 @@ from services.pipeline.prepare import plan, prepare
 from tests.unit.jobs.records import attacks
 from tests.unit.jobs.small import LIBRARY, SPHERE, spec
 
+pytestmark = pytest.mark.slow
+
 PATH = "/v1/preview"
 BODY: dict[str, Any] = {"scene": SPHERE, "attack": {"steps": 3}, "seed": 5}
 

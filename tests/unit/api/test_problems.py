@@ -6,6 +6,8 @@ from httpx import Client
 from api.state import Services
 from tests.unit.api.conftest import SPHERE
 
+pytestmark = pytest.mark.slow
+
 JSON = {"content-type": "application/json"}
 
 PROBLEMS = {

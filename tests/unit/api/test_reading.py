@@ -9,7 +9,7 @@ from sqlalchemy import Engine, create_engine
 from api.reading import Reading
 from services.jobs.transactions import READS_SQLITE
 
-pytestmark = pytest.mark.anyio
+pytestmark = [pytest.mark.slow, pytest.mark.anyio]
 SQLITE = create_engine("sqlite://")
 
 

@@ -21,6 +21,8 @@ from services.pipeline.prepare import prepare
 from services.pipeline.rerender import decode_image, rerender_image
 from tests.unit.jobs.small import LIBRARY, SPHERE, spec
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def noisy() -> torch.Tensor:

@@ -9,6 +9,8 @@ from api.authentication import COOKIE
 from services.access.caller import Scope
 from tests.unit.api.guarded import CLOSED, Guarded
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def browser(guarded: Guarded) -> Iterator[httpx.Client]:

@@ -18,6 +18,8 @@ from services.jobs.repository import Repository
 from services.settings import Settings
 from tests.unit.jobs.records import add, start
 
+pytestmark = pytest.mark.slow
+
 LONG = 20.0
 KEPT = 8
 

@@ -14,6 +14,8 @@ from services.attacks.verifier import Verifier
 from services.errors import Cancelled
 from tests.unit.attacks.small import Ahead, Pixels, guided, problem
 
+pytestmark = pytest.mark.slow
+
 LIMIT = {"image": 6 / 255}
 BUILT_IN = sorted(
     name

@@ -23,6 +23,8 @@ from services.targets.classifier import Classifier
 from services.targets.protocol import Target
 from tests.unit.jobs.small import LIBRARY
 
+pytestmark = pytest.mark.slow
+
 SIZE = (32, 32)
 GROUPS = {"illumination": 3, "material": 5}
 """Coordinates of each group of the torch renderer that are attacked: a few, spread over the group."""

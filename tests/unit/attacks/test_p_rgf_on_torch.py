@@ -14,6 +14,8 @@ from services.rendering.protocol import Renderer
 from tests.unit.attacks.small import LinearTarget
 from tests.unit.attacks.test_zoo_on_torch import at_random, autograd, build
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def case() -> AttackProblem:

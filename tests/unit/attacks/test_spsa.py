@@ -4,6 +4,8 @@ import torch
 from services.attacks.spsa import Spsa, SpsaMethod, draw_directions, estimate
 from tests.unit.attacks.small import LinearRenderer, autograd, problem, smooth
 
+pytestmark = pytest.mark.slow
+
 SAMPLES = 4096
 KINDS = ["signs", "gaussian"]
 

@@ -18,6 +18,8 @@ from services.targets.classifier import Classifier
 from tests.unit.attacks.small import autograd
 from tests.unit.jobs.small import LIBRARY
 
+pytestmark = pytest.mark.slow
+
 SCENE = {
     "objects": [{"mesh": "furniture/soccer-ball", "material": "plastic"}],
     "camera": {"size": [48, 48]},

@@ -8,6 +8,8 @@ import pytest
 
 from benchmarks.postgresql import Server
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def server() -> Iterator[Server]:

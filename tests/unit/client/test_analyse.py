@@ -18,6 +18,8 @@ from services.pipeline.prepare import prepare
 from tests.unit.client.test_cli import cli
 from tests.unit.jobs.small import LIBRARY, SPHERE, spec
 
+pytestmark = pytest.mark.slow
+
 
 def test_analyse_prints_what_was_asked_for_and_keeps_it(tmp_path: Path) -> None:
     execute(spec({"renderer": "torch", "groups": ["illumination", "material"], "steps": 1}), tmp_path, LIBRARY)

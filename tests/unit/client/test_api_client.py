@@ -15,6 +15,8 @@ from client.api_client import ApiClient, ApiError
 from client.cli import app
 from services.pipeline.spec import parse
 
+pytestmark = pytest.mark.slow
+
 Answer = Callable[[BaseHTTPRequestHandler], None]
 
 

@@ -13,6 +13,8 @@ from services.jobs.database import connect, migrate
 from services.settings import Settings
 from tests.unit.jobs.test_database import with_a_later_revision
 
+pytestmark = pytest.mark.slow
+
 
 def settings(folder: Path, **given: object) -> Settings:
     return Settings.model_validate({"data": folder / "data", "cache": folder / "cache", **given})

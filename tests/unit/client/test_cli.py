@@ -13,6 +13,8 @@ from typer.testing import CliRunner
 from client.cli import app
 from services.rendering.plan import Plan
 
+pytestmark = pytest.mark.slow
+
 COMMANDS = [
     [],
     ["run"],

@@ -12,6 +12,8 @@ import pytest
 
 from tests.unit.client.test_cli import cli
 
+pytestmark = pytest.mark.slow
+
 NOBODY = "http://127.0.0.1:1"
 
 

@@ -16,6 +16,8 @@ from client.api_client import ApiClient
 from services.errors import InvalidRequest
 from tests.unit.client.test_api_client import DONE, RUNNING, Script, client, progress, says, script, streams
 
+pytestmark = pytest.mark.slow
+
 __all__ = ["client", "script"]  # fixtures
 
 SUBSETS = [{"groups": ["light"], "perceptibility": 0.25}, {"groups": ["light", "pose"], "perceptibility": 0.5}]

@@ -12,6 +12,8 @@ from client.ids import campaign_id, job_id
 from services.errors import InvalidRequest
 from tests.unit.client.test_api_client import Script, client, says, script
 
+pytestmark = pytest.mark.slow
+
 __all__ = ["client", "script"]  # fixtures
 
 ONE, TWO, THREE = "0f3c" + "0" * 28, "0f3d" + "0" * 28, "a" * 32

@@ -13,6 +13,8 @@ from services.errors import InvalidRequest
 from services.jobs.database import connect
 from services.settings import Settings
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(autouse=True)
 def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:

@@ -18,6 +18,8 @@ from services.settings import DEFAULTS, Settings
 from tests.unit.client.test_api_client import Script, client, says, script
 from tests.unit.scenes.test_beside import MTL, OBJ, image
 
+pytestmark = pytest.mark.slow
+
 __all__ = ["client", "script"]  # fixtures
 NAME = "sha256:" + "a" * 64
 

@@ -14,6 +14,8 @@ import typer.main
 from client.cli import app
 from client.commands_page import commands, examples, page
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[3]
 EXAMPLES = [example for _, command in commands() for example in examples(command)]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]

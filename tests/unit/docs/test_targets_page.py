@@ -21,6 +21,8 @@ from services.targets.custom.allow_list import AllowList
 from services.targets.custom.card import Card, Preprocessing
 from tests.unit.targets.custom.registries import restored
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[3]
 PAGE = (ROOT / "docs" / "targets.md").read_text("utf-8")
 BLOCKS = dict(re.findall(r'^```python title="(\w+\.py)"\n(.*?)^```$', PAGE, re.M | re.S))

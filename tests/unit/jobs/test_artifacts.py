@@ -7,6 +7,8 @@ import pytest
 from services.blobs import blobs
 from services.jobs.artifacts import ArtifactStore, Damaged, media_type
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(params=["folder", "S3"])
 def place(request: pytest.FixtureRequest, tmp_path: Path) -> Path | str:

@@ -21,6 +21,8 @@ from services.jobs.repository import Repository
 from services.settings import Settings
 from tests.unit.jobs.records import OUTCOME, add, attacks, start
 
+pytestmark = pytest.mark.slow
+
 Restore = Callable[[Settings, Path], Settings]
 
 

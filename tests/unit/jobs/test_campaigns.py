@@ -19,6 +19,8 @@ from services.pipeline.spec import parse as parse_job
 from tests.unit.jobs.campaign_stage import QUEUED, Stage, spec
 from tests.unit.jobs.records import add, attacks
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def stage(engine: Engine, repository: Repository) -> Stage:

@@ -18,6 +18,8 @@ from services.jobs.repository import Repository
 from services.jobs.working_files import WorkingFiles
 from tests.unit.jobs.records import add, start
 
+pytestmark = pytest.mark.slow
+
 JOB = "0f" * 16
 
 

@@ -12,6 +12,8 @@ from services.jobs import child as module
 from services.jobs.child import Child, ChildDied, OutOfMemory
 from services.settings import Settings
 
+pytestmark = pytest.mark.slow
+
 ECHO = "tests.unit.jobs.echo_child"
 
 

@@ -4,7 +4,11 @@ import re
 import subprocess
 import sys
 
+import pytest
+
 from services.jobs.cpu_share import AUTOGROUP, NICENESS
+
+pytestmark = pytest.mark.slow
 
 SCRIPT = f"""
 import os

@@ -16,6 +16,8 @@ from services.jobs.database import check_database, connect, migrate
 from services.jobs.models import Base
 from services.settings import Settings
 
+pytestmark = pytest.mark.slow
+
 SQLITE = pytest.mark.parametrize("database", ["sqlite"], indirect=True)
 
 

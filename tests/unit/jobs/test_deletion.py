@@ -16,6 +16,8 @@ from services.jobs.repository import Repository
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import OUTCOME, add, attacks, start
 
+pytestmark = pytest.mark.slow
+
 DAY = 24 * 3600.0
 
 

@@ -17,6 +17,8 @@ from tests.unit.jobs.campaign_stage import Stage, spec
 from tests.unit.jobs.records import OUTCOME, add, start
 from tests.unit.jobs.test_several_supervisors import POSTGRESQL
 
+pytestmark = pytest.mark.slow
+
 
 @contextmanager
 def meanwhile(engine: Engine, before: str, action: Callable[[], Any]) -> Iterator[list[str]]:

@@ -14,6 +14,8 @@ from services.pipeline.spec import parse
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import add, start
 
+pytestmark = pytest.mark.slow
+
 VERDICTS = ("fooled", "held", "still-wrong")
 
 

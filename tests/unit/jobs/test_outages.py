@@ -25,6 +25,8 @@ from services.settings import Settings
 from tests.postgresql import free_port
 from tests.unit.jobs.records import add
 
+pytestmark = pytest.mark.slow
+
 FULL = Outage("storage", "the disk of the data directory is full")
 AWAY = Outage("database", "the database does not answer")
 SIZE = 20 * 2**20

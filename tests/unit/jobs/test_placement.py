@@ -14,6 +14,8 @@ from services.pipeline.spec import parse
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import SPEC
 
+pytestmark = pytest.mark.slow
+
 LITE = "efficientnet-lite0"
 CPU = Abilities("cpu", frozenset({LITE, "iep"}), 2**34)
 

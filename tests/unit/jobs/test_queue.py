@@ -13,6 +13,8 @@ from services.jobs.service import Submissions
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import SPEC, add, start
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def queue(redis_url: str) -> Iterator[Queue]:

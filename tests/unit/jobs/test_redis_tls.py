@@ -17,6 +17,8 @@ from services.jobs.queue import Queue, connect
 from tests import redis_over_tcp
 from tests.redis_over_tcp import QUOTED
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def port() -> Iterator[int]:

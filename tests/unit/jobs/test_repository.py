@@ -14,6 +14,8 @@ from services.jobs.service import Submissions
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import OUTCOME, SPEC, add, artifact, attacks, row, start, state
 
+pytestmark = pytest.mark.slow
+
 
 def test_a_new_job_is_queued_with_its_whole_spec(repository: Repository, clock: Clock) -> None:
     job = repository.get(add(repository).id)

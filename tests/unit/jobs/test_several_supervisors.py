@@ -16,6 +16,8 @@ from services.jobs.repository import Repository
 from tests.unit.jobs.campaign_stage import Stage, spec
 from tests.unit.jobs.records import add, attacks, start
 
+pytestmark = pytest.mark.slow
+
 POSTGRESQL = pytest.mark.parametrize("database", ["postgresql"], indirect=True)
 
 

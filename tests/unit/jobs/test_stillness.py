@@ -8,6 +8,8 @@ import pytest
 
 from services.jobs.stillness import LONGEST_GAP, SIGN_SECONDS, Stillness, processor_seconds
 
+pytestmark = pytest.mark.slow
+
 SPIN = "while True: pass"
 
 

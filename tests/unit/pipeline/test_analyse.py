@@ -18,6 +18,8 @@ from services.rendering.factory import build
 from services.scenes.resolve import resolve
 from tests.unit.jobs.small import LIBRARY, spec
 
+pytestmark = pytest.mark.slow
+
 IMAGE_ANALYSIS: dict[str, Any] = {
     "minimal": {"scans": 4, "bisections": 3},
     "coordinates": {},

@@ -15,6 +15,8 @@ from services.scenes.resolve import resolve
 from tests.unit.jobs.small import LIBRARY, spec
 from tests.unit.scenes.test_background import picture
 
+pytestmark = pytest.mark.slow
+
 MAP: dict[str, Any] = {}
 PICTURE = {"image": picture()}
 SCENE = {"objects": [{"mesh": "primitive/sphere", "scale": 0.5}]}

@@ -28,6 +28,8 @@ from tests.unit.pipeline.question_campaign import (
 )
 from tests.unit.pipeline.test_campaign_run import results
 
+pytestmark = pytest.mark.slow
+
 
 def changed(**generated: Any) -> CampaignSpec:
     return parse({"grids": [GRID | {"generate": GRID["generate"] | generated}]})

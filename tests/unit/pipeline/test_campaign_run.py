@@ -19,6 +19,8 @@ from services.pipeline.campaign_views import first_answer
 from services.pipeline.result import Result
 from tests.unit.jobs.small import LIBRARY
 
+pytestmark = pytest.mark.slow
+
 GRID: dict[str, Any] = {
     "scenes": {"meshes": ["primitive/sphere"], "views": [0.61], "camera": {"size": [64, 64]}},
     "attacks": [

@@ -23,6 +23,8 @@ from services.rendering.pyrender_renderer import errors
 from services.scenes.resolve import resolve
 from tests.unit.jobs.small import LIBRARY, spec
 
+pytestmark = pytest.mark.slow
+
 ATTACKS: list[dict[str, Any]] = [
     {"renderer": "image"},
     {"renderer": "torch"},

@@ -11,6 +11,8 @@ from services.targets import registry
 from tests.unit.jobs.small import LIBRARY, SPHERE
 from tests.unit.targets.iep.seeded import COUNT, INFO, TAUGHT, favouring, program, target
 
+pytestmark = pytest.mark.slow
+
 RECORD = generate(8, 2, objects=(4, 4))
 SCENE = describe(RECORD, (60, 80)).model_copy(update={"shadows": None})
 WORDS = next(words for words, known in TAUGHT.items() if known == COUNT)

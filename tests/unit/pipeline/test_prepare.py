@@ -13,6 +13,8 @@ from services.targets import registry
 from tests.unit.attacks.small import LinearTarget
 from tests.unit.jobs.small import LIBRARY, SPHERE, spec
 
+pytestmark = pytest.mark.slow
+
 SOMEWHERE_ELSE = {"mesh": "primitive/sphere", "translation": [50, 0, 0]}
 
 HIDDEN = {"objects": [{"mesh": "primitive/sphere", "scale": 0.3}], "floor": {"height": 0.4}}

@@ -27,6 +27,8 @@ from tests.unit.jobs.small import LIBRARY, SPHERE
 from tests.unit.pipeline.question_requests import ATTACK, RECORD, asking, calls
 from tests.unit.targets.iep.seeded import INFO, TAUGHT, favouring, program, target
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(autouse=True)
 def _seeded() -> Iterator[None]:

@@ -20,6 +20,8 @@ from services.targets.classifier import Classifier
 from services.targets.info import TargetInfo
 from tests.unit.jobs.small import LIBRARY, spec
 
+pytestmark = pytest.mark.slow
+
 ATTACKS: list[dict[str, Any]] = [
     {"renderer": "image"},
     {"renderer": "torch"},

@@ -17,6 +17,8 @@ from services.settings import Settings
 from services.targets.registry import card
 from services.targets.truth import truth_labels
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[3]
 CHECKED = ("already-wrong", "truth-unknown")
 EXAMPLES = {path.name: json.loads(path.read_text()) for path in sorted((ROOT / "examples").glob("*.json"))}

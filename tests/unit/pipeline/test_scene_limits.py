@@ -21,6 +21,8 @@ from services.scenes.clevr.rig import VERTICAL_FIELD_OF_VIEW, Viewpoint
 from services.scenes.view import camera_pose
 from tests.unit.targets.iep.seeded import program
 
+pytestmark = pytest.mark.slow
+
 RECORD = generate(8, 2, objects=(5, 5))
 SCENE = describe(RECORD)
 

@@ -5,6 +5,8 @@ import pytest
 from services.errors import InvalidRequest
 from services.questions.answers import ANSWERS, KINDS, kind_asked, kind_of
 
+pytestmark = pytest.mark.slow
+
 
 def test_there_are_28_different_answers() -> None:
     assert len(ANSWERS) == len(set(ANSWERS)) == 28

@@ -14,6 +14,8 @@ from services.questions.templates.families import FAMILIES
 from services.questions.templates.search import instances
 from services.scenes.clevr.generator import generate
 
+pytestmark = pytest.mark.slow
+
 
 def executed(asked) -> Iterator[tuple[QuestionRecord, Program, tuple, Facts]]:
     for scene, questions in asked:

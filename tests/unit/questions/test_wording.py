@@ -2,8 +2,12 @@
 
 import re
 
+import pytest
+
 from services.questions.templates.families import FAMILIES
 from services.questions.text import WORDS, encoded, tokens
+
+pytestmark = pytest.mark.slow
 
 
 def test_a_text_has_one_program(asked) -> None:

@@ -12,6 +12,8 @@ from services.scenes.resolve import ResolvedScene, resolve
 from tests.unit.jobs.small import LIBRARY, SPHERE
 from tests.unit.scenes.test_background import picture
 
+pytestmark = pytest.mark.slow
+
 SMALL = {"objects": [{"mesh": "primitive/sphere", "scale": 0.5}]}
 
 

@@ -13,6 +13,8 @@ from services.scenes.furniture import load_model
 from services.scenes.mesh import FIT_RADIUS
 from services.scenes.wavefront import read_opacity
 
+pytestmark = pytest.mark.slow
+
 BOX = """
 mtllib box.mtl
 v -1 0 -3

@@ -21,6 +21,8 @@ from tests.processes import command_line
 from tests.unit.scenes.mesh_files import ASCII_PLY, BOXES, MAX_FACES
 from tests.unit.scenes.test_image_file import POSTSCRIPT, stored
 
+pytestmark = pytest.mark.slow
+
 FILES = {kind: (kind, data) for kind, data in BOXES.items()} | {name: ("glb", make()) for name, make in MODELS.items()}
 
 

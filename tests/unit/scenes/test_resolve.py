@@ -15,6 +15,8 @@ from services.scenes.environment import average
 from services.scenes.resolve import canonical_json, resolve
 from tests.unit.scenes.test_library import TETRAHEDRON
 
+pytestmark = pytest.mark.slow
+
 
 def scene(*objects, **more):
     return Scene.model_validate({"objects": list(objects) or [{"mesh": "primitive/cube"}], **more})

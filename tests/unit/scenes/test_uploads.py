@@ -12,6 +12,8 @@ from services.scenes.library import Library
 from services.settings import Settings
 from tests.unit.scenes.mesh_files import ASCII_PLY, ASCII_STL, BOXES
 
+pytestmark = pytest.mark.slow
+
 
 def test_the_limits_of_uploads_are_those_of_the_settings(tmp_path):
     library = Library(tmp_path / "cache", tmp_path / "data")

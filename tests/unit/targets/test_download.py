@@ -6,6 +6,8 @@ from services.errors import InvalidRequest
 from services.targets.download import ATTEMPTS, fetch
 from services.targets.info import Published
 
+pytestmark = pytest.mark.slow
+
 DATA = bytes(range(256)) * 4096
 NAME = f"net-{hashlib.sha256(DATA).hexdigest()[:8]}.pth"
 

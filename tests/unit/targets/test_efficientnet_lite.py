@@ -12,6 +12,8 @@ from services.targets.classifier import Classifier
 from services.targets.imagenet import imagenet_labels
 from services.targets.protocol import Target
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def target() -> Classifier:

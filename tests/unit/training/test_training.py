@@ -12,6 +12,8 @@ from services.training.recipe import RECIPES, Budget
 from services.training.trainable_alexnet import TrainableAlexNet
 from services.training.training import Training, load_trained, weights
 
+pytestmark = pytest.mark.slow
+
 MODELS = [(0, "couch"), (1, "chair")]
 STEPS = 4
 

@@ -13,6 +13,8 @@ from services.training.batches import augmented, plain, shade
 from services.training.looks import default_lamp, default_looks, environment_look, lamps_look, looks
 from services.training.views import GRID, node_normals, nodes, paper_cameras, training_cameras, views
 
+pytestmark = pytest.mark.slow
+
 MESH = "furniture/couch"
 AZIMUTH = 0.61
 SIZE = 112

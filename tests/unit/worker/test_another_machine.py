@@ -18,6 +18,8 @@ from tests.unit.jobs import small
 from tests.unit.jobs.records import add, row, start
 from worker.job_process import Jobs, Reporter
 
+pytestmark = pytest.mark.slow
+
 ATTACK = {"renderer": "image", "base_renderer": "pyrender", "steps": 6, "learning_rate": {"image": 1e-6}}
 SPEC = small.spec(ATTACK, goal={"reach": "tench"})
 """An attack that takes all its steps."""

@@ -7,6 +7,8 @@ from services.errors import JobFailure
 from worker import redis_server
 from worker.redis_server import EmbeddedRedis, find_server, remove_abandoned
 
+pytestmark = pytest.mark.slow
+
 
 def test_only_this_user_can_reach_it(redis_url: str) -> None:
     directory = Path(redis_url.removeprefix("unix://")).parent

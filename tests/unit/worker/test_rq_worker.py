@@ -15,6 +15,8 @@ from services.settings import Settings
 from worker.rq_worker import JobWorker
 from worker.runner import Runner
 
+pytestmark = pytest.mark.slow
+
 ID = "0123456789abcdef" * 2
 NAME = queue_name(Priority.NORMAL, ANY_WORKER)
 

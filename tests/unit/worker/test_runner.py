@@ -20,6 +20,8 @@ from tests.unit.jobs.records import add, start
 from worker import runner
 from worker.runner import Runner
 
+pytestmark = pytest.mark.slow
+
 
 class Stage:
     """A record, and a runner for it; `pids` are those of its job processes."""

@@ -11,6 +11,8 @@ import pytest
 from worker import supervisor as module
 from worker.supervisor import Program, Supervisor
 
+pytestmark = pytest.mark.slow
+
 
 class Scenario:
     """A duty that looks, each time, whether what is waited for has come about, and ends the supervisor when it has."""

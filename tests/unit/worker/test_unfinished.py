@@ -25,6 +25,8 @@ from tests.unit.jobs.records import add, row, start
 from worker import job_process
 from worker.job_process import Jobs
 
+pytestmark = pytest.mark.slow
+
 ATTACK = {"renderer": "image", "base_renderer": "pyrender", "steps": 6, "learning_rate": {"image": 1e-6}}
 SPEC = small.spec(attack=ATTACK, goal={"reach": "tench"})
 """It does not reach its goal, so that it takes all its steps."""

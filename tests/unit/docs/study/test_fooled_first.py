@@ -9,6 +9,8 @@ from benchmarks.study.fooled_first import fooled_first, group
 from services.questions.functions import FUNCTIONS
 from tests.unit.targets.iep.seeded import program
 
+pytestmark = pytest.mark.slow
+
 CELLS = [0, 7, 19]
 """Where the three objects are in masks of 4×5 cells."""
 CHAIN = program("scene", "filter_color 0 red", "unique 1", "relate 2 left", "filter_shape 3 cube", "count 4")

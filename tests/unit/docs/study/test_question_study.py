@@ -21,6 +21,8 @@ from tests.unit.docs.study.test_study_records import SMALL, job, raw, won
 from tests.unit.jobs.small import LIBRARY
 from tests.unit.pipeline.question_campaign import GRIDS, answering, asked, commonest, right_at_times
 
+pytestmark = pytest.mark.slow
+
 TABLE_2 = "96.33 2.1 83.67 6.8 48.67 9.5 8.33 12.3 90.67 8.8"
 """The row of the paper's second table as printed: per cent, then p ×10⁻³, of each of its five columns."""
 EXAMPLES = Path(__file__).parents[4] / "examples"

@@ -18,6 +18,8 @@ from services.pipeline.campaign_spec import parse
 from services.pipeline.campaign_views import first_answer
 from tests.unit.jobs.small import LIBRARY
 
+pytestmark = pytest.mark.slow
+
 SMALL = Path(__file__).with_name("records")
 """Records of small campaigns that have been run."""
 RECORDS = [path for folder in (SMALL, FOLDER) for name in NAMES if (path := folder / f"{name}.json").exists()]

@@ -12,7 +12,7 @@ from services.process import replaced
 from services.rendering.kernels import build, compiled, processor
 from services.rendering.torch_renderer import normals
 
-pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")]
 
 
 @pytest.fixture(scope="module")

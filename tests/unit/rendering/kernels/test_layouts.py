@@ -12,6 +12,8 @@ import torch
 
 from services.rendering.kernels import arguments, build, compiled, layouts
 
+pytestmark = pytest.mark.slow
+
 TABLE = """structure Inner 16
 field a 0 8 float64
 field n 8 4 int32

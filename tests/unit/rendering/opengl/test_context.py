@@ -13,6 +13,8 @@ from services.rendering.opengl import context, probe
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from tests.unit.rendering.shapes import PLATFORMS, mesh, on_platform, placed, quad, scene
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def fresh(monkeypatch: pytest.MonkeyPatch, tmp_path):

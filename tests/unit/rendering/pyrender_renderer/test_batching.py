@@ -13,6 +13,8 @@ from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.scenes.description import Lights, PointLight, SceneObject
 from tests.unit.rendering.shapes import PLATFORMS, mesh, on_platform, placed, scene, six_parts, sphere
 
+pytestmark = pytest.mark.slow
+
 
 def sides(objects: int = 1) -> dict[str, Array]:
     """Both sides of the differences of all coordinates, the camera's last."""

@@ -17,6 +17,8 @@ from services.scenes.resolve import ResolvedScene, resolve
 from services.settings import Settings
 from tests.unit.rendering import shapes
 
+pytestmark = pytest.mark.slow
+
 Array = np.ndarray
 PLACE, ENERGY = (0.9, 1.6, 1.1), 9.0
 SIDE = 3.0

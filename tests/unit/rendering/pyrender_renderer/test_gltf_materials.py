@@ -20,6 +20,8 @@ from services.scenes.reading import read_mesh
 from tests.unit.rendering import shapes
 from tests.unit.rendering.shapes import placed, scene
 
+pytestmark = pytest.mark.slow
+
 LIGHTS = Lights(ambient=0.3, points=(PointLight(energy=9.0, position=(0.5, 0.8, 1.4)),))
 MENDED_LIMIT = 3.0
 """Where stock pyrender is put right. The mask's edges are cut along faces there and by texels here: 2.4 on EGL, and

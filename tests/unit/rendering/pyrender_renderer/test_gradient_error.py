@@ -13,7 +13,7 @@ from services.scenes.library import Library
 from services.scenes.resolve import ResolvedScene, resolve
 from services.settings import Settings
 
-pytestmark = pytest.mark.usefixtures("software_opengl")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("software_opengl")]
 
 GROUPS = ("illumination", "color", "translation", "rotation")
 HALF_STEP = 0.01

@@ -9,6 +9,8 @@ from PIL import Image
 from benchmarks import own_meshes
 from benchmarks.fine_images import averaged, blocks, displayed, light
 
+pytestmark = pytest.mark.slow
+
 SQUARE = """mtllib a.mtl
 v -1 -1 0
 v 1 -1 0

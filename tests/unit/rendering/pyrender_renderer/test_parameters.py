@@ -17,6 +17,8 @@ from tests.unit.rendering import shapes
 from tests.unit.rendering.pyrender_renderer.parameter_batches import batch_of_one
 from tests.unit.rendering.shapes import disk, mesh, placed, quad, scene, sphere
 
+pytestmark = pytest.mark.slow
+
 
 def test_initial_parameters_are_those_of_the_scene() -> None:
     things = (

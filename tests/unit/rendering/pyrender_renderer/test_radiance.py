@@ -3,6 +3,7 @@
 from math import pi
 
 import numpy as np
+import pytest
 import torch
 
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
@@ -11,6 +12,8 @@ from tests.unit.rendering import shapes
 from tests.unit.rendering.pyrender_renderer.closed_form import ambient_coat, body_and_coat, plane, sky
 from tests.unit.rendering.pyrender_renderer.parameter_batches import batch_of_one
 from tests.unit.rendering.shapes import mesh, part, placed, quad, scene, sphere
+
+pytestmark = pytest.mark.slow
 
 LIGHTS = Lights(ambient=0.3, points=(PointLight(energy=12.0, position=(0.5, 0.8, 1.4)),))
 

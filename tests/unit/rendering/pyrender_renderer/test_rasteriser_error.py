@@ -26,7 +26,7 @@ from tests.unit.rendering.pyrender_renderer.rasterised_scenes import (
 )
 from tests.unit.rendering.shapes import PLATFORMS, mesh, on_platform, part, placed, quad, scene, six_parts, sphere
 
-pytestmark = pytest.mark.usefixtures("software_opengl")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("software_opengl")]
 
 
 @pytest.mark.parametrize(

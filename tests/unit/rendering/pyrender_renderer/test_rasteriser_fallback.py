@@ -12,7 +12,7 @@ from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from tests.unit.rendering.pyrender_renderer.rasterised_scenes import rasterised, threads
 from tests.unit.rendering.shapes import mesh, placed, quad, scene, six_parts, sphere
 
-pytestmark = pytest.mark.usefixtures("software_opengl")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("software_opengl")]
 
 OBSTACLES = ["off by two steps", "nothing in the image", "no kernels", "a graphics card", "exact"]
 

@@ -27,6 +27,8 @@ from tests.unit.rendering.shadow_scenes import (
     square,
 )
 
+pytestmark = pytest.mark.slow
+
 HARD = Shadows(softness=0.0, angle=0.0, resolution=1024)
 PLACE = (1.2, 2.5, 1.0)
 TEXELS = 3.0

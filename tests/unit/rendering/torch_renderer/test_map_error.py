@@ -18,6 +18,8 @@ from services.scenes.resolve import ResolvedScene
 from tests.unit.rendering.shading import sky, sphere_gbuffer, sphere_scene
 from tests.unit.rendering.shadow_scenes import ball, over_ground
 
+pytestmark = pytest.mark.slow
+
 SOURCE = np.kron(sky(16, 32), np.ones((8, 8, 1), np.float32))
 """A map of 128 × 256 texels in blocks of 8 × 8."""
 

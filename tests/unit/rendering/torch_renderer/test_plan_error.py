@@ -19,6 +19,8 @@ from services.scenes.resolve import ResolvedScene
 from tests.unit.rendering.shading import sphere_gbuffer, sphere_scene
 from tests.unit.rendering.torch_renderer.planned import GROUPS, error, moved, on_sphere
 
+pytestmark = pytest.mark.slow
+
 
 @st.composite
 def scenes(draw: st.DrawFn) -> tuple[ResolvedScene, GBuffer, tuple[str, ...]]:

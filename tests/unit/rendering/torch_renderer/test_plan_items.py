@@ -16,6 +16,8 @@ from services.rendering.torch_renderer.shader import Recipe
 from tests.unit.rendering.shading import GROUND, sphere_gbuffer, sphere_scene
 from tests.unit.rendering.torch_renderer.planned import GROUPS, error, moved, on_sphere, studio_map
 
+pytestmark = pytest.mark.slow
+
 Change = Callable[[Recipe], Recipe]
 
 HALF_DARK = studio_map() * (np.arange(16) % 3 > 0)[:, None, None].astype(np.float32)

@@ -12,6 +12,8 @@ from services.rendering.torch_renderer.dsbrdf import SHAPE
 from services.rendering.torch_renderer.presets import colored_lobes, preset, presets
 from tests.unit.rendering.shading import reference_brdf
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 NAMES = ["matte", "plastic", "glossy-paint", "brushed-metal", "rubber", "metal"]
 

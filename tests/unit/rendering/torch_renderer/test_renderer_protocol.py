@@ -11,6 +11,8 @@ from services.errors import InvalidRequest
 from tests.unit.rendering.shading import sky
 from tests.unit.rendering.torch_renderer.spheres import GROUPS, TIGHT, moved, sphere
 
+pytestmark = pytest.mark.slow
+
 
 def test_images_of_a_batch_do_not_meet() -> None:
     """To the last bit, images and gradients."""

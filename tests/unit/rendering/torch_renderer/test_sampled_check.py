@@ -24,6 +24,8 @@ from services.scenes.resolve import resolve
 from services.settings import Settings
 from tests.unit.rendering.shading import sky, sphere_gbuffer, sphere_scene
 
+pytestmark = pytest.mark.slow
+
 ROWS = 32
 EVERY = torch.ones(len(tiles(ROWS)), dtype=torch.bool)
 

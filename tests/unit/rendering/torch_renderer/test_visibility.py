@@ -28,6 +28,8 @@ from tests.unit.rendering.shadow_scenes import (
     square,
 )
 
+pytestmark = pytest.mark.slow
+
 MIDDLES = Shadows(texel_samples=1)
 
 

@@ -16,6 +16,8 @@ from services.targets.custom import exported
 from services.targets.custom.graph import Unreadable
 from tests.unit.targets.custom.small_network import SIZE, save_pt2
 
+pytestmark = pytest.mark.slow
+
 Document = dict[str, Any]
 
 

@@ -20,6 +20,8 @@ from tests.unit.targets.custom import small_network
 from tests.unit.targets.custom.conftest import Scan
 from tests.unit.targets.custom.small_network import LABELS, SIZE, folder, save_onnx, save_pt2, save_safetensors
 
+pytestmark = pytest.mark.slow
+
 MODULE = small_network.__name__
 SCENE = {"camera": {"size": [48, 48]}, "objects": [{"mesh": "primitive/sphere"}]}
 

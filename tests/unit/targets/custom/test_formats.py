@@ -23,6 +23,8 @@ from tests.unit.targets.custom import small_network
 from tests.unit.targets.custom.conftest import Scan
 from tests.unit.targets.custom.small_network import LABELS, MEAN, SCALE, SIZE, WRITERS, folder, network
 
+pytestmark = pytest.mark.slow
+
 MODULE = small_network.__name__
 FACTORIES = {"target_factories": f"{MODULE}:network,{MODULE}:maite,{MODULE}:numpy_maite,{MODULE}:fails"}
 SCENE = {"camera": {"size": [48, 48]}, "objects": [{"mesh": "primitive/sphere"}]}

@@ -4,6 +4,8 @@ from services.questions.program import InvalidProgram, Node, Program
 from services.targets.iep.assembly import Question, assemble
 from services.targets.iep.vocabulary import COMPARING, JOINING, KINDS, MAPPING, READING
 
+pytestmark = pytest.mark.slow
+
 
 def program(*nodes: tuple[str, tuple[int, ...], str]) -> Program:
     return Program(tuple(Node(function, inputs, (value,) if value else ()) for function, inputs, value in nodes))

@@ -13,6 +13,8 @@ from services.targets.iep.stem import N_CELLS
 from services.targets.iep.vocabulary import COMPARING, JOINING, MAPPING, READING
 from tests.unit.targets.iep import world
 
+pytestmark = pytest.mark.slow
+
 ROUNDING = 1e-5
 """Largest difference as a part of the largest score; float32 rounds each of some ten sums in turn by 1e-7."""
 

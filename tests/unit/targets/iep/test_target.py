@@ -18,6 +18,8 @@ from services.targets.iep.program_generator import ProgramGenerator
 from services.targets.iep.target import IepTarget, read
 from tests.unit.targets.iep.seeded import COUNT, INFO, SAME, TAUGHT, generator, network, program, target
 
+pytestmark = pytest.mark.slow
+
 
 def images(count: int, height: int = 240, width: int = 320) -> torch.Tensor:
     return torch.rand(count, height, width, 3, generator=torch.Generator().manual_seed(5))

@@ -13,7 +13,7 @@ from services.errors import InvalidRequest
 from services.training.iep import recipe
 from tests.unit.training.iep.small import RECIPE, SEED
 
-pytestmark = pytest.mark.usefixtures("one_thread")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_thread")]
 
 
 def run(*arguments: str) -> tuple[int, str]:

@@ -14,6 +14,8 @@ from services.training.iep.data import DataFolder, Images, examples_of, objects_
 from services.training.iep.recipe import RECIPE, Part
 from tests.unit.training.iep.small import SEED, After, never, silent
 
+pytestmark = pytest.mark.slow
+
 TWO = {"pyrender": 0.75, "torch": 0.25}
 
 

@@ -11,6 +11,8 @@ from services.training.iep.loop import Schedule, TrainingLoop
 from services.training.iep.metrics import answers, by_family
 from tests.unit.training.iep.conftest import Data
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.usefixtures("one_thread")
 def test_the_engine_learns_to_filter_count_and_see(simple: tuple[Data, Data], tmp_path: Path) -> None:

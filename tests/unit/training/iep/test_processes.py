@@ -14,6 +14,8 @@ from services.training.iep.processes import each
 from tests.processes import command_line
 from tests.unit.training.iep.small import After, never
 
+pytestmark = pytest.mark.slow
+
 SLEEP = """import signal, time
 from services.training.iep.processes import each
 signal.signal(signal.SIGINT, signal.default_int_handler)  # the tests may have been begun in the background, without it
