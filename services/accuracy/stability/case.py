@@ -69,7 +69,12 @@ class Observation(BaseModel):
     what: str = Field(description="what was measured, against which reference; or the words of the refusal")
     measured: float | None = Field(description="None for a refusal")
     tolerance: float | None
-    seconds: float
+    seconds: str = Field(description="a band, so that another run on another day gives the same report")
+
+
+def band(seconds: float) -> str:
+    """Seconds as an upper end of 10 or 100."""
+    return "< 10" if seconds < 10 else "< 100" if seconds < 100 else "≥ 100"
 
 
 def observe(case: Case) -> Observation:
@@ -100,7 +105,7 @@ def observe(case: Case) -> Observation:
         what=what,
         measured=None if measured is None else measured.value + 0.0,  # never −0
         tolerance=None if measured is None else measured.limit,
-        seconds=perf_counter() - began,
+        seconds=band(perf_counter() - began),
     )
 
 

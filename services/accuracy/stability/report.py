@@ -2,16 +2,12 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict
 
 from services.accuracy.provenance import PACKAGES, backend
 from services.accuracy.stability.case import Observation
 from services.versions import versions
-
-BANDS = ((10.0, "< 10"), (100.0, "< 100"))
-"""Seconds are told this roughly, so that another run on another day gives the same page."""
 
 WORDS = {
     "ok": "the property held",
@@ -20,22 +16,6 @@ WORDS = {
     "refused": "a clear error, naming the field or the kind of failure",
     "failed": "the property did not hold",
 }
-
-
-class Row(BaseModel):
-    """One case in the data: an `Observation` with its seconds in bands."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    family: str
-    name: str
-    stiff: str
-    must: str
-    outcome: Literal["ok", "flat", "clipped", "refused", "failed"]
-    what: str
-    measured: float | None
-    tolerance: float | None
-    seconds: str = Field(description="a band")
 
 
 class Report(BaseModel):
@@ -48,30 +28,24 @@ class Report(BaseModel):
     versions: dict[str, str]
     backend: str
     counts: dict[str, int]
-    cases: list[Row]
+    cases: list[Observation]
 
     @property
-    def failed(self) -> list[Row]:
+    def failed(self) -> list[Observation]:
         """The cases that must not be."""
         return [row for row in self.cases if row.outcome == "failed"]
 
 
 def report(observations: Sequence[Observation], command: str) -> Report:
     """The observations with what is needed to make them again."""
-    rows = [Row.model_validate(seen.model_dump() | {"seconds": band(seen.seconds)}) for seen in observations]
     return Report(
         command=command,
         seed="each case has its own, in its code",
         versions=versions(*PACKAGES),
         backend=backend(),
-        counts={word: sum(row.outcome == word for row in rows) for word in WORDS},
-        cases=rows,
+        counts={word: sum(row.outcome == word for row in observations) for word in WORDS},
+        cases=list(observations),
     )
-
-
-def band(seconds: float) -> str:
-    """Seconds as an upper end of 10 or 100."""
-    return next((word for limit, word in BANDS if seconds < limit), "≥ 100")
 
 
 def markdown(found: Report) -> str:
@@ -100,7 +74,7 @@ def markdown(found: Report) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _line(row: Row) -> str:
+def _line(row: Observation) -> str:
     outcome = f"**{row.outcome}**" if row.outcome == "failed" else row.outcome
     numbers = ["" if value is None else f"{value:.1e}" if value else "0" for value in (row.measured, row.tolerance)]
     cells = [row.name, row.stiff, row.must, outcome, *numbers, row.what, row.seconds]

@@ -10,8 +10,8 @@ from typer.testing import CliRunner
 
 from client.cli import app
 from services.accuracy.stability import cases as stability
-from services.accuracy.stability.case import Case, Measured, need, observe
-from services.accuracy.stability.report import WORDS, Report, band, markdown
+from services.accuracy.stability.case import Case, Measured, band, need, observe
+from services.accuracy.stability.report import WORDS, Report, markdown
 from services.errors import InvalidRequest, JobFailure
 
 COMMITTED = Path(__file__).parents[3] / "docs" / "accuracy"
