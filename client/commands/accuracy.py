@@ -78,47 +78,28 @@ def work_precision(
         list[str] | None,
         typer.Option(help="A part to measure; the report in the directory keeps its other parts. Repeatable."),
     ] = None,
-    out: Annotated[Path, typer.Option(help="Directory for work-precision.md, .png and .json.")] = OUT,
+    out: Annotated[Path, typer.Option(help="Directory for work-precision.md, .csv and .json.")] = OUT,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure error against run time: ways of shading, estimates of gradients, whole attacks; and write the report.
+    """Measure error against run time: plans of each tolerance, options of scenes, whole attacks; write the report.
 
-    Its seconds mean something only on a machine that does nothing else. What a run has measured stays in a
-    .partial.jsonl file beside the report; the same command goes on from there. The parts are shading, maps, shadows,
-    scenes, signs, gradients and attacks.
+    Its seconds mean something only on a machine that does nothing else. The report is written after each part, so that
+    --only measures the others where it was stopped. The parts are shading, maps, shadows, scenes, signs and attacks.
     """
     import torch
 
     from client.console import err, print_json
-    from client.console import out as stdout
     from client.settings import settings_to_run
-    from services.accuracy.work_precision.collect import PARTS, collect
-    from services.accuracy.work_precision.extent import FULL, QUICK, about
-    from services.accuracy.work_precision.progress import Progress
-    from services.accuracy.work_precision.report import load, read, report, write
-    from services.accuracy.work_precision.words import conclusions
+    from services.accuracy.work_precision.report import FULL, PARTS, QUICK, measure
 
     chosen = list(dict.fromkeys(only or []))
     if unknown := [name for name in chosen if name not in PARTS]:
         raise typer.BadParameter(f"no part {unknown[0]!r}; there are {', '.join(PARTS)}", param_hint="--only")
     torch.set_num_threads(settings_to_run().threads)
-    extent = QUICK if quick else FULL
-    before = read(out) if chosen else None
-    with err().status("") as line:
-
-        def say(what: str) -> None:
-            line.update(what)
-
-        progress = Progress(out / ".".join(["work-precision", *chosen, "partial.jsonl"]), about(extent), say)
-        found = collect(extent, progress, chosen)
     words = ["scene-attack accuracy work-precision", *(f"--only {name}" for name in chosen)]
     words += ["--quick"] * quick + [f"--out {out}"] * (out != OUT)
-    made = report(found, " ".join(words), load(), chosen, before)
-    write(made, out)
-    progress.finish()
+    with err().status("") as line:
+        made = measure(QUICK if quick else FULL, out, " ".join(words), chosen, line.update)
     if as_json:
         print_json(made.model_dump(mode="json"))
-    else:
-        for sentence in conclusions(found):
-            stdout().print(sentence, markup=False, highlight=False)
     err().print(f"Report in {out}", markup=False, highlight=False)

@@ -1,6 +1,7 @@
 """Signs that FGSM takes from the gradient of a network's log-odds within each tolerance, against the exact ones."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import product
 
 import torch
@@ -9,8 +10,7 @@ from torch import Tensor
 
 from services.accuracy.placing import placed
 from services.accuracy.work_precision.attack_runs import NETWORK
-from services.accuracy.work_precision.shading_subject import GROUPS
-from services.accuracy.work_precision.signs import wrong_signs
+from services.accuracy.work_precision.shading import GROUPS, TOLERANCES
 from services.rendering.color import as_saved
 from services.rendering.factory import build
 from services.rendering.plan import Tolerance
@@ -18,8 +18,6 @@ from services.rendering.protocol import Renderer
 from services.scenes.resolve import ResolvedScene
 from services.targets.registry import load
 from services.targets.scores import log_odds
-
-TOLERANCES: tuple[Tolerance, ...] = (1e-2, 1e-3, 1e-4, "exact")
 
 
 class SignRow(BaseModel):
@@ -82,3 +80,28 @@ def _gradients(renderer: Renderer, number: int, dtype: torch.dtype, rounded: boo
     (by_image,) = torch.autograd.grad(log_odds(target.logits(seen), number).sum(), seen)
     found = torch.autograd.grad(image, list(leaves.values()), by_image.to(image.dtype))
     return {group: value.flatten().double() for group, value in zip(leaves, found, strict=True)}
+
+
+@dataclass(frozen=True)
+class WrongSigns:
+    """share: part of the coordinates whose sign is wrong. weight: part of the gradient's absolute sum that they hold; a
+    step by the signs then gains 1 − 2 · weight of what it gains with the right ones."""
+
+    share: float
+    weight: float
+
+
+def wrong_signs(found: Tensor, wanted: Tensor) -> WrongSigns:
+    """Of estimates [..., n] of a gradient [n], over all coordinates that are not 0 in both.
+
+    The sign of 0 is 0: a coordinate that is estimated as 0 and is not is wrong, and so is the converse, which weighs
+    nothing.
+    """
+    wanted = wanted.expand_as(found)
+    counted = (found != 0) | (wanted != 0)
+    wrong = (found.sign() != wanted.sign()) & counted
+    size, total = wanted.abs().double(), float(wanted.abs().double().sum())
+    return WrongSigns(
+        share=float(wrong.sum()) / max(1, int(counted.sum())),
+        weight=float(size[wrong].sum()) / total if total else 0.0,
+    )

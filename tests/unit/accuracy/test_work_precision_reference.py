@@ -1,21 +1,26 @@
-"""The reference of the work-precision report, its orders of convergence and its signs."""
+"""The reference of the work-precision report, beside an independent program; sizes of maps; signs."""
 
-from math import pi
-
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
-from services.accuracy.work_precision import convergence, independent_check, map_resolution, network_signs
-from services.accuracy.work_precision.convergence import slope, smooth_orders
-from services.accuracy.work_precision.extent import QUICK
-from services.accuracy.work_precision.shading_subject import GROUPS, Subject, subject
-from services.accuracy.work_precision.signs import wrong_signs
+from services.accuracy.placing import library
+from services.accuracy.work_precision import network_signs, scene_options
+from services.accuracy.work_precision.network_signs import wrong_signs
+from services.accuracy.work_precision.report import QUICK
+from services.accuracy.work_precision.shading import GROUPS, Subject, subject, truth
+from services.attacks.seeds import generator
+from services.rendering.torch_renderer.planner import exact_recipe
 from services.rendering.torch_renderer.shader import Shader
+from tests.unit.accuracy import independent
 
 pytestmark = pytest.mark.slow
 
 SMALL = ("furniture/soccer-ball", "brushed-metal", (64, 64), (8, 16))
+PIXELS = 64
+DIRECTIONS = 4
+"""Random directions, of coordinates ±1, along which derivatives are compared in each group."""
 
 
 @pytest.fixture(scope="module")
@@ -26,13 +31,53 @@ def small() -> Subject:
 # The reference
 
 
+def differences(of: Subject) -> dict[str, float]:
+    """The largest differences of the float64 shader from the independent program, at PIXELS pixels of the object.
+
+    Of displayed values at the moved values, of derivatives by each group relative to ‖gradient‖·‖direction‖, and of
+    normals (radians) and displayed values where the program takes its normals from rays.
+    """
+    some = of.only(torch.linspace(0, len(of.pixels) - 1, PIXELS).long())
+    light = independent.Light(independent.texels(library().environment("studio").radiance, *of.map))
+    view, base = of.scene.view, some.surface.base_color.numpy().astype(np.longdouble)
+    coverage, weights = some.coverage.numpy(), some.weights.numpy()
+    at = {group: value.numpy().astype(np.longdouble) for group, value in some.moved.items()}
+    wanted = truth(some, GROUPS)
+
+    def image(values: dict[str, independent.Number]) -> independent.Number:
+        normals = independent.normals_of(values["normals"], view)
+        return coverage * independent.displayed(light, view, normals, values["illumination"], values["material"], base)
+
+    found = {"image": float(np.abs(image(at) - wanted.image.numpy()).max())}
+    for group in GROUPS:
+        random = generator(0, "work-precision", "independent", group)
+        off = []
+        for _ in range(DIRECTIONS):
+            signs = (torch.rand(some.moved[group].shape, generator=random, dtype=torch.float64) - 0.5).sign()
+            step = at | {group: at[group] + 1j * np.longdouble(independent.STEP) * signs.numpy()}
+            derivative = (weights * image(step).imag).sum() / independent.STEP
+            size = float(wanted.gradients[group].norm() * signs.norm())
+            off.append(abs(float(derivative) - float((wanted.gradients[group] * signs).sum())) / size)
+        found[f"derivative by {group}"] = max(off)
+    own = {"normals": some.surface.angles, "illumination": some.intensity, "material": some.surface.material}
+    start = {group: value.numpy().astype(np.longdouble) for group, value in own.items()}
+    shaded = some.image(Shader(exact_recipe(of.sky), of.sky, some.surface, of.intensity), own).numpy()
+    rays, whole = independent.normals_by_rays(of.scene, some.pixels.numpy())
+    whole &= coverage[:, 0] == 1
+    by_rays = independent.displayed(light, view, rays[whole], start["illumination"], start["material"], base[whole])
+    normals = independent.normals_of(start["normals"], view)[whole]
+    found["normals by rays"] = float(np.linalg.norm((rays[whole] - normals).astype(np.float64), axis=1).max())
+    found["image, normals by rays"] = float(np.abs(by_rays - shaded[whole]).max())
+    return found
+
+
 @pytest.mark.parametrize("texels", [(8, 16), (16, 32)])
 def test_the_reference_is_an_independent_programs(texels: tuple[int, int]) -> None:
     """Float64 has 1e-16: a sum of 512 texels rounds to 1e-14 at the very most. Normals are rasterised in float32."""
-    found = {row.what: row for row in independent_check.comparisons(subject(*SMALL[:3], texels))}
+    found = differences(subject(*SMALL[:3], texels))
     assert len(found) == 6
-    for what, row in found.items():
-        assert row.largest < (1e-5 if "rays" in what else 1e-14), what
+    for what, largest in found.items():
+        assert largest < (1e-5 if "rays" in what else 1e-14), what
 
 
 @pytest.mark.parametrize("factor", [1 + 1e-9, -1])
@@ -45,52 +90,20 @@ def test_a_reference_that_is_wrong_is_seen(small: Subject, factor: float, monkey
         return whole * factor if factor > 0 else 2 * whole.detach() - whole
 
     monkeypatch.setattr(Shader, "__call__", wrong)
-    found = {row.what: row.largest for row in independent_check.comparisons(small)}
-    assert (found["image at the moved values"] > 1e-11) == (factor > 0)
+    found = differences(small)
+    assert (found["image"] > 1e-11) == (factor > 0)
     assert max(value for what, value in found.items() if "derivative" in what) > 1e-11
 
 
 def test_larger_maps_are_nearer_to_the_largest(monkeypatch: pytest.MonkeyPatch) -> None:
     """Matte surfaces average over half the sky, so that they see less of the map's grid than gloss does."""
-    monkeypatch.setattr(map_resolution, "MATERIALS", ("matte", "glossy-paint"))
-    found = {(row.material, row.map): row.rms for row in map_resolution.rows("primitive/sphere", (24, 24))}
-    for material in map_resolution.MATERIALS:
-        errors = [found[material, texels] for texels in map_resolution.MAPS]
+    monkeypatch.setattr(scene_options, "MATERIALS", ("matte", "glossy-paint"))
+    found = {(row.material, row.map): row.rms for row in scene_options.map_rows("primitive/sphere", (24, 24))}
+    for material in scene_options.MATERIALS:
+        errors = [found[material, texels] for texels in scene_options.MAP_SIZES]
         assert errors == sorted(errors, reverse=True)
         assert 0 < errors[-1] < errors[0] / 4
     assert found["glossy-paint", (16, 32)] > found["matte", (16, 32)]
-
-
-# Orders
-
-
-def test_the_order_of_a_power_is_its_exponent() -> None:
-    rows = [48, 64, 96, 128]
-    order, error = slope(rows, [7 * r**-2.5 for r in rows])
-    assert order == pytest.approx(2.5)
-    assert error == pytest.approx(0, abs=1e-12)
-    bent = slope(rows, [r**-2.5 * factor for r, factor in zip(rows, (1, 1.1, 1, 1.1), strict=True)])
-    assert bent[1] > 0.05
-
-
-def test_lookups_of_smooth_functions_have_the_stated_orders(small: Subject) -> None:
-    """Within a tenth of 3 for values and of 2 for derivatives."""
-    for row in smooth_orders(small.surface.angles):
-        assert row.order == pytest.approx(row.stated, rel=0.1), row.error
-        assert row.standard_error < 0.15
-
-
-def test_a_lookup_of_lower_order_is_seen(small: Subject, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The value of the nearest node is off in proportion to the spacing."""
-
-    def nearest(table: Tensor, angles: Tensor) -> Tensor:
-        rows = int((len(table) // 2) ** 0.5)
-        column, row = ((angles.detach() / pi + torch.tensor([1.0, 0.0])) * rows).long().unbind(-1)
-        return table[row * 2 * rows + column] + 0 * angles.sum()
-
-    monkeypatch.setattr(convergence, "look_up", nearest)
-    found = {row.error: row.order for row in smooth_orders(small.surface.angles)}
-    assert found["rms"] == pytest.approx(1, rel=0.1)
 
 
 # Signs
@@ -107,7 +120,7 @@ def test_wrong_signs_are_counted_and_weighed() -> None:
 def test_signs_through_the_network_are_lost_by_rounding_not_by_the_plan() -> None:
     """Exactly and without rounding only the network's float32 is left. Within 1e-3, a quarter of a step of 8 bits, the
     plan loses less than the 8 bits do."""
-    found = list(network_signs.rows(*QUICK.gradients))
+    found = list(network_signs.rows(*QUICK.signs))
     weight = {(row.group, row.tolerance, row.image): row.wrong_weight for row in found}
     assert len(weight) == len(found) == 3 * 4 * 2
     for group in GROUPS:

@@ -6,8 +6,7 @@ from math import inf
 import numpy as np
 
 from services.accuracy.work_precision import attack_runs
-from services.accuracy.work_precision.attack_runs import SCENES, AttackRow
-from services.accuracy.work_precision.success import curve, median_interval, success_rows
+from services.accuracy.work_precision.attack_runs import SCENES, AttackRow, median_interval, success_rows
 
 
 def attacked(outcome: str, queries: int) -> AttackRow:
@@ -27,20 +26,8 @@ def attacked(outcome: str, queries: int) -> AttackRow:
     )
 
 
-def test_attacks_that_held_count_as_held() -> None:
-    """Fooled in the loop only is not a success, nor is a scene that was wrong to begin with an attack."""
-    runs = [
-        attacked("verified", 7),
-        attacked("held", 20),
-        attacked("fooled in the loop only", 20),
-        attacked("verified", 3),
-        attacked("wrong to begin with", 0),
-    ]
-    assert list(curve(runs, "queries")) == [(3.0, 0.25), (7.0, 0.5)]
-
-
 def test_a_scene_that_the_network_gets_wrong_is_a_row() -> None:
-    [case, *_] = attack_runs.cases(1, 1, 1, {"steps": 1})
+    [case, *_] = attack_runs.cases(1, 1, {"steps": 1})
     found = attack_runs.attack(dataclasses.replace(case, label="grand piano"))
     assert found.outcome == "wrong to begin with"
     assert found.queries == 0
@@ -73,7 +60,13 @@ def test_bootstrap_intervals_cover_the_median() -> None:
 
 
 def test_all_work_is_counted() -> None:
-    runs = [attacked("verified", 7), attacked("held", 20), attacked("held", 20), attacked("verified", 3)]
+    """Fooled in the loop only is not a success, nor is a scene that was wrong to begin with an attack."""
+    runs = [
+        attacked("verified", 7),
+        attacked("held", 20),
+        attacked("fooled in the loop only", 20),
+        attacked("verified", 3),
+    ]
     [row] = success_rows([*runs, attacked("wrong to begin with", 0)])
     assert (row.verified, row.attacks, row.rate) == (2, 4, 0.5)
     assert row.queries_per_success == 25

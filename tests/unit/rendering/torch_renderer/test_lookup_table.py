@@ -52,6 +52,18 @@ def test_error_falls_with_the_cube_of_the_mesh_everywhere() -> None:
     assert errors[2] < 1e-3
 
 
+def test_error_of_slopes_falls_with_the_square_of_the_mesh() -> None:
+    """The derivative of a curve that is off by h³ is off by h²."""
+    leaf = anywhere(4000).requires_grad_()
+    (truth,) = torch.autograd.grad(smooth(to_vectors(leaf)).sum(), leaf)
+    errors = []
+    for rows in (32, 64, 128):
+        (found,) = torch.autograd.grad(look_up(smooth(node_vectors(rows)), leaf).sum(), leaf)
+        errors.append(float((found - truth).square().mean().sqrt()))
+    assert errors[0] > 3.5 * errors[1] > 12 * errors[2]
+    assert errors[0] < 5 * errors[1]
+
+
 @pytest.mark.parametrize("wanted", ["table", "angles", "both"])
 def test_gradcheck(wanted: str) -> None:
     random = torch.Generator().manual_seed(1)

@@ -1,0 +1,108 @@
+"""The work-precision report: its parts, measured together or alone, and its page, CSV and JSON."""
+
+import csv
+import dataclasses
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from client.cli import app
+from services.accuracy.work_precision import scene_options
+from services.accuracy.work_precision.attack_runs import success_rows
+from services.accuracy.work_precision.report import PARTS, QUICK, Report, data, markdown, measure, read, write
+from services.accuracy.work_precision.scene_options import MapRow, ShadowRow
+
+COMMITTED = Path(__file__).parents[3] / "docs" / "accuracy"
+MAP = MapRow(mesh="m", material="matte", map=(4, 8), reference=(64, 128), pixels=1, largest=0.5, rms=0.5)
+SHADOW = ShadowRow(
+    scene="s", renderer="torch", fineness="1×1", reference="8×8", pixels=1, mean=0.25, largest=0.5, seconds=1.0
+)
+
+
+def test_the_committed_page_and_rows_are_what_the_report_writes(tmp_path: Path) -> None:
+    committed = read(COMMITTED)
+    assert committed is not None
+    write(committed, tmp_path)
+    for name in ("work-precision.md", "work-precision.csv", "work-precision.json"):
+        assert (tmp_path / name).read_text("utf-8") == (COMMITTED / name).read_text("utf-8"), name
+
+
+def test_the_report_says_everything(tmp_path: Path) -> None:
+    tiny = dataclasses.replace(
+        QUICK,
+        subjects=(("furniture/soccer-ball", "brushed-metal", (32, 32), ((16, 32),)),),
+        scene=(24, 32),
+        enough=0.0,
+        steps=2,
+        zoo={"steps": 1, "delta": 1e-2},
+    )
+    parts: list[str] = []
+    made = measure(tiny, tmp_path, "a command", on_part=parts.append)
+    assert parts == list(PARTS) == list(made.measured)
+    assert read(tmp_path) == made
+    page = (tmp_path / "work-precision.md").read_text("utf-8")
+    headings = [line for line in page.splitlines() if line.startswith("## ")]
+    assert headings == [
+        *("## Which tolerance", "## Plans", "## Types of number", "## Resolution of the environment map"),
+        *("## Resolution of shadows", "## Surfaces, floor and shadows", "## Signs that FGSM takes"),
+        *("## Work to a verified adversary", "## What is left out", "## How to make this page again"),
+    ]
+    for above, below in pairwise(headings):
+        section = page[page.index(above) : page.index(below)]
+        assert ("|---" in section) == (above not in ("## Which tolerance", "## What is left out")), above
+    assert f"`a command`, {made.measured['maps'].when}, " in page
+    rows = list(csv.DictReader((tmp_path / "work-precision.csv").read_text("utf-8").splitlines()))
+    assert len(rows) == sum(len(getattr(made, part)) for part in PARTS) + len(list(success_rows(made.attacks)))
+    first = next(row for row in rows if row["part"] == "shading")
+    assert made.shading[0].both is not None
+    assert float(first["both.median"]) == made.shading[0].both.median
+    assert first["groups"] == "normals illumination material"
+
+
+def test_a_part_measured_alone_replaces_its_rows_and_no_others(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The report says of each part by which command it was measured."""
+    monkeypatch.setattr(scene_options, "map_rows", lambda *_: iter([MAP]))
+    monkeypatch.setattr(scene_options, "shadow_rows", lambda *_: iter([SHADOW]))
+    assert read(tmp_path) is None
+    assert list(measure(QUICK, tmp_path, "the first", ["maps", "shadows"]).measured) == ["maps", "shadows"]
+    again = SHADOW.model_copy(update={"mean": 0.125})
+    monkeypatch.setattr(scene_options, "shadow_rows", lambda *_: iter([again]))
+    made = measure(QUICK, tmp_path, "the second", ["shadows"])
+    assert (made.maps, made.shadows) == ([MAP], [again])
+    assert {name: how.command for name, how in made.measured.items()} == {"maps": "the first", "shadows": "the second"}
+    page = markdown(made)
+    assert "- shadows: `the second`, " in page
+    assert "- maps: `the first`, " in page
+    assert "## Plans" not in page
+
+
+def test_what_was_measured_is_kept_when_a_later_part_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stopped(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(scene_options, "map_rows", lambda *_: iter([MAP]))
+    monkeypatch.setattr(scene_options, "shadow_rows", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        measure(QUICK, tmp_path, "a command", ["maps", "shadows"])
+    made = read(tmp_path)
+    assert made is not None
+    assert (made.maps, list(made.measured)) == ([MAP], ["maps"])
+
+
+def test_the_command_measures_a_part_into_the_report_that_is_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(scene_options, "map_rows", lambda *_: iter([MAP]))
+    (tmp_path / "work-precision.json").write_text(data(Report(shadows=[SHADOW])), "utf-8")
+    command = ["accuracy", "work-precision", "--quick", "--out", str(tmp_path), "--only", "maps"]
+    assert CliRunner().invoke(app, command).exit_code == 0
+    made = read(tmp_path)
+    assert made is not None
+    assert (made.maps, made.shadows) == ([MAP], [SHADOW])
+    words = f"scene-attack accuracy work-precision --only maps --quick --out {tmp_path}"
+    assert [how.command for how in made.measured.values()] == [words]
+    unknown = CliRunner().invoke(app, ["accuracy", "work-precision", "--only", "mops"])
+    assert unknown.exit_code == 2
+    assert "maps" in unknown.output
