@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
 from services.accuracy.placing import library
-from services.accuracy.work_precision.shading import subject
+from services.accuracy.work_precision.shading import subject, values_of
 from services.accuracy.work_precision.timing import repeated
 from services.attacks.seeds import generator
 from services.rendering.factory import build
@@ -82,8 +82,7 @@ def _under_map(mesh: str, material: str, size: tuple[int, int], texels: tuple[in
     """Displayed values [MAP_PIXELS, 3], of the same pixels whatever the map."""
     whole = subject(mesh, material, size, texels)
     of = whole.only(torch.linspace(0, len(whole.pixels) - 1, min(MAP_PIXELS, len(whole.pixels))).long())
-    values = {"normals": of.surface.angles, "illumination": of.intensity, "material": of.surface.material}
-    return of.image(Shader(exact_recipe(of.sky), of.sky, of.surface, of.intensity), values)
+    return of.image(Shader(exact_recipe(of.sky), of.sky, of.surface, of.intensity), values_of(of, groups=()))
 
 
 # The fineness of shadows
