@@ -35,7 +35,7 @@ from services.scenes.library import Library
 from services.targets import registry
 from services.targets.info import TARGETS
 from services.targets.truth import truth_labels
-from services.training.split import committed
+from training.split import committed
 
 SEED = 0
 ALEXNET, RESNET, LITE0 = "alexnet-furniture", "resnet34-furniture", "efficientnet-lite0"

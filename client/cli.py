@@ -22,7 +22,6 @@ from client.commands import (
     serve,
     submit,
     targets,
-    train,
 )
 from services.errors import InvalidRequest, JobFailure
 
@@ -65,7 +64,6 @@ app.add_typer(assets.app, name="assets")
 app.add_typer(keys.app, name="keys")
 app.add_typer(targets.app, name="targets")
 app.add_typer(accuracy.app, name="accuracy")
-app.add_typer(train.app, name="train")
 serve.register(app)
 demo.register(app)
 doctor.register(app)

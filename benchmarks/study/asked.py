@@ -18,7 +18,7 @@ from services.questions.records import QuestionRecord
 from services.questions.templates.families import FAMILIES
 from services.scenes.clevr.attacked import record_after
 from services.scenes.clevr.records import SceneRecord
-from services.training.iep.examples import ObjectTruth
+from training.iep.examples import ObjectTruth
 
 DIGITS = 5
 """Significant digits of confidences."""

@@ -38,9 +38,9 @@ ELSEWHERE = {
     ("quickstart.md", "scene-attack serve"): LISTED,
     ("quickstart.md", "scene-attack campaign run"): LISTED,
     ("quickstart.md", "scene-attack accuracy"): "minutes of measurements; tests of services/accuracy run their parts",
-    ("quickstart.md", "scene-attack train"): "hours; tests of services/training run their parts",
+    ("quickstart.md", "python -m training"): "hours; tests of training run their parts",
     ("campaigns.md", "scene-attack campaign list"): LISTED,
-    ("training.md", ""): "hours; tests of services/training run their parts",
+    ("training.md", ""): "hours; tests of training run their parts",
     (
         "operations.md",
         "scene-attack keys",

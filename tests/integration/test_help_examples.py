@@ -28,7 +28,6 @@ ELSEWHERE = {
     "demo": "test_demo runs it",
     "doctor": "test_command_line runs it",
     "accuracy": "minutes of measurements; tests of services/accuracy run their parts",
-    "train": "hours; tests of services/training run their parts",
     "pg_restore": "a program of PostgreSQL; tests/unit/jobs restores a copy with it",
 }
 """Examples that are not run here, by a word of them, and why. A unit test parses them."""

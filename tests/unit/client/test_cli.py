@@ -38,7 +38,6 @@ COMMANDS = [
     *(["assets", *rest] for rest in ([], ["list"], ["show"], ["add"], ["uploads"], ["delete"], ["environments"])),
     *(["keys", *rest] for rest in ([], ["create"], ["list"], ["revoke"])),
     *(["accuracy", *rest] for rest in ([], ["stability"], ["work-precision"])),
-    *(["train", *rest] for rest in ([], ["split"], ["alexnet"], ["resnet34"], ["iep"])),
 ]
 
 
@@ -58,7 +57,7 @@ def cli(*arguments: str, stdin: str = "", **environ: str) -> subprocess.Complete
 def test_every_command_has_help_with_an_example(command: list[str]) -> None:
     done = CliRunner().invoke(app, [*command, "--help"])
     assert done.exit_code == 0
-    groups = ([], ["jobs"], ["assets"], ["accuracy"], ["train"], ["campaign"], ["keys"])
+    groups = ([], ["jobs"], ["assets"], ["accuracy"], ["campaign"], ["keys"])
     assert ("Example" in done.stdout) == (command not in groups)
 
 

@@ -27,7 +27,7 @@ def room(module: str) -> str | None:
 @pytest.fixture(scope="module")
 def imports() -> networkx.DiGraph:
     """Which room imports which."""
-    modules = grimp.build_graph("services", "api", "worker", "client")
+    modules = grimp.build_graph("services", "api", "worker", "client", "training")
     found = networkx.DiGraph()
     for module in modules.modules:
         here = room(module)
@@ -59,7 +59,7 @@ def test_the_ground_floor_is_named() -> None:
 
 
 def test_every_path_on_the_page_exists() -> None:
-    paths = re.findall(r"`((?:services|api|worker|client|docs|tests|scripts|benchmarks)/[\w/.]+?)/?`", PAGE)
+    paths = re.findall(r"`((?:services|api|worker|client|training|docs|tests|scripts|benchmarks)/[\w/.]+?)/?`", PAGE)
     assert len(paths) > 15
     for path in paths:
         assert (ROOT / path).exists(), path

@@ -13,6 +13,7 @@ import typer.main
 
 from client.cli import app
 from client.commands_page import commands, examples, page
+from training.__main__ import app as training
 
 pytestmark = pytest.mark.slow
 
@@ -24,7 +25,7 @@ TYPED = [
     for page in sorted(PAGES)
     for block in re.findall(r"^```(?:sh|bash)[^\n]*\n(.*?)^```$", page.read_text("utf-8"), re.M | re.S)
     for line in block.replace("\\\n", " ").splitlines()
-    if re.match(r"(\.venv/bin/)?scene-attack ", line) and page.name != "commands.md"
+    if re.match(r"(\.venv/bin/)?(scene-attack|python -m training) ", line) and page.name != "commands.md"
 ]
 
 
@@ -54,8 +55,9 @@ def test_an_example_of_help_can_be_parsed_and_its_files_are_there(example: str) 
 @pytest.mark.parametrize(("page_name", "line"), TYPED)
 def test_a_command_of_the_documents_can_be_parsed(page_name: str, line: str) -> None:
     words = shlex.split(re.split(r" [<>|] | \|\| ", line)[0], comments=True)
-    command: Any = typer.main.get_command(app)
-    parsed(command, words[1:])
+    ours = words[0] == "scene-attack"
+    command: Any = typer.main.get_command(app if ours else training)
+    parsed(command, words[1 if ours else 3 :])
     for word in words:
         if word.startswith("examples/"):
             assert (ROOT / word).is_file(), f"{page_name}: {word}"
@@ -70,7 +72,7 @@ def parsed(command: Any, arguments: list[str], parent: Any = None) -> None:
         parsed(found, left, context)
 
 
-WITHOUT_JSON = ("serve", "api", "worker", "demo", "train ")  # what they print is progress
+WITHOUT_JSON = ("serve", "api", "worker", "demo")  # what they print is progress
 
 
 def test_every_command_with_an_answer_can_print_it_as_json() -> None:

@@ -21,7 +21,7 @@ from services.targets.info import available
 from services.targets.networks.alexnet import AlexNet
 from services.targets.networks.resnet import ResNet
 from services.targets.weights_file import load_into, read
-from services.training.split import committed
+from training.split import committed
 
 WEIGHTS = Path(str(files("services.targets").joinpath("weights")))
 CARDS = {info.name: info for info in available() if info.vocabulary == "furniture-14"}

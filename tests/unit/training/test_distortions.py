@@ -1,8 +1,8 @@
 import numpy as np
 import torch
 
-from services.training import distortions
-from services.training.distortions import distort
+from training import distortions
+from training.distortions import distort
 
 
 def _disc(side: int = 64) -> torch.Tensor:

@@ -2,9 +2,9 @@ import pytest
 import torch
 from scipy.stats import binomtest
 
-from services.training.evaluation import Images, clustered_error, confusion, wilson
-from services.training.export import measured
-from services.training.split import committed
+from training.evaluation import Images, clustered_error, confusion, wilson
+from training.export import measured
+from training.split import committed
 
 
 @pytest.mark.parametrize(("right", "count"), [(0, 7), (7, 7), (3, 11), (80, 100)])

@@ -9,9 +9,9 @@ import torch
 from services.scenes.catalogue import Model
 from services.scenes.furniture_kinds import PREFIX, kind_of
 from services.scenes.primitives import primitive
-from services.training.classes import CLASSES, FOLDS, Samples, choose, cross_validated, folds
-from services.training.families import distance, families, stem
-from services.training.split import AT_MOST, MIN_FAMILIES, MIN_HELD_OUT, Split, committed, divided
+from training.classes import CLASSES, FOLDS, Samples, choose, cross_validated, folds
+from training.families import distance, families, stem
+from training.split import AT_MOST, MIN_FAMILIES, MIN_HELD_OUT, Split, committed, divided
 
 
 def _model(slug: str, creator: str, path: str) -> Model:

@@ -5,12 +5,12 @@ import torch
 
 from services.errors import InvalidRequest
 from services.targets.weights_file import dequantize, load_into, quantize
-from services.training.batches import shade
-from services.training.data import gather
-from services.training.export import ARCHITECTURES
-from services.training.recipe import RECIPES, Budget
-from services.training.trainable_alexnet import TrainableAlexNet
-from services.training.training import Training, load_trained, weights
+from training.batches import shade
+from training.data import gather
+from training.export import ARCHITECTURES
+from training.recipe import RECIPES, Budget
+from training.trainable_alexnet import TrainableAlexNet
+from training.training import Training, load_trained, weights
 
 pytestmark = pytest.mark.slow
 
@@ -78,7 +78,7 @@ def test_a_checkpoint_of_another_training_is_refused(data, tmp_path):
 
 
 def test_it_learns_its_views(data, tmp_path, monkeypatch):
-    monkeypatch.setattr("services.training.training.distort", lambda images, *_: images)
+    monkeypatch.setattr("training.training.distort", lambda images, *_: images)
     training = _training(data, tmp_path / "a", dropout=0.0, warm_up=0.1, smoothing=0.0)
     reports = []
     training.run(Budget(epochs=30), reports.append)
@@ -90,7 +90,7 @@ def test_late_batches_show_the_default_scene(data, tmp_path, monkeypatch):
     training = _training(data, tmp_path / "a", default_from=0.5)
     seen = []
     monkeypatch.setattr(
-        "services.training.training.shade",
+        "training.training.shade",
         lambda views, looks, choices: seen.append((looks, choices)) or shade(views, looks, choices),
     )
     training.run(Budget(epochs=20), lambda _: None)  # 40 steps

@@ -9,9 +9,9 @@ import torch
 from services.rendering.factory import build
 from services.scenes.description import ELEVATION, Camera, Environment, Lights, Scene, SceneObject
 from services.scenes.resolve import resolve
-from services.training.batches import augmented, plain, shade
-from services.training.looks import default_lamp, default_looks, environment_look, lamps_look, looks
-from services.training.views import GRID, node_normals, nodes, paper_cameras, training_cameras, views
+from training.batches import augmented, plain, shade
+from training.looks import default_lamp, default_looks, environment_look, lamps_look, looks
+from training.views import GRID, node_normals, nodes, paper_cameras, training_cameras, views
 
 pytestmark = pytest.mark.slow
 
@@ -65,7 +65,7 @@ def test_a_view_is_drawn_once(library, drawn, folder, monkeypatch):
     def refuse(*_):
         raise AssertionError("it was drawn again")
 
-    monkeypatch.setattr("services.training.views.rasterise", refuse)
+    monkeypatch.setattr("training.views.rasterise", refuse)
     again = views(library, MESH, paper_cameras(2, SIZE), folder)
     assert again.side == drawn.side
     assert np.array_equal(again.pixels, drawn.pixels)

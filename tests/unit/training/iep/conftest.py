@@ -14,10 +14,10 @@ from services.questions.program import Node
 from services.questions.text import WORDS
 from services.scenes.library import Library
 from services.targets.iep.prefix import TOKENS
-from services.training.iep.examples import Example
-from services.training.iep.stages import Stages
 from tests.unit.targets.iep import world
 from tests.unit.training.iep.small import stages
+from training.iep.examples import Example
+from training.iep.stages import Stages
 
 
 @dataclass(frozen=True)

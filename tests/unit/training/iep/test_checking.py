@@ -13,11 +13,11 @@ from services.statistics import wilson
 from services.targets.iep.assembly import Question, assemble
 from services.targets.iep.checkpoint import Checkpoint
 from services.targets.iep.network import Network
-from services.training.iep import checking
-from services.training.iep.checking import Outcome, answered, disagreements, figures
-from services.training.iep.examples import Example
-from services.training.iep.shards import shard
 from tests.unit.targets.iep import world
+from training.iep import checking
+from training.iep.checking import Outcome, answered, disagreements, figures
+from training.iep.examples import Example
+from training.iep.shards import shard
 
 
 class Known:

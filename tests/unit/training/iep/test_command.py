@@ -7,17 +7,17 @@ from types import SimpleNamespace
 import pytest
 from typer.testing import CliRunner
 
-from client.cli import app
-from client.commands import train_iep
 from services.errors import InvalidRequest
-from services.training.iep import recipe
 from tests.unit.training.iep.small import RECIPE, SEED
+from training import iep_command
+from training.__main__ import app
+from training.iep import recipe
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_thread")]
 
 
 def run(*arguments: str) -> tuple[int, str]:
-    done = CliRunner().invoke(app, ["train", "iep", *arguments])
+    done = CliRunner().invoke(app, ["iep", *arguments])
     if isinstance(done.exception, InvalidRequest):
         raise done.exception
     return done.exit_code, done.stdout
@@ -33,7 +33,7 @@ def test_the_command_goes_on_writes_the_checkpoint_and_checks_it(copied: Path, m
     (copied / "generator.checkpoint").unlink()
     with monkeypatch.context() as hurried:
         ticks = count(step=100.0)
-        hurried.setattr(train_iep, "time", SimpleNamespace(monotonic=lambda: next(ticks)))
+        hurried.setattr(iep_command, "time", SimpleNamespace(monotonic=lambda: next(ticks)))
         code, said = run("--out", str(out), "--seed", str(SEED), "--seconds-budget", "10")
     assert (code, said) == (0, "not finished; the same command goes on\n")
     assert not (out / "iep.safetensors").exists()
@@ -43,7 +43,7 @@ def test_the_command_goes_on_writes_the_checkpoint_and_checks_it(copied: Path, m
     assert rows[:2] == ["questions", "overall"]
     facts = json.loads((out / "iep.json").read_text())
     assert facts["bytes"] == (out / "iep.safetensors").stat().st_size < 10_000_000
-    assert facts["command"] == f"scene-attack train iep --seed {SEED}"
+    assert facts["command"] == f"python -m training iep --seed {SEED}"
     assert facts["check"]["programs"]["of"] == 2 * RECIPE.questions
     weights = ("--check", "--weights", str(out / "iep.safetensors"), "--out", str(out))
     assert run(*weights) == (0, said)

@@ -9,10 +9,10 @@ from services.questions.executor import answer
 from services.questions.facts import Facts
 from services.scenes.clevr.generator import generate
 from services.scenes.library import Library
-from services.training.iep import data
-from services.training.iep.data import DataFolder, Images, examples_of, objects_of
-from services.training.iep.recipe import RECIPE, Part
 from tests.unit.training.iep.small import SEED, After, never, silent
+from training.iep import data
+from training.iep.data import DataFolder, Images, examples_of, objects_of
+from training.iep.recipe import RECIPE, Part
 
 pytestmark = pytest.mark.slow
 

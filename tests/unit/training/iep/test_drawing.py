@@ -12,7 +12,7 @@ from services.scenes.clevr.placement import placed_in
 from services.scenes.clevr.visibility import object_numbers
 from services.scenes.library import Library
 from services.scenes.resolve import resolve
-from services.training.iep.drawing import coarse, draw, varied
+from training.iep.drawing import coarse, draw, varied
 
 RECORD = generate(2, 0, objects=(3, 3))
 SCENE = describe(RECORD)

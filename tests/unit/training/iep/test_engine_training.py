@@ -6,10 +6,10 @@ import pytest
 import torch
 
 from services.targets.iep.engine import Engine
-from services.training.iep.engine_training import EVERYTHING_FROM, Draw, chances, engine_step, execute
-from services.training.iep.loop import Schedule, TrainingLoop
-from services.training.iep.metrics import answers, by_family
 from tests.unit.training.iep.conftest import Data
+from training.iep.engine_training import EVERYTHING_FROM, Draw, chances, engine_step, execute
+from training.iep.loop import Schedule, TrainingLoop
+from training.iep.metrics import answers, by_family
 
 pytestmark = pytest.mark.slow
 

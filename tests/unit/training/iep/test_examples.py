@@ -1,7 +1,7 @@
 from services.questions.facts import Facts
 from services.questions.generator import QuestionGenerator
 from services.scenes.clevr.generator import generate
-from services.training.iep.examples import Example, ObjectTruth
+from training.iep.examples import Example, ObjectTruth
 
 
 def test_examples_of_generated_questions_have_the_result_of_every_node() -> None:

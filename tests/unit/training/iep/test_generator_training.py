@@ -4,9 +4,9 @@ import pytest
 import torch
 
 from services.targets.iep.program_generator import ProgramGenerator
-from services.training.iep.generator_training import generator_step, right_programs
-from services.training.iep.loop import Schedule, TrainingLoop
 from tests.unit.training.iep.conftest import Data
+from training.iep.generator_training import generator_step, right_programs
+from training.iep.loop import Schedule, TrainingLoop
 
 
 @pytest.mark.usefixtures("one_thread")

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from services.errors import InvalidRequest
-from services.training.iep.loop import Report, Schedule, TrainingLoop
+from training.iep.loop import Report, Schedule, TrainingLoop
 
 SCHEDULE = Schedule(steps=60, rate=0.05, decay=0.01)
 

@@ -10,14 +10,14 @@ import psutil
 import pytest
 
 from services.errors import JobFailure
-from services.training.iep.processes import each
 from tests.processes import command_line
 from tests.unit.training.iep.small import After, never
+from training.iep.processes import each
 
 pytestmark = pytest.mark.slow
 
 SLEEP = """import signal, time
-from services.training.iep.processes import each
+from training.iep.processes import each
 signal.signal(signal.SIGINT, signal.default_int_handler)  # the tests may have been begun in the background, without it
 list(each(time.sleep, [600, 600], 2, bool))"""
 

@@ -8,9 +8,9 @@ import torch
 from services.errors import InvalidRequest
 from services.scenes.library import Library
 from services.targets.iep.checkpoint import load
-from services.training.iep.export import check, write
-from services.training.iep.stages import Stages
 from tests.unit.training.iep.small import RECIPE, After, never, silent, stages
+from training.iep.export import check, write
+from training.iep.stages import Stages
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -68,7 +68,7 @@ def test_damaged_data_and_data_of_another_recipe_are_refused(copied: Path, libra
 def test_a_finished_training_is_written_and_its_figures_are_found_again(
     whole: Stages, folder: Path, library: Library, tmp_path: Path
 ) -> None:
-    written = write(whole, tmp_path, "scene-attack train iep", silent)
+    written = write(whole, tmp_path, "python -m training iep", silent)
     checkpoint = load(written.weights)
     rounded = whole.network.engine.mapping.second - checkpoint.network.engine.mapping.second
     assert 0 < float(rounded.abs().max()) <= 0.5001 / 127 * float(whole.network.engine.mapping.second.abs().max())
@@ -92,7 +92,7 @@ def test_a_finished_training_is_written_and_its_figures_are_found_again(
     with pytest.raises(InvalidRequest, match=r"\.json is not there, which has the figures"):
         check(written.weights, folder, library, silent, never)
     missing = tmp_path / "none" / written.weights.name
-    with pytest.raises(InvalidRequest, match=r"there is no file .*; .*train them: scene-attack train iep"):
+    with pytest.raises(InvalidRequest, match=r"there is no file .*; .*train them: python -m training iep"):
         check(missing, tmp_path / "none" / "iep", library, silent, never)
     with pytest.raises(InvalidRequest, match=f"of a training of yours: --weights {written.weights}"):
         check(missing, written.weights.parent / "iep", library, silent, never)

@@ -3,8 +3,8 @@ import torch
 
 from services.scenes.clevr.attributes import ATTRIBUTES
 from services.targets.iep.engine import Engine
-from services.training.iep.examples import ObjectTruth
-from services.training.iep.trunk_training import ObjectFinder, Truth, hand_over, trunk_accuracy, trunk_loss
+from training.iep.examples import ObjectTruth
+from training.iep.trunk_training import ObjectFinder, Truth, hand_over, trunk_accuracy, trunk_loss
 
 RED_CUBE = ObjectTruth(40.0, 100.0, {"size": "large", "color": "red", "material": "metal", "shape": "cube"})
 GRAY_BALL = ObjectTruth(239.5, 4.0, {"size": "small", "color": "gray", "material": "rubber", "shape": "sphere"})

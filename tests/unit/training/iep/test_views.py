@@ -2,8 +2,8 @@ import numpy as np
 import torch
 
 from services.scenes.clevr.attributes import ATTRIBUTES
-from services.training.iep.examples import ObjectTruth
-from services.training.iep.views import AugmentedViews
+from training.iep.examples import ObjectTruth
+from training.iep.views import AugmentedViews
 
 
 def test_the_objects_of_a_changed_view_are_where_their_pixels_are() -> None:

@@ -14,9 +14,9 @@ from services import atomic_write
 from services.errors import InvalidRequest
 from services.rendering.color import from_bytes
 from services.targets.iep.trunk import Trunk
-from services.training.iep.data import DataFolder, Images, Said
-from services.training.iep.recipe import Split
-from services.training.iep.shards import Shard
+from training.iep.data import DataFolder, Images, Said
+from training.iep.recipe import Split
+from training.iep.shards import Shard
 
 AT_ONCE = 20
 """Images that the trunk sees together."""

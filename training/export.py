@@ -16,13 +16,13 @@ from services.scenes.library import Library
 from services.targets.networks.alexnet import AlexNet
 from services.targets.networks.resnet import ResNet
 from services.targets.weights_file import dequantize, load_into, quantize, to_bytes
-from services.training.batches import MEAN, SCALE
-from services.training.cards import data_card, model_card
-from services.training.evaluation import RENDERERS, VIEWS, Images, answers, clustered_error, confusion, held_out, wilson
-from services.training.recipe import Recipe
-from services.training.split import Split
-from services.training.training import Trained, weights
-from services.training.views import INPUT
+from training.batches import MEAN, SCALE
+from training.cards import data_card, model_card
+from training.evaluation import RENDERERS, VIEWS, Images, answers, clustered_error, confusion, held_out, wilson
+from training.recipe import Recipe
+from training.split import Split
+from training.training import Trained, weights
+from training.views import INPUT
 
 ARCHITECTURES = {"alexnet": AlexNet, "resnet34": ResNet}
 
@@ -133,7 +133,7 @@ def _share(right: Tensor, models: Tensor) -> dict[str, Any]:
 def _command(name: str, trained: Trained) -> str:
     budget = trained.budget
     length = f"--epochs {budget.epochs}" if budget.minutes is None else f"--minutes {budget.minutes:g}"
-    return f"scene-attack train {name} {length} --seed {trained.seed}"
+    return f"python -m training {name} {length} --seed {trained.seed}"
 
 
 def _summary(facts: dict[str, Any]) -> str:

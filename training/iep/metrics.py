@@ -9,8 +9,8 @@ from torch import Tensor
 from services.questions.answers import ANSWERS
 from services.statistics import wilson
 from services.targets.iep.engine import Engine
-from services.training.iep.engine_training import execute
-from services.training.iep.examples import Example
+from training.iep.engine_training import execute
+from training.iep.examples import Example
 
 OVERALL = "overall"
 

@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from services.training.evaluation import RENDERERS, VIEWS
-from services.training.recipe import DEFAULT_SCENES, Recipe
-from services.training.split import AT_MOST, HELD_OUT, MIN_FAMILIES, MIN_HELD_OUT, MIN_MODELS, Split
+from training.evaluation import RENDERERS, VIEWS
+from training.recipe import DEFAULT_SCENES, Recipe
+from training.split import AT_MOST, HELD_OUT, MIN_FAMILIES, MIN_HELD_OUT, MIN_MODELS, Split
 
 TITLES = {"alexnet": "AlexNet", "resnet34": "ResNet-34"}
 PAPER = {"alexnet": 73.6, "resnet34": 79.4}
@@ -85,7 +85,7 @@ def data_card(split: Split, recipe: Recipe) -> str:
         "",
         f"    {split.command}",
         "",
-        f"**Split by family.** Near-copies belong to one family (`services/training/families.py` has the rules), and "
+        f"**Split by family.** Near-copies belong to one family (`training/families.py` has the rules), and "
         f"no family has models on both sides. Of each kind with at least {MIN_MODELS} models, families are held out in "
         f"the order of a hash until {HELD_OUT:.0%} of the models are (at most {AT_MOST:.0%}); kinds with fewer than "
         f"{MIN_FAMILIES} training or {MIN_HELD_OUT} held-out families are left out.",

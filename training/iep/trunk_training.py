@@ -16,8 +16,8 @@ from torch.nn import functional as F
 from services.scenes.clevr.attributes import ATTRIBUTES
 from services.targets.iep.engine import Engine
 from services.targets.iep.trunk import CHANNELS, GRID, STRIDE, Trunk
-from services.training.iep.examples import ObjectTruth
-from services.training.iep.losses import mask_loss, occupancy
+from training.iep.examples import ObjectTruth
+from training.iep.losses import mask_loss, occupancy
 
 VALUES = tuple(value for values in ATTRIBUTES.values() for value in values)
 PLACE_WEIGHT = 1.0

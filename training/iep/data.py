@@ -19,11 +19,11 @@ from services.questions.generator import QuestionGenerator
 from services.scenes.clevr.description import describe
 from services.scenes.clevr.generator import generate
 from services.scenes.library import Library
-from services.training.iep import shards
-from services.training.iep.drawing import coarse, draw, varied
-from services.training.iep.examples import Example, ObjectTruth
-from services.training.iep.processes import each
-from services.training.iep.recipe import SHARD, Part, Recipe, Split
+from training.iep import shards
+from training.iep.drawing import coarse, draw, varied
+from training.iep.examples import Example, ObjectTruth
+from training.iep.processes import each
+from training.iep.recipe import SHARD, Part, Recipe, Split
 
 VERSION = 1
 """Changes with what is drawn, so that data of an older version is not taken for it."""

@@ -11,12 +11,12 @@ from torch.nn import functional as F
 from services.scenes.description import ELEVATION, Environment
 from services.scenes.furniture_kinds import PREFIX
 from services.scenes.library import Library
-from services.training.batches import plain, shade
-from services.training.looks import default_looks, environment_look, looks
-from services.training.recipe import Recipe
-from services.training.teacher import features_of, load
-from services.training.training import Data
-from services.training.views import INPUT, Views, joined, training_cameras, views
+from training.batches import plain, shade
+from training.looks import default_looks, environment_look, looks
+from training.recipe import Recipe
+from training.teacher import features_of, load
+from training.training import Data
+from training.views import INPUT, Views, joined, training_cameras, views
 
 HINTS = 256
 """Principal components of the teacher's features that are kept as hints."""

@@ -1,4 +1,4 @@
-"""The command `train iep`: trains the network that answers questions about CLEVR-style scenes, or checks it."""
+"""The command `iep`: trains the network that answers questions about CLEVR-style scenes, or checks it."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from client.commands.train_options import OUT, Out, Seed, progress_bars, settings_to_train
+from training.command_options import OUT, Out, Seed, progress_bars, settings_to_train
 
 Said = Callable[[str, float, float, str], None]
 LINE_SECONDS = 30.0
@@ -38,11 +38,11 @@ def iep(
     from client.console import out as stdout
     from client.local_meshes import local_library
     from services.errors import InvalidRequest
-    from services.training.iep.export import SHIPPED, write
-    from services.training.iep.export import check as checked
-    from services.training.iep.processes import cores
-    from services.training.iep.recipe import RECIPE
-    from services.training.iep.stages import Stages
+    from training.iep.export import SHIPPED, write
+    from training.iep.export import check as checked
+    from training.iep.processes import cores
+    from training.iep.recipe import RECIPE
+    from training.iep.stages import Stages
 
     if weights is not None and not check:
         raise InvalidRequest("--weights", "it is for --check")
@@ -59,7 +59,7 @@ def iep(
             lines = None if found is None else [found.summary, *found.disagreements]
         else:
             stages = Stages(RECIPE.scaled(scale), seed, out / "iep", library, said, over, drawing)
-            command = f"scene-attack train iep --seed {seed}" + ("" if scale == 1 else f" --scale {scale:g}")
+            command = f"python -m training iep --seed {seed}" + ("" if scale == 1 else f" --scale {scale:g}")
             lines = [write(stages, out, command, said).summary] if stages.run() else None
     if lines is None:
         stdout().print("not finished; the same command goes on", markup=False, highlight=False)

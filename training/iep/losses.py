@@ -11,7 +11,7 @@ from services.questions.answers import ANSWERS
 from services.targets.iep.assembly import Slot
 from services.targets.iep.execution import Execution
 from services.targets.iep.stem import N_CELLS
-from services.training.iep.examples import Example
+from training.iep.examples import Example
 
 MASK_WEIGHT = 0.5
 """Weight of the loss on masks."""

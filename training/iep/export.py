@@ -16,12 +16,12 @@ from services import atomic_write
 from services.errors import InvalidRequest
 from services.scenes.library import Library
 from services.targets.iep.checkpoint import HOW_TO_GET_WEIGHTS, Checkpoint, load, to_bytes
-from services.training.iep import checking
-from services.training.iep.cards import data_card, model_card, table
-from services.training.iep.data import DataFolder, Said
-from services.training.iep.metrics import OVERALL
-from services.training.iep.recipe import RECIPE
-from services.training.iep.stages import Stages
+from training.iep import checking
+from training.iep.cards import data_card, model_card, table
+from training.iep.data import DataFolder, Said
+from training.iep.metrics import OVERALL
+from training.iep.recipe import RECIPE
+from training.iep.stages import Stages
 
 NAME = "iep"
 SHIPPED = Path(str(files("services.targets").joinpath("weights"))) / f"{NAME}.safetensors"

@@ -10,8 +10,8 @@ from torch import Tensor
 from services.targets.iep.assembly import Question, assemble
 from services.targets.iep.engine import Engine
 from services.targets.iep.execution import Execution
-from services.training.iep.examples import Example
-from services.training.iep.losses import engine_loss
+from training.iep.examples import Example
+from training.iep.losses import engine_loss
 
 SHORTEST, EVERYTHING_FROM = 8, 0.2
 """Nodes of the programs that a training begins with, and the progress from which all programs are drawn."""

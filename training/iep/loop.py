@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from services.training import checkpoints
+from training import checkpoints
 
 CHECKPOINT_SECONDS = 120.0
 """Time between checkpoints."""

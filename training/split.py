@@ -1,6 +1,6 @@
 """The committed split: classes, and the models of each class for training and held out, by family.
 
-`scene-attack train split` writes it. Its rule: of each kind with at least `MIN_MODELS` models, whole families are held
+`python -m training split` writes it. Its rule: of each kind with at least `MIN_MODELS` models, whole families are held
 out, in the order of a hash of the seed and the family's first model, until `HELD_OUT` of the models are; a family that
 would take more than `AT_MOST` is passed over. Kinds with fewer than `MIN_FAMILIES` training families or fewer than
 `MIN_HELD_OUT` held-out ones are left out. The classes are then chosen among the rest from the training models alone

@@ -10,8 +10,8 @@ from torch import Tensor
 
 from services.rendering.color import from_bytes
 from services.targets.iep.trunk import IMAGE
-from services.training.iep.data import Images
-from services.training.iep.examples import ObjectTruth
+from training.iep.data import Images
+from training.iep.examples import ObjectTruth
 
 BRIGHTER, TINTED = 0.1, 0.03
 """Standard deviations of the logarithms of an image's factor and of each channel's."""

@@ -11,7 +11,7 @@ from services.errors import InvalidRequest
 from services.questions.text import encoded
 from services.targets.iep.prefix import TOKENS, to_prefix
 from services.targets.iep.program_generator import ProgramGenerator
-from services.training.iep.examples import Example
+from training.iep.examples import Example
 
 PADDING = -1
 """Marks the places after the end of a program; no loss is taken there."""

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from services.training.split import Round
+from training.split import Round
 
 CLASSES = 14
 FOLDS = 4

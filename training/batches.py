@@ -10,7 +10,7 @@ from torch import Tensor
 
 from services.rendering.color import to_display
 from services.scenes.description import GROUND
-from services.training.views import GRID, Views
+from training.views import GRID, Views
 
 MEAN, SCALE = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 """torchvision's normalisation of images for networks trained on ImageNet."""

@@ -20,12 +20,12 @@ from torch.nn import functional as F
 
 from services.errors import InvalidRequest
 from services.targets.networks.resnet import ResNet
-from services.training import checkpoints
-from services.training.batches import as_in_default_scene, augmented, normalised, shade
-from services.training.distortions import distort
-from services.training.recipe import CALM, DEFAULT_SCENES, Budget, Recipe
-from services.training.trainable_alexnet import TrainableAlexNet
-from services.training.views import Views
+from training import checkpoints
+from training.batches import as_in_default_scene, augmented, normalised, shade
+from training.distortions import distort
+from training.recipe import CALM, DEFAULT_SCENES, Budget, Recipe
+from training.trainable_alexnet import TrainableAlexNet
+from training.views import Views
 
 CHECKPOINT_SECONDS = 120.0
 """Time between checkpoints."""

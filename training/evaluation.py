@@ -19,8 +19,8 @@ from services.scenes.description import Camera, Scene, SceneObject
 from services.scenes.furniture_kinds import PREFIX
 from services.scenes.library import Library
 from services.scenes.resolve import resolve
-from services.training.batches import normalised
-from services.training.views import INPUT, paper_cameras
+from training.batches import normalised
+from training.views import INPUT, paper_cameras
 
 RENDERERS = ("torch", "pyrender")
 SIZE = 224

@@ -12,13 +12,13 @@ from services.scenes.description import ELEVATION, Environment
 from services.scenes.furniture_kinds import PREFIX, kinds
 from services.scenes.library import Library
 from services.scenes.mesh import Mesh
-from services.training.batches import plain, shade
-from services.training.classes import VIEWS, Samples, choose, folds
-from services.training.families import families
-from services.training.looks import environment_look
-from services.training.split import MIN_MODELS, Split, divided
-from services.training.teacher import SIZE, features_of, load
-from services.training.views import paper_cameras, views
+from training.batches import plain, shade
+from training.classes import VIEWS, Samples, choose, folds
+from training.families import families
+from training.looks import environment_look
+from training.split import MIN_MODELS, Split, divided
+from training.teacher import SIZE, features_of, load
+from training.views import paper_cameras, views
 
 Say = Callable[[str], None]
 

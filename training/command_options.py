@@ -1,4 +1,4 @@
-"""Options and preparations that the commands `train` share."""
+"""Options and preparations that the commands share."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated

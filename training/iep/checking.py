@@ -14,11 +14,11 @@ from services.rendering.color import from_bytes
 from services.targets.iep.assembly import Question, assemble
 from services.targets.iep.checkpoint import Checkpoint
 from services.targets.iep.prefix import to_prefix
-from services.training.iep.data import DataFolder, Images, Said, examples_of
-from services.training.iep.examples import Example
-from services.training.iep.metrics import OVERALL, Share, by_family
-from services.training.iep.recipe import Split
-from services.training.iep.shards import Shard
+from training.iep.data import DataFolder, Images, Said, examples_of
+from training.iep.examples import Example
+from training.iep.metrics import OVERALL, Share, by_family
+from training.iep.recipe import Split
+from training.iep.shards import Shard
 
 AT_ONCE = 20
 """Images that the network sees together, with all questions about them."""

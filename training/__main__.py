@@ -1,14 +1,20 @@
-"""The commands `train`: they divide the library's models and train the networks that ship with the project."""
+"""`python -m training` divides the library's models and trains the networks that ship with the project."""
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from client.commands.train_iep import iep
-from client.commands.train_options import OUT, Out, Seed, progress_bars, settings_to_train
+from training.command_options import OUT, Out, Seed, progress_bars, settings_to_train
+from training.iep_command import iep
 
-app = typer.Typer(help="Train the networks that ship with the project.", no_args_is_help=True)
+app = typer.Typer(
+    help="Train the networks that ship with the project.",
+    no_args_is_help=True,
+    rich_markup_mode="rich",
+    pretty_exceptions_enable=False,
+)
 
 Minutes = Annotated[float | None, typer.Option(min=0.1, help="Train so long; the schedule follows the clock.")]
 Epochs = Annotated[
@@ -19,7 +25,7 @@ Export = Annotated[
 ]
 
 
-@app.command(epilog="Example: [bold]scene-attack train split[/bold]")
+@app.command(epilog="Example: [bold]python -m training split[/bold]")
 def split(
     out: Annotated[Path | None, typer.Option(help="File to write; default: the committed one.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the order in which families are held out.")] = 0,
@@ -27,11 +33,11 @@ def split(
     """Divide the library's models by family, and choose the classes inside the training models."""
     from client.console import err
     from client.local_meshes import local_library
-    from services.training.making_split import make
-    from services.training.split import PATH, save
+    from training.making_split import make
+    from training.split import PATH, save
 
     settings = settings_to_train()
-    command = f"scene-attack train split --seed {seed}"
+    command = f"python -m training split --seed {seed}"
     with err().status("") as line:
         made = make(local_library(settings), settings.cache_dir, seed, command, lambda words: line.update(words))
     save(made, out or PATH)
@@ -44,7 +50,7 @@ def split(
     )
 
 
-@app.command(epilog="Example: [bold]scene-attack train alexnet --minutes 45[/bold]")
+@app.command(epilog="Example: [bold]python -m training alexnet --minutes 45[/bold]")
 def alexnet(
     minutes: Minutes = None, epochs: Epochs = None, out: Out = OUT, seed: Seed = 0, export: Export = False
 ) -> None:
@@ -52,7 +58,7 @@ def alexnet(
     _train("alexnet", minutes, epochs, out, seed, export)
 
 
-@app.command(epilog="Example: [bold]scene-attack train resnet34 --epochs 40[/bold]")
+@app.command(epilog="Example: [bold]python -m training resnet34 --epochs 40[/bold]")
 def resnet34(
     minutes: Minutes = None, epochs: Epochs = None, out: Out = OUT, seed: Seed = 0, export: Export = False
 ) -> None:
@@ -60,7 +66,7 @@ def resnet34(
     _train("resnet34", minutes, epochs, out, seed, export)
 
 
-app.command(epilog="Example: [bold]scene-attack train iep --seconds-budget 3600[/bold]")(iep)
+app.command(epilog="Example: [bold]python -m training iep --seconds-budget 3600[/bold]")(iep)
 
 
 def _train(name: str, minutes: float | None, epochs: int | None, out: Path, seed: int, export: bool) -> None:
@@ -70,11 +76,11 @@ def _train(name: str, minutes: float | None, epochs: int | None, out: Path, seed
     from client.console import out as stdout
     from client.local_meshes import local_library
     from services.errors import InvalidRequest
-    from services.training.data import gather
-    from services.training.export import write
-    from services.training.recipe import RECIPES, Budget
-    from services.training.split import committed
-    from services.training.training import Report, Training, load_trained
+    from training.data import gather
+    from training.export import write
+    from training.recipe import RECIPES, Budget
+    from training.split import committed
+    from training.training import Report, Training, load_trained
 
     if not export and (minutes is None) == (epochs is None):
         raise InvalidRequest("--minutes", "give either --minutes or --epochs")
@@ -109,3 +115,21 @@ def _train(name: str, minutes: float | None, epochs: int | None, out: Path, seed
         trained = load_trained(recipe, len(chosen.classes), checkpoint)
         written = write(recipe, trained, chosen, library, cache, out, said)
     stdout().print(written.summary, markup=False, highlight=False)
+
+
+def main() -> None:
+    """Runs a command. Bad input and failures become lines on the standard error, and exit codes 2 and 1."""
+    from services.errors import InvalidRequest, JobFailure
+
+    try:
+        app(prog_name="python -m training")
+    except InvalidRequest as error:
+        print(*(f"bad input: {one.field}: {one.detail}" for one in error.every), sep="\n", file=sys.stderr)
+        sys.exit(2)
+    except JobFailure as error:
+        print(f"failed ({error.kind}): {error.detail}", file=sys.stderr)
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()

@@ -3,8 +3,8 @@
 from typing import Any
 
 from services.questions.templates.families import FAMILIES
-from services.training.iep.drawing import BRIGHTER, COARSE, MOVED, TINTED
-from services.training.iep.metrics import OVERALL
+from training.iep.drawing import BRIGHTER, COARSE, MOVED, TINTED
+from training.iep.metrics import OVERALL
 
 PAPER = "96.9"
 """Percent of right answers of the published network on CLEVR's own test set, trained on all of its programs."""
@@ -53,7 +53,7 @@ def model_card(facts: dict[str, Any]) -> str:
         "|---|---|---|---|---|",
         *(f"| {name} | {_cells(share)} |" for name, share in check["by_renderer"].items()),
         "",
-        "`scene-attack train iep --check` measures this again.",
+        "`python -m training iep --check` measures this again.",
         "",
         "## Departures from the published network",
         "",

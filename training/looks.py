@@ -22,7 +22,7 @@ from services.scenes.description import ELEVATION, Camera, Environment, Lights
 from services.scenes.environment import average
 from services.scenes.library import Library
 from services.scenes.view import camera_to_world
-from services.training.views import node_normals
+from training.views import node_normals
 
 EXPOSURE = 0.5
 """Exposure of the pyrender renderer."""

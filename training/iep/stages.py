@@ -14,14 +14,14 @@ from services.scenes.library import Library
 from services.targets.iep.checkpoint import round_weights
 from services.targets.iep.network import Network
 from services.targets.iep.program_generator import ProgramGenerator
-from services.training.iep import features
-from services.training.iep.data import DataFolder, Images, Said, examples_of, objects_of
-from services.training.iep.engine_training import engine_step
-from services.training.iep.generator_training import generator_step
-from services.training.iep.loop import Report, Schedule, Step, TrainingLoop
-from services.training.iep.recipe import Recipe, Split
-from services.training.iep.trunk_training import ObjectFinder, hand_over, trunk_step
-from services.training.iep.views import AugmentedViews
+from training.iep import features
+from training.iep.data import DataFolder, Images, Said, examples_of, objects_of
+from training.iep.engine_training import engine_step
+from training.iep.generator_training import generator_step
+from training.iep.loop import Report, Schedule, Step, TrainingLoop
+from training.iep.recipe import Recipe, Split
+from training.iep.trunk_training import ObjectFinder, hand_over, trunk_step
+from training.iep.views import AugmentedViews
 
 
 class Stages:
