@@ -65,8 +65,7 @@ from services.jobs import watchdog
 from services.jobs.artifacts import ArtifactStore
 from services.jobs.asset_record import AssetRecords
 from services.jobs.asset_removal import DeletedAssets
-from services.jobs.campaign_service import CampaignService
-from services.jobs.campaigns import Campaigns
+from services.jobs.campaigns import Campaigns, CampaignService
 from services.jobs.database import check_database, migrate
 from services.jobs.database import connect as connect_database
 from services.jobs.figures import Figures

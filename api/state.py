@@ -22,7 +22,7 @@ from services.access.sessions import Sessions
 from services.jobs.artifacts import ArtifactStore
 from services.jobs.asset_record import AssetRecords
 from services.jobs.asset_removal import DeletedAssets
-from services.jobs.campaign_service import CampaignService
+from services.jobs.campaigns import CampaignService
 from services.jobs.housekeeping import Housekeeping
 from services.jobs.lists import JobLists
 from services.jobs.models import Job

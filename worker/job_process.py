@@ -28,8 +28,8 @@ from services.jobs.storage import Storage
 from services.jobs.warm_up import warm_up
 from services.jobs.working_files import WorkingFiles
 from services.logs import bound, configure, logger
-from services.pipeline.campaign_expand import View
-from services.pipeline.campaign_views import first_answers
+from services.pipeline.campaign_plan import View
+from services.pipeline.campaign_run import first_answers
 from services.pipeline.execute import Progress, execute
 from services.pipeline.outcome import outcome
 from services.pipeline.result import Result

@@ -12,7 +12,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from services.device import check_device
 from services.jobs.artifacts import ArtifactStore
 from services.jobs.asset_removal import DeletedAssets
-from services.jobs.campaign_feed import Feeder
+from services.jobs.campaigns import Feeder
 from services.jobs.database import connect as connect_database
 from services.jobs.database import migrate
 from services.jobs.housekeeping import Housekeeping

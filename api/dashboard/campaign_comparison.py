@@ -7,8 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Response
 
 from api.authentication import CallerDependency
-from api.dashboard.campaign_cases import steps
-from api.dashboard.campaign_curves import ALONG, Along, corners, end, points
+from api.dashboard.campaigns import ALONG, Along, corners, end, points, steps
 from api.dashboard.charts import Overlay, overlay
 from api.dashboard.comparison import LETTERS, differences, named
 from api.dashboard.pages import html

@@ -1,29 +1,188 @@
-"""Routes of the dashboard's pages about campaigns."""
+"""The dashboard's pages about campaigns: the list, and one campaign with its curves and its cases.
 
+The cases are shown as the best and the worst, as a heat map of any two fields, and by the parts that mattered.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
+from urllib.parse import urlencode
 
 from fastapi import APIRouter, Query, Response
 from fastapi.responses import RedirectResponse
 
 from api.authentication import CallerDependency
-from api.dashboard.campaign_cases import Choice, cases, steps
-from api.dashboard.campaign_curves import ALONG, Along, corners, end, points
 from api.dashboard.charts import Chart, chart
 from api.dashboard.pages import HEADERS, html
 from api.schemas import cursor_after, read_cursor
 from api.state import Services, ServicesDependency, no_such
 from services.access.caller import Caller
-from services.analysis.campaign_table import Cell, Table
+from services.analysis.campaign_table import (
+    CASE_FIELDS,
+    GRID_MEASURES,
+    CaseRow,
+    Cell,
+    Corners,
+    Grid,
+    PartMean,
+    Table,
+    best,
+    grid,
+    part_means,
+    worst,
+)
 from services.errors import InvalidRequest
-from services.jobs.campaign_service import Counts
-from services.jobs.campaigns import Progress
+from services.jobs.campaigns import CampaignService, Counts, Progress
 from services.jobs.models import Campaign, CampaignState
-from services.pipeline.campaign_select import ChosenView, nothing_chosen
+from services.pipeline.campaign_plan import ChosenView, nothing_chosen
+
+CASES_SHOWN = 6
+"""Number of best and of worst cases."""
+OPENED = 24
+"""Largest number of cases that an opened cell shows."""
+ATTRIBUTED = 500
+"""Largest number of jobs whose attribution is read."""
+SHADES = 8
+
+
+@dataclass(frozen=True)
+class Square:
+    """A cell of the heat map: its text, what it counts, its shade from 0 to SHADES, and the address that opens it."""
+
+    text: str
+    count: str
+    shade: int
+    address: str
+    open: bool
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What the heat map shows: the fields of its rows and columns, the measure, and the cell that is opened, if any."""
+
+    rows: str = "scene"
+    columns: str = "attack"
+    measure: str = "success"
+    row: str | None = None
+    column: str | None = None
+
+    def valid(self) -> "Choice":
+        """This choice, with what there is not replaced by the default."""
+        return Choice(
+            self.rows if self.rows in CASE_FIELDS else "scene",
+            self.columns if self.columns in CASE_FIELDS else "attack",
+            self.measure if self.measure in GRID_MEASURES else "success",
+            self.row,
+            self.column,
+        )
+
+
+@dataclass(frozen=True)
+class Cases:
+    """The data of the part of the page that is about single cases."""
+
+    choice: Choice
+    grid: Grid
+    squares: list[tuple[str, list[Square | None]]]
+    """The rows of the heat map."""
+    opened: list[CaseRow]
+    opened_of: int
+    best: list[CaseRow]
+    worst: list[CaseRow]
+    parts: list[PartMean]
+    most: float
+    """The largest absolute mean of `parts`."""
+    fields: tuple[str, ...] = CASE_FIELDS
+    measures: tuple[str, ...] = GRID_MEASURES
+
+
+def cases(service: CampaignService, campaign: Campaign, choice: Choice) -> Cases:
+    """The cases of a campaign, which must have been read whole, as `choice` asks."""
+    rows, choice = service.cases(campaign), choice.valid()
+    made = grid(rows, choice.rows, choice.columns, choice.measure)
+    parts = part_means(service.record.attributions(campaign.id, ATTRIBUTED))
+    opened = [one for one in rows if _is_in(one, choice)]
+    return Cases(
+        choice=choice,
+        grid=made,
+        squares=[(row, [_square(campaign.id, made, choice, row, one) for one in made.columns]) for row in made.rows],
+        opened=opened[:OPENED],
+        opened_of=len(opened),
+        best=best(rows, CASES_SHOWN),
+        worst=worst(rows, CASES_SHOWN),
+        parts=parts,
+        most=max((abs(one.value) for one in parts), default=0.0),
+    )
+
+
+def _is_in(one: CaseRow, choice: Choice) -> bool:
+    return one.counted and (one.fields[choice.rows], one.fields[choice.columns]) == (choice.row, choice.column)
+
+
+def _square(campaign: str, made: Grid, choice: Choice, row: str, column: str) -> Square | None:
+    cell = made.cells.get((row, column))
+    if cell is None:
+        return None
+    asked = {"rows": choice.rows, "columns": choice.columns, "measure": choice.measure, "row": row, "column": column}
+    return Square(
+        text=written(cell.value, choice.measure),
+        count=f"{cell.success.count}/{cell.success.of}",
+        shade=round(SHADES * cell.share) if cell.value is not None else 0,
+        address=f"/campaigns/{campaign}?{urlencode(asked)}#opened",
+        open=(row, column) == (choice.row, choice.column),
+    )
+
+
+def written(value: float | None, measure: str) -> str:
+    """A value of a measure as text: a rate in per cent, p in thousandths, queries and seconds with three digits."""
+    if value is None:
+        return "–"
+    if measure == "success":
+        return f"{value:.0%}"
+    return (
+        f"{1000 * value:.2f}" if measure == "perceptibility" else f"{value:,.3g}" if value < 1000 else f"{value:,.0f}"
+    )
+
+
+def steps(values: Sequence[tuple[float, int]], of: int, most: int = 20) -> list[tuple[float, int, float]]:
+    """At most `most` corners of a step curve, evenly chosen, with the share of `of` cases; the last one is kept."""
+    if not values or not of:
+        return []
+    stride = max(1, -(-len(values) // most))
+    kept = [*values[:-1:stride], values[-1]]
+    return [(at, count, count / of) for at, count in kept]
+
+
+Along = Literal["queries", "seconds", "p"]
+ALONG: dict[Along, str] = {"queries": "queries", "seconds": "seconds", "p": "p ×10⁻³"}
+"""What the curves are drawn against, and the words for it."""
+
+
+def corners(cell: Cell, along: Along) -> Corners:
+    """The corners of a cell's curve; p is in thousandths."""
+    in_thousandths = [(1000 * p, count) for p, count in cell.by_p]
+    return {"queries": cell.by_queries, "seconds": cell.by_seconds, "p": in_thousandths}[along]
+
+
+def end(cell: Cell, along: Along) -> float:
+    """How far a cell's curve is known: the most work of any case, or the greatest p of a success; 0 if it has none."""
+    most_p = 1000 * cell.by_p[-1][0] if cell.by_p else None
+    return {"queries": cell.most_queries, "seconds": cell.most_seconds, "p": most_p}[along] or 0.0
+
+
+def points(cell: Cell, along: Along, until: float) -> list[tuple[float, float]]:
+    """The step curve of a cell with cases as points (work, share of the cases in per cent), up to the work `until`."""
+    found, share = [(0.0, 0.0)], 0.0
+    for at, count in corners(cell, along):
+        found.append((at, share))
+        share = 100 * count / cell.success.of
+        found.append((at, share))
+    return [*found, (until, share)]
+
 
 PAGE = 30
 """Number of campaigns on one page of the list."""
-SHOWN = 200
+VIEWS_SHOWN = 200
 """Largest number of views that a page lists."""
 
 Field = Annotated[str, Query(max_length=300)]
@@ -144,7 +303,7 @@ def _campaign(
         by_seconds=_charts(result.table, "seconds"),
         by_p=_charts(result.table, "p"),
         corners=[_rows(cell, along) for along in ALONG for cell in result.table.cells if cell.success.of],
-        views=attacked[:SHOWN],
+        views=attacked[:VIEWS_SHOWN],
         chosen=sum(view.chosen for view in result.views),
         why_none=nothing_chosen(result.views) if found.selected_at else None,
     )

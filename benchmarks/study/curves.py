@@ -6,8 +6,7 @@ from benchmarks.study.chart import Panel, Series, figure
 from benchmarks.study.question_tables import attacks
 from benchmarks.study.record import Record
 from benchmarks.study.tables import title
-from services.analysis.campaign_curves import MeanCurves
-from services.analysis.campaign_table import Cell, Corners, corners
+from services.analysis.campaign_table import Cell, Corners, MeanCurves, corners
 
 
 def differentiable(record: Record, target: str) -> str:

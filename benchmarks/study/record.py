@@ -9,8 +9,7 @@ from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict, model_validator
 
-from services.analysis.campaign_curves import MeanCurves
-from services.analysis.campaign_table import Case, Table, table
+from services.analysis.campaign_table import Case, MeanCurves, Table, table
 from services.attacks.verdict import SUCCESS
 
 

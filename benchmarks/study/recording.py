@@ -7,11 +7,18 @@ from typing import Any
 
 from benchmarks.study.asked import asked
 from benchmarks.study.record import Job, Record, Views
-from services.analysis.campaign_curves import MEASURES, MeanCurves
-from services.pipeline.campaign_case import case_of
-from services.pipeline.campaign_expand import PlannedJob, View, filled, jobs, views
-from services.pipeline.campaign_result import CampaignResult
-from services.pipeline.campaign_select import FirstAnswer, choose
+from services.analysis.campaign_table import CURVES, MeanCurves
+from services.pipeline.campaign_plan import (
+    CampaignResult,
+    FirstAnswer,
+    PlannedJob,
+    View,
+    case_of,
+    choose,
+    filled,
+    jobs,
+    views,
+)
 from services.pipeline.campaign_spec import CampaignSpec
 from services.pipeline.result import Result
 from services.pipeline.spec import JobSpec
@@ -148,7 +155,7 @@ def _views(found: list[View], answers: dict[int, FirstAnswer], chosen: list[int]
 
 
 def _rounded(curves: MeanCurves) -> MeanCurves:
-    values = {name: [_short(value, CURVE_DIGITS) for value in getattr(curves, name)] for name in MEASURES}
+    values = {name: [_short(value, CURVE_DIGITS) for value in getattr(curves, name)] for name in CURVES}
     return curves.model_copy(update=values)
 
 

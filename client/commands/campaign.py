@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from client.commands import campaign_run
 from client.commands.options import DEFAULT_URL, JsonOption, PriorityOption, UrlOption
 from services.errors import InvalidRequest
 
@@ -20,16 +19,73 @@ if TYPE_CHECKING:
 app = typer.Typer(
     help="Run many attacks that belong together, and make the paper's table of them.", no_args_is_help=True
 )
-campaign_run.register(app)
 
 CampaignId = Annotated[
     str, typer.Argument(metavar="ID", help="The id that `campaign submit` printed, or its beginning.")
 ]
+SpecArgument = Annotated[str, typer.Argument(metavar="SPEC", help="A campaign as JSON; - reads it from stdin.")]
+
+
+@app.command(
+    epilog="Examples: [bold]scene-attack campaign run examples/campaign-small.json --out out/small[/bold]\n\n"
+    "[bold]scene-attack campaign run - --out out/x < campaign.json[/bold]"
+)
+def run(
+    spec: SpecArgument,
+    out: Annotated[
+        Path | None, typer.Option(help="Directory for the table and all results; default: out/<name of the campaign>.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run a campaign without a service, and write its table, curves and results.
+
+    If it is interrupted, the same command goes on with what is left.
+    """
+    from client.campaigns import CampaignLine, results
+    from client.commands.run import keep_memory, library
+    from client.console import err, print_json, report_extensions
+    from client.console import out as stdout
+    from client.local_meshes import read_campaign
+    from client.result_folder import prepare_folder
+    from client.settings import settings_to_run
+    from services.pipeline.campaign_check import check_size
+    from services.pipeline.campaign_plan import nothing_chosen
+    from services.scenes.catalogue import slugify
+
+    settings = settings_to_run()
+    keep_memory()
+    report_extensions()
+    campaign = read_campaign(spec, settings)
+    check_size(campaign, settings.max_campaign_jobs)
+    folder = out or Path("out") / (slugify(campaign.name) or "campaign")
+    prepare_folder(folder)
+    assets = library(settings)
+    from services.pipeline.campaign_check import check_samples
+    from services.pipeline.campaign_plan import write
+    from services.pipeline.campaign_run import run_campaign
+    from services.pipeline.prepare import preflight
+
+    check_samples(campaign, lambda job: preflight(job, assets))
+    try:
+        with CampaignLine(campaign.name) as line:
+            found = run_campaign(campaign, folder, assets, progress=line.update)
+    except KeyboardInterrupt:
+        err().print("Interrupted; the same command goes on with what is left.", markup=False, highlight=False)
+        raise
+    write(found, folder)
+    if as_json:
+        print_json(found.model_dump(mode="json"))
+    else:
+        stdout().print(results(found.table.model_dump(mode="json")))
+    chosen = sum(view.chosen for view in found.views)
+    err().print(f"{chosen} of {len(found.views)} views attacked. Files in {folder}", markup=False, highlight=False)
+    if why := nothing_chosen(found.views):
+        err().print(why, markup=False, highlight=False, soft_wrap=True)
 
 
 @app.command(epilog="Example: [bold]scene-attack campaign submit examples/campaign-small.json[/bold]")
 def submit(
-    spec: campaign_run.SpecArgument,
+    spec: SpecArgument,
     url: UrlOption = DEFAULT_URL,
     priority: PriorityOption = None,
     as_json: JsonOption = False,
@@ -57,7 +113,7 @@ def list_campaigns(
 ) -> None:
     """List campaigns, newest first."""
     from client.api_client import ApiClient
-    from client.campaign_tables import campaign_state
+    from client.campaigns import campaign_state
     from client.console import out, print_json, table
     from client.ids import SHORT
 
@@ -130,7 +186,7 @@ def table(
 ) -> None:
     """Print the table of a campaign, of the jobs that have ended, or write it with its curves."""
     from client.api_client import ApiClient
-    from client.campaign_tables import results
+    from client.campaigns import results
     from client.console import err, out, print_json
     from client.ids import campaign_id as whole_id
 
@@ -141,7 +197,7 @@ def table(
     else:
         out().print(results(found["table"]))
     if to is not None:
-        from services.pipeline.campaign_result import CampaignResult, write
+        from services.pipeline.campaign_plan import CampaignResult, write
 
         for path in write(CampaignResult.model_validate(found), to):
             err().print(str(path), markup=False, highlight=False)
@@ -158,7 +214,7 @@ def export(
     as_json: JsonOption = False,
 ) -> None:
     """Export the adversaries of a campaign as a MAITE dataset: images, labels and metadata."""
-    from client.campaign_results import folder_results, service_results
+    from client.campaigns import folder_results, service_results
     from client.console import out, print_json
     from services.pipeline.adversary_dataset import export as write
 
@@ -189,7 +245,7 @@ def _move(operation: Callable[[str], Request[CampaignView]], campaign_id: str, u
 
 
 def _print(found: Mapping[str, Any], as_json: bool) -> None:
-    from client.campaign_tables import campaign_state, duration
+    from client.campaigns import campaign_state, duration
     from client.console import out, print_json
     from client.console import table as text_table
 

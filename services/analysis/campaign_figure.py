@@ -7,8 +7,7 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from services.analysis.campaign_curves import MeanCurves
-from services.analysis.campaign_table import Cell, Corners, Table
+from services.analysis.campaign_table import Cell, Corners, MeanCurves, Table
 
 LABELS = {"loss": "mean loss", "advantage": "mean log-probability advantage", "distance": "mean distance ‖ΔY‖₂"}
 COLOURS = ("#4a2fd6", "#0a5a94", "#0b6b3a", "#b26a00", "#a3182f", "#8b1a86", "#5d5875", "#1c1930")

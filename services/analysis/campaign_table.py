@@ -1,15 +1,18 @@
-"""The paper's table of a campaign: success, perceptibility and truncated pixels by target and attack.
+"""A campaign in figures: the paper's table, mean curves, the time left, and its cases by any two of their fields.
 
-Every figure is over all cases of a cell, none of them left out for having failed to fool the network. A case counts if
-the network's first answer was right; a job that failed counts as no success.
+Every figure of the table is over all cases of a cell, none of them left out for having failed to fool the network. A
+case counts if the network's first answer was right; a job that failed counts as no success.
 """
 
-from collections import Counter
-from collections.abc import Sequence
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from statistics import stdev
+from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from services.statistics import wilson
+from services.statistics import NORMAL_95, wilson
 
 
 class _Record(BaseModel):
@@ -168,3 +171,204 @@ def corners(work: Sequence[float | None]) -> Corners:
 def share_at(curve: Corners, of: int, work: float) -> float:
     """The share of `of` cases that succeeded with at most this much work: the height of the step curve there."""
     return max((count for at, count in curve if at <= work), default=0) / of
+
+
+CURVES = ("loss", "advantage", "distance")
+
+
+class Curves(BaseModel):
+    """One attack's curves: a value for each step, from the trace."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    loss: list[float] = Field(description="probability of the label to leave, or 1 minus that of the label to reach")
+    advantage: list[float] = Field(description="log-probability advantage of the right answer; below 0: fooled")
+    distance: list[float] = Field(description="‖ΔY‖₂ of the image, RGB in [0,1]")
+
+
+class MeanCurves(Curves):
+    """The mean curves of all cases of a cell. A case that has ended keeps its last value, so all are in every mean."""
+
+    target: str
+    attack: str
+    cases: int
+
+
+def mean_curve(curves: Sequence[Sequence[float]]) -> list[float]:
+    """The mean at each step over all curves; one that has ended keeps its last value. Curves without values count not.
+
+    The result has as many values as the longest curve.
+    """
+    there = [curve for curve in curves if curve]
+    longest = max(map(len, there), default=0)
+    return [sum(curve[min(step, len(curve) - 1)] for curve in there) / len(there) for step in range(longest)]
+
+
+def mean_curves(traced: Iterable[tuple[str, str, Curves]]) -> list[MeanCurves]:
+    """The mean curves of each target and attack, from (target, attack, curves) of each case, in order of occurrence."""
+    cells: dict[tuple[str, str], list[Curves]] = {}
+    for target, attack, curves in traced:
+        cells.setdefault((target, attack), []).append(curves)
+    return [
+        MeanCurves(
+            target=target,
+            attack=attack,
+            cases=len(own),
+            **{measure: mean_curve([getattr(one, measure) for one in own]) for measure in CURVES},
+        )
+        for (target, attack), own in cells.items()
+    ]
+
+
+def time_left(planned: Sequence[tuple[str, str]], cases: Sequence[Case], workers: int = 1) -> float | None:
+    """Seconds until all `planned` jobs, (target, attack) of each, have ended, with so many workers at once.
+
+    A job takes the mean time of the ended ones of its target and attack, else of its attack, else of all; reused
+    results are left out of the means, and every job left is taken for one that has to run. None before a job has ended.
+    """
+    timed = [(case.target, case.attack, case.run_seconds) for case in cases if not case.reused]
+    known = [(target, attack, seconds) for target, attack, seconds in timed if seconds is not None]
+    remaining = Counter(planned)
+    remaining.subtract((case.target, case.attack) for case in cases)
+    if not known:
+        return None if any(remaining.values()) else 0.0
+    left = 0.0
+    for (target, attack), count in remaining.items():
+        own = [s for t, a, s in known if (t, a) == (target, attack)]
+        like = [s for _, a, s in known if a == attack]
+        times = own or like or [s for *_, s in known]
+        left += count * sum(times) / len(times)
+    return left / max(1, workers)
+
+
+CASE_FIELDS = ("scene", "azimuth", "truth", "first answer", "target", "attack", "seed")
+"""What a row or a column of a grid may stand for."""
+GRID_MEASURES = ("success", "perceptibility", "queries", "seconds")
+"""What a cell of a grid may show: the rate of success over its cases, or a mean over its successes."""
+
+
+@dataclass(frozen=True)
+class CaseRow:
+    """A job of a campaign that has ended: its number, its id if it was not deleted, and its fields as text."""
+
+    number: int
+    job: str | None
+    fields: Mapping[str, str]
+    case: Case
+
+    @property
+    def counted(self) -> bool:
+        """Whether the table counts it: the first answer was right, and it was not cancelled."""
+        return self.case.right and self.case.state != "cancelled"
+
+
+@dataclass(frozen=True)
+class GridCell:
+    """The counted cases of a row and a column, and the measure; None where no case has it."""
+
+    success: Rate
+    value: float | None
+    share: float
+    """Where `value` lies between the smallest (0) and the largest (1) of the grid; of rates, the rate itself."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The measure by two fields. `cells` has a cell for each pair that has counted cases."""
+
+    rows: list[str]
+    columns: list[str]
+    cells: dict[tuple[str, str], GridCell]
+
+
+def grid(cases: Sequence[CaseRow], row: str, column: str, measure: str) -> Grid:
+    """The measure, one of GRID_MEASURES, by two of CASE_FIELDS.
+
+    Rows and columns are in the order in which they first occur, but numbers in their own.
+    """
+    found: dict[tuple[str, str], list[Case]] = defaultdict(list)
+    for one in cases:
+        if one.counted:
+            found[one.fields[row], one.fields[column]].append(one.case)
+    rates = {at: Rate.of_cases(sum(case.success for case in own), len(own)) for at, own in found.items()}
+    values = {
+        at: rates[at].rate if measure == "success" else mean([getattr(case, measure) for case in own if case.success])
+        for at, own in found.items()
+    }
+    there = [value for value in values.values() if value is not None]
+    low, high = (0.0, 1.0) if measure == "success" or not there else (min(there), max(there))
+    return Grid(
+        rows=_ordered([at for at, _ in found]),
+        columns=_ordered([at for _, at in found]),
+        cells={at: GridCell(rates[at], value, _share(value, low, high)) for at, value in values.items()},
+    )
+
+
+def _share(value: float | None, low: float, high: float) -> float:
+    return 0.0 if value is None or high <= low else (value - low) / (high - low)
+
+
+def _ordered(labels: Sequence[str]) -> list[str]:
+    different = list(dict.fromkeys(labels))
+    try:
+        return sorted(different, key=lambda label: float(label.rstrip("°")))
+    except ValueError:
+        return different
+
+
+def best(cases: Sequence[CaseRow], count: int) -> list[CaseRow]:
+    """The successes that changed the image least, by p."""
+    won = [one for one in cases if one.counted and one.case.success]
+    return sorted(won, key=lambda one: (one.case.perceptibility or 0.0, one.number))[:count]
+
+
+def worst(cases: Sequence[CaseRow], count: int) -> list[CaseRow]:
+    """The counted cases that held longest, by queries; if they are too few, the successes that changed the image most
+    follow.
+    """
+    held = [one for one in cases if one.counted and not one.case.success]
+    won = [one for one in cases if one.counted and one.case.success]
+    held.sort(key=lambda one: (-(one.case.queries or 0), one.number))
+    won.sort(key=lambda one: (-(one.case.perceptibility or 0.0), one.number))
+    return [*held, *won][:count]
+
+
+@dataclass(frozen=True)
+class PartMean:
+    """A part of an attack: the mean Shapley value of the log-odds of the goal's label over `jobs` jobs.
+
+    half: half the width of the mean's 95 % interval (normal approximation); None for a single job. first: the number of
+    jobs in which no part moved the log-odds more.
+    """
+
+    target: str
+    attack: str
+    part: str
+    jobs: int
+    value: float
+    half: float | None
+    first: int
+
+
+def part_means(attributions: Sequence[tuple[str, str, Mapping[str, Any]]]) -> list[PartMean]:
+    """The means of (target, attack, attribution), in order of the target, attack and part that occur first.
+
+    An attribution is that of services.analysis.records.Attribution as JSON data.
+    """
+    values: dict[tuple[str, str, str], list[float]] = defaultdict(list)
+    first: dict[tuple[str, str, str], int] = defaultdict(int)
+    for target, attack, one in attributions:
+        shapley = one["log_odds"]["shapley"]
+        for part, value in zip(one["parts"], shapley, strict=True):
+            values[target, attack, part].append(value)
+            first[target, attack, part] += abs(value) == max(map(abs, shapley))
+    return [
+        PartMean(
+            *at,
+            jobs=len(own),
+            value=sum(own) / len(own),
+            half=NORMAL_95 * stdev(own) / len(own) ** 0.5 if len(own) > 1 else None,
+            first=first[at],
+        )
+        for at, own in values.items()
+    ]

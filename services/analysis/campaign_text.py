@@ -1,14 +1,26 @@
-"""The table of a campaign as CSV and as LaTeX."""
+"""A campaign as CSV, its table and its cases, and as the paper's table in LaTeX."""
 
 import csv
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
-from services.analysis.campaign_table import Cell, Rate, Table
+from services.analysis.campaign_table import CASE_FIELDS, CaseRow, Cell, Rate, Table
 
-FIELDS = ("jobs", "ended", "failed", "cancelled", "reused", "held_within_epsilon")
+COUNTS = ("jobs", "ended", "failed", "cancelled", "reused", "held_within_epsilon")
 RATES = ("success", "loop_success")
 OUTCOMES = ("fooled", "changed", "became-right", "still-wrong", "held")
+_OF_CASE = (
+    "state",
+    "right",
+    "outcome",
+    "epsilon_bound",
+    "success",
+    "loop_success",
+    "perceptibility",
+    "loop_perceptibility",
+    "truncated",
+)
+_WORK = ("queries", "seconds", "run_seconds", "reused")
 _TEX = {
     "\\": r"\textbackslash{}",
     "~": r"\textasciitilde{}",
@@ -23,7 +35,7 @@ def to_csv(table: Table) -> str:
     rates = [f"{name}{part}" for name in RATES for part in ("_count", "_of", "_rate", "_low", "_high")]
     lines = csv.writer(out, lineterminator="\n")
     means = ("perceptibility", "loop_perceptibility", "truncated")
-    lines.writerow(["campaign", "target", "attack", *FIELDS, *OUTCOMES, *rates, *means])
+    lines.writerow(["campaign", "target", "attack", *COUNTS, *OUTCOMES, *rates, *means])
     for cell in table.cells:
         lines.writerow([plain(value) for value in _values(table, cell)])
     return out.getvalue()
@@ -31,7 +43,7 @@ def to_csv(table: Table) -> str:
 
 def _values(table: Table, cell: Cell) -> Iterator[object]:
     yield from (table.campaign, cell.target, cell.attack)
-    yield from (getattr(cell, name) for name in FIELDS)
+    yield from (getattr(cell, name) for name in COUNTS)
     yield from (cell.outcomes.get(name, 0) for name in OUTCOMES)
     for name in RATES:
         rate: Rate = getattr(cell, name)
@@ -42,6 +54,19 @@ def _values(table: Table, cell: Cell) -> Iterator[object]:
 def plain(value: object) -> object:
     """The value; a text that a spreadsheet would take for a formula is preceded by an apostrophe."""
     return f"'{value}" if isinstance(value, str) and value[:1] in ("=", "+", "-", "@", "\t", "\r") else value
+
+
+def cases_to_csv(cases: Sequence[CaseRow]) -> str:
+    """One line for each job that has ended; p in full range, empty where unknown."""
+    out = io.StringIO()
+    lines = csv.writer(out, lineterminator="\n")
+    lines.writerow(["number", "job", *(name.replace(" ", "_") for name in CASE_FIELDS), *_OF_CASE, *_WORK])
+    for one in cases:
+        values = [getattr(one.case, name) for name in (*_OF_CASE, *_WORK)]
+        lines.writerow(
+            [plain(value) for value in (one.number, one.job, *(one.fields[name] for name in CASE_FIELDS), *values)]
+        )
+    return out.getvalue()
 
 
 def to_latex(table: Table) -> str:

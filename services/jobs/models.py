@@ -79,7 +79,7 @@ class Job(Base):
     created_at: Mapped[datetime]
     kind: Mapped[JobKind] = mapped_column(default=JobKind.ATTACK, server_default="attack")
     digest: Mapped[str | None] = mapped_column(String(64))
-    """Digest of the spec (services.pipeline.campaign_case), by which a campaign finds earlier results."""
+    """Digest of the spec (services.pipeline.campaign_plan), by which a campaign finds earlier results."""
     campaign_id: Mapped[str | None] = mapped_column(String(32))
     """The campaign that queued the job."""
     owner: Mapped[str] = mapped_column(String(100), default="", server_default="")
@@ -256,7 +256,7 @@ class Campaign(Base):
     """What its jobs ask of the queue (services.jobs.placement.Demand)."""
     view_count: Mapped[int]
     views: Mapped[list[dict[str, Any]] | None] = mapped_column(deferred=True)
-    """Every view, with the first answer and why it is not attacked (services.pipeline.campaign_select.ChosenView)."""
+    """Every view, with the first answer and why it is not attacked (services.pipeline.campaign_plan.ChosenView)."""
     key: Mapped[str | None] = mapped_column(String(255), unique=True)
     """The client's idempotency key, as `IdempotencyKey.key`."""
     request_digest: Mapped[str] = mapped_column(String(64))
@@ -286,4 +286,4 @@ class CampaignJob(Base):
     case: Mapped[dict[str, Any] | None]
     """What the table needs to know (services.analysis.campaign_table.Case)."""
     curves: Mapped[dict[str, Any] | None] = mapped_column(deferred=True)
-    """The curves of the trace (services.analysis.campaign_curves.Curves)."""
+    """The curves of the trace (services.analysis.campaign_table.Curves)."""

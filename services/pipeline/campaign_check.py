@@ -3,10 +3,8 @@
 from collections.abc import Callable, Iterator, Mapping
 
 from services.errors import InvalidFields, InvalidRequest
-from services.pipeline.campaign_expand import job_of
-from services.pipeline.campaign_questions import Member
-from services.pipeline.campaign_scenes import SceneGrid
-from services.pipeline.campaign_spec import CampaignSpec, Grid
+from services.pipeline.campaign_plan import job_of
+from services.pipeline.campaign_spec import CampaignSpec, Grid, Member, SceneGrid
 from services.pipeline.spec import JobSpec
 from services.scenes.description import Lights
 

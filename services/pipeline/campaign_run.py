@@ -1,28 +1,75 @@
-"""Runs a campaign in this process, without a service. A run that was interrupted goes on where it was."""
+"""Runs a campaign in this process, without a service. A run that was interrupted goes on where it was.
+
+`first_answers` is also what a worker does in a service's campaign: it asks a network about views.
+"""
 
 import json
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 from time import monotonic
 
 from services import atomic_write
-from services.analysis.campaign_curves import Curves, mean_curves
-from services.analysis.campaign_table import Case, table
-from services.analysis.time_left import time_left
-from services.errors import InvalidRequest, JobFailure
-from services.pipeline.campaign_case import case_of, curves_of, reusable, unfinished
-from services.pipeline.campaign_expand import PlannedJob, View, filled, jobs, views
-from services.pipeline.campaign_result import CampaignResult
-from services.pipeline.campaign_select import FirstAnswer, choose, meshes_of
+from services.analysis.campaign_table import Case, Curves, mean_curves, table, time_left
+from services.errors import Cancelled, InvalidRequest, JobFailure
+from services.pipeline.campaign_plan import (
+    CampaignResult,
+    FirstAnswer,
+    PlannedJob,
+    View,
+    case_of,
+    choose,
+    curves_of,
+    filled,
+    identity,
+    jobs,
+    meshes_in,
+    reusable,
+    unfinished,
+    views,
+)
 from services.pipeline.campaign_spec import CampaignSpec
-from services.pipeline.campaign_views import first_answer, first_answers
-from services.pipeline.execute import RESULT, execute
+from services.pipeline.execute import RESULT, execute, provenance
+from services.pipeline.prepare import prepare_exactly
 from services.pipeline.result import Result
 from services.pipeline.spec import digest
 from services.scenes.library import Library
+from services.targets.scores import probability
+
+
+def first_answers(
+    views: Iterable[View], library: Library, cancelled: Callable[[], bool] = lambda: False
+) -> Iterator[FirstAnswer]:
+    """Yields the answer to the exact image of each view, rounded to 8 bits, or why it cannot be attacked.
+
+    Raises Cancelled once `cancelled()`, which is called before each view, is true.
+    """
+    for view in views:
+        if cancelled():
+            raise Cancelled
+        yield first_answer(view, library)
+
+
+def first_answer(view: View, library: Library) -> FirstAnswer:
+    """The answer to one view."""
+    try:
+        prepared = prepare_exactly(view.probe, library)
+    except (InvalidRequest, JobFailure) as error:
+        return FirstAnswer(view=view.number, refused=str(error))
+    index = int(prepared.logits.argmax())
+    label, confidence = prepared.target.labels[index], float(probability(prepared.logits, index))
+    return FirstAnswer(
+        view=view.number,
+        label=label,
+        confidence=confidence,
+        truth=[prepared.target.labels[index] for index in prepared.truth],
+        programs=[question.program.written() for question in prepared.questions],
+        spec=prepared.spec,
+        identity=identity(provenance(prepared), label, confidence),
+    )
+
 
 DONE = "done.json"
 """Beside the result of a job: its run time and the digest of the campaign that ran it. It is written last."""
@@ -57,7 +104,7 @@ def run_campaign(
     """
     found = views(campaign)
     answers = _answers(campaign, found, out, library, progress, cancelled)
-    chosen = choose(found, answers, library.titles(meshes_of(found)))
+    chosen = choose(found, answers, library.titles(meshes_in(found)))
     picked = [filled(view, answers[view.number].spec) for view, one in zip(found, chosen, strict=True) if one.chosen]
     planned = list(jobs(campaign, picked))
     cells = [(job.target, job.attack) for job in planned]

@@ -1,11 +1,17 @@
-"""The model of a campaign: grids of scenes × targets × attacks × seeds, or a list of jobs.
+"""The request of a campaign: grids of scenes × targets × attacks × seeds, or a list of jobs.
 
-It is the same JSON for `POST /v1/campaigns` and `scene-attack campaign run`. This module does not import torch.
+It is the same JSON for `POST /v1/campaigns` and `scene-attack campaign run`. The scenes of a grid are listed, or are
+meshes × views with one object each, or are scenes after CLEVR with generated questions. This module does not import
+torch.
 """
 
-from collections.abc import Iterable, Mapping
-from functools import cache
-from typing import Annotated, Any, Literal, Self
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from itertools import zip_longest
+from math import pi
+from random import Random
+from typing import Annotated, Any, Literal, Self, TypeVar, get_args
 
 from pydantic import (
     AfterValidator,
@@ -20,14 +26,222 @@ from pydantic import (
 from services.analysis.requests import AnalysisRequest
 from services.attacks.spec import AttackSettings, Goal, Seed
 from services.errors import InvalidFields, InvalidRequest
-from services.names import Names
-from services.pipeline.campaign_questions import Member, QuestionGrid
-from services.pipeline.campaign_scenes import MAX_LISTED, SceneGrid, once
+from services.names import Names, reference
 from services.pipeline.field_errors import invalid_fields
+from services.pipeline.question_request import MOST_TOGETHER
 from services.pipeline.spec import AnyAttack, AnyTolerance, JobSpec, TargetChoice, check_labels, with_method
+from services.questions.generator import QuestionGenerator
+from services.questions.records import QuestionRecord
+from services.questions.templates.families import FAMILIES, Kind
 from services.rendering.plan import DEFAULT_TOLERANCE
-from services.scenes.description import Model, Scene, absent
+from services.scenes import furniture_kinds
+from services.scenes.clevr.description import describe
+from services.scenes.clevr.generator import MAX_OBJECTS, MIN_OBJECTS, generate
+from services.scenes.clevr.records import SceneRecord
+from services.scenes.clevr.rig import IMAGE_SIZE
+from services.scenes.description import Angle, Camera, Colour, Lights, Model, Pixels, Scene, SceneObject, absent
+from services.suggestions import there_are
 from services.written_text import line
+
+MAX_LISTED = 20_000
+"""Largest number of scenes, meshes or jobs that a campaign may list."""
+
+Listed = TypeVar("Listed")
+
+
+def once(value: tuple[Listed, ...]) -> tuple[Listed, ...]:
+    """The list itself. Raises ValueError if an entry comes twice: its jobs would count as so many cases."""
+    seen: dict[Listed, int] = {}
+    for index, one in enumerate(value):
+        if seen.setdefault(one, index) != index:
+            raise ValueError(f"{index}: is the same as entry {seen[one]}; the same job is one case, list it once")
+    return value
+
+
+class RandomViews(Model):
+    """Azimuths drawn uniformly from [0, π), as the paper's, for each mesh its own."""
+
+    random: Annotated[int, Field(ge=1, le=1000)] = Field(description="number of azimuths of each mesh")
+    seed: Seed = Field(0, description="seed of the azimuths; those of a mesh do not depend on the other meshes")
+
+
+class SceneGrid(Model):
+    """One object per scene: meshes × azimuths. All scenes have the same camera, lights, ground and material."""
+
+    meshes: tuple[Annotated[str, Field(min_length=1, max_length=200), reference("mesh")], ...] = Field(
+        (), max_length=MAX_LISTED, description="names of meshes"
+    )
+    kinds: tuple[str, ...] = Field(
+        (), max_length=100, description="kinds of library furniture, all meshes of which are added"
+    )
+    per_kind: Annotated[int, Field(ge=1, le=1000)] | None = Field(
+        None, description="only the first so many meshes of each kind; null: all"
+    )
+    views: RandomViews | Annotated[tuple[Angle, ...], Field(min_length=1, max_length=1000)] = Field(
+        (Camera().azimuth,), description="azimuths in radians, or how many to draw at random"
+    )
+    material: Annotated[str, reference("material")] = Field(
+        "matte", max_length=64, description="DSBRDF preset of the torch renderer"
+    )
+    camera: Camera = Field(Camera(), description="the camera, whose azimuth the views replace")
+    lights: Lights = Lights()
+    ground: Colour = Scene.model_fields["ground"].default
+
+    @field_validator("kinds")
+    @classmethod
+    def _known_kinds(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        for kind in value:
+            if kind not in furniture_kinds.kinds():
+                raise ValueError(f"there is no kind {kind!r}; {there_are(kind, furniture_kinds.kinds())}")
+        return value
+
+    @field_validator("views")
+    @classmethod
+    def _each_once(cls, value: RandomViews | tuple[float, ...]) -> RandomViews | tuple[float, ...]:
+        return value if isinstance(value, RandomViews) else once(value)
+
+    @model_validator(mode="after")
+    def _some_meshes(self) -> Self:
+        if not self.meshes and not self.kinds:
+            raise ValueError("meshes: name at least one mesh, or a kind in `kinds`")
+        return self
+
+    def mesh_names(self) -> tuple[str, ...]:
+        """The names of all meshes, each once: those listed, then those of the kinds, taking turns between kinds."""
+        of_kinds = [furniture_kinds.kinds()[kind][: self.per_kind] for kind in self.kinds]
+        turns = (mesh for turn in zip_longest(*of_kinds) for mesh in turn if mesh is not None)
+        return tuple(dict.fromkeys((*self.meshes, *turns)))
+
+    def azimuths(self, mesh: str) -> tuple[float, ...]:
+        """The azimuths of a mesh's views."""
+        if not isinstance(self.views, RandomViews):
+            return self.views
+        draw = Random(f"{self.views.seed} {mesh}").random  # a text seeds the same generator on every machine
+        return tuple(pi * draw() for _ in range(self.views.random))
+
+    def count(self) -> int:
+        """The number of scenes, without making them."""
+        names = self.mesh_names()
+        return len(names) * len(self.azimuths(names[0]))
+
+    def scenes(self) -> tuple[Scene, ...]:
+        """The first view of every mesh, then the second of every mesh, and so on: a part of them has all kinds."""
+        columns = [[self._scene(mesh, azimuth) for azimuth in self.azimuths(mesh)] for mesh in self.mesh_names()]
+        return tuple(scene for row in zip(*columns, strict=True) for scene in row)
+
+    def _scene(self, mesh: str, azimuth: float) -> Scene:
+        return Scene(
+            camera=self.camera.model_copy(update={"azimuth": azimuth}),
+            objects=(SceneObject(mesh=mesh, material=self.material),),
+            lights=self.lights,
+            ground=self.ground,
+        )
+
+
+MAX_IMAGES = 2000
+"""Largest number of scenes of a grid with questions; each takes a few milliseconds to make."""
+KINDS: tuple[str, ...] = get_args(Kind)
+
+Count = Annotated[int, Field(ge=1, le=MAX_OBJECTS)]
+
+
+@dataclass(frozen=True)
+class Member:
+    """A scene of a grid, and the questions that a job asks about it; a scene without questions has no record."""
+
+    scene: Scene
+    record: SceneRecord | None = None
+    questions: tuple[QuestionRecord, ...] = ()
+
+
+class QuestionGrid(Model):
+    """Scenes after CLEVR, and questions about them. Each question is a case of its own, or those of a scene together.
+
+    They follow from this request alone, on every machine.
+    """
+
+    images: Annotated[int, Field(ge=1, le=MAX_IMAGES)] = Field(description="number of scenes")
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = Field(0, description="seed of the scenes")
+    first: Annotated[int, Field(ge=0, le=2**62)] = Field(
+        0, description="number of the first scene among those of the seed; the others follow it"
+    )
+    objects: tuple[Count, Count] = Field(
+        (MIN_OBJECTS, MAX_OBJECTS), description="fewest and most objects of a scene, between which each is drawn"
+    )
+    questions: Annotated[int, Field(ge=1, le=MOST_TOGETHER)] = Field(
+        1, description="number of questions about each scene, of different families"
+    )
+    question_seed: Seed = Field(0, description="seed of the questions")
+    kinds: tuple[str, ...] = Field((), max_length=len(KINDS), description="kinds of question families; empty: all")
+    together: bool = Field(
+        False, description="attack the questions about a scene together, in one job; else each in one of its own"
+    )
+    size: tuple[Pixels, Pixels] = Field(IMAGE_SIZE, description="height and width of the images, pixels")
+    shadows: bool = Field(True, description="draw shadows")
+
+    @field_validator("objects")
+    @classmethod
+    def _in_order(cls, value: tuple[int, int]) -> tuple[int, int]:
+        if value[0] > value[1]:
+            raise ValueError(f"the fewest, {value[0]}, are more than the most, {value[1]}")
+        return value
+
+    @field_validator("kinds")
+    @classmethod
+    def _known_kinds(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        for index, kind in enumerate(value):
+            if kind not in KINDS:
+                raise ValueError(f"{index}: there is no kind {kind!r}; {there_are(kind, KINDS)}")
+        return value
+
+    @model_validator(mode="after")
+    def _several_together(self) -> Self:
+        if self.together and self.questions == 1:
+            raise ValueError("together: there is one question about each scene; leave it out, or ask several")
+        return self
+
+    def count(self) -> int:
+        """Returns the largest number of members that there may be, without making them."""
+        return self.images * (1 if self.together else self.questions)
+
+    def members(self) -> tuple[Member, ...]:
+        """Returns all scenes with their questions, in order. Raises InvalidRequest for objects that do not fit."""
+        return _members(self)
+
+    def sample(self) -> Member:
+        """Returns the first scene, with one question about it.
+
+        Raises InvalidRequest as `members` does, and if no such question can be asked about this scene.
+        """
+        one = self.model_copy(update={"images": 1, "together": False})
+        found = next(_made(one), None)
+        if found is None:
+            raise InvalidRequest("generate.kinds", "no such question can be asked about the first scene")
+        return found
+
+
+@lru_cache(maxsize=4)
+def _members(grid: QuestionGrid) -> tuple[Member, ...]:
+    return tuple(_made(grid))
+
+
+def _made(grid: QuestionGrid) -> Iterator[Member]:
+    families = [family for family in FAMILIES if not grid.kinds or family.kind in grid.kinds]
+    asking = QuestionGenerator(grid.question_seed, families)
+    for index in range(grid.first, grid.first + grid.images):
+        try:
+            record = generate(grid.seed, index, objects=grid.objects)
+        except InvalidRequest as error:
+            raise InvalidRequest(f"generate.{error.field}", error.detail) from error
+        scene = describe(record, grid.size)
+        if not grid.shadows:
+            scene = scene.model_copy(update={"shadows": None})
+        questions = tuple(asking.ask(record, grid.questions))
+        if not grid.together:
+            yield from (Member(scene, record, (question,)) for question in questions)
+        elif len(questions) == grid.questions:  # a scene about which so many cannot be asked is left out
+            yield Member(scene, record, questions)
+
 
 MOST_GENERATED = 200
 """Jobs in a list whose scenes are to be generated, 10 ms each before the answer; a grid's are made afterwards."""

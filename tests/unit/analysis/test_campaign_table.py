@@ -9,11 +9,20 @@ from typing import Any
 import pytest
 from matplotlib.axes import Axes
 
-from services.analysis.campaign_curves import Curves, mean_curve, mean_curves
 from services.analysis.campaign_figure import draw
-from services.analysis.campaign_table import Case, Rate, corners, mean, share_at, table
+from services.analysis.campaign_table import (
+    Case,
+    Curves,
+    Rate,
+    corners,
+    mean,
+    mean_curve,
+    mean_curves,
+    share_at,
+    table,
+    time_left,
+)
 from services.analysis.campaign_text import tex, to_csv, to_latex
-from services.analysis.time_left import time_left
 
 
 def case(attack: str = "a", target: str = "t", **changed: Any) -> Case:

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from services.analysis.campaign_table import Case
-from services.analysis.case_rows import FIELDS, CaseRow, best, grid, to_csv, worst
+from services.analysis.campaign_table import CASE_FIELDS, Case, CaseRow, best, grid, worst
+from services.analysis.campaign_text import cases_to_csv
 
 
 def row(number: int, scene: str = "chair", azimuth: str = "0°", **changed: Any) -> CaseRow:
@@ -22,7 +22,7 @@ def row(number: int, scene: str = "chair", azimuth: str = "0°", **changed: Any)
         "queries": 10 * number,
         "seconds": 1.0,
     }
-    fields = dict.fromkeys(FIELDS, "") | {"scene": scene, "azimuth": azimuth, "target": "net", "attack": "image"}
+    fields = dict.fromkeys(CASE_FIELDS, "") | {"scene": scene, "azimuth": azimuth, "target": "net", "attack": "image"}
     return CaseRow(number, f"id{number}", fields, Case(**(values | changed)))
 
 
@@ -59,7 +59,7 @@ def test_best_and_worst_cases() -> None:
 
 def test_the_lines_have_every_case_and_no_formula() -> None:
     cases = [row(1, scene="=1+1"), row(2, perceptibility=None, state="cancelled")]
-    first, second = csv.DictReader(io.StringIO(to_csv(cases)))
+    first, second = csv.DictReader(io.StringIO(cases_to_csv(cases)))
     assert (first["scene"], first["job"], first["first_answer"]) == ("'=1+1", "id1", "")
     assert (float(first["perceptibility"]), first["queries"]) == (0.001, "10")
     assert (second["perceptibility"], second["state"]) == ("", "cancelled")

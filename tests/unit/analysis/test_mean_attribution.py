@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from services.analysis.mean_attribution import part_means
+from services.analysis.campaign_table import part_means
 from services.statistics import NORMAL_95
 
 

@@ -12,7 +12,7 @@ from api.authentication import caller
 from api.state import Services
 from services.access.caller import KEYLESS
 from services.jobs.attempts import Attempt
-from services.jobs.campaign_service import CampaignService
+from services.jobs.campaigns import CampaignService
 from services.jobs.database import connect, migrate
 from services.jobs.lists import JobLists
 from services.jobs.models import Artifact, Job

@@ -7,7 +7,7 @@ import httpx
 import pytest
 from httpx import ASGITransport
 
-from services.jobs.campaign_service import CampaignService
+from services.jobs.campaigns import CampaignService
 from services.jobs.database import connect, migrate
 from services.jobs.queue import Queue
 from services.jobs.queue import connect as connect_redis

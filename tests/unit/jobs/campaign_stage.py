@@ -4,13 +4,10 @@ from typing import Any
 
 from sqlalchemy import Engine
 
-from services.jobs.campaign_feed import Feeder
-from services.jobs.campaign_service import request_digest
-from services.jobs.campaigns import Campaigns
+from services.jobs.campaigns import Campaigns, Feeder, request_digest
 from services.jobs.models import Campaign, CampaignState, Job
 from services.jobs.repository import Repository
-from services.pipeline.campaign_case import identity
-from services.pipeline.campaign_expand import views
+from services.pipeline.campaign_plan import identity, views
 from services.pipeline.campaign_spec import CampaignSpec, parse
 from services.pipeline.outcome import outcome
 from services.pipeline.result import Provenance, Result

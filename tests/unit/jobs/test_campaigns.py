@@ -7,8 +7,7 @@ import pytest
 from sqlalchemy import Engine, update
 
 from services.errors import QuotaExceeded
-from services.jobs.campaign_feed import CHUNK, Feeder
-from services.jobs.campaign_service import request_digest
+from services.jobs.campaigns import CHUNK, Feeder, request_digest
 from services.jobs.models import Campaign, CampaignState, State
 from services.jobs.repository import Key, KeyReused, Repository
 from services.pipeline.campaign_spec import CampaignSpec

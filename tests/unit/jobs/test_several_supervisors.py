@@ -10,7 +10,7 @@ from sqlalchemy import Engine, text
 from sqlalchemy.orm import Session
 
 from services.jobs import transactions
-from services.jobs.campaign_feed import CHUNK, Feeder
+from services.jobs.campaigns import CHUNK, Feeder
 from services.jobs.models import Job, State
 from services.jobs.repository import Repository
 from tests.unit.jobs.campaign_stage import Stage, spec

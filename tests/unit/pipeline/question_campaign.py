@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from services.pipeline.campaign_expand import views
+from services.pipeline.campaign_plan import views
 from services.pipeline.campaign_spec import parse
 from services.pipeline.prepare import prepare_exactly
 from services.questions.program import Program

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from services.pipeline.campaign_case import case_of, curves_of
+from services.pipeline.campaign_plan import case_of, curves_of
 from services.pipeline.result import Result
 
 STORED = json.loads((Path(__file__).parents[3] / "docs/results/combined.json").read_text())

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from services.pipeline.campaign_result import CampaignResult
+from services.pipeline.campaign_plan import CampaignResult
 from services.pipeline.campaign_run import run_campaign
 from services.pipeline.campaign_spec import parse
 from services.targets.classifier import Classifier

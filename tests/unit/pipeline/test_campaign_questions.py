@@ -7,9 +7,8 @@ import pytest
 
 from services.errors import Cancelled, InvalidRequest
 from services.pipeline.campaign_check import check_meshes, check_size, most_jobs, placed, samples
-from services.pipeline.campaign_expand import jobs, views
+from services.pipeline.campaign_plan import FirstAnswer, choose, jobs, views
 from services.pipeline.campaign_run import run_campaign
-from services.pipeline.campaign_select import FirstAnswer, choose
 from services.pipeline.campaign_spec import CampaignSpec, parse
 from services.questions.executor import answer
 from services.questions.facts import Facts

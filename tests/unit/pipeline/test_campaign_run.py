@@ -11,11 +11,9 @@ from PIL import Image
 from services.errors import Cancelled, InvalidRequest, JobFailure
 from services.pipeline import campaign_run
 from services.pipeline.adversary_dataset import AdversaryDataset, export
-from services.pipeline.campaign_expand import views
-from services.pipeline.campaign_result import CampaignResult, write
-from services.pipeline.campaign_run import CampaignProgress, run_campaign
+from services.pipeline.campaign_plan import CampaignResult, views, write
+from services.pipeline.campaign_run import CampaignProgress, first_answer, run_campaign
 from services.pipeline.campaign_spec import CampaignSpec, parse
-from services.pipeline.campaign_views import first_answer
 from services.pipeline.result import Result
 from tests.unit.jobs.small import LIBRARY
 

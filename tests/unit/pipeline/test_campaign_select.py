@@ -2,8 +2,7 @@
 
 from typing import Any
 
-from services.pipeline.campaign_expand import views
-from services.pipeline.campaign_select import ChosenView, FirstAnswer, choose, nothing_chosen
+from services.pipeline.campaign_plan import ChosenView, FirstAnswer, choose, nothing_chosen, views
 from services.pipeline.campaign_spec import parse
 
 MESHES = ["primitive/sphere", "primitive/cube", "primitive/cone"]

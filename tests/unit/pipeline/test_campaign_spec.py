@@ -10,9 +10,8 @@ import pytest
 
 from services.errors import InvalidRequest
 from services.pipeline.campaign_check import check_meshes, check_size, most_jobs, placed, samples
-from services.pipeline.campaign_expand import jobs, views
-from services.pipeline.campaign_scenes import RandomViews, SceneGrid
-from services.pipeline.campaign_spec import CampaignSpec, parse
+from services.pipeline.campaign_plan import jobs, views
+from services.pipeline.campaign_spec import CampaignSpec, RandomViews, SceneGrid, parse
 from services.scenes import furniture_kinds
 from services.settings import Settings
 from services.targets import registry

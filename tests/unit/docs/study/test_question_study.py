@@ -11,7 +11,7 @@ from benchmarks.study import question_tables
 from benchmarks.study.record import Asked, Record, load, save
 from benchmarks.study.recording import of_folder
 from benchmarks.study.vqa import VQA
-from services.pipeline.campaign_result import write
+from services.pipeline.campaign_plan import write
 from services.pipeline.campaign_run import run_campaign
 from services.pipeline.campaign_spec import parse
 from services.questions.executor import answer
