@@ -217,7 +217,7 @@ def test_the_examples_are_requests_within_the_limit(name: str, most: int) -> Non
 @pytest.mark.parametrize("name", ["differentiable", "nondifferentiable"])
 def test_the_papers_tables_attack_models_that_no_network_was_trained_on(name: str) -> None:
     root = Path(__file__).parents[3]
-    split = json.loads((root / "services" / "training" / "split.json").read_text("utf-8"))
+    split = json.loads((root / "training" / "split.json").read_text("utf-8"))
     held_out = {f"{furniture_kinds.PREFIX}{slug}" for kind in split["classes"] for slug in split["held_out"][kind]}
     campaign = parse(json.loads((root / "examples" / f"paper-{name}.json").read_text("utf-8")))
     for grid in campaign.grids:
