@@ -23,7 +23,6 @@ from typing import Any
 import torch
 
 from benchmarks.report import RESULTS, save, shortest
-from benchmarks.rounded_gradient import ATTACKS
 from client.settings import settings_to_run
 from services.jobs.child import ALLOCATOR
 from services.jobs.warm_up import warm_up
@@ -34,6 +33,13 @@ from services.scenes.library import Library
 from services.targets import registry
 from services.targets.protocol import Target
 
+ATTACKS: dict[str, dict[str, Any]] = {
+    "image": {"renderer": "image"},
+    "normals": {"groups": ["normals"]},
+    "illumination": {"groups": ["illumination"]},
+    "material": {"groups": ["material"]},
+    "all": {"groups": ["normals", "illumination", "material"]},
+}
 STILL = 1e-9
 STEPS = 120
 MESH = "furniture/grand-piano"

@@ -15,7 +15,7 @@ PAGE = Path(__file__).parents[1] / "docs" / "benchmarks.md"
 
 def page() -> str:
     """The whole page as Markdown."""
-    sections = (_shading, _jobs, _image_attacks, _peer_attacks, _zoo, _rounded, _differences, _surrogates, _questions)
+    sections = (_shading, _jobs, _image_attacks, _peer_attacks, _zoo, _differences, _surrogates, _questions)
     return "\n\n".join(["# Benchmarks", INTRODUCTION, *(part for section in sections for part in section())]) + "\n"
 
 
@@ -179,24 +179,6 @@ def _zoo() -> list[str]:
     ]
 
 
-def _rounded() -> list[str]:
-    result = _result("rounded_gradient")
-    rows = [
-        [
-            row["attack"],
-            f"{row['saved']['verified']} / {row['float']['verified']} of {row['views']}",
-            *(_both(row, key, scale) for key, scale in (("steps_where_both", 1.0), ("p_where_both", 1e3))),
-        ]
-        for row in result["summary"]
-    ]
-    return [
-        "## The gradient at the saved image",
-        "FGSM takes verdict and gradient from one pass on the saved image; here beside the float image's gradient.",
-        _table(("attacked", "verified, saved / float", "steps", "p ×10⁻³"), rows),
-        _foot(result),
-    ]
-
-
 def _differences() -> list[str]:
     result = _result("image_differences")
     rows = [
@@ -279,11 +261,6 @@ def _questions() -> list[str]:
         _table(("case", "batch ms", "one at a time ms", "ratio", "of processor time", "difference of scores"), rows),
         _foot(result),
     ]
-
-
-def _both(row: dict[str, Any], key: str, scale: float) -> str:
-    values = [row[which][key] for which in ("saved", "float")]
-    return "–" if None in values else " / ".join(f"{scale * value:.3g}" for value in values)
 
 
 if __name__ == "__main__":

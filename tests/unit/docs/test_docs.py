@@ -38,6 +38,14 @@ def test_links_lead_somewhere(page: Path) -> None:
             assert (page.parent / link).exists(), link
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_files_that_are_named_exist(page: Path) -> None:
+    for path in re.findall(
+        r"`((?:api|benchmarks|client|deploy|scripts|services|tests|training|worker)/[\w./-]+\.\w+)`", page.read_text()
+    ):
+        assert (ROOT / path).exists(), path
+
+
 def test_operations_has_every_setting_and_its_default() -> None:
     for name, field in Settings.model_fields.items():
         default = "–" if field.default is None else f"`{field.default}`"

@@ -9,7 +9,7 @@ from tests.unit.rendering.shading import sky, sphere_gbuffer, sphere_scene
 U = 18 / 255
 ONE_WAY = {"illumination": 1 / 3, "material": 1.0}
 """How much of the farthest move, all coordinates one way, must stay within U. Attacks on light mix their signs and move
-the image far less than a uniform move would (benchmarks/results/units.json)."""
+the image far less than a uniform move would (docs/materials.md)."""
 
 
 def farthest(rate: float, steps: int = 120, momentum: float = 0.9) -> float:
