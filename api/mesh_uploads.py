@@ -12,13 +12,10 @@ from api.fair_queue import FairQueue
 from api.warm_process import Unavailable
 from services.errors import JobFailure
 from services.logs import logger
-from services.scenes.about import About
-from services.scenes.bundle import Bundle
-from services.scenes.entries import Entry
+from services.scenes.bundle import About, Bundle
 from services.scenes.isolated_reading import AT_ONCE, reader
-from services.scenes.library import Library
-from services.scenes.sent_files import to_bundle
-from services.scenes.uploads import max_unpacked
+from services.scenes.library import Entry, Library
+from services.scenes.uploads import max_unpacked, to_bundle
 from services.settings import Settings
 
 Adding = Callable[[str, int, str | None], AbstractContextManager[None]]

@@ -17,7 +17,7 @@ from services.pipeline.result import Result
 from services.pipeline.spec import JobSpec
 from services.pipeline.target_folders import TargetFolder
 from services.pipeline.warning import JobWarning
-from services.scenes.entries import Entry
+from services.scenes.library import Entry
 
 
 class BadField(BaseModel):

@@ -140,7 +140,7 @@ def to_service(client: "ApiClient") -> Adding:
     def add(path: Path) -> tuple[str, Sequence[str]]:
         from client.mesh_files import with_files_beside
         from client.request import ApiError
-        from services.scenes.about import title_of
+        from services.scenes.bundle import title_of
 
         files = with_files_beside([path])
         try:
@@ -161,9 +161,8 @@ def bundle_at(path: Path, limits: "Settings") -> "Bundle":
     Raises InvalidRequest.
     """
     from client.mesh_files import with_files_beside
-    from services.scenes.about import About, title_of
-    from services.scenes.sent_files import to_bundle
-    from services.scenes.uploads import max_unpacked
+    from services.scenes.bundle import About, title_of
+    from services.scenes.uploads import max_unpacked, to_bundle
 
     files = [(name, one.read_bytes()) for name, one in with_files_beside([path])]
     return to_bundle(files, None, _chosen(path, files), About(title=title_of(path)), max_unpacked(limits))

@@ -18,7 +18,7 @@ from itertools import combinations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from services.scenes.catalogue import Model
+from services.scenes.furniture import Model
 from services.scenes.mesh import Doubles, Mesh
 
 STUDIO = 60

@@ -7,8 +7,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from services.scenes.catalogue import read_catalogue
 from services.scenes.description import ELEVATION, Environment
+from services.scenes.furniture import read_catalogue
 from services.scenes.furniture_kinds import PREFIX, kinds
 from services.scenes.library import Library
 from services.scenes.mesh import Mesh

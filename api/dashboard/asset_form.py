@@ -16,8 +16,18 @@ from api.routes.assets import form_body, store
 from api.state import ServicesDependency
 from services.errors import InvalidFields, InvalidRequest
 from services.pipeline.field_errors import invalid_fields
-from services.scenes.about import About, Credit, Licence, Title, Up, title_of
-from services.scenes.bundle import MAP_KINDS, MAX_FILES, MAX_NAME, MESH_KINDS
+from services.scenes.bundle import (
+    MAP_KINDS,
+    MAX_FILES,
+    MAX_NAME,
+    MESH_KINDS,
+    About,
+    Credit,
+    Licence,
+    Title,
+    Up,
+    title_of,
+)
 
 PATH = "/assets"
 router = APIRouter(include_in_schema=False)

@@ -20,7 +20,7 @@ from services.access.caller import Caller, Scope
 from services.errors import InvalidRequest
 from services.jobs.asset_record import FirstAnswer
 from services.jobs.models import Job
-from services.scenes.entries import Entry
+from services.scenes.library import Entry
 
 PAGE = 60
 """Number of assets on one page."""

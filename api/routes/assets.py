@@ -19,9 +19,8 @@ from api.state import Services, ServicesDependency, no_such
 from services.access.caller import Caller
 from services.logs import logger
 from services.pipeline.thumbnail import picture_of, thumbnail_spec
-from services.scenes.about import About, Credit, Licence, Title, Up
-from services.scenes.bundle import MAX_FILES, MAX_NAME
-from services.scenes.entries import Entry
+from services.scenes.bundle import MAX_FILES, MAX_NAME, About, Credit, Licence, Title, Up
+from services.scenes.library import Entry
 
 PATH = "/v1/assets"
 Digest = Annotated[str, Path(description="the 64 digits after `sha256:` in the upload's name")]

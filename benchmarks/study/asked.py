@@ -16,7 +16,7 @@ from services.questions.answers import kind_asked
 from services.questions.program import Program
 from services.questions.records import QuestionRecord
 from services.questions.templates.families import FAMILIES
-from services.scenes.clevr.attacked import record_after
+from services.scenes.clevr.description import record_after
 from services.scenes.clevr.records import SceneRecord
 from training.iep.examples import ObjectTruth
 

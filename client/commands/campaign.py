@@ -50,7 +50,7 @@ def run(
     from client.settings import settings_to_run
     from services.pipeline.campaign_check import check_size
     from services.pipeline.campaign_plan import nothing_chosen
-    from services.scenes.catalogue import slugify
+    from services.scenes.furniture import slugify
 
     settings = settings_to_run()
     keep_memory()

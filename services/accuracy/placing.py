@@ -10,8 +10,7 @@ from services.process import options
 from services.scenes.description import Scene
 from services.scenes.library import Library
 from services.scenes.mesh import Floats, Mesh, Part
-from services.scenes.metallic_roughness import with_surface
-from services.scenes.resolve import ResolvedScene, resolve
+from services.scenes.resolve import ResolvedScene, resolve, with_surface
 from services.settings import DEFAULTS
 
 TABLES = (128, 128)

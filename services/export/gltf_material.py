@@ -10,7 +10,7 @@ import numpy as np
 
 from services.export.glb import INDICES, Glb
 from services.scenes.mesh import Doubles, MapName, MetallicRoughness, Part
-from services.scenes.metallic_roughness import with_surface_of_part
+from services.scenes.resolve import with_surface_of_part
 
 COAT_ROUGHNESS = 0.45
 """The roughness of the coat in `shaders/radiance.frag`."""

@@ -37,8 +37,7 @@ from services.rendering.plan import DEFAULT_TOLERANCE
 from services.scenes import furniture_kinds
 from services.scenes.clevr.description import describe
 from services.scenes.clevr.generator import MAX_OBJECTS, MIN_OBJECTS, generate
-from services.scenes.clevr.records import SceneRecord
-from services.scenes.clevr.rig import IMAGE_SIZE
+from services.scenes.clevr.records import IMAGE_SIZE, SceneRecord
 from services.scenes.description import Angle, Camera, Colour, Lights, Model, Pixels, Scene, SceneObject, absent
 from services.suggestions import there_are
 from services.written_text import line

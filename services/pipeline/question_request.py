@@ -6,8 +6,8 @@ from pydantic import AliasChoices, Field
 
 from services.errors import InvalidRequest
 from services.questions.program import MAX_NODES, InvalidProgram, Program
+from services.scenes.clevr.description import Generate, scene_of
 from services.scenes.clevr.records import SceneRecord
-from services.scenes.clevr.request import Generate, scene_of
 from services.scenes.description import Model
 
 MOST_TEXT = 1000

@@ -18,10 +18,8 @@ from services.questions.program import InvalidProgram, Program
 from services.questions.said import difference
 from services.questions.written import program_in
 from services.rendering.protocol import Parameters
-from services.scenes.clevr.attacked import record_after
-from services.scenes.clevr.records import SceneRecord
-from services.scenes.clevr.request import scene_of
-from services.scenes.clevr.rig import IMAGE_SIZE
+from services.scenes.clevr.description import record_after, scene_of
+from services.scenes.clevr.records import IMAGE_SIZE, SceneRecord
 from services.scenes.description import Camera, Scene, SceneObject
 from services.targets.protocol import ProgramTarget, Target
 

@@ -21,14 +21,9 @@ from services.questions.facts import Facts
 from services.rendering.plan import Item, Plan
 from services.rendering.protocol import Parameters
 from services.rendering.pyrender_renderer.declaration import PYRENDER
-from services.scenes.clevr.attacked import other_readings, record_after, rig_after
-from services.scenes.clevr.description import rig_of
-from services.scenes.clevr.generator import MIN_PIXELS
-from services.scenes.clevr.layout import Placed
-from services.scenes.clevr.placement import check, placed_in
-from services.scenes.clevr.records import SceneRecord
-from services.scenes.clevr.rig import Rig
-from services.scenes.clevr.visibility import visible_pixels
+from services.scenes.clevr.description import other_readings, record_after, rig_after, rig_of
+from services.scenes.clevr.generator import MIN_PIXELS, Placed, check, placed_in, visible_pixels
+from services.scenes.clevr.records import Rig, SceneRecord
 from services.scenes.description import Scene
 
 HALVINGS = 8

@@ -34,8 +34,8 @@ from services.pipeline.question_request import MOST_TOGETHER, Call, Calls, Text,
 from services.questions.written import written
 from services.rendering.declaration import RENDERERS
 from services.rendering.plan import DEFAULT_TOLERANCE
+from services.scenes.clevr.description import Generate
 from services.scenes.clevr.records import SceneRecord
-from services.scenes.clevr.request import Generate
 from services.scenes.description import Model, Scene, absent
 from services.suggestions import closest
 from services.targets.info import TARGETS

@@ -3,7 +3,7 @@
 from services.errors import InvalidRequest
 from services.questions.functions import FUNCTIONS, Type
 from services.questions.program import Program
-from services.scenes.clevr.attributes import ATTRIBUTES
+from services.scenes.clevr.records import ATTRIBUTES
 from services.suggestions import there_are
 
 MAX_COUNT = 10

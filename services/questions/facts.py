@@ -2,9 +2,7 @@
 
 from dataclasses import dataclass
 
-from services.scenes.clevr.attributes import ATTRIBUTES
-from services.scenes.clevr.records import SceneRecord
-from services.scenes.clevr.relations import RELATIONS
+from services.scenes.clevr.records import ATTRIBUTES, RELATIONS, SceneRecord
 
 Objects = frozenset[int]
 """Indices of objects of a scene."""

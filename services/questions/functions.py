@@ -8,8 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-from services.scenes.clevr.attributes import ATTRIBUTES
-from services.scenes.clevr.relations import RELATIONS
+from services.scenes.clevr.records import ATTRIBUTES, RELATIONS
 
 Type = Literal["set", "object", "integer", "boolean", "size", "color", "material", "shape"]
 """What a function takes or gives: a set of objects, one object, a number, a truth value, a value of an attribute."""

@@ -10,7 +10,7 @@ from collections import Counter
 from services.questions.program import Program
 from services.questions.templates.forms import RELATIONS, SYNONYMS
 from services.questions.text import tokens
-from services.scenes.clevr.attributes import ATTRIBUTES
+from services.scenes.clevr.records import ATTRIBUTES
 
 _NAMES = {name: value for value, names in SYNONYMS.items() for name in names}
 _VALUES = frozenset(RELATIONS).union(*ATTRIBUTES.values())

@@ -1,20 +1,211 @@
-"""The files beside a mesh file, as its parser finds them: by the names in the file, and never anything else."""
+"""The files beside a mesh file: which ones it names, and how its parser finds them, by those names and nothing else.
 
+XML files that are not trusted are checked and searched without being parsed.
+"""
+
+import json
 import posixpath
-from collections.abc import Iterable, Mapping
+import re
+import struct
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cached_property
 from io import BytesIO
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import unquote
 
 import trimesh
 
 from services.errors import InvalidRequest
 from services.scenes.image_file import open_texture
-from services.scenes.named import Named
-from services.scenes.references import named_files, texture_name
-from services.scenes.text import decoded
 from services.scenes.unreadable import DAMAGED, Unreadable
+
+
+class Named(NamedTuple):
+    """A file that another names: its name, and what it is to it."""
+
+    name: str
+    what: str
+
+    @property
+    def is_shown(self) -> bool:
+        """Whether meshes other than glTF are drawn with it: of the maps only the texture is."""
+        return self.what in ("material library", "texture", "buffer")
+
+
+def decoded(data: bytes) -> str:
+    """Returns text that is UTF-8 or, if it cannot be, Latin-1: names may be in any encoding."""
+    try:
+        return data.decode()
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+_ENCODINGS = (b"utf-8", b"us-ascii", b"ascii", b"iso-8859-1", b"windows-1252")
+_SLOTS = {
+    "diffuse": "texture",
+    "emission": "emission map",
+    "ambient": "ambient map",
+    "specular": "specular map",
+    "reflective": "reflection map",
+    "transparent": "opacity map",
+    "bump": "bump map",
+    "normal": "normal map",
+}
+"""What an image is to an effect of COLLADA that has it in a slot. Only the first is shown."""
+
+_INIT_FROM = re.compile(r"<init_from>([^<]*)(?:<ref>([^<]*))?")
+_SOURCE = re.compile(r"<(?:source|init_from)>([^<]*)|<instance_image\s+url=\"#([^<\"]*)\"")
+
+
+def check_xml(data: bytes) -> None:
+    """Raises Unreadable for a document type, which is where entities are declared, or an unusual encoding.
+
+    Entities can name files and addresses, and a few of them stand for gigabytes; another encoding would hide them.
+    """
+    if b"\0" in data or data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        raise Unreadable("its text is not UTF-8")
+    declared = re.match(rb"[\xef\xbb\xbf\s]*<\?xml[^>]*?encoding\s*=\s*[\"']([^\"']*)", data)
+    if declared and declared[1].lower() not in _ENCODINGS:
+        raise Unreadable(f"its encoding is {declared[1][:40].decode('latin-1')!r}; UTF-8 is read")
+    if re.search(rb"<!\s*(?:DOCTYPE|ENTITY)", data, re.IGNORECASE):
+        raise Unreadable("it declares a document type or entities, which are not read")
+
+
+def collada_images(data: bytes) -> list[Named]:
+    """Returns the image files that a COLLADA file names: those that effects use, and then the others."""
+    text = data.decode("utf-8", "replace")
+    files = {}
+    for head, body in _elements(text, "image"):
+        name, found_file = _attribute(head, "id"), _INIT_FROM.search(body)
+        file = "" if found_file is None else (found_file[1].strip() or (found_file[2] or "").strip())
+        if name and file:
+            files[name] = _unescaped(file)
+    found = []
+    for _, effect in _elements(text, "effect"):
+        params = {}
+        for head, body in _elements(effect, "newparam"):
+            name, source = _attribute(head, "sid"), _SOURCE.search(body)
+            if name and source:
+                params[name] = (source[1] or source[2] or "").strip()
+        for slot, what in _SLOTS.items():
+            for used in re.findall(rf"<{slot}\b[^<>]*>\s*<texture\b[^<>]*?\btexture=\"([^<\"]+)\"", effect):
+                image = used
+                for _ in range(3):
+                    image = params.get(image, image)
+                if image in files:
+                    found.append(Named(files[image], what))
+    named = {one.name for one in found}
+    return [*found, *(Named(name, "image") for name in files.values() if name not in named)]
+
+
+def _elements(text: str, name: str) -> Iterator[tuple[str, str]]:
+    """Yields the attributes and the content of each element of a name that has an end.
+
+    It looks at every character a few times at most. An expression that looks for the end of each beginning takes
+    minutes for a file of beginnings alone.
+    """
+    for begins in text.split(f"</{name}>")[:-1]:
+        start = re.search(rf"<{name}\b([^<>]*)>", begins)
+        if start:
+            yield start[1], begins[start.end() :]
+
+
+def _attribute(head: str, name: str) -> str | None:
+    found = re.search(rf"\b{name}=\"([^\"]+)\"", head)
+    return None if found is None else found[1]
+
+
+def _unescaped(text: str) -> str:
+    for written, meant in (("&lt;", "<"), ("&gt;", ">"), ("&quot;", '"'), ("&apos;", "'"), ("&amp;", "&")):
+        text = text.replace(written, meant)
+    return text.removeprefix("file:///").removeprefix("file://")
+
+
+MAX_NAMES = 500
+"""Names of one file; further ones are passed over."""
+_OPTIONS = {"-s": 3, "-o": 3, "-t": 3, "-mm": 2} | dict.fromkeys(
+    ("-bm", "-boost", "-texres", "-blendu", "-blendv", "-cc", "-clamp", "-imfchan", "-type"), 1
+)
+"""The options of a map in an MTL file, and how many values they have at most."""
+_MAPS = {
+    "map_kd": "texture",
+    "map_ka": "ambient map",
+    "map_ks": "specular map",
+    "map_ns": "shininess map",
+    "map_ke": "emission map",
+    "map_d": "opacity map",
+    "map_bump": "bump map",
+    "bump": "bump map",
+    "norm": "normal map",
+    "map_kn": "normal map",
+    "disp": "displacement map",
+    "map_pr": "roughness map",
+    "map_pm": "metallic map",
+    "refl": "reflection map",
+}
+"""What each statement of an MTL file names."""
+
+
+def named_files(data: bytes, kind: str) -> list[Named]:
+    """Returns the files that a file of a kind, a mesh's or `mtl`, names: each once, in their order."""
+    if kind == "obj":
+        found = [Named(name, "material library") for name in _lines(data, rb"[ \t]*mtllib[ \t]+([^\r\n]+)")]
+    elif kind == "ply":
+        found = [Named(name, "texture") for name in _lines(data, rb"comment TextureFile[ \t]+([^\r\n]+)")]
+    elif kind == "mtl":
+        found = [one for line in decoded(data).splitlines() if (one := _map(line))]
+    elif kind in ("gltf", "glb"):
+        found = _gltf(data)
+    elif kind == "dae":
+        found = collada_images(data)
+    else:
+        found = []
+    return list(dict.fromkeys(found))[:MAX_NAMES]
+
+
+def texture_name(text: str) -> tuple[str, str]:
+    """Splits what a map of an MTL file states into its options and the name of a file, which may have blanks."""
+    words = re.findall(r"\S+\s*", text.strip())
+    taken = 0
+    while taken < len(words) - 1 and (most := _OPTIONS.get(words[taken].strip().lower())):
+        first = taken + 1
+        taken = first + 1
+        while taken < len(words) - 1 and taken - first < most and _is_number(words[taken]):
+            taken += 1
+    return "".join(words[:taken]).strip(), "".join(words[taken:]).strip()
+
+
+def _map(line: str) -> Named | None:
+    key, _, rest = line.strip().partition(" ")
+    what = _MAPS.get(key.lower())
+    name = texture_name(rest)[1] if what else ""
+    return Named(name, what) if what and name else None
+
+
+def _gltf(data: bytes) -> list[Named]:
+    """Returns the buffers and images that a glTF file has outside itself; none if it is damaged."""
+    try:
+        if data.startswith(b"glTF"):
+            (length,) = struct.unpack_from("<I", data, 12)
+            data = data[20 : 20 + length]
+        tree = json.loads(data.decode())  # of bytes it would guess an encoding, whose codec may be out of reach
+        return [
+            Named(entry["uri"], what)
+            for key, what in (("buffers", "buffer"), ("images", "texture"))
+            for entry in tree.get(key, [])
+            if isinstance(entry.get("uri"), str) and not entry["uri"].startswith("data:")
+        ]
+    except (ValueError, AttributeError, TypeError, RecursionError, struct.error):
+        return []
+
+
+def _lines(data: bytes, pattern: bytes) -> list[str]:
+    return [decoded(match[1].strip()) for match in re.finditer(rb"(?m)^" + pattern, data)]
+
+
+def _is_number(word: str) -> bool:
+    return re.fullmatch(r"[-+]?[\d.]+(?:[eE][-+]?\d+)?", word.strip()) is not None
+
 
 IMAGES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".gif", ".tga")
 

@@ -1,17 +1,74 @@
-"""A mesh file with the files that it was sent with: how they are named, and which of them is the mesh."""
+"""What is uploaded: a mesh file with the files that it was sent with, what its sender says of it, and zip files
+unpacked.
+
+Archives are not trusted: they are unpacked in memory, by a confined process (`services.scenes.reading_process`).
+"""
 
 import hashlib
 import json
 import posixpath
 import re
+import stat
 import zipfile
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from io import BytesIO
+from pathlib import PurePath
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from services.errors import InvalidRequest
-from services.scenes.about import NOTHING_SAID, About
+from services.written_text import line, visible
+
+LONGEST_TITLE = 100
+Up = Literal["y", "z"]
+Title = Annotated[
+    str,
+    Field(min_length=1, max_length=LONGEST_TITLE, description="the name that people see beside the hash"),
+    AfterValidator(line),
+]
+Licence = Annotated[
+    str,
+    Field(min_length=1, max_length=100, description="the licence that it may be used under"),
+    AfterValidator(line),
+]
+Credit = Annotated[
+    str,
+    Field(min_length=1, max_length=500, description="whom to name wherever it is shown"),
+    AfterValidator(line),
+]
+
+
+def title_of(file: PurePath) -> str:
+    """The name that an upload has from its file's, if its sender says none; "" if nothing of that is left."""
+    return visible(file.stem)[:LONGEST_TITLE]
+
+
+class About(BaseModel):
+    """What is said of an upload, which is stored with it and part of its hash; nothing of it is guessed.
+
+    up: the axis of the file that points up; None: as its format says.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    # What is stored is read as it is: it was checked when it was sent, by the rules of its time.
+    title: str | None = None
+    up: Up | None = None
+    licence: str | None = None
+    credit: str | None = None
+
+    def digest_part(self) -> str:
+        """What the hash of an upload covers of this; nothing if nothing is said."""
+        said = self.model_dump(exclude_none=True)
+        return f" {json.dumps(said, sort_keys=True)}" if said else ""
+
+
+NOTHING_SAID = About()
+
 
 MESH_KINDS = ("obj", "ply", "stl", "glb", "off", "gltf", "dae", "3mf")
 """The kinds of mesh files, which are also the endings of their names."""
@@ -154,3 +211,59 @@ def _there_are(meshes: Sequence[str]) -> str:
 
 def _ending(name: str) -> str:
     return posixpath.splitext(name)[1].lower().removeprefix(".")
+
+
+SIGNATURE = b"PK\x03\x04"
+MAX_RATIO = 100
+"""Largest ratio of the bytes that an archive holds to its own, beyond SMALL bytes. Text compresses to a tenth."""
+SMALL = 2**20
+_ENCRYPTED = 1
+_IGNORED = ("__MACOSX/", ".DS_Store", "Thumbs.db")
+"""What file managers add."""
+
+
+def unpack_archive(data: bytes, most: int) -> dict[str, bytes]:
+    """Returns the files of a zip file by name, which is a relative path.
+
+    Raises InvalidRequest("file", …), which names the entry, for archives that are damaged or encrypted, with more than
+    MAX_FILES entries or `most` bytes, that unpack to MAX_RATIO times their size, with links or special files, two
+    files of a name, or a name that points outside.
+    """
+    try:
+        with zipfile.ZipFile(BytesIO(data)) as archive:
+            entries = _checked(archive.infolist(), len(data), most)
+            return {name: archive.read(entry) for name, entry in entries.items()}
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError, OSError) as error:
+        if isinstance(error, InvalidRequest):
+            raise
+        # Only the words of the zip reader itself are about the file.
+        said = f"damaged: {str(error)[:200]}" if isinstance(error, zipfile.BadZipFile) else "damaged, or cut off"
+        raise InvalidRequest("file", f"the zip file is {said}") from error
+
+
+def _checked(entries: list[zipfile.ZipInfo], packed: int, most: int) -> dict[str, zipfile.ZipInfo]:
+    if len(entries) > MAX_FILES:
+        raise InvalidRequest("file", f"the zip file has {len(entries):,} entries; at most {MAX_FILES:,} are taken")
+    total = sum(entry.file_size for entry in entries)
+    if total > most:
+        raise InvalidRequest("file", f"the zip file unpacks to {total:,} bytes; at most {most:,} are taken")
+    if total > max(SMALL, MAX_RATIO * packed):
+        raise InvalidRequest("file", f"the zip file of {packed:,} bytes unpacks to {total:,}, which is no mesh's ratio")
+    found: dict[str, zipfile.ZipInfo] = {}
+    seen: set[str] = set()
+    for entry in entries:
+        name = clean_name(entry.filename)
+        form = stat.S_IFMT(entry.external_attr >> 16)
+        if form not in (0, stat.S_IFREG, stat.S_IFDIR):
+            raise InvalidRequest("file", f"{entry.filename!r} in the zip file is a link or a device, and no file")
+        if entry.flag_bits & _ENCRYPTED:
+            raise InvalidRequest("file", f"{entry.filename!r} in the zip file is encrypted")
+        if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise InvalidRequest("file", f"{entry.filename!r} in the zip file is compressed, but not by deflate")
+        if entry.is_dir() or name.startswith(_IGNORED) or name.endswith(_IGNORED):
+            continue
+        if name.lower() in seen:
+            raise InvalidRequest("file", f"the zip file has two files {name!r}")
+        seen.add(name.lower())
+        found[name] = entry
+    return found

@@ -5,10 +5,10 @@ import struct
 from collections.abc import Callable
 
 from services.errors import InvalidRequest
-from services.scenes.archive import SIGNATURE, unpack_archive
+from services.scenes.beside import check_xml
+from services.scenes.bundle import SIGNATURE, unpack_archive
 from services.scenes.gltf_file import GltfFile, elements, json_of, size
 from services.scenes.unreadable import TooLarge, Unreadable
-from services.scenes.xml_file import check_xml
 
 _SIZES = {
     **dict.fromkeys(("char", "uchar", "int8", "uint8"), 1),

@@ -1,10 +1,12 @@
-"""Defines the scene of a request: camera, objects, lights and ground.
+"""Defines the scene of a request: camera, objects, lights and ground; and names its objects in sentences and tables.
 
 Angles are in radians, lengths in scene units (an object of scale 1 fits the frame at the paper's distance of 1.8),
 colours in [0,1]; +y is up. Every field but the mesh has a default, and bounds that are checked before a job is queued.
 """
 
 import operator
+from collections import Counter
+from collections.abc import Mapping
 from math import pi
 from typing import Annotated, Any, Literal
 
@@ -291,3 +293,13 @@ class Scene(Model):
     @classmethod
     def _eight_bits(cls, value: tuple[float, float, float]) -> Any:
         return tuple(round(v * 255) / 255 for v in value)
+
+
+def object_names(scene: Scene, titles: Mapping[str, str]) -> list[str]:
+    """A name for each object: its mesh's without the folder, or what people call it by `titles`; its number if the mesh
+    has none or others share it.
+    """
+    names = [titles.get(thing.mesh, thing.mesh.rpartition("/")[2]) for thing in scene.objects]
+    shared = Counter(names)
+    plain = [not name.startswith("sha256:") and shared[name] == 1 for name in names]
+    return [name if good else f"object {k}" for k, (name, good) in enumerate(zip(names, plain, strict=True))]

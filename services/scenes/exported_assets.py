@@ -14,8 +14,7 @@ from tempfile import TemporaryDirectory
 from pydantic import BaseModel, ValidationError
 
 from services.errors import InvalidRequest, printable
-from services.scenes.about import About
-from services.scenes.bundle import bundle_of
+from services.scenes.bundle import About, bundle_of
 from services.scenes.description import Scene
 from services.scenes.library import Library
 from services.scenes.uploads import max_unpacked

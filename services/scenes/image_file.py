@@ -1,4 +1,4 @@
-"""Opens image files that are not trusted: PNG, JPEG and WebP, and no other format that Pillow knows.
+"""Pictures that are not trusted: opens PNG, JPEG and WebP, no other format that Pillow knows; and the curve of sRGB.
 
 Pillow asks each of its plug-ins whether it knows a file, and some run a program on it (Ghostscript on PostScript). The
 format is therefore chosen here, by the file's first bytes, and Pillow is given that one plug-in.
@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 
 from services.errors import InvalidRequest
-from services.scenes.mesh import Bytes
+from services.scenes.mesh import Bytes, Doubles
 from services.scenes.unreadable import Unreadable
 
 FORMATS = "PNG, JPEG or WebP"
@@ -101,3 +101,14 @@ def _webp_size(data: bytes) -> tuple[int, int]:
         return 1 + (bits & 0x3FFF), 1 + (bits >> 14 & 0x3FFF)
     width, height = struct.unpack_from("<HH", data, 26)
     return width & 0x3FFF, height & 0x3FFF
+
+
+def to_linear(display: Doubles) -> Doubles:
+    """Returns the linear values of displayed sRGB values in [0,1], of any shape: the inverse curve of IEC 61966-2-1."""
+    return np.where(display <= 0.04045, display / 12.92, ((display + 0.055) / 1.055) ** 2.4)
+
+
+def to_display(linear: Doubles) -> Doubles:
+    """Returns the displayed sRGB values of linear values of any shape, clipped to [0,1] (IEC 61966-2-1)."""
+    clipped = linear.clip(0, 1)
+    return np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055)

@@ -1,24 +1,51 @@
-"""Reads untrusted mesh files."""
+"""Reads mesh files that are not trusted: upright, as parts, with a report of what of them is shown and what is not."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from io import BytesIO
+from typing import Any
 
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
+from PIL import Image
 
 from services.errors import InvalidRequest, shortened
-from services.scenes.about import Up
-from services.scenes.beside import Beside
-from services.scenes.claims import CHECKS, check_elements
+from services.scenes.beside import Beside, decoded, texture_name
+from services.scenes.bundle import Up, unpack_archive
+from services.scenes.claims import CHECKS, MAX_3MF, check_elements
 from services.scenes.gltf import read_gltf
 from services.scenes.gltf_file import GltfFile
+from services.scenes.image_file import open_texture
+from services.scenes.isolated_reading import Report, listed
 from services.scenes.mesh import Part
-from services.scenes.surfaces import read_surfaces, to_parts
-from services.scenes.text import decoded
+from services.scenes.surfaces import MAX_TEXTURE, read_opacity, read_surfaces, to_parts
 from services.scenes.unreadable import DAMAGED, TooLarge, Unreadable
-from services.scenes.up_axis import is_z_up, upright
-from services.scenes.wavefront import read_opacity
+
+
+def is_z_up(data: bytes, kind: str) -> bool:
+    """Whether +z is up: in every 3mf file, and in a dae file that says so. In all other formats +y is."""
+    return kind == "3mf" or (kind == "dae" and re.search(rb"<up_axis>\s*Z_UP\s*<", data) is not None)
+
+
+def upright(parts: tuple[Part, ...]) -> tuple[Part, ...]:
+    """Returns the parts of a file in which +z is up with +y up: turned about x by −90°, which leaves them fitted."""
+    found = []
+    for part in parts:
+        own = part.metallic_roughness
+        turned = replace(part, vertices=_turned(part.vertices), normals=_turned(part.normals))
+        if own is not None:
+            tangents = np.concatenate([_turned(own.tangents[:, :3]), own.tangents[:, 3:]], axis=1)
+            turned = replace(turned, metallic_roughness=replace(own, tangents=tangents))
+        found.append(turned)
+    return tuple(found)
+
+
+def _turned(vectors: NDArray[Any]) -> NDArray[Any]:
+    return np.stack([vectors[:, 0], vectors[:, 2], -vectors[:, 1]], axis=1)
+
 
 KINDS = tuple(CHECKS)
 """The file kinds that are read."""
@@ -96,3 +123,100 @@ def triangles(scene: trimesh.Scene) -> int:
     """Returns the number of triangles of a scene over all instances, without creating the instances."""
     counts = {name: len(getattr(geometry, "faces", ())) for name, geometry in scene.geometry.items()}
     return sum(counts[scene.graph[node][1]] for node in scene.graph.nodes_geometry)
+
+
+_3MF = {b"<basematerials": "materials", b":colorgroup": "colours", b":texture2d": "textures"}
+"""What a model in a 3mf file may have, and the parser passes over."""
+_NOT_DRAWN = {"animations": "animations", "skins": "skins", "cameras": "cameras"}
+
+
+def report(data: bytes, kind: str, beside: Beside, parts: Sequence[Part], notes: Sequence[str]) -> Report:
+    """Returns what became of what a mesh file holds and names.
+
+    `parts` are those that were read from it, and `notes` what was said of it then to be not shown.
+    """
+    used, dropped = _files(beside, any(part.textured for part in parts))
+    dropped = [*notes, *dropped]
+    if kind == "obj" and re.search(rb"(?m)^[ \t]*v(?:[ \t]+[-+.\deE]+){6}", data):
+        hidden = beside.libraries() or re.search(rb"(?m)^[ \t]*f[ \t]+-?\d+/-?\d", data)
+        (dropped if hidden else used).append("vertex colours")
+    if kind == "off" and data.startswith(b"COFF"):
+        dropped.append("vertex colours")
+    if kind == "ply" and (red := re.search(rb"(?m)^property \w+ red\b", data[: data.find(b"end_header")])):
+        said = "face colours" if b"element face" in data[: red.start()] else "vertex colours"
+        (dropped if any(one.startswith("texture ") for one in used) else used).append(said)
+    if kind in ("glb", "gltf"):
+        more, less = _gltf(GltfFile(data.removeprefix(b"\xef\xbb\xbf"), beside), parts)
+        used, dropped = used + more, dropped + less
+    if kind == "dae" and b'semantic="COLOR"' in data:
+        (dropped if b"<instance_material" in data else used).append("vertex colours")
+    if "vertex colours" in used and kind not in ("glb", "gltf"):
+        dropped.append("blends of vertex colours: each triangle has the mean of its corners")
+    if any(_is_partly_opaque(part) for part in parts):
+        dropped.append("partial opacity of colours: below a half is cut out, the rest is opaque")
+    if kind == "3mf":
+        models = b"".join(one for name, one in unpack_archive(data, MAX_3MF).items() if name.lower().endswith(".model"))
+        dropped += [word for mark, word in _3MF.items() if mark in models]
+    return Report(listed(used), listed(dropped))
+
+
+def _files(beside: Beside, textured: bool) -> tuple[list[str], list[str]]:
+    used: list[str] = []
+    dropped: list[str] = []
+    found: set[str | None] = set()
+    for one in beside.named:
+        path = beside.find(one.name)
+        said = f"{one.what} {path or one.name}"
+        found.add(path)
+        if path is None:
+            dropped.append(f"{said} missing")
+        elif not one.is_shown:
+            dropped.append(f"{said} not used")
+        elif one.what == "texture" and not textured:
+            dropped.append(f"{said} not used: the mesh has no texture coordinates")
+        else:
+            used.append(said)
+            dropped += _detail(said, open_texture(beside.data(path), path)) if one.what == "texture" else []
+    for options in re.findall(r"(?mi)^\s*map_Kd\s+(-\S.*)$", beside.libraries()):
+        words, name = texture_name(options)
+        dropped.append(f"options {words} of the texture {name}")
+    dropped += [
+        f"opacity 0 of the material {name}" for name, value in read_opacity(beside.libraries()).items() if not value
+    ]
+    dropped += [f"{path} not used: the mesh does not name it" for path in beside.paths if path not in found]
+    return used, dropped
+
+
+def _is_partly_opaque(part: Part) -> bool:
+    """Whether a surface that no glTF file describes has texels between opaque and transparent."""
+    if part.texture is None:
+        return False
+    opacity = part.texture[..., 3]
+    return bool(((opacity > 0) & (opacity < 255)).any())
+
+
+def _detail(said: str, image: Image.Image) -> list[str]:
+    """What of a texture's texels is not shown."""
+    if max(image.size) <= MAX_TEXTURE:
+        return []
+    return [f"detail of {said}: {image.width}×{image.height} texels, of which at most {MAX_TEXTURE} a side are shown"]
+
+
+def _gltf(file: GltfFile, parts: Sequence[Part]) -> tuple[list[str], list[str]]:
+    materials = [part.metallic_roughness for part in parts if part.metallic_roughness is not None]
+    names = dict.fromkeys(name for material in materials for name in material.maps)
+    used = [f"{name.replace('_', ' ')} map" for name in names]
+    if any((material.vertex_colors != 1).any() for material in materials):
+        used.append("vertex colours")
+    tree = file.tree
+    dropped = [word for key, word in _NOT_DRAWN.items() if tree.get(key)]
+    if any(primitive.get("targets") for mesh in tree.get("meshes", []) for primitive in mesh.get("primitives", [])):
+        dropped.append("morph targets")
+    for index in range(len(file.array("images"))):
+        with suppress(ValueError):  # one that nothing shows, or the mesh would have been refused
+            uri = file.item("images", index).get("uri", "data:")
+            # `_files` knows those in files of their own.
+            dropped += _detail(f"images[{index}]", file.image(index)) if str(uri).startswith("data:") else []
+    read = ("KHR_mesh_quantization", "EXT_texture_webp")
+    dropped += [f"extension {name}" for name in file.array("extensionsUsed") if name not in read]
+    return used, dropped

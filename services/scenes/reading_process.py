@@ -25,15 +25,12 @@ from PIL import Image
 
 from services.confinement.confine import Limits, address_space, confine, drop_privileges
 from services.errors import InvalidRequest
-from services.scenes.archive import unpack_archive
 from services.scenes.beside import Beside
-from services.scenes.bundle import Bundle
+from services.scenes.bundle import Bundle, unpack_archive
 from services.scenes.image_file import read_image
-from services.scenes.isolated_reading import FILE_BYTES
+from services.scenes.isolated_reading import FILE_BYTES, pack
 from services.scenes.map_file import read_map
-from services.scenes.part_arrays import pack
-from services.scenes.reading import KINDS, read_mesh
-from services.scenes.report import report
+from services.scenes.reading import KINDS, read_mesh, report
 
 LIMITS = Limits(memory_bytes=FILE_BYTES, cpu_seconds=25)
 WALL_SECONDS = 90.0

@@ -1,29 +1,212 @@
-"""Resolves a scene description to the data that renderers take: meshes, matrices, light."""
+"""Resolves a scene description to the data that renderers take: meshes with their surfaces, floor, background,
+matrices, light.
+"""
 
+import base64
+import binascii
 import hashlib
 import json
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from math import sin
+from math import pi, sin
 from typing import Any, TypeVar
 
 import numpy as np
 from pydantic import BaseModel
 
 from services.errors import InvalidRequest
-from services.scenes import lights_map
-from services.scenes.background import displayed_map, exposure_of, read_picture
 from services.scenes.description import MAP_SIZES, Floor, Scene, SceneObject
-from services.scenes.environment import EnvironmentMap, average
-from services.scenes.floor import floor_mesh
+from services.scenes.environment import LIGHTS, EnvironmentMap, average, lights_map
+from services.scenes.image_file import to_display
+from services.scenes.isolated_reading import reader
 from services.scenes.library import Library
-from services.scenes.mesh import FIT_RADIUS, Doubles, Floats, Mesh
-from services.scenes.metallic_roughness import with_surface
+from services.scenes.mesh import (
+    FIT_RADIUS,
+    AlphaMode,
+    Doubles,
+    Floats,
+    MapName,
+    Mesh,
+    MetallicRoughness,
+    Part,
+    TextureMap,
+)
 from services.scenes.view import camera_to_world, model_matrix, projection, visible_area
 
+METALLIC, ROUGHNESS = 0.0, 0.5
+"""What a surface has of the two if only the other is given."""
+REPEAT = (10497, 10497)
+"""OpenGL's wrap modes of a texture that repeats, as those of files without sampler settings do."""
+OPAQUE_FROM = 128
+"""Texels of less alpha are holes."""
+
+
+def with_surface(mesh: Mesh, metallic: float | None, roughness: float | None) -> Mesh:
+    """Returns the mesh with this metallic and roughness, both in [0,1], at every point; itself if both are None.
+
+    Base colours, textures and opacities stay. A glTF material keeps its other settings and loses the map that varied
+    the two. Other surfaces become glTF materials that are seen from both sides, as they were.
+    """
+    if metallic is None and roughness is None:
+        return mesh
+    given = METALLIC if metallic is None else metallic, ROUGHNESS if roughness is None else roughness
+    return replace(mesh, parts=tuple(with_surface_of_part(part, *given) for part in mesh.parts))
+
+
+def with_surface_of_part(part: Part, metallic: float, roughness: float) -> Part:
+    """`with_surface` for one part of a mesh."""
+    own = part.metallic_roughness
+    if own is not None:
+        maps: dict[MapName, TextureMap] = {k: one for k, one in own.maps.items() if k != "metallic_roughness"}
+        return replace(
+            part, metallic_roughness=replace(own, metallic=metallic, roughness=roughness, maps=maps, given=True)
+        )
+    count = len(part.vertices)
+    return replace(
+        part,
+        uv=np.zeros((count, 2), np.float32) if part.uv is None else part.uv,
+        texture=None,
+        metallic_roughness=MetallicRoughness(
+            metallic=metallic,
+            roughness=roughness,
+            emissive=(0.0, 0.0, 0.0),
+            alpha_mode=_alpha_mode(part),
+            alpha_cutoff=0.5,
+            double_sided=True,
+            normal_scale=1.0,
+            occlusion_strength=1.0,
+            maps=_maps(part),
+            tangents=np.zeros((count, 4), np.float32),
+            second_uv=np.zeros((count, 2), np.float32),
+            vertex_colors=np.ones((count, 4), np.float32),
+            given=True,
+        ),
+    )
+
+
+def _maps(part: Part) -> Mapping[MapName, TextureMap]:
+    if part.texture is None or part.uv is None:
+        return {}
+    texels, mode = part.texture, _alpha_mode(part)
+    if mode == "BLEND":  # whose opacity would be multiplied by the texels'
+        texels = texels.copy()
+        texels[..., 3] = np.where(texels[..., 3] < OPAQUE_FROM, 0, 255)
+    return {"base_color": TextureMap(texels, 0, REPEAT)}
+
+
+def _alpha_mode(part: Part) -> AlphaMode:
+    if part.color[3] < 1:
+        return "BLEND"
+    holes = part.texture is not None and part.uv is not None and bool((part.texture[..., 3] < OPAQUE_FROM).any())
+    return "MASK" if holes else "OPAQUE"
+
+
+def floor_mesh(floor: Floor) -> Mesh:
+    """Returns two triangles in world space, white, that face +y."""
+    half = floor.size / 2
+    corners = [(-half, floor.height, half), (half, floor.height, half), (half, floor.height, -half)]
+    corners.append((-half, floor.height, -half))
+    part = Part(
+        vertices=np.array(corners, np.float32),
+        normals=np.tile(np.array([0.0, 1.0, 0.0], np.float32), (4, 1)),
+        faces=np.array([(0, 1, 2), (0, 2, 3)], np.int32),
+        uv=None,
+        color=np.ones(4, np.float32),
+        texture=None,
+    )
+    digest = hashlib.sha256(part.vertices.tobytes()).hexdigest()
+    return with_surface(Mesh(parts=(part,), sha256=digest, credit=None), floor.metallic, floor.roughness)
+
+
+DISPLAYED_WHITE = 0.9
+"""Linear value of the brightest channel of the white Lambertian surface that a map lights most; the torch renderer's
+exposure is the same, so that objects and background fit together."""
+EXPOSURE_NORMALS = (16, 32)
+"""Rows and columns of the grid of normals among which that surface is found."""
+BACKGROUND_SAMPLES = 2
+"""Rays a side of each pixel, whose radiances are averaged."""
+
+
+def read_picture(text: str, size: tuple[int, int]) -> Doubles:
+    """Returns a PNG, JPEG or WebP file in base64 as displayed values in [0,1], float64 [H, W, 3].
+
+    Raises InvalidRequest("image") unless it is such an image of height and width `size`.
+    """
+    try:
+        data = base64.b64decode(text, validate=True)
+    except (binascii.Error, ValueError) as error:
+        raise InvalidRequest("image", "it is not base64") from error
+    return np.asarray(reader().read_image(data, size) / 255)
+
+
+def exposure_of(environment: Floats) -> float:
+    """Returns the factor from a map's radiance [rows, cols, 3] to linear display values; 0 if it is black.
+
+    The map is the one that lights the scene, averaged down to its size.
+    """
+    rows, cols = environment.shape[:2]
+    strongest = float(environment.max())
+    if strongest == 0:
+        return 0.0
+    edges = np.cos(np.linspace(0, pi, rows + 1))
+    solid = np.repeat((edges[:-1] - edges[1:]) * (2 * pi / cols), cols)
+    power = (environment.astype(np.float64) / strongest).reshape(-1, 3) * solid[:, None]
+    cosines = (_directions(*EXPOSURE_NORMALS) @ _directions(rows, cols).T).clip(min=0)
+    return DISPLAYED_WHITE / float((cosines @ power / pi).max()) / strongest
+
+
+def _directions(rows: int, cols: int) -> Doubles:
+    theta, phi = np.meshgrid(
+        (np.arange(rows) + 0.5) * pi / rows, (np.arange(cols) + 0.5) * 2 * pi / cols, indexing="ij"
+    )
+    vectors = np.stack((np.sin(theta) * np.sin(phi), np.cos(theta), np.sin(theta) * np.cos(phi)), axis=-1)
+    return vectors.reshape(-1, 3)
+
+
+def displayed_map(
+    radiance: Floats, exposure: float, turn: float, clip_from_world: Doubles, size: tuple[int, int]
+) -> Doubles:
+    """Returns a map as a camera sees it, displayed values in [0,1], float64 [H, W, 3], multiples of 1/255.
+
+    radiance: the map [rows, cols, 3], interpolated linearly between texel centres. turn: about +y, radians, as
+    `environment.average` turns it. clip_from_world: float64 [4,4]. size: height and width H, W.
+    """
+    height, width = size
+    x = (np.arange(width * BACKGROUND_SAMPLES) + 0.5) * 2 / (width * BACKGROUND_SAMPLES) - 1
+    y = 1 - (np.arange(height * BACKGROUND_SAMPLES) + 0.5) * 2 / (height * BACKGROUND_SAMPLES)
+    down, right = np.meshgrid(y, x, indexing="ij")
+    ends = []
+    for depth in (-1.0, 1.0):  # on the near and on the far plane
+        points = np.stack((right, down, np.full_like(right, depth), np.ones_like(right)), axis=-1)
+        points = points @ np.linalg.inv(clip_from_world).T
+        ends.append(points[..., :3] / points[..., 3:])
+    rays = ends[1] - ends[0]
+    seen = (
+        _looked_up(radiance, rays, turn)
+        .reshape(height, BACKGROUND_SAMPLES, width, BACKGROUND_SAMPLES, 3)
+        .mean(axis=(1, 3))
+    )
+    return np.asarray(np.round(to_display(exposure * seen) * 255) / 255)
+
+
+def _looked_up(radiance: Floats, rays: Doubles, turn: float) -> Doubles:
+    """The radiance [..., 3] of a map in the directions of rays [..., 3] of any length."""
+    rows, cols = radiance.shape[:2]
+    across = np.hypot(rays[..., 0], rays[..., 2])
+    row = np.arctan2(across, rays[..., 1]) / pi * rows - 0.5
+    col = np.mod(np.arctan2(rays[..., 0], rays[..., 2]) - turn, 2 * pi) / (2 * pi) * cols - 0.5
+    top, left = np.floor(row).astype(np.int64), np.floor(col).astype(np.int64)
+    down, right = (row - top)[..., None], (col - left)[..., None]
+    above, below = top.clip(0, rows - 1), (top + 1).clip(0, rows - 1)
+    before, after = np.mod(left, cols), np.mod(left + 1, cols)
+    upper = (1 - right) * radiance[above, before] + right * radiance[above, after]
+    lower = (1 - right) * radiance[below, before] + right * radiance[below, after]
+    return np.asarray((1 - down) * upper + down * lower)
+
+
 T = TypeVar("T")
-VISIBLE = 1.0
+VISIBLE_PIXELS = 1.0
 """Smallest area of an object's triangles in the frame, pixels, hidden ones included, for it to count as visible."""
 
 
@@ -209,8 +392,8 @@ def _meshes(library: Library, scene: Scene) -> tuple[Mesh, ...]:
 
 def _environment(library: Library, scene: Scene) -> EnvironmentMap:
     name = scene.lights.environment.map
-    if name == lights_map.NAME:
-        return lights_map.lights_map(scene.lights)
+    if name == LIGHTS:
+        return lights_map(scene.lights)
     try:
         return library.environment(name)
     except InvalidRequest as error:
@@ -259,8 +442,8 @@ def _far(scene: Scene, view: Doubles) -> float:
 
 
 def _in_view(scene: Scene, index: int, mesh: Mesh, to_clip: Doubles) -> None:
-    area = visible_area(mesh, to_clip, scene.camera.size, VISIBLE)
-    if area >= VISIBLE:
+    area = visible_area(mesh, to_clip, scene.camera.size, VISIBLE_PIXELS)
+    if area >= VISIBLE_PIXELS:
         return
     placed = scene.objects[index]
     why = "it is too small: less than a pixel of it shows" if area > 0 else "nothing of it is inside the frame"
@@ -272,7 +455,7 @@ def _in_view(scene: Scene, index: int, mesh: Mesh, to_clip: Doubles) -> None:
 
 
 def _floor_in_view(scene: Scene, floor: Floor, to_clip: Doubles) -> None:
-    if visible_area(floor_mesh(floor), to_clip, scene.camera.size, VISIBLE) < VISIBLE:
+    if visible_area(floor_mesh(floor), to_clip, scene.camera.size, VISIBLE_PIXELS) < VISIBLE_PIXELS:
         raise InvalidRequest(
             "scene.floor",
             f"out of view: less than a pixel of it shows; it is {floor.size:g} wide at a height of {floor.height:g}, "

@@ -1,19 +1,48 @@
-"""Converts a file's triangles and materials to the parts of a mesh."""
+"""Converts a file's triangles and materials to the parts of a mesh; reads Wavefront OBJ files through trimesh.
 
-from collections.abc import Callable, Mapping, Sequence
+Coordinates far from the origin lose digits, and it says so. A file in text has as many digits as its writer gave it,
+and is read in 64 bits. A binary STL file, most binary PLY files and glTF hold 32-bit numbers, which are 2⁻²³ of their
+size apart: vertices of a mesh 1 m wide and 2,000 km from the origin, such as one in geographical coordinates, are then
+on a grid of 0.125 m, and many triangles have no area.
+"""
+
+import posixpath
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from typing import Any
 
 import numpy as np
 import trimesh
 from PIL import Image
 
-from services.scenes.image_file import MAX_PIXELS
+from services.scenes.image_file import MAX_PIXELS, to_linear
 from services.scenes.mesh import Bytes, Doubles, Floats, Longs, Part, fitted
 from services.scenes.normals import CREASE_ANGLE, smooth_normals
-from services.scenes.rounding import rounding_note
-from services.scenes.srgb import to_linear
 from services.scenes.unreadable import Unreadable
+
+FAR = 1_000.0
+"""Distance from the origin, relative to the mesh's extent, beyond which rounding shows: a grid of 1e-4 of the mesh."""
+
+
+def rounding_note(vertices: Doubles, declared: int, shown: int) -> str | None:
+    """Returns what to say of a mesh with `declared` triangles, of which `shown` have an area; None if nothing is lost.
+
+    vertices: finite float64 [V,3], in the file's frame. Nothing is said of coordinates that are no 32-bit numbers: they
+    have more digits.
+    """
+    reach = float(np.abs(vertices).max())
+    extent = float((vertices.max(axis=0) - vertices.min(axis=0)).max())
+    if reach <= FAR * extent or not (vertices.astype(np.float32) == vertices).all():
+        return None
+    grid = float(np.spacing(np.float32(reach)))
+    return (
+        f"detail finer than {grid:.3g}: the mesh, {extent:.3g} wide, lies {reach:.3g} from the origin, and its file "
+        f"holds 32-bit numbers; {declared - shown:,} of {declared:,} triangles have collapsed to nothing. Move the "
+        "mesh to the origin before it is exported"
+    )
+
 
 MAX_TEXTURE = 1024
 """Largest side of a texture, pixels; larger textures are downscaled."""
@@ -196,3 +225,61 @@ def _factor(material: Any) -> Doubles:
 def _display_color(rgba: Any) -> Floats:
     values = np.asarray(rgba, np.float64) / 255
     return np.append(to_linear(values[:3]), values[3]).astype(np.float32)
+
+
+def read_obj(files: dict[str, bytes], name: str) -> list[Surface]:
+    """Returns the surfaces of the model in the file `name`; `files` holds it, its material library and its textures."""
+    resolver = _Members(files)
+    obj = files[name]
+    opacity: dict[str, float] = {}
+    library = re.search(rb"^\s*mtllib\s+(.+?)\s*$", obj, re.MULTILINE)
+    if library is not None:
+        try:
+            opacity = read_opacity(resolver.get(library[1].decode("latin-1")).decode("latin-1"))
+        except KeyError:
+            opacity = {}
+    scene = trimesh.load_scene(BytesIO(obj), file_type="obj", resolver=resolver, process=False)
+    return read_surfaces(scene, opacity)
+
+
+def read_opacity(mtl: str) -> dict[str, float]:
+    """Returns the opacity in [0,1] of each material in an MTL file that states it: `d`, or else 1 − `Tr`."""
+    opacity: dict[str, float] = {}
+    dissolved: set[str] = set()
+    name = ""
+    for words in (line.split() for line in mtl.splitlines()):
+        if len(words) < 2:
+            continue
+        key = words[0].lower()
+        if key == "newmtl":
+            name = " ".join(words[1:])
+        elif key == "d" or (key == "tr" and name not in dissolved):
+            try:
+                value = float(words[-1])
+            except ValueError:
+                continue
+            opacity[name] = min(max(value if key == "d" else 1 - value, 0.0), 1.0)
+            if key == "d":
+                dissolved.add(name)
+    return opacity
+
+
+class _Members(trimesh.resolvers.Resolver):  # type: ignore[misc]  # trimesh has no types
+    """Resolves names to the files of a model and to no others."""
+
+    def __init__(self, files: dict[str, bytes]) -> None:
+        self._files = {name.lower(): data for name, data in files.items()}
+
+    def get(self, key: str) -> bytes:
+        # Exporters write any case, backslashes and absolute paths; the file itself may lie beside the model.
+        path = posixpath.normpath(key.strip().replace("\\", "/")).lower()
+        return self._files[path if path in self._files else posixpath.basename(path)]
+
+    def keys(self) -> Iterable[str]:
+        return self._files.keys()
+
+    def write(self, name: str, data: Any) -> None:
+        raise NotImplementedError
+
+    def namespaced(self, namespace: str) -> "_Members":
+        raise NotImplementedError

@@ -5,8 +5,9 @@ ever. What was parsed is kept with the bytes: a later parser reads only what is 
 """
 
 import hashlib
+import posixpath
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from io import BytesIO
 from pathlib import Path
 
@@ -16,12 +17,10 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from services import atomic_write
 from services.blobs import Blobs
 from services.errors import InvalidRequest, JobFailure
-from services.scenes.about import NOTHING_SAID, About
-from services.scenes.bundle import MAP_KINDS, PARSER, Bundle, bundle_of
+from services.scenes.bundle import MAP_KINDS, NOTHING_SAID, PARSER, SIGNATURE, About, Bundle, bundle_of, clean_name
 from services.scenes.environment import EnvironmentMap, radiance_of
-from services.scenes.isolated_reading import reader
+from services.scenes.isolated_reading import Report, reader
 from services.scenes.mesh import Mesh
-from services.scenes.phrases import Report
 from services.scenes.store import load_parts, mesh_path, save_parts
 from services.settings import DEFAULTS, Settings
 
@@ -193,3 +192,25 @@ class Uploads:
 
     def _kept(self, sha256: str) -> Path:
         return mesh_path(self._processed, sha256)
+
+
+def to_bundle(sent: Sequence[tuple[str, bytes]], kind: str | None, mesh: str | None, about: About, most: int) -> Bundle:
+    """Returns the mesh in files with their names, or in one zip file, which is unpacked in a confined process.
+
+    `kind` is the format of the mesh, or None to take it from its name; `mesh` names it among several. A zip file may
+    unpack to `most` bytes. Raises InvalidRequest("file", "kind" or "mesh", …), and JobFailure("internal").
+    """
+    (name, data), *others = sent
+    if others:
+        files: dict[str, bytes] = {}
+        for name, data in sent:
+            if (path := clean_name(name)) in files:
+                raise InvalidRequest("file", f"two files are called {path!r}")
+            files[path] = data
+    elif data.startswith(SIGNATURE) and kind != "3mf" and not name.lower().endswith(".3mf"):
+        files = reader().unpack(data, most)
+    elif kind is not None:  # its name says nothing then
+        return Bundle(kind, data, {}, about)
+    else:
+        files = {posixpath.basename(name): data}
+    return bundle_of(files, kind, mesh, about)

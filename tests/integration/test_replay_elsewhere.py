@@ -24,8 +24,7 @@ from services.export.bundle import write_bundle
 from services.export.destinations import into_folder
 from services.pipeline.execute import execute
 from services.pipeline.spec import parse
-from services.scenes.about import About
-from services.scenes.bundle import Bundle
+from services.scenes.bundle import About, Bundle
 from services.scenes.library import Library
 from services.settings import Settings
 from services.targets.architectures import ARCHITECTURES, Architecture

@@ -9,8 +9,7 @@ from services.questions.functions import Type
 from services.questions.program import Program
 from services.questions.records import QuestionRecord
 from services.questions.templates.families import FAMILIES
-from services.scenes.clevr.attributes import ATTRIBUTES
-from services.scenes.clevr.records import ObjectRecord
+from services.scenes.clevr.records import ATTRIBUTES, ObjectRecord
 from services.targets.iep.trunk import GRID, STRIDE
 
 Result = tuple[int, ...] | str

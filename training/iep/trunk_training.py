@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from services.scenes.clevr.attributes import ATTRIBUTES
+from services.scenes.clevr.records import ATTRIBUTES
 from services.targets.iep.engine import Engine
 from services.targets.iep.trunk import CHANNELS, GRID, STRIDE, Trunk
 from training.iep.examples import ObjectTruth

@@ -17,7 +17,7 @@ from services.attacks.spec import LARGEST_SEED, Seed
 from services.errors import InvalidRequest
 from services.rendering.color import as_saved, to_display
 from services.rendering.image_renderer import ImageRenderer
-from services.scenes.srgb import to_linear
+from services.scenes.image_file import to_linear
 
 
 def _parameters() -> Measured:

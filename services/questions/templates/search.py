@@ -13,8 +13,7 @@ from random import Random
 from services.questions.facts import Facts, Objects
 from services.questions.templates.families import Family
 from services.questions.templates.phrases import Filled, Phrase
-from services.scenes.clevr.attributes import ATTRIBUTES
-from services.scenes.clevr.relations import RELATIONS
+from services.scenes.clevr.records import ATTRIBUTES, RELATIONS
 
 BREADTH = 4
 """Fillings of each reference that are tried."""

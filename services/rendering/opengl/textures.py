@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 from OpenGL import GL
 from pyrender.texture import Texture
 
-from services.scenes.srgb import to_linear
+from services.scenes.image_file import to_linear
 
 LINEAR = to_linear(np.arange(256) / 255).astype(np.float32)
 """The linear value of each 8-bit sRGB value."""

@@ -13,8 +13,8 @@ from torch import Tensor
 from services.rendering.physical_change import Change, ChangedValue, listed, number, signed
 from services.rendering.protocol import Renderer
 from services.rendering.pyrender_renderer.parameters import ENERGY, IRRADIANCE
+from services.scenes.description import object_names
 from services.scenes.mesh import Doubles
-from services.scenes.object_names import object_names
 from services.scenes.resolve import ResolvedScene
 from services.scenes.view import rotation_matrix
 

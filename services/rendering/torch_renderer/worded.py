@@ -8,7 +8,7 @@ from services.rendering.physical_change import Change, ChangedValue, PhysicalCha
 from services.rendering.protocol import Renderer
 from services.rendering.torch_renderer.drawings import images_of, lobe_curves
 from services.rendering.torch_renderer.physical import changes, material_changes
-from services.scenes.object_names import object_names
+from services.scenes.description import object_names
 from services.scenes.resolve import ResolvedScene
 
 WORDS = {

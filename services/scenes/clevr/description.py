@@ -1,14 +1,44 @@
-"""Describes a CLEVR scene for the renderers: from its record to `services.scenes.description.Scene`.
+"""A CLEVR scene as the renderers see it: from a record or a request to `services.scenes.description.Scene`, and back.
 
 CLEVR's world has +z up, ours has +y up: a point (x, y, z) there is (x, z, −y) here, in the same units.
+
+`record_after` reads a record back after an attack has changed colours, places or the camera. A colour is the nearest
+of CLEVR's eight; relations follow from the new places, as the camera now sees them. Shape, size and material are those
+of the record: no attack changes an object's mesh, scale or surface.
 """
 
-from math import atan2, cos, pi, radians, remainder, sin
+from math import atan2, cos, degrees, dist, hypot, pi, radians, remainder, sin
+from typing import Annotated
 
-from services.scenes.clevr.attributes import RGB, bounding_radius
-from services.scenes.clevr.records import ObjectRecord, SceneRecord
-from services.scenes.clevr.rig import IMAGE_SIZE, VERTICAL_FIELD_OF_VIEW, Rig, Vector
-from services.scenes.description import Camera, Environment, Floor, Lights, PointLight, Scene, SceneObject, Shadows
+from pydantic import Field, ValidationError
+
+from services.errors import InvalidRequest
+from services.scenes.clevr.generator import MAX_OBJECTS, check, generate, placed_in
+from services.scenes.clevr.records import (
+    IMAGE_SIZE,
+    RELATIONS,
+    RGB,
+    VERTICAL_FIELD_OF_VIEW,
+    ObjectRecord,
+    Rig,
+    SceneRecord,
+    Vector,
+    Viewpoint,
+    bounding_radius,
+    directions,
+    relationships,
+)
+from services.scenes.description import (
+    Camera,
+    Environment,
+    Floor,
+    Lights,
+    Model,
+    PointLight,
+    Scene,
+    SceneObject,
+    Shadows,
+)
 from services.scenes.mesh import FIT_RADIUS
 
 ENERGY = {"key": 100.0, "fill": 30.0, "back": 50.0}
@@ -88,3 +118,138 @@ def _ours(point: Vector) -> Vector:
 def _turned(point: Vector, angle: float) -> Vector:
     x, y, z = point
     return x * cos(angle) - y * sin(angle), x * sin(angle) + y * cos(angle), z
+
+
+CLEARLY = 2.0
+"""A colour is clearly of a name if every other is at least so many times as far. At the middle between two names a
+person, too, may say either."""
+
+
+def record_after(record: SceneRecord, scene: Scene) -> SceneRecord:
+    """Returns the record of a scene whose description was `describe(record)` and is `scene` now.
+
+    A scene that is unchanged has the record's attributes, places and relations.
+    """
+    rig = rig_after(record, scene.camera)
+    viewpoint = Viewpoint(rig)
+    turn = scene.camera.azimuth - rig_of(record).azimuth
+    along: dict[str, Vector] = {name: _turned(direction, turn) for name, direction in record.directions.items()}
+    objects = tuple(_read_object(old, new, viewpoint) for old, new in zip(record.objects, scene.objects, strict=True))
+    related = relationships([one.coords_3d for one in objects], along)
+    return record.model_copy(
+        update={
+            "objects": objects,
+            "relationships": {name: tuple(tuple(row) for row in rows) for name, rows in related.items()},
+            "directions": along,
+        }
+    )
+
+
+def rig_after(record: SceneRecord, camera: Camera) -> Rig:
+    """Returns the record's lights with the camera of a description."""
+    before = rig_of(record)
+    level = camera.distance * cos(camera.elevation)
+    place = level * sin(camera.azimuth), -level * cos(camera.azimuth), camera.distance * sin(camera.elevation)
+    return Rig(place, before.key, before.fill, before.back)
+
+
+def nearest_color(color: Vector) -> str:
+    """Returns the name of CLEVR's colour nearest to linear reflectances in [0,1], by Euclidean distance."""
+    return _by_distance(color)[0][1]
+
+
+def other_readings(color: Vector) -> tuple[str, ...]:
+    """Returns the other names that a colour may be read as: those less than `CLEARLY` times as far as the nearest."""
+    (nearest, _), *others = _by_distance(color)
+    return tuple(name for distance, name in others if distance < CLEARLY * nearest)
+
+
+def _by_distance(color: Vector) -> list[tuple[float, str]]:
+    """CLEVR's colours with their distances from linear reflectances in [0,1], nearest first."""
+    return sorted((dist([255 * a for a in color], RGB[name]), name) for name in RGB)
+
+
+def _read_object(old: ObjectRecord, new: SceneObject, viewpoint: Viewpoint) -> ObjectRecord:
+    x, up, front = new.translation
+    centre = (x, 0.0 - front, up)
+    return old.model_copy(
+        update={
+            "color": nearest_color(new.color),
+            "coords_3d": centre,
+            "rotation": degrees(new.rotation[1]) % 360,
+            "pixel_coords": viewpoint.pixel(centre),
+        }
+    )
+
+
+LEAST_ASIDE = 1e-6
+"""Least distance of a camera from the vertical through the origin: from there nothing is left or right."""
+DIRECTION = 1e-3
+"""Largest difference of a component of a stated direction from the camera's. Official files are off by up to 1e-4."""
+_FIELDS = {"Camera": "camera.position", "PointLight": "lights", "SceneObject": "objects"}
+"""The parts of a description, and the fields of a record that they follow from."""
+
+
+class Generate(Model):
+    """A scene after CLEVR for the generator to make."""
+
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = Field(0, description="seed of the generator")
+    index: Annotated[int, Field(ge=0, le=2**63 - 1)] = Field(0, description="number of the scene among those of a seed")
+    objects: Annotated[int, Field(ge=1, le=MAX_OBJECTS)] = Field(5, description="number of objects")
+
+    def record(self) -> SceneRecord:
+        """Returns the scene. Raises InvalidRequest("generate.objects") if so many objects do not fit."""
+        try:
+            return generate(self.seed, self.index, objects=(self.objects, self.objects))
+        except InvalidRequest as error:
+            raise InvalidRequest(f"generate.{error.field}", error.detail) from error
+
+
+def scene_of(record: SceneRecord) -> Scene:
+    """Returns the description of a scene that a request gives as a record.
+
+    Raises InvalidRequest, which names the field, for objects that float, overlap or leave the frame
+    ("record.objects.2"), for directions that are not those of the camera ("record.directions.left"), for relations that
+    are not those of the objects' places ("record.relationships.left.0"), and for a camera or lights that a scene cannot
+    have ("record.camera.position") or that are given without the other ("record.lights").
+    """
+    if not 0 < len(record.objects) <= MAX_OBJECTS:
+        raise InvalidRequest("record.objects", f"there are {len(record.objects)}; a scene has 1 to {MAX_OBJECTS}")
+    if missing := [name for name in RELATIONS if name not in record.directions]:
+        raise InvalidRequest("record.directions", f"it has no direction of {missing[0]}")
+    for given, absent in (("camera", "lights"), ("lights", "camera")):
+        if getattr(record, given) is not None and getattr(record, absent) is None:
+            raise InvalidRequest(f"record.{absent}", f"is required where `{given}` is given; or leave out both")
+    rig = rig_of(record)
+    if hypot(*rig.camera[:2]) < LEAST_ASIDE:
+        raise InvalidRequest("record.camera.position", "it is straight above or below the origin, which it looks at")
+    try:
+        check(placed_in(record), rig)
+    except InvalidRequest as error:
+        raise InvalidRequest(f"record.{error.field}", error.detail) from error
+    try:
+        scene = describe(record)
+    except ValidationError as error:
+        raise InvalidRequest(f"record.{_FIELDS[error.title]}", error.errors()[0]["msg"]) from error
+    _check_directions(record, rig)
+    found = relationships([one.coords_3d for one in record.objects], dict(record.directions.items()))
+    for name in RELATIONS:
+        for k, (stated, true) in enumerate(zip(record.relationships[name], found[name], strict=True)):
+            if sorted(stated) != true:
+                said = f"{sorted(stated)}" if len(stated) <= MAX_OBJECTS else f"{len(stated)} objects"
+                raise InvalidRequest(
+                    f"record.relationships.{name}.{k}",
+                    f"it has {said}; by their places the objects {name} of object {k} are {true}",
+                )
+    return scene
+
+
+def _check_directions(record: SceneRecord, rig: Rig) -> None:
+    """Refuses directions that the image does not show: the truth about left and right would be another's."""
+    due = directions(rig)
+    for name in RELATIONS:
+        stated = record.directions[name]
+        if any(abs(a - b) > DIRECTION for a, b in zip(stated, due[name], strict=True)):
+            by = "the camera's place" if record.camera is not None else "the direction of `behind`"
+            said, true = ([round(x, 4) for x in one] for one in (stated, due[name]))
+            raise InvalidRequest(f"record.directions.{name}", f"it is {said}; by {by} it is {true}")

@@ -7,7 +7,7 @@ import numpy as np
 from services.accuracy import placing
 from services.rendering.kernels import compiled
 from services.rendering.pyrender_renderer import parameters, renderer
-from services.scenes import floor, gltf, resolve
+from services.scenes import gltf, resolve
 from tests.unit.accuracy.damaged_shaders import shader
 
 # light
@@ -108,7 +108,7 @@ def files_own_surface(patch) -> None:
     def own(mesh, *_):
         return mesh
 
-    for module in (resolve, placing, floor):
+    for module in (resolve, placing):
         patch.setattr(module, "with_surface", own)
 
 

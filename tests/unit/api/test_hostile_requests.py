@@ -200,7 +200,7 @@ def test_paths_of_the_api_and_addresses_are_no_folders() -> None:
 
 
 def test_scenes_to_generate_are_counted_before_they_are_made(client: Client, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.scenes.clevr.request.generate", None)  # calling it would be a 500
+    monkeypatch.setattr("services.scenes.clevr.description.generate", None)  # calling it would be a 500
     answer = client.post("/v1/campaigns", json={"jobs": [{"generate": {"index": k}} for k in range(500)]})
     assert answer.status_code == 422
     [error] = answer.json()["errors"]

@@ -12,7 +12,7 @@ from services.questions.answers import ANSWERS
 from services.questions.functions import FUNCTIONS
 from services.questions.templates.families import FAMILIES
 from services.questions.text import WORDS
-from services.scenes.clevr.request import scene_of
+from services.scenes.clevr.description import scene_of
 
 PAGE = (Path(__file__).parents[3] / "docs" / "vqa.md").read_text("utf-8")
 

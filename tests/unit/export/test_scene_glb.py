@@ -18,7 +18,7 @@ from services.export.scene_glb import scene_glb
 from services.export.scene_values import scene_values
 from services.scenes.description import Background, DirectionalLight, Lights, PointLight, SceneObject, SpotLight
 from services.scenes.mesh import Mesh
-from services.scenes.metallic_roughness import with_surface
+from services.scenes.resolve import with_surface
 from tests.unit.rendering.shapes import mesh, placed, quad, scene
 
 TEXELS = np.random.default_rng(0).integers(0, 256, (4, 6, 4), dtype=np.uint8)

@@ -13,11 +13,9 @@ from services.questions.executor import answer
 from services.questions.facts import Facts
 from services.questions.program import Program
 from services.rendering.protocol import Parameters
-from services.scenes.clevr.attributes import RADIUS, RGB
 from services.scenes.clevr.description import describe, rig_of
 from services.scenes.clevr.generator import generate
-from services.scenes.clevr.records import SceneRecord
-from services.scenes.clevr.rig import VERTICAL_FIELD_OF_VIEW, Viewpoint
+from services.scenes.clevr.records import RADIUS, RGB, VERTICAL_FIELD_OF_VIEW, SceneRecord, Viewpoint
 from services.scenes.view import camera_pose
 from tests.unit.targets.iep.seeded import program
 

@@ -3,7 +3,7 @@ import pytest
 import torch
 
 from services.rendering.color import display_derivative, from_bytes, quantize, to_bytes, to_display
-from services.scenes.srgb import to_linear
+from services.scenes.image_file import to_linear
 
 pytestmark = pytest.mark.usefixtures("kernel")
 

@@ -12,8 +12,8 @@ from services.rendering.factory import build
 from services.rendering.protocol import Renderer
 from services.rendering.variation import Variation, varied
 from services.scenes.description import Scene
+from services.scenes.image_file import to_linear
 from services.scenes.resolve import resolve
-from services.scenes.srgb import to_linear
 from tests.unit.jobs.small import LIBRARY
 
 CAMERA: dict[str, Any] = {"size": [48, 48], "azimuth": 0.5, "elevation": 0.4, "distance": 2.0}

@@ -7,7 +7,7 @@ import zipfile
 import pytest
 
 from services.errors import InvalidRequest
-from services.scenes.archive import unpack_archive
+from services.scenes.bundle import unpack_archive
 from services.scenes.isolated_reading import reader
 
 MOST = 2**22

@@ -11,11 +11,10 @@ from PIL import Image
 from services.errors import InvalidRequest
 from services.pipeline.spec import parse
 from services.rendering.torch_renderer.environment_light import illumination
-from services.scenes.background import displayed_map, exposure_of
 from services.scenes.description import MAX_PICTURE, Camera, Scene
 from services.scenes.environment import average
-from services.scenes.resolve import canonical_json, resolve
-from services.scenes.srgb import to_display
+from services.scenes.image_file import to_display
+from services.scenes.resolve import canonical_json, displayed_map, exposure_of, resolve
 from services.scenes.view import camera_pose, projection
 from tests.unit.jobs.small import LIBRARY, SPHERE
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.scenes.catalogue import IDENTITY, Model, read_archive, read_catalogue, slugify, with_slugs
+from services.scenes.furniture import IDENTITY, Model, read_archive, read_catalogue, slugify, with_slugs
 
 HEAD = "id=X\nname=Test Models catalog\nlicense=Creative Commons Attribution 3.0 license\n"
 

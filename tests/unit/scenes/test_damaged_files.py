@@ -10,8 +10,8 @@ import trimesh
 from PIL import Image
 
 from services.errors import InvalidRequest
-from services.scenes.archive import unpack_archive
 from services.scenes.beside import Beside
+from services.scenes.bundle import unpack_archive
 from services.scenes.map_file import read_map
 from services.scenes.reading import read_mesh
 from services.scenes.reading_process import SMALL_EXR, exported

@@ -8,10 +8,9 @@ import pytest
 from PIL import Image
 
 from services.errors import JobFailure
-from services.scenes.catalogue import IDENTITY, Model
-from services.scenes.furniture import load_model
+from services.scenes.furniture import IDENTITY, Model, load_model
 from services.scenes.mesh import FIT_RADIUS
-from services.scenes.wavefront import read_opacity
+from services.scenes.surfaces import read_opacity
 
 pytestmark = pytest.mark.slow
 

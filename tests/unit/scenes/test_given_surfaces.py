@@ -6,10 +6,8 @@ from pydantic import ValidationError
 
 from services.errors import InvalidRequest
 from services.scenes.description import Floor, Scene
-from services.scenes.floor import floor_mesh
 from services.scenes.mesh import Mesh
-from services.scenes.metallic_roughness import with_surface
-from services.scenes.resolve import canonical_json, resolve
+from services.scenes.resolve import canonical_json, floor_mesh, resolve, with_surface
 from tests.unit.rendering.shapes import mesh, quad, sphere
 
 CUBE = {"mesh": "primitive/cube"}

@@ -12,10 +12,8 @@ from safetensors.numpy import load, save
 from benchmarks.gltf_models import MODELS
 from services.errors import InvalidRequest
 from services.scenes import reading_process
-from services.scenes.isolated_reading import IsolatedReader, reader
+from services.scenes.isolated_reading import IsolatedReader, Report, pack, reader, unpack
 from services.scenes.mesh import Part
-from services.scenes.part_arrays import pack, unpack
-from services.scenes.phrases import Report
 from services.scenes.reading import read_mesh
 from tests.processes import command_line
 from tests.unit.scenes.mesh_files import ASCII_PLY, BOXES, MAX_FACES

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from services.errors import InvalidRequest
-from services.scenes.about import About
-from services.scenes.bundle import Bundle
+from services.scenes.bundle import About, Bundle
 from services.scenes.environment import average
 from services.scenes.library import Library
 from services.scenes.primitives import PRIMITIVES

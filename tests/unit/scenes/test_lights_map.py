@@ -5,8 +5,9 @@ import pytest
 
 from services.rendering.torch_renderer.directions import directions, solid_angles
 from services.scenes.description import DirectionalLight, Environment, Lights, PointLight, Scene, SceneObject, SpotLight
+from services.scenes.environment import LIGHTS_ROWS as ROWS
+from services.scenes.environment import lights_map
 from services.scenes.library import Library
-from services.scenes.lights_map import ROWS, lights_map
 from services.scenes.resolve import resolve
 
 WAYS = directions(ROWS, 2 * ROWS).numpy()

@@ -1,7 +1,6 @@
 """Names of a scene's objects."""
 
-from services.scenes.description import Scene
-from services.scenes.object_names import object_names
+from services.scenes.description import Scene, object_names
 
 
 def test_objects_are_called_by_meshes_that_no_other_has() -> None:

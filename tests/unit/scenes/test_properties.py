@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.scenes.properties import parse_properties
+from services.scenes.furniture import parse_properties
 
 
 @pytest.mark.parametrize(

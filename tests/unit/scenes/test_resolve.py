@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from services.errors import InvalidRequest
-from services.scenes.about import About
-from services.scenes.bundle import Bundle
+from services.scenes.bundle import About, Bundle
 from services.scenes.description import Scene
 from services.scenes.environment import average
 from services.scenes.resolve import canonical_json, resolve

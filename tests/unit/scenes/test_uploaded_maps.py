@@ -9,8 +9,7 @@ import pytest
 
 from services.errors import InvalidRequest
 from services.scenes import map_file
-from services.scenes.about import About
-from services.scenes.bundle import Bundle
+from services.scenes.bundle import About, Bundle
 from services.scenes.environment import average, from_image
 from services.scenes.isolated_reading import reader
 from services.scenes.library import Library

@@ -1,7 +1,6 @@
 import pytest
 
-from services.scenes.named import Named
-from services.scenes.xml_file import collada_images
+from services.scenes.beside import Named, collada_images
 
 IMAGES = """<library_images>
 <image id="wood" name="w"><init_from> wood%20grain.png </init_from></image>

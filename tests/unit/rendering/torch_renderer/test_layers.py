@@ -8,7 +8,7 @@ from services.errors import InvalidRequest
 from services.rendering.torch_renderer.layers import layers
 from services.rendering.torch_renderer.presets import colored_lobes, presets
 from services.rendering.torch_renderer.renderer import TorchRenderer
-from services.scenes.srgb import to_linear
+from services.scenes.image_file import to_linear
 from tests.unit.rendering.shading import sky, sphere_gbuffer, sphere_scene
 
 Albedo = tuple[float, float, float]

@@ -15,7 +15,7 @@ from services.rendering.torch_renderer.directions import directions
 from services.rendering.torch_renderer.visibility import WHOLE, casters, inner_balls, texel_directions, visibility
 from services.scenes.convexity import is_convex
 from services.scenes.description import Camera, Scene, SceneObject, Shadows
-from services.scenes.metallic_roughness import with_surface
+from services.scenes.resolve import with_surface
 from tests.unit.rendering import shapes
 from tests.unit.rendering.shadow_scenes import (
     CENTRE,

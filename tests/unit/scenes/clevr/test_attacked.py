@@ -5,11 +5,9 @@ from math import degrees
 import numpy as np
 import pytest
 
-from services.scenes.clevr.attacked import nearest_color, other_readings, record_after, rig_after
-from services.scenes.clevr.attributes import RGB
-from services.scenes.clevr.description import describe, rig_of
+from services.scenes.clevr.description import describe, nearest_color, other_readings, record_after, rig_after, rig_of
 from services.scenes.clevr.generator import generate
-from services.scenes.clevr.records import SceneRecord
+from services.scenes.clevr.records import RGB, SceneRecord
 from services.scenes.description import Scene
 from services.scenes.view import camera_to_world
 

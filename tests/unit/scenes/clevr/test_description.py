@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 
 from services.scenes.clevr import description
-from services.scenes.clevr.attributes import RGB
 from services.scenes.clevr.description import describe, rig_of
 from services.scenes.clevr.generator import generate
-from services.scenes.clevr.records import CameraRecord
-from services.scenes.clevr.rig import Rig
+from services.scenes.clevr.records import RGB, CameraRecord, Rig
 from services.scenes.primitives import primitive
 from services.scenes.view import camera_to_world, model_matrix
 

@@ -7,9 +7,8 @@ from math import hypot
 import pytest
 
 from services.errors import InvalidRequest
-from services.scenes.clevr.attributes import ATTRIBUTES, RADIUS, half_height
 from services.scenes.clevr.generator import generate
-from services.scenes.clevr.rig import Rig
+from services.scenes.clevr.records import ATTRIBUTES, RADIUS, Rig, half_height
 
 SCENES = [generate(7, k, split="test") for k in range(120)]
 
@@ -72,7 +71,7 @@ def test_camera_and_lights_are_jittered_within_their_bounds() -> None:
 
 
 def test_more_objects_than_fit_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.scenes.clevr.layout.RESTARTS", 3)
+    monkeypatch.setattr("services.scenes.clevr.generator.RESTARTS", 3)
     with pytest.raises(InvalidRequest, match="40 objects do not fit"):
         generate(0, 0, objects=(40, 40))
 

@@ -8,11 +8,8 @@ import numpy as np
 import pytest
 
 from services.errors import InvalidRequest
-from services.scenes.clevr.attributes import half_height
-from services.scenes.clevr.generator import generate
-from services.scenes.clevr.layout import Placed
-from services.scenes.clevr.placement import check, overlap, placed_in
-from services.scenes.clevr.rig import Rig
+from services.scenes.clevr.generator import Placed, check, generate, overlap, placed_in
+from services.scenes.clevr.records import Rig, half_height
 
 SHAPES = ("cube", "sphere", "cylinder")
 

@@ -5,7 +5,7 @@ import pytest
 
 from services.scenes.clevr.description import describe
 from services.scenes.clevr.generator import generate
-from services.scenes.clevr.relations import relationships
+from services.scenes.clevr.records import relationships
 from services.scenes.view import camera_to_world, projection
 
 

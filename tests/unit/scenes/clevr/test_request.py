@@ -6,11 +6,9 @@ import pytest
 from pydantic import ValidationError
 
 from services.errors import InvalidRequest
-from services.scenes.clevr.description import describe
+from services.scenes.clevr.description import Generate, describe, scene_of
 from services.scenes.clevr.generator import generate
-from services.scenes.clevr.records import SceneRecord
-from services.scenes.clevr.relations import relationships
-from services.scenes.clevr.request import Generate, scene_of
+from services.scenes.clevr.records import SceneRecord, relationships
 
 RECORD = generate(3, 1, objects=(4, 4))
 
@@ -32,8 +30,8 @@ def test_a_generated_scene_is_that_of_the_generator() -> None:
 
 
 def test_more_than_fit_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.scenes.clevr.layout.REACH", 0.5)  # a plane on which no three fit
-    monkeypatch.setattr("services.scenes.clevr.layout.RESTARTS", 3)
+    monkeypatch.setattr("services.scenes.clevr.generator.REACH", 0.5)  # a plane on which no three fit
+    monkeypatch.setattr("services.scenes.clevr.generator.RESTARTS", 3)
     with pytest.raises(InvalidRequest, match="do not fit") as refused:
         Generate(objects=9).record()
     assert refused.value.field == "generate.objects"

@@ -6,11 +6,8 @@ from scipy.ndimage import binary_dilation
 
 from services.rendering.opengl.gbuffer import rasterise
 from services.scenes.clevr.description import describe
-from services.scenes.clevr.generator import MIN_PIXELS, generate
-from services.scenes.clevr.layout import Placed
-from services.scenes.clevr.placement import placed_in
-from services.scenes.clevr.rig import Rig
-from services.scenes.clevr.visibility import object_numbers, visible_pixels
+from services.scenes.clevr.generator import MIN_PIXELS, Placed, generate, object_numbers, placed_in, visible_pixels
+from services.scenes.clevr.records import Rig
 from services.scenes.primitives import primitive
 from tests.unit.rendering.shapes import placed
 

@@ -5,11 +5,9 @@ import pytest
 
 from services.rendering.color import to_bytes
 from services.rendering.factory import build
-from services.scenes.clevr.attributes import RGB
 from services.scenes.clevr.description import describe
-from services.scenes.clevr.generator import generate
-from services.scenes.clevr.placement import placed_in
-from services.scenes.clevr.visibility import object_numbers
+from services.scenes.clevr.generator import generate, object_numbers, placed_in
+from services.scenes.clevr.records import RGB
 from services.scenes.library import Library
 from services.scenes.resolve import resolve
 from training.iep.drawing import coarse, draw, varied

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from services.scenes.clevr.attributes import ATTRIBUTES
+from services.scenes.clevr.records import ATTRIBUTES
 from services.targets.iep.engine import Engine
 from training.iep.examples import ObjectTruth
 from training.iep.trunk_training import ObjectFinder, Truth, hand_over, trunk_accuracy, trunk_loss

@@ -1,7 +1,7 @@
 import numpy as np
 import torch
 
-from services.scenes.clevr.attributes import ATTRIBUTES
+from services.scenes.clevr.records import ATTRIBUTES
 from training.iep.examples import ObjectTruth
 from training.iep.views import AugmentedViews
 
