@@ -26,9 +26,8 @@ from client.settings import settings_to_run
 from services.analysis.perceptibility import of_images
 from services.attacks.fgsm import Fgsm, FgsmMethod
 from services.attacks.goal import ResolvedGoal
-from services.attacks.loop import Budget, run
 from services.attacks.problem import AttackProblem
-from services.attacks.verifier import Verifier
+from services.attacks.run import Budget, Verifier, run
 from services.pipeline.prepare import prepare
 from services.pipeline.spec import parse
 from services.rendering.color import from_bytes, to_bytes

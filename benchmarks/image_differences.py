@@ -21,11 +21,10 @@ from rich.table import Table
 from benchmarks.report import RESULTS, save
 from benchmarks.views import right
 from client.settings import settings_to_run
-from services.attacks.loop import Budget, run
+from services.attacks.attack import ATTACKS
 from services.attacks.problem import AttackProblem
+from services.attacks.run import AttackState, Budget, run
 from services.attacks.seeds import generator
-from services.attacks.spec import ATTACKS
-from services.attacks.state import AttackState
 from services.pipeline.prepare import Prepared, prepare
 from services.pipeline.spec import parse
 from services.rendering.opengl import context

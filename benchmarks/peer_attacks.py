@@ -27,13 +27,11 @@ from benchmarks.peers import Lite0, reach
 from benchmarks.report import RESULTS, save
 from benchmarks.views import VIEWS
 from client.settings import settings_to_run
+from services.attacks.attack import ATTACKS
 from services.attacks.goal import ResolvedGoal
-from services.attacks.loop import Budget, run
 from services.attacks.method import Method
-from services.attacks.problem import AttackProblem, gradients
-from services.attacks.quantize import quantize
-from services.attacks.spec import ATTACKS
-from services.attacks.verifier import Verifier
+from services.attacks.problem import AttackProblem, gradients, quantize
+from services.attacks.run import Budget, Verifier, run
 from services.errors import InvalidRequest
 from services.pipeline.prepare import prepare
 from services.pipeline.spec import parse

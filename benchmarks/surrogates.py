@@ -21,10 +21,10 @@ import torch
 
 from benchmarks.report import RESULTS, save
 from client.settings import settings_to_run
-from services.attacks.loop import Budget, run
+from services.attacks.attack import ATTACKS
 from services.attacks.problem import AttackProblem
+from services.attacks.run import Budget, run
 from services.attacks.seeds import derived
-from services.attacks.spec import ATTACKS
 from services.errors import InvalidRequest
 from services.pipeline.prepare import Prepared, prepare
 from services.pipeline.spec import parse

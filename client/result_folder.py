@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from services.errors import InvalidRequest
 
 if TYPE_CHECKING:
-    from services.attacks.spec import Goal
+    from services.attacks.attack import Goal
     from services.pipeline.spec import JobSpec
 
 REMEDY = "name another folder, or remove this one"

@@ -16,7 +16,7 @@ from api.dashboard.pages import HEADERS, html
 from api.routes import jobs
 from api.state import Services, ServicesDependency, names_of, no_such
 from services.access.caller import Caller
-from services.attacks.spec import ATTACKS
+from services.attacks.attack import ATTACKS
 from services.errors import InvalidRequest
 from services.jobs.placement import Demand, Priority
 from services.json_text import NotJson, read_json

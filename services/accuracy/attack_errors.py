@@ -12,8 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from services.attacks.fgsm import Fgsm, FgsmMethod
 from services.attacks.goal import ResolvedGoal
-from services.attacks.problem import AttackProblem, gradients
-from services.attacks.quantize import quantize
+from services.attacks.problem import AttackProblem, gradients, quantize
 from services.rendering.opengl.gbuffer import rasterise
 from services.rendering.plan import GradientError
 from services.rendering.torch_renderer.declaration import TORCH

@@ -14,9 +14,9 @@ from services.analysis.perceptibility import of_images
 from services.analysis.records import AdaptiveAttack
 from services.analysis.requests import RerenderingRequest
 from services.analysis.rerendering import fitted, said
-from services.attacks.contract import check_graph
 from services.attacks.goal import ResolvedGoal
-from services.attacks.verifier import Verifier
+from services.attacks.problem import check_graph
+from services.attacks.run import Verifier
 from services.rendering.color import from_bytes, to_bytes
 
 RATE = 0.002

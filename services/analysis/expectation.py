@@ -5,9 +5,9 @@ from collections.abc import Callable, Collection
 from services.analysis.records import HeldOver
 from services.attacks.expectation import Expectation
 from services.attacks.goal import ResolvedGoal
-from services.attacks.variations import draw_variation
+from services.attacks.problem import draw_variation
+from services.attacks.run import Verifier
 from services.attacks.verdict import SUCCESS, judge
-from services.attacks.verifier import Verifier
 from services.rendering.protocol import Parameters
 from services.statistics import wilson
 

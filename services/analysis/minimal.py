@@ -13,7 +13,7 @@ from services.analysis.perceptibility import of_float_images, of_images
 from services.analysis.records import MinimalChange, RayPoint
 from services.analysis.subsets import ScoredImage, scored
 from services.attacks.goal import ResolvedGoal
-from services.attacks.verifier import Verifier
+from services.attacks.run import Verifier
 from services.rendering.physical_change import PhysicalChange
 from services.rendering.protocol import Parameters
 

@@ -14,7 +14,7 @@ from torch import Tensor
 from services.analysis.fitting import Fit, Optimiser, fit
 from services.analysis.perceptibility import of_images
 from services.analysis.records import Explanation, Interpretation, Rerendering, Said
-from services.attacks.verifier import Verifier
+from services.attacks.run import Verifier
 from services.rendering.color import from_bytes
 from services.targets.scores import probability
 

@@ -12,7 +12,7 @@ from services.analysis.answers import answer, goal_log_odds
 from services.analysis.perceptibility import of_float_images, of_images
 from services.analysis.records import Subset
 from services.attacks.goal import ResolvedGoal
-from services.attacks.verifier import Verifier
+from services.attacks.run import Verifier
 from services.rendering.color import to_bytes
 from services.rendering.protocol import Parameters
 

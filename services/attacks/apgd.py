@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
+from services.attacks.attack import AttackSettings, register, suggested_limits
 from services.attacks.losses import DESCRIPTION, Loss
-from services.attacks.spec import AttackSettings, register
 from services.attacks.square import groups_without_pixels
-from services.attacks.suggested import suggested_limits
 
 if TYPE_CHECKING:
     from torch import Tensor

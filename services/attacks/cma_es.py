@@ -6,9 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from services.attacks.limits import Limit
-from services.attacks.spec import register
-from services.attacks.suggested import SearchWithinLimits, in_scale
+from services.attacks.attack import Limit, SearchWithinLimits, in_scale, register
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from services.attacks.feasible import allowed, fixed, projected
+from services.attacks.limits import allowed, fixed, projected
 from services.attacks.problem import AttackProblem, distances, truncate
 from services.attacks.seeds import generator
 from services.rendering.protocol import InactiveCoordinate, Parameters

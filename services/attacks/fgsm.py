@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
-from services.attacks.spec import Rate, register
-from services.attacks.suggested import SuggestedRates
+from services.attacks.attack import Rate, SuggestedRates, register
 
 if TYPE_CHECKING:
     from torch import Tensor

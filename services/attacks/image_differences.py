@@ -16,11 +16,9 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from services.attacks import feasible
-from services.attacks.contract import check_graph
+from services.attacks import limits
 from services.attacks.differences import clamped, inactive, per_batch, steadiest
-from services.attacks.problem import AttackProblem
-from services.attacks.quantize import quantize
+from services.attacks.problem import AttackProblem, check_graph, quantize
 from services.attacks.seeds import draw, generator
 from services.rendering.protocol import Parameters
 
@@ -79,7 +77,7 @@ class ImageDifferences:
         if still.any():
             found = inactive(problem, perturbation, self.half_steps)
             still = still & layout.mask((one.group, one.index) for one in found)
-        coordinates = (~(still | feasible.fixed(problem.constraint, layout))).nonzero()[:, 0]
+        coordinates = (~(still | limits.fixed(problem.constraint, layout))).nonzero()[:, 0]
         vector = layout.zeros().double()
         steps = self.half_steps[coordinates]
         slopes: list[Tensor] | None = [] if problem.needs_metric else None
@@ -135,7 +133,7 @@ def projected(
         both = delta.repeat(len(chosen), 2, 1)  # [k, 2, total]: the two sides of a difference are neighbours
         both[rows, 0, chosen] += steps.to(both.dtype)
         both[rows, 1, chosen] -= steps.to(both.dtype)
-        both = feasible.allowed(problem.constraint, problem.layout, clamped(problem, both.flatten(0, 1)), delta)
+        both = limits.allowed(problem.constraint, problem.layout, clamped(problem, both.flatten(0, 1)), delta)
         images = problem.render(problem.layout.unflatten(start + both))
         moved = (images[0::2] - images[1::2]).flatten(1)
         change = (moved.double() @ weights).cpu()
@@ -166,8 +164,8 @@ def measure_half_steps(problem: AttackProblem) -> dict[str, float]:
     towards, nothing = image_gradient(problem), layout.flatten(problem.nothing())
     random = generator(problem.seed, "image differences")
     offsets = REACH * (2 * torch.rand(PLACES, layout.total, generator=random, dtype=torch.float64) - 1)
-    places = feasible.projected(problem.constraint, layout, clamped(problem, nothing + offsets.to(nothing.dtype)))
-    stays = feasible.fixed(problem.constraint, layout)
+    places = limits.projected(problem.constraint, layout, clamped(problem, nothing + offsets.to(nothing.dtype)))
+    stays = limits.fixed(problem.constraint, layout)
     chosen = {}
     for group in problem.groups:
         pool = torch.arange(layout.shapes[group].numel()) + layout.starts[group]

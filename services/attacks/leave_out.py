@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from services.attacks.differences import clamped, per_batch
-from services.attacks.feasible import Constraint, fixed, projected
+from services.attacks.limits import Constraint, fixed, projected
 from services.attacks.problem import AttackProblem
 from services.attacks.seeds import generator
 from services.rendering.protocol import Parameters

@@ -2,10 +2,9 @@
 
 from dataclasses import replace
 
-from services.attacks.loop import Budget, run
 from services.attacks.problem import AttackProblem
+from services.attacks.run import Budget, Verifier, run
 from services.attacks.square import Square, SquareMethod
-from services.attacks.verifier import Verifier
 
 
 def check_masking(problem: AttackProblem, verifier: Verifier, queries: int) -> dict[str, object]:

@@ -1,6 +1,6 @@
 """The protocol of an attack method. Its whole state is a set of named tensors, which a checkpoint saves and loads.
 
-`services.attacks.spec.register` registers a method's class. The class is called with the settings and an
+`services.attacks.attack.register` registers a method's class. The class is called with the settings and an
 `AttackProblem`, whose `beginning` is the method's first perturbation: zeros, or a random one for a restart.
 """
 

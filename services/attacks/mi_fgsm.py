@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
+from services.attacks.attack import Rate, SuggestedRates, register
 from services.attacks.losses import DESCRIPTION, Loss
-from services.attacks.spec import Rate, register
-from services.attacks.suggested import SuggestedRates
 
 if TYPE_CHECKING:
     from torch import Tensor

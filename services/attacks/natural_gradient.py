@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from services.attacks.spec import AttackSettings, register
+from services.attacks.attack import AttackSettings, register
 from services.rendering.declaration import RENDERERS
 
 if TYPE_CHECKING:

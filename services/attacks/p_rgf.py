@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from services.attacks.spec import Rate, register
-from services.attacks.suggested import DifferencesWithinLimits
+from services.attacks.attack import DifferencesWithinLimits, Rate, register
 from services.names import reference
 
 if TYPE_CHECKING:

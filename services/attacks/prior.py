@@ -6,9 +6,8 @@ import torch
 from torch import Tensor
 
 from services.attacks.image_differences import ImageDifferences
-from services.attacks.problem import AttackProblem, gradients
-from services.attacks.quantize import quantize
-from services.attacks.samples import mean_gradients, sample
+from services.attacks.problem import AttackProblem, gradients, quantize
+from services.attacks.run import mean_gradients, sample
 from services.rendering.protocol import Parameters
 
 

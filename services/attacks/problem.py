@@ -1,19 +1,27 @@
-"""An attack's problem: a renderer, a network and a goal, with counts of the images rendered and classified."""
+"""An attack's problem: a renderer, a network and a goal, with counts of the images rendered and classified.
 
+Images are rounded to 8 bits with a straight-through derivative, so that an attack sees the image that is saved. What
+renderers, networks and methods return is checked here: an extension that breaks its protocol must end its job with a
+reason. Unchecked, most of what it may return is a result: values beyond [0,1] are clipped when the image is saved, and
+scores that are no numbers have a largest one too.
+"""
+
+import json
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from math import nan
-from typing import Protocol
+from math import nan, radians
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
-from services.attacks.contract import check_graph, check_images, check_perturbation, check_scores
 from services.attacks.expectation import Expectation
-from services.attacks.feasible import (
+from services.attacks.goal import ResolvedGoal
+from services.attacks.limits import (
     ROUNDING,
     Constraint,
+    Layout,
     held,
     perturbation_bounds,
     projected,
@@ -21,17 +29,147 @@ from services.attacks.feasible import (
     random_start,
     reached,
 )
-from services.attacks.goal import ResolvedGoal
-from services.attacks.layout import Layout
 from services.attacks.losses import Loss, loss
-from services.attacks.seeds import derived
+from services.attacks.seeds import derived, generator
 from services.attacks.surrogate import Surrogate
-from services.attacks.variations import draw_variation
-from services.errors import JobFailure, named
+from services.errors import JobFailure, named, summary
 from services.finite import finite
-from services.rendering.protocol import Parameters, Renderer
+from services.rendering import color
+from services.rendering.protocol import BOUND_SLACK, Parameters, Renderer
 from services.rendering.variation import Variation, noisy, varied
 from services.targets.protocol import Target
+
+
+def draw_variation(asked: Expectation, seed: int, *words: str | int) -> Variation:
+    """A variation from the range, which depends on the seed and on `words` alone."""
+    random = generator(seed, "variation", *words)
+    around = (2 * torch.rand(5, generator=random, dtype=torch.float64) - 1).tolist()
+    return Variation(
+        azimuth=radians(asked.azimuth) * around[0],
+        elevation=radians(asked.elevation) * around[1],
+        roll=radians(asked.roll) * around[2],
+        distance=1 + asked.distance * around[3],
+        intensity=1 + asked.intensity * around[4],
+        noise=asked.noise / 255,
+        seed=derived(seed, "camera noise", *words),
+    )
+
+
+def quantize(images: Tensor) -> tuple[Tensor, Tensor]:
+    """Rounds images in [0,1], of any shape, to 8 bits. Returns them as uint8 and as k/255 in float32.
+
+    The derivative of the float32 result is that of the unrounded images (a straight-through derivative), so one pass of
+    the network gives both the verdict on the saved image and the gradient. benchmarks/rounded_gradient.py compares
+    this gradient with the unrounded image's.
+    """
+    result: tuple[Tensor, Tensor] = _Quantize.apply(images)  # type: ignore[no-untyped-call]
+    return result
+
+
+class _Quantize(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, images: Tensor) -> tuple[Tensor, Tensor]:
+        saved, seen = color.quantize(images)
+        ctx.mark_non_differentiable(saved)
+        return saved, seen
+
+    @staticmethod
+    def backward(ctx: Any, none: None, gradient: Tensor) -> Tensor:  # noqa: ARG004 - autograd's signature
+        return gradient
+
+
+SLACK = 1e-4
+"""How far rounding may take a displayed value out of [0,1]; a fortieth of a step of an 8-bit image."""
+
+
+def check_images(renderer: Renderer, images: Tensor, count: int) -> None:
+    """Raises JobFailure unless `images` are `count` images of the renderer's size, with values in [0,1]."""
+    shape = (count, *renderer.size, 3)
+    if not isinstance(images, Tensor) or images.shape != shape or not images.is_floating_point():
+        raise _internal("renderer", renderer.name, "images", shape, images)
+    low, high = (float(value) for value in torch.aminmax(images.detach()))
+    if not torch.tensor([low, high]).isfinite().all():
+        raise JobFailure("non-finite", "the renderer returned an image with values that are not finite")
+    if low < -SLACK or high > 1 + SLACK:
+        found = f"an image with values from {low:g} to {high:g}, not in [0,1]"
+        raise JobFailure("internal", f"renderer {renderer.name!r} returned {found}")
+
+
+def check_scores(target: Target, scores: Tensor, count: int) -> None:
+    """Raises JobFailure unless `scores` are finite, one row an image and one score a label."""
+    shape = (count, len(target.labels))
+    if not isinstance(scores, Tensor) or scores.shape != shape or not scores.is_floating_point():
+        raise _internal("target", target.name, "scores", shape, scores)
+    if not finite(scores):
+        raise JobFailure("non-finite", "the network returned scores that are not finite")
+
+
+def check_graph(renderer: Renderer, target: Target, images: Tensor, scores: Tensor) -> None:
+    """Raises JobFailure unless the scores of `images` can be differentiated, where a gradient is needed."""
+    if not scores.requires_grad:
+        whose = (
+            f"target {target.name!r} returned scores"
+            if images.requires_grad
+            else f"renderer {renderer.name!r} returned images"
+        )
+        raise JobFailure(
+            "internal", f"{whose} without a graph; a gradient is needed, and it is said to be differentiable"
+        )
+
+
+def check_perturbation(
+    given: Mapping[str, Tensor], initial: Mapping[str, Tensor], bounds: Mapping[str, tuple[Tensor, Tensor]]
+) -> None:
+    """Raises JobFailure unless a method's perturbation has the attacked groups in their shapes, and values that are
+    finite and within `bounds`, the smallest and largest perturbation of each group that has any.
+    """
+    if not isinstance(given, Mapping) or not all(isinstance(value, Tensor) for value in given.values()):
+        raise JobFailure("internal", "the method's perturbation is no tensor for each group")
+    shapes = {group: tuple(value.shape) for group, value in given.items()}
+    expected = {group: tuple(value.shape) for group, value in initial.items()}
+    if shapes != expected:
+        raise JobFailure("internal", f"the method's perturbation has the groups {shapes}; attacked are {expected}")
+    for group, value in given.items():
+        if not value.is_floating_point():
+            raise JobFailure("internal", f"the perturbation of group {group!r} is of {value.dtype}, not floating-point")
+        if not finite(value):
+            raise JobFailure("non-finite", f"the perturbation of group {group!r} has values that are not finite")
+        low, high = bounds.get(group, (value, value))
+        beyond = torch.maximum(low - value, value - high).detach()
+        if bool((beyond > BOUND_SLACK * (1 + initial[group].abs())).any()):
+            raise JobFailure(
+                "internal",
+                f"the method left the bounds of group {group!r} by up to {float(beyond.max()):g}; "
+                "AttackProblem.clamp keeps a perturbation within them",
+            )
+
+
+def check_settings(found: object) -> None:
+    """Raises JobFailure unless `Method.start` returned a dict that can be stored as JSON."""
+    try:
+        if isinstance(found, dict):
+            json.dumps(found, allow_nan=False)
+            return
+    except (TypeError, ValueError) as error:
+        raise JobFailure("internal", f"the settings that the method measured are not JSON: {summary(error)}") from error
+    raise JobFailure("internal", f"the method's start returned a {type(found).__name__}; a dict of settings is due")
+
+
+def check_state(state: object) -> None:
+    """Raises JobFailure unless `Method.state` returned tensors by name, which a checkpoint can save."""
+    if not isinstance(state, dict) or not all(isinstance(value, Tensor) for value in state.values()):
+        raise JobFailure("internal", "the method's state is no dict of tensors; a checkpoint could not save it")
+
+
+def check_count(count: object) -> None:
+    """Raises JobFailure unless `Method.advance` returned a count."""
+    if not isinstance(count, int) or count < 0:
+        raise JobFailure("internal", f"the method's advance returned {count!r:.80}; a count from 0 is due")
+
+
+def _internal(kind: str, name: str, what: str, shape: tuple[int, ...], given: object) -> JobFailure:
+    found = f"{given.dtype} of {list(given.shape)}" if isinstance(given, Tensor) else type(given).__name__
+    return JobFailure("internal", f"{kind} {name!r} returned {what} as {found}; floating-point {list(shape)} is due")
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
-from services.attacks.spec import register
-from services.attacks.suggested import DifferencesWithinLimits
+from services.attacks.attack import DifferencesWithinLimits, register
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
+from services.attacks.attack import AttackSettings, register, renderer_names, suggested_limits
 from services.attacks.losses import DESCRIPTION, Loss
-from services.attacks.spec import AttackSettings, register, renderer_names
-from services.attacks.suggested import suggested_limits
 from services.rendering.declaration import RENDERERS
 
 if TYPE_CHECKING:

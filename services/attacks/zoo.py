@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
-from services.attacks.spec import AttackSettings, Rate, register
-from services.attacks.suggested import suggested
+from services.attacks.attack import AttackSettings, Rate, register, suggested
 from services.errors import JobFailure
 from services.rendering.declaration import RENDERERS
 
@@ -193,7 +192,7 @@ class ZooMethod:
         still are. Most scenes have none.
         """
         from services.attacks.differences import inactive
-        from services.attacks.feasible import fixed
+        from services.attacks.limits import fixed
 
         still = self.inactive
         if still.any():

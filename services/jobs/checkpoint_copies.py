@@ -67,7 +67,7 @@ class CheckpointCopies:
 
     def fetch(self, job_id: str, path: Path) -> None:
         """Writes the copy to `path` if it has got further than the checkpoint that is there, and is undamaged."""
-        from services.attacks.checkpoint import saved_step  # loads torch, which the API must not
+        from services.attacks.run import saved_step  # loads torch, which the API must not
 
         try:
             with self._files.open(job_id) as file:

@@ -14,7 +14,7 @@ from services.analysis.requests import AnalysisRequest, RerenderingRequest
 from services.analysis.rerendering import interpret, rerender
 from services.analysis.subsets import ScoredImage
 from services.analysis.transfer import Wanted, indices, shown_to
-from services.attacks.verifier import Verifier
+from services.attacks.run import Verifier
 from services.errors import InvalidRequest
 from services.pipeline import goals
 from services.pipeline.described import described

@@ -8,7 +8,7 @@ from services.analysis.answers import answer
 from services.analysis.perceptibility import of_float_images, of_images
 from services.analysis.physical import changes_in_words
 from services.analysis.records import Answer
-from services.attacks import checkpoint
+from services.attacks import run
 from services.pipeline.change_files import save_change
 from services.pipeline.prepare import prepare_exactly
 from services.pipeline.result import BEST_SO_FAR
@@ -43,7 +43,7 @@ def best_so_far(spec: JobSpec, path: Path, out: Path, library: Library) -> BestS
 
     Writes best-so-far.json and what was changed into `out`. Raises what `prepare_exactly` does.
     """
-    found = checkpoint.best(path)
+    found = run.best(path)
     if found is None:
         return None
     prepared = prepare_exactly(spec, library)

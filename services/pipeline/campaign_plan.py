@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from services import atomic_write
 from services.analysis.campaign_table import Case, Curves, MeanCurves, Table
 from services.analysis.campaign_text import to_csv, to_latex
-from services.attacks.spec import AttackSettings
+from services.attacks.attack import AttackSettings
 from services.pipeline.campaign_spec import CampaignSpec, Grid, Member, Selection
 from services.pipeline.names import attack_name, scene_name
 from services.pipeline.outcome import success

@@ -24,7 +24,7 @@ from pydantic import (
 )
 
 from services.analysis.requests import AnalysisRequest
-from services.attacks.spec import AttackSettings, Goal, Seed
+from services.attacks.attack import AttackSettings, Goal, Seed
 from services.errors import InvalidFields, InvalidRequest
 from services.names import Names, reference
 from services.pipeline.field_errors import invalid_fields

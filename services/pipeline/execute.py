@@ -16,13 +16,12 @@ from services.analysis.expectation import held_over
 from services.analysis.perceptibility import beyond, of_float_images, of_groups, of_images
 from services.analysis.physical import changes_in_words
 from services.analysis.subsets import ScoredImage, subsets
-from services.attacks.feasible import at_epsilon
-from services.attacks.loop import Budget, run, sampled_error
+from services.attacks.attack import ATTACKS
+from services.attacks.limits import at_epsilon
 from services.attacks.masking import check_masking
 from services.attacks.method import Method
 from services.attacks.problem import AttackProblem
-from services.attacks.spec import ATTACKS
-from services.attacks.state import AttackState
+from services.attacks.run import AttackState, Budget, run, sampled_error
 from services.attacks.trace import TraceRow
 from services.attacks.verdict import judge
 from services.errors import Cancelled, named

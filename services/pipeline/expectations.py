@@ -6,8 +6,8 @@ from typing import Any
 
 import torch
 
+from services.attacks.attack import AttackSettings
 from services.attacks.expectation import VIEWS, Expectation
-from services.attacks.spec import AttackSettings
 from services.errors import InvalidRequest
 from services.rendering.declaration import RENDERERS
 from services.rendering.plan import Plan, Stage

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from services.attacks.spec import ATTACKS
+from services.attacks.attack import ATTACKS
 from services.errors import InvalidRequest, printable
 from services.extensions import Extension, load
 from services.logs import logger

@@ -11,8 +11,8 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from services.attacks.attack import ATTACKS
 from services.attacks.expectation import Expectation
-from services.attacks.spec import ATTACKS
 from services.rendering.declaration import RENDERERS
 
 PAGE = Path(__file__).parents[2] / "docs" / "scene.md"

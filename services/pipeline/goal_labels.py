@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from services.attacks.spec import Goal, Label, Labels
+from services.attacks.attack import Goal, Label, Labels
 from services.errors import InvalidFields, InvalidRequest
 from services.suggestions import did_you_mean
 from services.targets.info import TargetInfo

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from services.analysis.transfer import indices
+from services.attacks.attack import MAX_LABELS, Goal
 from services.attacks.goal import ResolvedGoal
-from services.attacks.spec import MAX_LABELS, Goal
 from services.errors import InvalidRequest
 from services.pipeline.goal_labels import Asked, with_same
 from services.pipeline.warning import JobWarning, warnings

@@ -3,8 +3,8 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-from services.attacks.feasible import fixed
 from services.attacks.leave_out import Effects, measure, without
+from services.attacks.limits import fixed
 from services.attacks.problem import AttackProblem
 from services.rendering.plan import Item, Plan
 

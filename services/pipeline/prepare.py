@@ -7,11 +7,11 @@ from weakref import ref
 from torch import Tensor
 
 from services.attacks import losses
-from services.attacks.feasible import perturbation_bounds
+from services.attacks.attack import ATTACKS
 from services.attacks.goal import ResolvedGoal
-from services.attacks.spec import ATTACKS
+from services.attacks.limits import perturbation_bounds
+from services.attacks.run import Verifier
 from services.attacks.surrogate import Surrogate
-from services.attacks.verifier import Verifier
 from services.errors import InvalidFields, InvalidRequest, named
 from services.pipeline import goal_labels, goals
 from services.pipeline.analysis_fields import check_analysis, load_targets

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isclose
 
-from services.attacks.spec import Goal
+from services.attacks.attack import Goal
 from services.errors import InvalidRequest
 from services.pipeline.described import can_carry, described
 from services.pipeline.question_record import Asked

@@ -35,7 +35,7 @@ UP = 1
 
 
 class SceneLimits:
-    """The perturbations of a job that are allowed; implements `services.attacks.feasible.Constraint`.
+    """The perturbations of a job that are allowed; implements `services.attacks.limits.Constraint`.
 
     `initial` are the attacked groups' values.
     """

@@ -25,7 +25,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
 from services.analysis.requests import AnalysisRequest
-from services.attacks.spec import ATTACKS, AttackSettings, Goal, Seed
+from services.attacks.attack import ATTACKS, AttackSettings, Goal, Seed
 from services.errors import InvalidFields, InvalidRequest
 from services.names import Names, reference, unknown_parts
 from services.pipeline.field_errors import invalid_fields

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from services.attacks.attack import Goal
 from services.attacks.goal import ResolvedGoal
-from services.attacks.spec import Goal
 from services.errors import InvalidRequest
 from services.pipeline.goals import Settled
 from services.pipeline.questions import AskedQuestion

@@ -14,7 +14,7 @@ import pytest
 import trimesh
 
 from client.commands_page import commands, examples
-from services.attacks.checkpoint import saved_step
+from services.attacks.run import saved_step
 from tests.integration.conftest import Stack, serving, until
 from tests.integration.specs import ENDLESS, QUICK, long
 from tests.integration.test_run import small

@@ -8,7 +8,7 @@ from zipfile import ZipFile
 import pytest
 from playwright.sync_api import Page, expect
 
-from services.attacks.checkpoint import saved_step
+from services.attacks.run import saved_step
 from tests.integration.browser import job_state, launched
 from tests.integration.conftest import Stack, until
 from tests.integration.scene3d_view import SOFTWARE, drawn_after, looking

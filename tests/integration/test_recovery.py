@@ -19,7 +19,7 @@ DEADLY = """
 import os, signal
 from typing import Literal
 from services.attacks.fgsm import Fgsm, FgsmMethod
-from services.attacks.spec import register
+from services.attacks.attack import register
 
 class Deadly(Fgsm):
     method: Literal["deadly"] = "deadly"

@@ -54,7 +54,7 @@ MUTANTS = {
         test_gradient_error.test_a_gradient_that_vanishes_in_float32_has_the_wrong_sign,
     ),
     "roll drawn from elevation's number": Mutant(
-        "services.attacks.variations:draw_variation",
+        "services.attacks.problem:draw_variation",
         "radians(asked.roll) * around[2]",
         "radians(asked.roll) * around[1]",
         test_samples.test_the_numbers_of_a_variation_are_independent,

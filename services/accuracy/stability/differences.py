@@ -7,8 +7,7 @@ from services.accuracy.placing import placed
 from services.accuracy.stability.case import Case, Measured, need
 from services.accuracy.stability.linear import SIDE, linear_gradient, linear_problem, pixels
 from services.attacks.differences import estimate, measure_noise
-from services.attacks.loop import Budget, run
-from services.attacks.verifier import Verifier
+from services.attacks.run import Budget, Verifier, run
 from services.attacks.zoo import Zoo, ZooMethod
 from services.rendering.factory import build
 from services.rendering.protocol import Renderer

@@ -11,9 +11,8 @@ from services.accuracy.stability.case import Case, Measured, need
 from services.accuracy.stability.linear import SIDE, linear_network
 from services.attacks.fgsm import Fgsm, FgsmMethod
 from services.attacks.goal import ResolvedGoal
-from services.attacks.loop import Budget, run
 from services.attacks.problem import AttackProblem
-from services.attacks.verifier import Verifier
+from services.attacks.run import Budget, Verifier, run
 from services.rendering.image_renderer import ImageRenderer
 from services.targets.classifier import Classifier
 from services.targets.scores import probability

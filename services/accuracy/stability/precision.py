@@ -11,9 +11,9 @@ from services.accuracy.stability.case import Case, Measured, need
 from services.accuracy.stability.definition import displayed
 from services.accuracy.stability.linear import SIDE, linear_network
 from services.accuracy.stability.shading import Shading
+from services.attacks.attack import LARGEST_SEED, Seed
 from services.attacks.goal import ResolvedGoal
 from services.attacks.seeds import generator
-from services.attacks.spec import LARGEST_SEED, Seed
 from services.errors import InvalidRequest
 from services.rendering.color import as_saved, to_display
 from services.rendering.image_renderer import ImageRenderer

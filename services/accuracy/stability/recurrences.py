@@ -10,9 +10,7 @@ from services.accuracy.stability.case import Case, Measured, need
 from services.accuracy.stability.linear import linear_gradient, linear_problem, pixels
 from services.attacks.differences import CANDIDATES, estimate, measure_noise
 from services.attacks.fgsm import Fgsm, FgsmMethod
-from services.attacks.loop import Budget, run
-from services.attacks.state import AttackState
-from services.attacks.verifier import Verifier
+from services.attacks.run import AttackState, Budget, Verifier, run
 from services.attacks.zoo import Zoo, ZooMethod
 from services.scenes.mesh import Doubles
 

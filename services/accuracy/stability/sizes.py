@@ -11,9 +11,8 @@ from services.accuracy.stability.shading import Shading
 from services.accuracy.stability.views import SHOWN
 from services.attacks.fgsm import Fgsm, FgsmMethod
 from services.attacks.goal import ResolvedGoal
-from services.attacks.loop import Budget, run
 from services.attacks.problem import AttackProblem
-from services.attacks.verifier import Verifier
+from services.attacks.run import Budget, Verifier, run
 from services.rendering.factory import build
 
 SPREAD = 1009

@@ -11,10 +11,8 @@ from services.accuracy.stability.case import Case, Measured, need
 from services.accuracy.stability.linear import linear_problem, pixels
 from services.accuracy.stability.shading import SHARP, Shading
 from services.attacks.fgsm import Fgsm, FgsmMethod
-from services.attacks.loop import Budget, run
 from services.attacks.problem import truncate
-from services.attacks.state import AttackState
-from services.attacks.verifier import Verifier
+from services.attacks.run import AttackState, Budget, Verifier, run
 from services.attacks.zoo import Zoo, ZooMethod
 from services.rendering.factory import build
 from services.rendering.protocol import Parameters, Renderer

@@ -9,13 +9,11 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from services.accuracy.placing import placed
+from services.attacks.attack import ATTACKS, AttackSettings
 from services.attacks.fgsm import Fgsm
 from services.attacks.goal import ResolvedGoal
-from services.attacks.loop import Budget, run
 from services.attacks.problem import AttackProblem
-from services.attacks.spec import ATTACKS, AttackSettings
-from services.attacks.state import AttackState
-from services.attacks.verifier import Verifier
+from services.attacks.run import AttackState, Budget, Verifier, run
 from services.attacks.zoo import Zoo
 from services.rendering.factory import build
 from services.rendering.plan import Tolerance

@@ -7,7 +7,7 @@ import torch
 
 from services.accuracy.stability import lights, meshes, views
 from services.accuracy.stability import normals as normals_cases
-from services.attacks import contract, problem
+from services.attacks import problem
 from services.rendering.pyrender_renderer import renderer as pyrender_renderer
 from services.scenes import normals, resolve, surfaces
 
@@ -119,7 +119,7 @@ def any_file(patch) -> None:
 def no_checks(patch) -> None:
     """Nothing is ever found to be not finite."""
     patch.setattr(torch, "isfinite", lambda values: torch.ones_like(values, dtype=torch.bool))
-    for module in (contract, problem, pyrender_renderer):
+    for module in (problem, pyrender_renderer):
         patch.setattr(module, "finite", lambda _: True, raising=False)
 
 

@@ -6,7 +6,7 @@ import torch
 from services.analysis.adaptive import LIMIT, attack_through
 from services.analysis.requests import RerenderingRequest
 from services.attacks.goal import ResolvedGoal
-from services.attacks.verifier import Verifier
+from services.attacks.run import Verifier
 from tests.unit.attacks.small import FreeRenderer, LinearRenderer, LinearTarget
 
 

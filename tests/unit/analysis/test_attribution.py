@@ -11,7 +11,7 @@ from services.analysis.attribution import moved_parts, of_coordinates, of_subset
 from services.analysis.records import Attribution
 from services.analysis.subsets import scored, subsets
 from services.attacks.goal import ResolvedGoal
-from services.attacks.verifier import Verifier
+from services.attacks.run import Verifier
 from services.rendering.protocol import Parameters
 from tests.unit.attacks.small import LinearRenderer, problem
 

@@ -7,8 +7,8 @@ from torch import Tensor
 from services.analysis.expectation import held_over
 from services.attacks.expectation import Expectation
 from services.attacks.goal import ResolvedGoal
-from services.attacks.variations import draw_variation
-from services.attacks.verifier import Verifier
+from services.attacks.problem import draw_variation
+from services.attacks.run import Verifier
 from services.statistics import wilson
 from tests.unit.attacks.small import LinearTarget, Pixels
 

@@ -9,7 +9,7 @@ from services.analysis.minimal import minimal_change, scan_and_bisect
 from services.analysis.records import MinimalChange
 from services.analysis.subsets import scored
 from services.attacks.goal import ResolvedGoal
-from services.attacks.verifier import Verifier
+from services.attacks.run import Verifier
 from services.rendering.physical_change import PhysicalChange
 from services.rendering.protocol import Parameters
 from tests.unit.analysis.test_attribution import Built, Pixels

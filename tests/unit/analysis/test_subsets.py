@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from services.analysis.subsets import scored, subsets
-from services.attacks.verifier import Verifier
+from services.attacks.run import Verifier
 from tests.unit.attacks.small import problem
 
 

@@ -5,7 +5,7 @@ import torch
 
 from services.analysis.transfer import Wanted, indices, shown_to
 from services.attacks.goal import ResolvedGoal
-from services.attacks.verifier import Verifier
+from services.attacks.run import Verifier
 from services.errors import InvalidRequest
 from services.pipeline.described import can_carry, described
 from tests.unit.analysis.test_attribution import Built, Pixels

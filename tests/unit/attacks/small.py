@@ -8,8 +8,7 @@ import torch
 from torch import Tensor
 
 from services.attacks.goal import ResolvedGoal
-from services.attacks.problem import AttackProblem, Evaluation, gradients
-from services.attacks.quantize import quantize
+from services.attacks.problem import AttackProblem, Evaluation, gradients, quantize
 from services.rendering.image_error import ImageError
 from services.rendering.plan import Plan
 from services.rendering.protocol import Parameters

@@ -6,9 +6,8 @@ import torch
 from torch import Tensor
 
 from services.attacks.apgd import Apgd, ApgdMethod
-from services.attacks.loop import Budget, run
 from services.attacks.problem import AttackProblem
-from services.attacks.verifier import Verifier
+from services.attacks.run import Budget, Verifier, run
 from tests.unit.attacks.small import FreeRenderer, LinearTarget, Pixels, guided, problem
 
 EPSILON = 3 / 255

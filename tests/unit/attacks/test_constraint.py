@@ -11,8 +11,7 @@ from services.attacks.cma_es import CmaEs, CmaEsMethod
 from services.attacks.differences import estimate, measure_half_steps
 from services.attacks.fgsm import Fgsm, FgsmMethod
 from services.attacks.goal import ResolvedGoal
-from services.attacks.loop import Budget, run
-from services.attacks.verifier import Verifier
+from services.attacks.run import Budget, Verifier, run
 from services.attacks.zoo import Zoo, ZooMethod
 from services.rendering.protocol import Parameters
 from tests.unit.attacks.small import CurvedRenderer, FreeRenderer, LinearTarget, problem

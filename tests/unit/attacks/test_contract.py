@@ -9,9 +9,8 @@ import torch
 from safetensors.torch import load_file
 from torch import Tensor
 
-from services.attacks.loop import Budget, run
 from services.attacks.problem import AttackProblem
-from services.attacks.verifier import Verifier
+from services.attacks.run import Budget, Verifier, run
 from services.errors import JobFailure
 from services.rendering.protocol import Parameters
 from tests.unit.attacks.small import LinearRenderer, LinearTarget, guided, problem
@@ -202,7 +201,7 @@ def test_scores_and_images_without_a_graph() -> None:
 
 def test_a_state_whose_tensors_share_memory_is_saved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It failed in jobs of more than two seconds, the time of the first checkpoint."""
-    monkeypatch.setattr("services.attacks.checkpoint.EVERY", -1.0)
+    monkeypatch.setattr("services.attacks.run.EVERY", -1.0)
     case = problem(target=LinearTarget(scale=1e-3))
     method = BadMethod(case, lambda p: p)
     both = torch.arange(4.0).requires_grad_()

@@ -6,11 +6,9 @@ from typing import Any
 import pytest
 import torch
 
-from services.attacks.loop import Budget, run
+from services.attacks.attack import ATTACKS, AttackSettings
 from services.attacks.problem import AttackProblem
-from services.attacks.spec import ATTACKS, AttackSettings
-from services.attacks.state import AttackState
-from services.attacks.verifier import Verifier
+from services.attacks.run import AttackState, Budget, Verifier, run
 from services.errors import Cancelled
 from tests.unit.attacks.small import Ahead, Pixels, guided, problem
 
@@ -83,7 +81,7 @@ def test_it_goes_on_from_the_perturbation_that_was_evaluated(name: str) -> None:
 
 @pytest.mark.parametrize("name", BUILT_IN)
 def test_resumed_it_ends_in_the_same_bits(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.attacks.checkpoint.EVERY", -1.0)  # after every step
+    monkeypatch.setattr("services.attacks.run.EVERY", -1.0)  # after every step
     case, path, calls = build(name), tmp_path / "checkpoint", 0
 
     def count() -> None:

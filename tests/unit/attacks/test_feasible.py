@@ -5,7 +5,8 @@ from typing import Any
 import pytest
 import torch
 
-from services.attacks.feasible import (
+from services.attacks.fgsm import Fgsm, FgsmMethod
+from services.attacks.limits import (
     BACKTRACK_MARGIN,
     P_MARGIN,
     SLACK,
@@ -14,9 +15,7 @@ from services.attacks.feasible import (
     random_start,
     reached,
 )
-from services.attacks.fgsm import Fgsm, FgsmMethod
-from services.attacks.loop import Budget, run
-from services.attacks.verifier import Verifier
+from services.attacks.run import Budget, Verifier, run
 from services.errors import InvalidRequest
 from tests.unit.attacks.small import Ahead, FreeRenderer, LinearRenderer, problem
 

@@ -22,10 +22,8 @@ from services.attacks.image_differences import (
     measure_half_steps,
     projected,
 )
-from services.attacks.loop import Budget, run
 from services.attacks.problem import AttackProblem, gradients
-from services.attacks.state import AttackState
-from services.attacks.verifier import Verifier
+from services.attacks.run import AttackState, Budget, Verifier, run
 from services.errors import Cancelled, JobFailure
 from services.rendering.protocol import InactiveCoordinate, Parameters
 from tests.unit.attacks.small import CurvedRenderer, LinearTarget, OpaqueCurvedRenderer, problem
@@ -208,7 +206,7 @@ def test_a_coordinate_that_was_inactive_at_the_start_counts_where_it_is_active()
 
 
 def test_a_resumed_attack_ends_in_the_same_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.attacks.checkpoint.EVERY", -1.0)  # after every step
+    monkeypatch.setattr("services.attacks.run.EVERY", -1.0)  # after every step
     hard = LinearTarget(scale=1e-3)
 
     def attack(path: Path | None, interrupt: object = lambda: None) -> AttackState:

@@ -6,8 +6,7 @@ import pytest
 import torch
 
 from services.attacks.leave_out import SHARE, measure, without
-from services.attacks.loop import Budget, run
-from services.attacks.verifier import Verifier
+from services.attacks.run import Budget, Verifier, run
 from services.attacks.zoo import Zoo, ZooMethod
 from tests.unit.attacks.small import FreeRenderer, LinearTarget, problem
 from tests.unit.attacks.test_constraint import Ball

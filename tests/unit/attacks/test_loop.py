@@ -8,11 +8,8 @@ import torch
 
 from services.attacks.fgsm import Fgsm, FgsmMethod
 from services.attacks.goal import ResolvedGoal
-from services.attacks.loop import Budget, run, sampled_error
-from services.attacks.problem import AttackProblem, Evaluation
-from services.attacks.quantize import quantize
-from services.attacks.state import AttackState
-from services.attacks.verifier import Verifier
+from services.attacks.problem import AttackProblem, Evaluation, quantize
+from services.attacks.run import AttackState, Budget, Verifier, run, sampled_error
 from services.attacks.zoo import Zoo, ZooMethod
 from services.errors import Cancelled, JobFailure
 from services.finite import finite
@@ -159,7 +156,7 @@ def test_budgets_end_it(zoo: bool) -> None:
 
 @pytest.mark.parametrize("zoo", [False, True])
 def test_a_resumed_attack_ends_in_the_same_result(zoo: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.attacks.checkpoint.EVERY", -1.0)  # after every step
+    monkeypatch.setattr("services.attacks.run.EVERY", -1.0)  # after every step
     whole = attack(problem(truncation=0.002), Budget(12), zoo=zoo)
     seen = 0
 
@@ -197,7 +194,7 @@ class Measured(LinearRenderer):
 def test_a_resumed_attack_knows_the_errors_of_images_rendered_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("services.attacks.checkpoint.EVERY", -1.0)  # after every step
+    monkeypatch.setattr("services.attacks.run.EVERY", -1.0)  # after every step
     path, seen = tmp_path / "checkpoint", 0
 
     def die() -> None:

@@ -9,11 +9,9 @@ from torch import Tensor
 
 from services.attacks.fgsm import Fgsm, FgsmMethod
 from services.attacks.image_differences import ImageDifferences
-from services.attacks.loop import Budget, run
 from services.attacks.natural_gradient import NaturalGradient, NaturalGradientMethod, steepest
 from services.attacks.problem import AttackProblem
-from services.attacks.state import AttackState
-from services.attacks.verifier import Verifier
+from services.attacks.run import AttackState, Budget, Verifier, run
 from services.errors import Cancelled
 from services.pipeline.spec import parse
 from tests.unit.attacks.small import CurvedRenderer, LinearTarget, OpaqueCurvedRenderer, guided, problem
@@ -126,7 +124,7 @@ def test_it_lowers_the_objective_more_than_signs_do_at_the_same_p() -> None:
 
 
 def test_resumed_it_ends_in_the_same_bits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("services.attacks.checkpoint.EVERY", -1.0)  # after every step
+    monkeypatch.setattr("services.attacks.run.EVERY", -1.0)  # after every step
     hard = LinearTarget(scale=1e-3)
 
     def case(interrupt: object = lambda: None) -> AttackProblem:

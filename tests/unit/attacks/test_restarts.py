@@ -7,10 +7,8 @@ import pytest
 import torch
 
 from services.attacks.fgsm import Fgsm, FgsmMethod
-from services.attacks.loop import Budget, run
 from services.attacks.problem import AttackProblem, Evaluation
-from services.attacks.state import AttackState
-from services.attacks.verifier import Verifier
+from services.attacks.run import AttackState, Budget, Verifier, run
 from services.errors import Cancelled
 from tests.unit.attacks.small import Ahead, FreeRenderer, LinearTarget, problem
 
@@ -78,7 +76,7 @@ def test_a_success_ends_the_restarts() -> None:
 def test_a_resumed_attack_with_restarts_ends_in_the_same_result(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("services.attacks.checkpoint.EVERY", -1.0)  # after every step
+    monkeypatch.setattr("services.attacks.run.EVERY", -1.0)  # after every step
     whole = attack(case_of(), restarts=3)
     for lives in (6, 9, 13):  # dies within a restart, and at the beginning of one
         case = case_of()

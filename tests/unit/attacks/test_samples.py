@@ -6,17 +6,13 @@ import pytest
 import torch
 from torch import Tensor
 
+from services.attacks.attack import ATTACKS
 from services.attacks.differences import estimate, evaluate
 from services.attacks.expectation import Expectation
 from services.attacks.goal import ResolvedGoal
 from services.attacks.image_differences import ImageDifferences
-from services.attacks.loop import Budget, run
-from services.attacks.problem import AttackProblem, gradients
-from services.attacks.samples import mean_gradients, sample
-from services.attacks.spec import ATTACKS
-from services.attacks.state import AttackState
-from services.attacks.variations import draw_variation
-from services.attacks.verifier import Verifier
+from services.attacks.problem import AttackProblem, draw_variation, gradients
+from services.attacks.run import AttackState, Budget, Verifier, mean_gradients, run, sample
 from services.rendering.factory import build
 from services.rendering.variation import Variation, noisy
 from services.scenes.description import Scene

@@ -6,8 +6,8 @@ from typing import Literal
 import pytest
 from pydantic import BaseModel
 
+from services.attacks.attack import ATTACKS, AttackSettings, register
 from services.attacks.fgsm import Fgsm
-from services.attacks.spec import ATTACKS, AttackSettings, register
 from services.attacks.zoo import Zoo
 
 

@@ -4,12 +4,10 @@ import pytest
 import torch
 
 from services.attacks.apgd import Apgd, ApgdMethod
-from services.attacks.loop import Budget, run
 from services.attacks.masking import check_masking
 from services.attacks.problem import AttackProblem
+from services.attacks.run import AttackState, Budget, Verifier, run
 from services.attacks.square import Square, SquareMethod, square_side
-from services.attacks.state import AttackState
-from services.attacks.verifier import Verifier
 from tests.unit.attacks.small import Ahead, LinearTarget, Pixels, guided, problem
 
 EPSILON = 4 / 255

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from services.attacks.goal import ResolvedGoal
-from services.attacks.verifier import Verifier
+from services.attacks.run import Verifier
 from tests.unit.attacks.small import LinearRenderer
 
 

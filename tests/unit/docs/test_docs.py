@@ -7,7 +7,7 @@ import pytest
 from pydantic import BaseModel
 
 from api.main import create_app
-from services.attacks.spec import Goal
+from services.attacks.attack import Goal
 from services.pipeline import field_tables
 from services.rendering.torch_renderer.presets import presets
 from services.scenes.description import (

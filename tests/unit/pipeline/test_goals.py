@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 import torch
 
+from services.attacks.attack import MAX_LABELS, Goal
 from services.attacks.goal import ResolvedGoal
-from services.attacks.spec import MAX_LABELS, Goal
 from services.errors import InvalidRequest
 from services.pipeline import goal_labels, goals
 from services.pipeline.goals import Settled

@@ -6,8 +6,8 @@ from typing import Any, cast
 import torch
 from torch import Tensor
 
+from services.attacks.attack import Goal
 from services.attacks.goal import ResolvedGoal
-from services.attacks.spec import Goal
 from services.pipeline.question_result import outcome_of
 from services.pipeline.together import Together, goals_together
 from services.questions.answers import ANSWERS, KINDS

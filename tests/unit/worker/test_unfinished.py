@@ -11,7 +11,7 @@ from PIL import Image
 from safetensors.torch import load
 
 from services.analysis.images import pixels
-from services.attacks import checkpoint
+from services.attacks import run
 from services.jobs.artifacts import ArtifactStore
 from services.jobs.database import connect, migrate
 from services.jobs.models import Artifact, Job
@@ -36,7 +36,7 @@ FILES = [BEST_SO_FAR, CHECKPOINT, "attacked.png", "original.png", "perturbation.
 @pytest.fixture
 def repository(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Repository:
     """A record; checkpoints are written and the record is asked at every step."""
-    monkeypatch.setattr(checkpoint, "EVERY", -1.0)
+    monkeypatch.setattr(run, "EVERY", -1.0)
     monkeypatch.setattr(job_process, "REPORT_SECONDS", 0.0)
     monkeypatch.setattr(job_process, "POLL_SECONDS", 0.0)
     settings = Settings(data=tmp_path)

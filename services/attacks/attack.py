@@ -1,26 +1,100 @@
-"""The base class of all attacks' settings, the registry of attacks, and the goal of a request.
+"""The base class of all attacks' settings, the registry of attacks, and the goal of a request; torch-free.
 
 An attack is one file: it derives its settings from `AttackSettings`, writes its method as a class
 (services.attacks.method), and registers both with `@register(Settings)`. The request's union of attacks, the paths of
-errors, openapi.yaml and the tables in docs/scene.md follow from the registry. This module does not import torch.
+errors, openapi.yaml and the tables in docs/scene.md follow from the registry. `services.attacks.limits` applies the
+limits that are stated here.
 """
 
 import operator
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from math import isfinite
-from typing import Annotated, Any, Literal, Self, TypeVar, get_args, get_origin
+from math import isfinite, sqrt
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, get_args, get_origin
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from services.attacks.expectation import Expectation
-from services.attacks.limits import Limit, Limits
 from services.attacks.losses import Loss
 from services.extensions import Registry
-from services.rendering.declaration import MAX_STEP, RENDERERS
+from services.rendering.declaration import MAX_STEP, RENDERERS, Group
 from services.scenes.description import Model
 from services.suggestions import there_are
 from services.targets.info import LONGEST_LABEL
+
+Limit = Annotated[float, Field(gt=0, le=MAX_STEP, allow_inf_nan=False)]
+Value = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
+
+
+class Limits(Model):
+    """The limits that every attack's settings have: U, ε, bounds and restarts, and how they go together."""
+
+    truncation: Annotated[int, Field(ge=1, le=255)] | None = Field(
+        None,
+        description="U: largest change of an RGB value from the original inside the loop, in 1/255; null: no limit",
+    )
+    constraint: Literal["truncate", "backtrack", "epsilon"] = Field(
+        "truncate",
+        description="`truncate`: values of the image beyond U are clamped, as in the paper; `backtrack`: after each "
+        "step all parameters are pulled back towards the scene's own until no value is beyond U and p is within "
+        "`perceptibility`, so that image and scene agree; `epsilon`: there is no U, `epsilon` alone limits",
+    )
+    perceptibility: Annotated[float, Field(gt=0, le=sqrt(3), allow_inf_nan=False)] | None = Field(
+        None, description="with `backtrack`: the largest p of the image; null: no limit, U alone limits"
+    )
+    epsilon: dict[str, Limit] = Field(
+        default_factory=dict,
+        description="ε: largest change of a parameter from the scene's own value, by group, in the group's units; a "
+        "group that is left out has no limit, or, with a method that needs one, the limit that its renderer suggests",
+    )
+    bounds: dict[str, tuple[Value, Value]] = Field(
+        default_factory=dict,
+        description="smallest and largest value of the parameters, by group, in the group's units; the scene's own "
+        "values must be within",
+    )
+    restarts: Annotated[int, Field(ge=0, le=100)] = Field(
+        0,
+        description="further starts after an attempt of `steps` steps without success, each at a random point within "
+        "`epsilon`",
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _no_truncation_by_default(cls, data: Any) -> Any:
+        """Leaves out a default U where the request says that ε alone limits, where views or light vary, and through a
+        renderer without gradients: there objects move, and pixels at silhouettes exceed any U at once. Backtracking
+        needs a U, or a largest p.
+        """
+        if not isinstance(data, dict) or "truncation" in data:
+            return data
+        renderer = RENDERERS.get(str(data.get("renderer")))
+        moving = renderer is not None and not renderer.differentiable
+        varying = data.get("expectation") is not None
+        needed = data.get("constraint") == "backtrack" and data.get("perceptibility") is None
+        without = ((moving or varying) and not needed) or data.get("constraint") == "epsilon"
+        return data | {"truncation": None} if without else data
+
+    @model_validator(mode="after")
+    def _limits_agree(self) -> Self:
+        if self.constraint == "backtrack" and self.truncation is None and self.perceptibility is None:
+            raise ValueError(
+                "truncation: `backtrack` keeps every value of the image within U; give U, from 1 to 255, or "
+                "`perceptibility`"
+            )
+        if self.constraint != "backtrack" and self.perceptibility is not None:
+            raise ValueError('perceptibility: only `"constraint": "backtrack"` keeps p within a limit')
+        if self.constraint == "epsilon" and self.truncation is not None:
+            raise ValueError("truncation: with the constraint `epsilon` there is no U; leave it out")
+        for group, (low, high) in self.bounds.items():
+            if low >= high:
+                raise ValueError(f"bounds: those of group {group!r} are {low:g} and {high:g}; the first must be lower")
+        return self
+
+    @property
+    def needs_epsilon(self) -> bool:
+        """Whether each attacked group needs an ε."""
+        return self.constraint == "epsilon" or self.restarts > 0
+
 
 Rate = Annotated[float, Field(ge=0, le=MAX_STEP, allow_inf_nan=False)]
 MAX_LABELS = 1000
@@ -290,3 +364,119 @@ def register(settings: type[AttackSettings]) -> Callable[[MethodClass], MethodCl
         return method
 
     return decorate
+
+
+HALF_STEP = 1 / 16
+"""The default half-step, as a share of a group's scale."""
+STEPS_OF_SCALE = 60
+"""The scale of a group that has no ε, in the steps that its renderer suggests, and at least the ε that it suggests. For
+pyrender's light and colours it is 0.3, for positions 0.03 scene units, for rotations 0.1 radians; for the torch
+renderer's light and material 3, as their steps are small beside what fools."""
+
+
+def suggested(data: dict[str, Any], field: str, suggestion: Callable[[Group], float | None]) -> dict[str, Any]:
+    """Request data with the groups that `field`, an object by group, leaves out filled in by `suggestion`.
+
+    Data that is invalid is returned as it is; the field's own validation refuses it.
+    """
+    renderer = RENDERERS.get(str(data.get("renderer")))
+    given, attacked = data.get(field) or {}, data.get("groups")
+    if renderer is None or not isinstance(given, dict) or not isinstance(attacked, list | tuple):
+        return data
+    values = {group.name: suggestion(group) for group in renderer.groups if group.name in attacked}
+    return data | {field: {group: value for group, value in values.items() if value is not None} | given}
+
+
+def suggested_limits(data: dict[str, Any]) -> dict[str, Any]:
+    """Request data with each attacked group's `epsilon`, by default the limit that the renderer suggests."""
+    return suggested(data, "epsilon", lambda group: group.suggested_limit)
+
+
+def in_scale(data: dict[str, Any], field: str, share: float) -> dict[str, Any]:
+    """Request data with `field`, by default this share of each attacked group's scale: its ε, or without one the larger
+    of `STEPS_OF_SCALE` of the steps and the ε that its renderer suggests.
+    """
+    limits, given = data.get("epsilon") or {}, data.get(field) or {}
+    if not isinstance(limits, dict) or not isinstance(given, dict):
+        return data
+    values = {group: share * limit for group, limit in limits.items() if isinstance(limit, int | float)}
+    return suggested(data | {field: values | given}, field, lambda group: _scaled(group, share))
+
+
+def _scaled(group: Group, share: float) -> float | None:
+    if group.suggested_step is None:
+        return None
+    return share * max(STEPS_OF_SCALE * group.suggested_step, group.suggested_limit or 0.0)
+
+
+class SuggestedRates(AttackSettings):
+    """Settings of a method with a learning rate for each attacked group, by default the step its renderer suggests."""
+
+    learning_rate: dict[str, Rate] = Field(default_factory=dict)
+
+    @classmethod
+    def complete(cls, data: dict[str, Any]) -> dict[str, Any]:
+        """Fills in the learning rates that the renderer suggests for its groups."""
+        return suggested(data, "learning_rate", lambda group: group.suggested_step)
+
+    @model_validator(mode="after")
+    def _a_rate_for_each_group(self) -> Self:
+        self.check_groups("learning_rate", self.learning_rate)
+        return self
+
+
+class SearchWithinLimits(AttackSettings):
+    """Settings of a search that needs a limit: U, p, or an ε of each group, which its renderer suggests."""
+
+    epsilon: dict[str, Limit] = Field(
+        default_factory=dict,
+        description="ε: largest change of a parameter from the scene's own value, by group, in the group's units; a "
+        "group that is left out has no limit where `truncation` or `perceptibility` limits the search, else the limit "
+        "that its renderer suggests",
+    )
+
+    @classmethod
+    def complete(cls, data: dict[str, Any]) -> dict[str, Any]:
+        """Fills in the ε that the renderer suggests, unless U or p limits the search: an ε that nobody asked for would
+        then exclude perturbations that the limit allows.
+        """
+        limited = data.get("truncation") is not None or data.get("perceptibility") is not None
+        return data if limited else suggested_limits(data)
+
+    @model_validator(mode="after")
+    def _some_limit(self) -> Self:
+        if self.truncation is None and self.perceptibility is None:
+            self.check_groups("epsilon", self.epsilon)
+        return self
+
+
+class DifferencesWithinLimits(SearchWithinLimits):
+    """Settings of a method that takes differences within limits and moves by Adam; both steps follow from the scale of
+    each group: its ε, or what the renderer suggests.
+    """
+
+    rate_in_scale: ClassVar[float] = 1 / 16
+    """The default learning rate, as a share of a group's scale."""
+
+    delta: dict[str, Limit] = Field(
+        default_factory=dict,
+        description="half-step of the difference of each group, in the group's units; default: 1/16 of its `epsilon`, "
+        "without one 3.75 of the steps that its renderer suggests",
+    )
+    learning_rate: dict[str, Rate] = Field(
+        default_factory=dict,
+        description="Adam's learning rate of each group, in the group's units; default: 1/16 of its `epsilon`, without "
+        "one 3.75 of the steps that its renderer suggests",
+    )
+
+    @classmethod
+    def complete(cls, data: dict[str, Any]) -> dict[str, Any]:
+        """Fills in the limits that the search needs, and both steps."""
+        data = in_scale(super().complete(data), "delta", HALF_STEP)
+        return in_scale(data, "learning_rate", cls.rate_in_scale)
+
+    @model_validator(mode="after")
+    def _a_value_for_each_group(self) -> Self:
+        self.check_groups("delta", self.delta)
+        self.check_groups("learning_rate", self.learning_rate)
+        return self

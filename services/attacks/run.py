@@ -1,29 +1,265 @@
-"""The loop that runs every attack: evaluate, verify, stop or advance."""
+"""The loop that runs every attack: evaluate, verify, stop or advance; its state, its verifier and its checkpoint."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, replace
 from math import sqrt
 from pathlib import Path
 from time import monotonic
 from typing import Any
 
 import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
 from torch import Tensor
 
-from services.attacks import checkpoint
-from services.attacks.contract import check_count, check_settings, check_state
+from services import atomic_write
+from services.attacks.goal import ResolvedGoal
 from services.attacks.image_differences import ImageDifferences
 from services.attacks.method import Method
-from services.attacks.problem import AttackProblem, Evaluation, distances, gradients
-from services.attacks.quantize import quantize
-from services.attacks.samples import Sampled, mean_gradients, sample
-from services.attacks.state import AttackState
+from services.attacks.problem import (
+    AttackProblem,
+    Evaluation,
+    check_count,
+    check_images,
+    check_scores,
+    check_settings,
+    check_state,
+    distances,
+    gradients,
+    quantize,
+)
 from services.attacks.trace import TraceRow
-from services.attacks.verifier import Verifier
 from services.errors import named
+from services.rendering.color import from_bytes, to_bytes
 from services.rendering.image_error import ImageError
-from services.rendering.protocol import Parameters
+from services.rendering.protocol import Parameters, Renderer
+from services.rendering.variation import Variation, noisy, varied
+from services.targets.protocol import Target
 from services.targets.scores import probability
+
+
+@dataclass
+class AttackState:
+    """The loop's state. Together with the method's state it is enough to resume the attack."""
+
+    step: int = 0
+    restart: int = 0
+    """Number of the present start."""
+    began: int = 0
+    """The step at which it began."""
+    trace: list[TraceRow] = field(default_factory=list)
+    settings: dict[str, object] = field(default_factory=dict)
+    ever: Tensor = field(default_factory=lambda: torch.zeros(0, 0, dtype=torch.bool))
+    """Pixels that were ever truncated, bool [H, W]."""
+    below_noise: int = 0
+    """The number that `Method.advance` returned last."""
+    seconds: float = 0.0
+    stopped: str = ""
+    fooled: bool = False
+    verified: bool = False
+    stored_step: int = 0
+    sampled_error: tuple[float, float] | None = None
+    """The renderer's `sampled_error` until the last checkpoint, mean and share."""
+    stored: Parameters = field(default_factory=dict)
+    """The perturbation to store: the verified one, else the last that met the goal inside the loop, else the one
+    with the smallest advantage."""
+    image: Tensor = field(default_factory=lambda: torch.zeros(0, 0, 3, dtype=torch.uint8))
+    """The loop's image of the stored perturbation, truncated and rounded, uint8 [H, W, 3]."""
+    scores: Tensor = field(default_factory=lambda: torch.zeros(0))
+    """The network's scores of that image, [K]."""
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """The answers to a perturbation under the variations of a step."""
+
+    logits: Tensor
+    """Scores of the images rounded to 8 bits, [samples, K]."""
+    gradients: list[Parameters]
+    """∂objective/∂perturbation of each, by group; none if no gradient was asked for."""
+
+    def answers(self, of_scene: Tensor) -> Tensor:
+        """The scores of the scene itself, [K], and of its variations: [1 + samples, K]."""
+        return torch.cat([of_scene[None], self.logits]) if len(self.logits) else of_scene[None]
+
+
+def sample(problem: AttackProblem, view: Evaluation, gradient: bool) -> Sampled:
+    """Asks the network about a perturbation under each variation of the step, with gradients if `gradient`.
+
+    Takes a query and an image for each variation. Raises as `AttackProblem.view` and `AttackProblem.logits` do.
+    """
+    rows, found = [], []
+    for variation in problem.variations:
+        with problem.under(variation), torch.set_grad_enabled(gradient):
+            own = problem.view(view.perturbation, gradient)
+            logits = problem.logits(quantize(own.images)[1])
+            if gradient:
+                found.append(gradients(problem, own, logits))
+        rows.append(logits.detach())
+    return Sampled(torch.cat(rows) if rows else torch.zeros(0, len(problem.target.labels)), found)
+
+
+def mean_gradients(of_scene: Parameters, sampled: Sampled) -> Parameters:
+    """The mean of the gradients at the scene itself and at its variations, by group."""
+    count = 1 + len(sampled.gradients)
+    return {group: sum((one[group] for one in sampled.gradients), own) / count for group, own in of_scene.items()}
+
+
+@dataclass
+class Verifier:
+    """Answers for stored perturbations; never sees the loop's own images. Counts what it asks and renders.
+
+    Raises JobFailure for what is no image, and for what are no scores (`contract`).
+    """
+
+    renderer: Renderer
+    target: Target
+    question: str | None = None
+    queries: int = 0
+    renders: int = 0
+
+    @torch.no_grad()
+    def render(self, perturbation: Mapping[str, Tensor], variation: Variation | None = None) -> Tensor:
+        """The exact image [H, W, 3] in [0,1], not yet rounded. Groups left out are unperturbed; {} is the original.
+
+        With a variation it is the image of the scene from that view and in that light.
+        """
+        exact = self.renderer.exact()
+        start = exact.initial()
+        changed = {g: (start[g] + perturbation[g].to(start[g].dtype))[None] for g in perturbation}
+        self.renders += 1
+        # always the whole parameter set: the same computation, bit for bit, for every subset of the groups
+        parameters = {g: changed.get(g, start[g][None]) for g in exact.groups}
+        with named(f"renderer {exact.name!r}"):
+            images = exact.render(parameters if variation is None else varied(exact, parameters, variation))
+        check_images(exact, images, 1)
+        return images[0] if variation is None else noisy(images, variation)[0]
+
+    def image(self, perturbation: Mapping[str, Tensor], variation: Variation | None = None) -> Tensor:
+        """The exact image rounded to 8 bits, uint8 [H, W, 3], on the CPU."""
+        return to_bytes(self.render(perturbation, variation)).cpu()
+
+    @torch.no_grad()
+    def logits(self, image: Tensor) -> Tensor:
+        """Scores [K] of an image, uint8 [H, W, 3]. The batch is always of one image, so that no other changes bits."""
+        self.queries += 1
+        with named(f"target {self.target.name!r}"):
+            logits = self.target.logits(from_bytes(image)[None], self.question)
+        check_scores(self.target, logits, 1)
+        return logits[0]
+
+    def fooled(self, perturbation: Mapping[str, Tensor], goal: ResolvedGoal) -> bool:
+        """Whether the network's answer to the exact image of the perturbation meets the goal."""
+        return bool(goal.fooled(self.logits(self.image(perturbation))))
+
+
+EVERY = 2.0
+"""Seconds between checkpoints."""
+COUNTS = 5
+"""Counts that a checkpoint keeps."""
+_WORDS = "step restart began settings below_noise seconds stopped fooled verified stored_step sampled_error"
+_PLAIN = tuple(_WORDS.split())
+_BACKENDS = "backends"
+
+
+def save(path: Path, run: AttackState, problem: AttackProblem, method: Method, verifier: Verifier) -> None:
+    """Writes the loop's state, the method's state, and the query and render counts of `problem` and `verifier`."""
+    tensors = {f"method.{name}": value for name, value in method.state().items()}
+    tensors |= {f"stored.{group}": value for group, value in run.stored.items()}
+    tensors |= {"ever": run.ever, "image": run.image, "scores": run.scores}
+    words = {name: getattr(run, name) for name in _PLAIN}
+    words["trace"] = [row.model_dump() for row in run.trace]
+    words["counts"] = [
+        problem.queries,
+        problem.renders,
+        problem.surrogate_queries,
+        verifier.queries,
+        verifier.renders,
+    ]
+    words[_BACKENDS] = _backends(problem, verifier)
+    with atomic_write.replacing(path) as part:
+        # safetensors saves no two tensors that share memory, as a method's may
+        save_file(
+            {name: value.detach().clone(memory_format=torch.contiguous_format) for name, value in tensors.items()},
+            part,
+            {"run": json.dumps(words)},
+        )
+
+
+def load(path: Path | None, problem: AttackProblem, method: Method, verifier: Verifier) -> AttackState | None:
+    """Returns the saved state of the loop, or None if `path` is None, missing, damaged, of an earlier version, or of
+    other backends: a machine whose images differ in their last bits does not go on where another one stopped.
+
+    Also loads the method's state into `method`, and the counts into `problem` and `verifier`. After None the attack
+    starts again and ends in the same result.
+    """
+    if path is None or not path.exists():
+        return None
+    try:
+        with safe_open(path, "pt") as file:
+            words = _words(file)
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
+    except (SafetensorError, KeyError, ValueError, OSError):
+        return None
+    if not words.keys() >= {*_PLAIN, _BACKENDS} or len(words["counts"]) != COUNTS:  # an earlier version's
+        return None
+    if words[_BACKENDS] != _backends(problem, verifier):
+        return None
+    run = AttackState(**{name: words[name] for name in _PLAIN})
+    assert {field.name for field in fields(run)} == {*_PLAIN, "trace", "ever", "stored", "image", "scores"}
+    run.trace = [TraceRow(**row) for row in words["trace"]]
+    run.ever, run.image, run.scores = tensors["ever"], tensors["image"], tensors["scores"]
+    # the file has them sorted by name; the result lists its subsets and shares in the problem's order
+    run.stored = {group: tensors[f"stored.{group}"] for group in problem.groups}
+    method.load({n.removeprefix("method."): v for n, v in tensors.items() if n.startswith("method.")})
+    problem.queries, problem.renders, problem.surrogate_queries, *of_verifier = words["counts"]
+    verifier.queries, verifier.renders = of_verifier
+    return run
+
+
+@dataclass(frozen=True)
+class Best:
+    """The perturbation that an attack would store if it ended at its checkpoint."""
+
+    stored: Parameters
+    stored_step: int
+    step: int
+    """The last step before the checkpoint."""
+    queries: int
+    """Images that the target had classified by then."""
+
+
+def best(path: Path) -> Best | None:
+    """The best perturbation of a checkpoint; None if there is none or it is damaged."""
+    try:
+        with safe_open(path, "pt") as file:
+            words = _words(file)
+            names = [name for name in file.keys() if name.startswith("stored.")]  # noqa: SIM118 - not a mapping
+            stored = {name.removeprefix("stored."): file.get_tensor(name) for name in names}
+        last = words["trace"][-1]
+        return Best(stored, words["stored_step"], last["step"], last["queries"]) if stored else None
+    except (SafetensorError, LookupError, ValueError, OSError):
+        return None
+
+
+def saved_step(path: Path) -> int:
+    """The step that a checkpoint was saved at; -1 if there is none or it is damaged."""
+    try:
+        with safe_open(path, "pt") as file:
+            return int(_words(file)["step"])
+    except (SafetensorError, KeyError, ValueError, OSError):
+        return -1
+
+
+def _words(file: Any) -> dict[str, Any]:
+    words: dict[str, Any] = json.loads((file.metadata() or {})["run"])
+    return words
+
+
+def _backends(problem: AttackProblem, verifier: Verifier) -> list[str]:
+    return [problem.renderer.backend, verifier.renderer.backend, problem.target.backend]
+
 
 DIFFERENCES = "image_differences"
 """Name among a result's settings of those of `ImageDifferences`."""
@@ -107,7 +343,7 @@ class _Running:
     def begin_or_resume(self) -> AttackState:
         """The state, from the checkpoint if there is one; else the method is started."""
         with named(self.name):
-            saved = checkpoint.load(self.checkpoint_path, self.problem, self.method, self.verifier)
+            saved = load(self.checkpoint_path, self.problem, self.method, self.verifier)
         self.state = saved or AttackState(ever=torch.zeros(self.problem.renderer.size, dtype=torch.bool))
         for number in range(1, self.state.restart + 1):
             self.problem.restart(number)
@@ -249,8 +485,8 @@ class _Running:
         state, self.state.seconds = self.state, self.seconds
         sampled = sampled_error(state, self.problem)
         state.sampled_error = None if sampled is None else (sampled.mean, sampled.share)
-        if self.checkpoint_path is not None and monotonic() - self.last_saved > checkpoint.EVERY:
-            checkpoint.save(self.checkpoint_path, state, self.problem, self.method, self.verifier)
+        if self.checkpoint_path is not None and monotonic() - self.last_saved > EVERY:
+            save(self.checkpoint_path, state, self.problem, self.method, self.verifier)
             self.last_saved = monotonic()
 
 
