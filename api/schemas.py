@@ -1,23 +1,38 @@
-"""The schemas of the API's responses."""
+"""The schemas of the API's responses. The Python client reads answers into them, so that nothing here imports the
+database or the framework.
+"""
 
 import base64
 import binascii
+from dataclasses import asdict
 from datetime import datetime
-from typing import Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, Field, model_validator
 
+from services.analysis.records import Rerendering
+from services.analysis.requests import RerenderingRequest
 from services.errors import InvalidRequest, without_folders
-from services.extensions import Extension
-from services.jobs.listed_job import ListedJob
-from services.jobs.models import Artifact, Campaign, Job, State, times_of
 from services.jobs.placement import Priority
+from services.jobs.states import CampaignState, State, times_of
+from services.pipeline.campaign_plan import ChosenView
+from services.pipeline.campaign_spec import CampaignSpec
+from services.pipeline.job_plan import JobPlan
 from services.pipeline.outcome import Outcome
+from services.pipeline.preview_record import Cost, Preview
 from services.pipeline.result import Result
-from services.pipeline.spec import JobSpec
-from services.pipeline.target_folders import TargetFolder
+from services.pipeline.spec import JobSpec, TargetChoice
 from services.pipeline.warning import JobWarning
+from services.scenes.description import Model, Scene
 from services.scenes.library import Entry
+from services.targets.info import TargetInfo
+
+if TYPE_CHECKING:
+    from services.extensions import Extension
+    from services.jobs.campaigns import Counts, Progress
+    from services.jobs.listed_job import ListedJob
+    from services.jobs.models import Artifact, Campaign, CampaignJob, Job
+    from services.pipeline.target_folders import TargetFolder
 
 
 class BadField(BaseModel):
@@ -82,7 +97,7 @@ class JobSummary(BaseModel):
     )
 
     @classmethod
-    def listed(cls, job: ListedJob) -> Self:
+    def listed(cls, job: "ListedJob") -> Self:
         """The summary of a job in a list."""
         return cls(**_fields(job))
 
@@ -98,12 +113,12 @@ class JobView(JobSummary):
     result: Result | None = Field(description="the result, once the job succeeded")
 
     @classmethod
-    def of(cls, job: Job, with_result: bool = False) -> Self:
+    def of(cls, job: "Job", with_result: bool = False) -> Self:
         """The view of a job in the database; `with_result` requires that the job was read with its result."""
         return cls(**_fields(job), spec=job.spec, note=job.note, result=job.result if with_result else None)
 
 
-def _fields(job: Job | ListedJob) -> dict:  # type: ignore[type-arg]
+def _fields(job: "Job | ListedJob") -> dict:  # type: ignore[type-arg]
     progress = failure = None
     if job.phase is not None:
         progress = {"phase": job.phase, "step": job.step, "steps": job.steps}
@@ -145,6 +160,39 @@ class JobPage(BaseModel):
     previous: str | None = Field(None, description="`cursor` of the page before this one; null on the first")
 
 
+class JobRow(BaseModel):
+    """A line of the table of jobs. The fields from `outcome` to `seconds` are null until the job has succeeded."""
+
+    id: str
+    title: str | None = Field(description="the name that a person gave the job")
+    name: str
+    scene: str
+    renderer: str
+    method: str
+    target: str
+    question: str | None
+    state: State
+    outcome: str | None
+    verified: bool | None = Field(description="whether the adversary is a success: verified on the exact image")
+    before: str | None = Field(description="what the network said before the attack")
+    after: str | None = Field(description="what the network said after the attack")
+    p: float | None = Field(description="perceptibility as a number, not in thousandths")
+    queries: int | None
+    seconds: float | None = Field(description="run time")
+    seed: int
+    tags: list[str]
+    retry_of: str | None
+    campaign: str | None
+    created: datetime
+    ended: datetime | None
+
+
+class JobTable(BaseModel):
+    """Every job that meets a query."""
+
+    items: list[JobRow]
+
+
 class ArtifactView(BaseModel):
     """A file of a finished job."""
 
@@ -154,7 +202,7 @@ class ArtifactView(BaseModel):
     size: int = Field(description="bytes")
 
     @classmethod
-    def of(cls, artifact: Artifact) -> Self:
+    def of(cls, artifact: "Artifact") -> Self:
         """The view of an artifact in the database."""
         return cls(name=artifact.name, sha256=artifact.sha256, media_type=artifact.media_type, size=artifact.size)
 
@@ -163,6 +211,44 @@ class ArtifactList(BaseModel):
     """The files of a job that has ended, or the checkpoint from which it is to go on."""
 
     items: list[ArtifactView]
+
+
+class PreviewView(Preview):
+    """The preview of a request."""
+
+    png: str = Field(description="the image of the scene as a PNG file in base64")
+    plan: JobPlan | None = Field(description="how the attack's images would be made; null if it was not asked for")
+    cost: Cost | None = Field(description="what the attack costs; null without the plan")
+
+
+class ImageOfScene(Model):
+    """An image: its bytes, or a file of a finished job."""
+
+    data: str | None = Field(None, description="a PNG, JPEG or WebP file in base64, of the size of the scene's camera")
+    job: str | None = Field(None, max_length=100, description="the id of a finished job")
+    artifact: str = Field("attacked.png", max_length=100, description="the name of the job's file")
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> "ImageOfScene":
+        if (self.data is None) == (self.job is None):
+            raise ValueError("give either `data` or `job`")
+        return self
+
+
+class RerenderingBody(Model):
+    """An image of a known scene, and the network to defend."""
+
+    image: ImageOfScene
+    scene: Scene | None = Field(None, description="the scene of the image; default: that of the job, if one is given")
+    target: TargetChoice | None = Field(None, description="the network; default: that of the job, else the default one")
+    fit: RerenderingRequest = RerenderingRequest()
+
+
+class RerenderingView(BaseModel):
+    """The network's answers to the image and to the rendering of the scene fitted to it."""
+
+    rerendering: Rerendering
+    png: str = Field(description="the rendering as a PNG file in base64")
 
 
 class Uploaded(Entry):
@@ -190,6 +276,12 @@ class SceneLibrary(BaseModel):
     credits: list[str] = Field(description="creators and licences of the meshes and maps listed here")
 
 
+class TargetList(BaseModel):
+    """The networks that can be attacked."""
+
+    items: list[TargetInfo]
+
+
 class Health(BaseModel):
     """The answer of a process that is alive."""
 
@@ -205,7 +297,7 @@ class ExtensionView(BaseModel):
     error: str | None = Field(description="the reason for which it was left out; null if it was loaded")
 
     @classmethod
-    def of(cls, extension: Extension) -> Self:
+    def of(cls, extension: "Extension") -> Self:
         """The view of a loaded file."""
         adds = sorted(f"{kind} {name}" for kind, name in extension.adds)
         return cls(file=extension.name, sha256=extension.sha256, adds=adds, error=_shown(extension.error))
@@ -219,7 +311,7 @@ class TargetFolderView(BaseModel):
     error: str | None = Field(description="the reason for which it is no target; null if it is one")
 
     @classmethod
-    def of(cls, folder: TargetFolder) -> Self:
+    def of(cls, folder: "TargetFolder") -> Self:
         """The view of a folder."""
         return cls(name=folder.name, card_sha256=folder.card_sha256, error=_shown(folder.error))
 
@@ -246,7 +338,7 @@ def _shown(error: str | None) -> str | None:
     return None if error is None else without_folders(error)
 
 
-def cursor_after(campaign: Campaign) -> str:
+def cursor_after(campaign: "Campaign") -> str:
     """The cursor of the page that begins after this campaign."""
     return base64.urlsafe_b64encode(f"{campaign.created_at.isoformat()} {campaign.id}".encode()).decode().rstrip("=")
 
@@ -263,3 +355,127 @@ def read_cursor(cursor: str) -> tuple[datetime, str]:
     except (ValueError, binascii.Error) as error:
         raise InvalidRequest("cursor", "take it from `next` of the page before") from error
     return place, job_id
+
+
+class CampaignProgress(BaseModel):
+    """How far a campaign is: first in views, then in jobs."""
+
+    views: int = Field(description="views that the networks are asked for")
+    answered: int = Field(description="views whose first answer is known")
+    jobs: int = Field(description="jobs on the chosen views; 0 until they are chosen")
+    ended: int = Field(description="jobs that have ended")
+    running: int = Field(description="jobs and parts of the selection that are running now")
+
+
+class CampaignSummary(BaseModel):
+    """A campaign, as lists show it."""
+
+    id: str
+    name: str
+    state: CampaignState = Field(description="finished means that all its jobs have ended, however they did")
+    created: datetime
+    selected: datetime | None = Field(description="the time at which the views were chosen")
+    paused: datetime | None
+    ended: datetime | None
+    failure: str | None = Field(description="why the campaign cannot go on")
+    progress: CampaignProgress
+
+    @classmethod
+    def of(cls, campaign: "Campaign", progress: "Progress") -> Self:
+        """The summary of a campaign in the database."""
+        return cls(**_campaign_fields(campaign, progress))
+
+
+class CampaignView(CampaignSummary):
+    """A campaign with its request and its results so far."""
+
+    spec: Annotated[CampaignSpec | dict[str, Any], Field(union_mode="left_to_right")] = Field(
+        description="the request with the values of all fields filled in"
+    )
+    chosen: int = Field(description="views that are attacked; 0 until they are chosen")
+    outcomes: dict[str, int] = Field(description="number of jobs of each outcome so far")
+    successes: int = Field(description="jobs so far that fooled a network that was right, verified")
+    reused: int = Field(description="jobs so far whose result was there already")
+    seconds_left: float | None = Field(description="estimated from the jobs that have ended; null before that")
+
+    @classmethod
+    def of_whole(cls, campaign: "Campaign", progress: "Progress", counts: "Counts") -> Self:
+        """The view of a campaign that was read whole."""
+        chosen = sum(bool(view["chosen"]) for view in campaign.views or [])
+        return cls(**_campaign_fields(campaign, progress), spec=campaign.spec, chosen=chosen, **asdict(counts))
+
+    @classmethod
+    def accepted(cls, campaign: "Campaign", spec: CampaignSpec) -> Self:
+        """The view of a campaign when it was accepted, whatever has become of it since."""
+        from services.jobs.campaigns import Progress  # imports the database, which a client has not
+
+        begun = {"state": CampaignState.SELECTING, "selected": None, "paused": None, "ended": None, "failure": None}
+        fields = _campaign_fields(campaign, Progress(0, 0, 0, 0)) | begun
+        return cls(**fields, spec=spec, chosen=0, outcomes={}, successes=0, reused=0, seconds_left=None)
+
+
+class CampaignPage(BaseModel):
+    """A page of the list of campaigns, newest first."""
+
+    items: list[CampaignSummary]
+    next: str | None = Field(description="`cursor` of the page after this one; null on the last")
+
+
+class ViewList(BaseModel):
+    """All views of a campaign, with the networks' first answers; empty until they are known."""
+
+    items: list[ChosenView]
+
+
+class CampaignJobView(BaseModel):
+    """A job that a campaign has planned."""
+
+    number: int
+    target: str
+    attack: str = Field(description="name of the attack in the campaign")
+    view: int = Field(description="number of the view")
+    job: str | None = Field(description="id of the job; null until it is queued")
+    state: State | None = Field(description="state of the job; null until it is queued")
+    reused: bool = Field(description="whether the job is an earlier one of the same request")
+    outcome: Outcome | None = Field(description="the job's outcome, once it succeeded")
+
+    @classmethod
+    def of(cls, planned: "CampaignJob", job: "Job | None") -> Self:
+        """The view of a planned job and of the job in the database."""
+        return cls(
+            number=planned.number,
+            target=planned.target,
+            attack=planned.attack,
+            view=planned.view,
+            job=planned.job_id,
+            state=None if job is None else job.state,
+            reused=planned.reused,
+            outcome=None if job is None or job.outcome is None else Outcome.model_validate(job.outcome),
+        )
+
+
+class CampaignJobPage(BaseModel):
+    """A page of a campaign's jobs, in the order in which they are queued."""
+
+    items: list[CampaignJobView]
+    next: int | None = Field(description="`after` of the page after this one; null on the last")
+
+
+def _campaign_fields(campaign: "Campaign", progress: "Progress") -> dict[str, Any]:
+    return {
+        "id": campaign.id,
+        "name": campaign.name,
+        "state": campaign.state,
+        "created": campaign.created_at,
+        "selected": campaign.selected_at,
+        "paused": campaign.paused_at,
+        "ended": campaign.ended_at,
+        "failure": campaign.failure,
+        "progress": {
+            "views": campaign.view_count,
+            "answered": progress.views_answered,
+            "jobs": progress.jobs,
+            "ended": progress.ended,
+            "running": progress.running,
+        },
+    }

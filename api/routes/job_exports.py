@@ -5,20 +5,19 @@ import io
 import json
 import re
 from collections.abc import Iterator
-from datetime import datetime
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Query
 from fastapi.responses import StreamingResponse
-from pydantic import AfterValidator, BaseModel, Field, WithJsonSchema
+from pydantic import AfterValidator, WithJsonSchema
 
 from api.authentication import CallerDependency
 from api.routes.jobs import NEWEST, QueryText, Sort
+from api.schemas import JobRow, JobTable
 from api.state import Services, ServicesDependency
 from services.access.caller import Caller
 from services.jobs.job_query import Term, parse_query
 from services.jobs.listed_job import ListedJob
-from services.jobs.models import State
 
 AT_ONCE = 500
 """Jobs that are read from the database at once."""
@@ -34,39 +33,6 @@ JobId = Annotated[str, AfterValidator(_job_id), WithJsonSchema({"type": "string"
 Ticked = Annotated[list[JobId] | None, Query(max_length=200, description="ids of jobs, if only these are wanted")]
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
-
-
-class JobRow(BaseModel):
-    """A line of the table of jobs. The fields from `outcome` to `seconds` are null until the job has succeeded."""
-
-    id: str
-    title: str | None = Field(description="the name that a person gave the job")
-    name: str
-    scene: str
-    renderer: str
-    method: str
-    target: str
-    question: str | None
-    state: State
-    outcome: str | None
-    verified: bool | None = Field(description="whether the adversary is a success: verified on the exact image")
-    before: str | None = Field(description="what the network said before the attack")
-    after: str | None = Field(description="what the network said after the attack")
-    p: float | None = Field(description="perceptibility as a number, not in thousandths")
-    queries: int | None
-    seconds: float | None = Field(description="run time")
-    seed: int
-    tags: list[str]
-    retry_of: str | None
-    campaign: str | None
-    created: datetime
-    ended: datetime | None
-
-
-class JobTable(BaseModel):
-    """Every job that meets a query."""
-
-    items: list[JobRow]
 
 
 COLUMNS = tuple(JobRow.model_fields)

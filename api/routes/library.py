@@ -3,22 +3,15 @@
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Response
-from pydantic import BaseModel
 
 from api.authentication import CallerDependency
-from api.schemas import SceneLibrary
+from api.schemas import SceneLibrary, TargetList
 from api.state import ServicesDependency
-from services.targets.info import TargetInfo, available
+from services.targets.info import available
 
 router = APIRouter(prefix="/v1")
 
 Filter = Annotated[str | None, Query(max_length=200)]
-
-
-class TargetList(BaseModel):
-    """The networks that can be attacked."""
-
-    items: list[TargetInfo]
 
 
 @router.get("/scenes", tags=["assets"], response_model=SceneLibrary)

@@ -3,28 +3,19 @@
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query, Request
-from pydantic import Field
 from starlette.concurrency import run_in_threadpool
 
 from api.authentication import CallerDependency
 from api.bodies import body_of
 from api.routes.connection import while_connected
 from api.routes.jobs import client_of, json_body
+from api.schemas import PreviewView
 from api.state import ServicesDependency, names_of
-from services.pipeline.job_plan import JobPlan
 from services.pipeline.names_known import check_names
-from services.pipeline.preview_record import Cost, PlannedCost, Preview
+from services.pipeline.preview_record import PlannedCost
 from services.pipeline.spec import JobSpec
 
 router = APIRouter(prefix="/v1/preview", tags=["jobs"])
-
-
-class PreviewView(Preview):
-    """The preview of a request."""
-
-    png: str = Field(description="the image of the scene as a PNG file in base64")
-    plan: JobPlan | None = Field(description="how the attack's images would be made; null if it was not asked for")
-    cost: Cost | None = Field(description="what the attack costs; null without the plan")
 
 
 @router.post("", dependencies=[Depends(json_body)])

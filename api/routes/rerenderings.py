@@ -4,7 +4,6 @@ import binascii
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Request
-from pydantic import BaseModel, Field, model_validator
 from starlette.concurrency import run_in_threadpool
 
 from api.authentication import CallerDependency
@@ -12,46 +11,14 @@ from api.bodies import body_of
 from api.rerenderer import decoded
 from api.routes.connection import while_connected
 from api.routes.jobs import json_body
+from api.schemas import RerenderingBody, RerenderingView
 from api.state import Services, ServicesDependency, names_of, no_such
 from services.access.caller import Caller
-from services.analysis.records import Rerendering
-from services.analysis.requests import RerenderingRequest
 from services.errors import InvalidRequest
 from services.pipeline.names_known import check_names
-from services.pipeline.spec import JobSpec, TargetChoice
-from services.scenes.description import Model, Scene
+from services.pipeline.spec import JobSpec
 
 router = APIRouter(prefix="/v1/rerenderings", tags=["defences"])
-
-
-class ImageOfScene(Model):
-    """An image: its bytes, or a file of a finished job."""
-
-    data: str | None = Field(None, description="a PNG, JPEG or WebP file in base64, of the size of the scene's camera")
-    job: str | None = Field(None, max_length=100, description="the id of a finished job")
-    artifact: str = Field("attacked.png", max_length=100, description="the name of the job's file")
-
-    @model_validator(mode="after")
-    def _one_of_two(self) -> "ImageOfScene":
-        if (self.data is None) == (self.job is None):
-            raise ValueError("give either `data` or `job`")
-        return self
-
-
-class RerenderingBody(Model):
-    """An image of a known scene, and the network to defend."""
-
-    image: ImageOfScene
-    scene: Scene | None = Field(None, description="the scene of the image; default: that of the job, if one is given")
-    target: TargetChoice | None = Field(None, description="the network; default: that of the job, else the default one")
-    fit: RerenderingRequest = RerenderingRequest()
-
-
-class RerenderingView(BaseModel):
-    """The network's answers to the image and to the rendering of the scene fitted to it."""
-
-    rerendering: Rerendering
-    png: str = Field(description="the rendering as a PNG file in base64")
 
 
 @router.post("", dependencies=[Depends(json_body)])

@@ -22,9 +22,8 @@ from services.jobs.placement import Priority
 from services.jobs.states import CampaignState as CampaignState
 from services.jobs.states import JobKind as JobKind
 from services.jobs.states import State as State
+from services.jobs.states import times_of
 from services.jobs.utc_time import UtcTime
-
-_TIMES = [(state.value, f"{state.value}_at") for state in State]
 
 
 def _words(kind: type[StrEnum]) -> Enum:
@@ -164,11 +163,6 @@ class Job(Base):
     def times(self) -> dict[str, datetime]:
         """The last time at which the job entered each state, in the order of the states."""
         return times_of(self)
-
-
-def times_of(job: Any) -> dict[str, datetime]:
-    """The last time at which a job entered each state, in the order of the states."""
-    return {state: time for state, column in _TIMES if (time := getattr(job, column)) is not None}
 
 
 class JobTag(Base):

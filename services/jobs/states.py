@@ -1,6 +1,8 @@
 """The states of jobs and campaigns, and the kinds of jobs."""
 
+from datetime import datetime
 from enum import StrEnum
+from typing import Any
 
 
 class State(StrEnum):
@@ -20,6 +22,11 @@ class State(StrEnum):
     def terminal(self) -> bool:
         """Whether the job has ended, so that its state cannot change any more."""
         return self in (State.SUCCEEDED, State.FAILED, State.REJECTED, State.CANCELLED)
+
+
+def times_of(job: Any) -> dict[str, datetime]:
+    """The last time at which a job entered each state, in the order of the states."""
+    return {state.value: time for state in State if (time := getattr(job, f"{state.value}_at")) is not None}
 
 
 class CampaignState(StrEnum):
