@@ -14,9 +14,7 @@ from services.pipeline.campaign_plan import (
     PlannedJob,
     View,
     case_of,
-    choose,
-    filled,
-    jobs,
+    plan,
     views,
 )
 from services.pipeline.campaign_spec import CampaignSpec
@@ -39,8 +37,8 @@ def of_folder(folder: Path) -> Record:
     found = views(campaign)
     lines = (folder / "first_answers.jsonl").read_text("utf-8").splitlines()
     answers = {one.view: one for one in map(FirstAnswer.model_validate_json, lines)}
-    chosen = [one.number for one in choose(found, answers) if one.chosen]
-    planned = list(jobs(campaign, [filled(found[number], answers[number].spec) for number in chosen]))
+    every, planned = plan(campaign, found, answers)
+    chosen = [view.number for view in every if view.chosen]
     requests: list[str] = json.loads((folder / "jobs.json").read_text("utf-8"))
     results = [_result(folder, request) for request in requests]
     there = [result for result in results if result is not None]
@@ -89,7 +87,7 @@ def _job(job: PlannedJob, request: str, result: Result | None, answer: FirstAnsw
     }
     if result is None:
         return Job(**about, state="failed")
-    case = case_of(result, job.target, job.attack, run_seconds=None, reused=False)
+    case = case_of(job, result)
     return Job(
         **about,
         after=result.attacked.label,

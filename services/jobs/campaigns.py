@@ -37,19 +37,16 @@ from services.pipeline.campaign_plan import (
     FirstAnswer,
     View,
     case_of,
-    choose,
     curves_of,
     curves_record,
-    filled,
-    jobs,
     meshes_in,
+    plan,
     reusable,
     unfinished,
     views,
 )
 from services.pipeline.campaign_spec import CampaignSpec
 from services.pipeline.result import Result
-from services.pipeline.spec import digest
 
 
 @dataclass(frozen=True)
@@ -64,43 +61,6 @@ class EndedJob:
     seed: int
     job: str | None
     case: Case
-
-
-class CampaignCases(Transactions):
-    """Reads the record by case."""
-
-    def ended(self, campaign_id: str) -> list[EndedJob]:
-        """The jobs of a campaign that have ended, in their order."""
-        query = (
-            select(
-                CampaignJob.number,
-                CampaignJob.view,
-                CampaignJob.job_id,
-                CampaignJob.case,
-                CampaignJob.spec["seed"].as_integer().label("seed"),
-            )
-            .where(CampaignJob.campaign_id == campaign_id, CampaignJob.ended)
-            .order_by(CampaignJob.number)
-        )
-        with self._read() as session:
-            rows = session.execute(query).all()
-        return [EndedJob(row.number, row.view, row.seed, row.job_id, Case.model_validate(row.case)) for row in rows]
-
-    def attributions(self, campaign_id: str, limit: int) -> list[tuple[str, str, dict[str, Any]]]:
-        """Target, attack and attribution (services.analysis.records.Attribution) of the first `limit` jobs with a
-        result, in their order; without those that have none.
-        """
-        attribution = Job.result["attribution"].as_json().label("attribution")
-        query = (
-            select(CampaignJob.target, CampaignJob.attack, attribution)
-            .join(Job, Job.id == CampaignJob.job_id)
-            .where(CampaignJob.campaign_id == campaign_id, CampaignJob.ended, Job.result.is_not(None))
-            .order_by(CampaignJob.number)
-            .limit(limit)
-        )
-        with self._read() as session:
-            rows = session.execute(query).all()
-        return [(row.target, row.attack, row.attribution) for row in rows if row.attribution]
 
 
 ENDED_SECONDS = 60.0
@@ -118,7 +78,7 @@ class Progress:
     running: int
 
 
-class Campaigns(CampaignCases):
+class Campaigns(Transactions):
     """The record of campaigns, as clients see and change it."""
 
     def create(
@@ -296,6 +256,39 @@ class Campaigns(CampaignCases):
         )
         with self._read() as session:
             return [(planned, job) for planned, job in session.execute(query)]
+
+    def ended(self, campaign_id: str) -> list[EndedJob]:
+        """The jobs of a campaign that have ended, in their order."""
+        query = (
+            select(
+                CampaignJob.number,
+                CampaignJob.view,
+                CampaignJob.job_id,
+                CampaignJob.case,
+                CampaignJob.spec["seed"].as_integer().label("seed"),
+            )
+            .where(CampaignJob.campaign_id == campaign_id, CampaignJob.ended)
+            .order_by(CampaignJob.number)
+        )
+        with self._read() as session:
+            rows = session.execute(query).all()
+        return [EndedJob(row.number, row.view, row.seed, row.job_id, Case.model_validate(row.case)) for row in rows]
+
+    def attributions(self, campaign_id: str, limit: int) -> list[tuple[str, str, dict[str, Any]]]:
+        """Target, attack and attribution (services.analysis.records.Attribution) of the first `limit` jobs with a
+        result, in their order; without those that have none.
+        """
+        attribution = Job.result["attribution"].as_json().label("attribution")
+        query = (
+            select(CampaignJob.target, CampaignJob.attack, attribution)
+            .join(Job, Job.id == CampaignJob.job_id)
+            .where(CampaignJob.campaign_id == campaign_id, CampaignJob.ended, Job.result.is_not(None))
+            .order_by(CampaignJob.number)
+            .limit(limit)
+        )
+        with self._read() as session:
+            rows = session.execute(query).all()
+        return [(row.target, row.attack, row.attribution) for row in rows if row.attribution]
 
 
 def _first(session: Session, key: Key) -> Campaign | None:
@@ -498,8 +491,7 @@ class Feeder(Transactions):
         if CHUNK * len(asked) < len(found) or not all(job.state.terminal for job in asked):
             return
         answers = _answers(asked)
-        chosen = choose(found, answers, named)
-        picked = [filled(view, answers[view.number].spec) for view in found if chosen[view.number].chosen]
+        chosen, planned = plan(campaign, found, answers, named)
         rows = [
             {
                 "campaign_id": campaign_id,
@@ -507,14 +499,14 @@ class Feeder(Transactions):
                 "target": job.target,
                 "attack": job.attack,
                 "view": job.view,
-                "right": chosen[job.view].right,
-                "identity": answers[job.view].identity,
-                "digest": digest(job.spec),
+                "right": job.right,
+                "identity": job.identity,
+                "digest": job.digest,
                 "spec": job.spec.model_dump(mode="json"),
                 "reused": False,
                 "ended": False,
             }
-            for number, job in enumerate(jobs(campaign, picked))
+            for number, job in enumerate(planned)
         ]
         with self._write() as session:
             values: dict[str, Any] = {
@@ -527,7 +519,13 @@ class Feeder(Transactions):
                 return  # paused or cancelled meanwhile, or planned by another supervisor
             if rows:
                 session.execute(CampaignJob.__table__.insert(), rows)  # type: ignore[attr-defined]
-        log.info("campaign planned", campaign=campaign_id, views=len(found), chosen=len(picked), jobs=len(rows))
+        log.info(
+            "campaign planned",
+            campaign=campaign_id,
+            views=len(found),
+            chosen=sum(view.chosen for view in chosen),
+            jobs=len(rows),
+        )
 
     # Attacks
 
@@ -580,16 +578,16 @@ class Feeder(Transactions):
 
     def _case(self, planned: CampaignJob, job: Job) -> Case:
         if job.state is not State.SUCCEEDED or job.result is None:
-            return unfinished(planned.target, planned.attack, job.state.value, right=planned.right)
+            return unfinished(planned, job.state.value)
         try:
             result = Result.model_validate(job.result)
         except ValueError as error:
             log.warning("result of a campaign not readable", job=job.id, error=str(error))
-            return unfinished(planned.target, planned.attack, "failed", right=planned.right)
+            return unfinished(planned, "failed")
         planned.curves = curves_record(curves_of(result))
         ended, began = job.succeeded_at, job.running_at
         seconds = None if ended is None or began is None else (ended - began).total_seconds()
-        return case_of(result, planned.target, planned.attack, run_seconds=seconds, reused=planned.reused)
+        return case_of(planned, result, run_seconds=seconds, reused=planned.reused)
 
     def _finish(self, campaign_id: str) -> None:
         """Ends a campaign whose jobs have all ended."""
@@ -636,6 +634,6 @@ def _earlier(session: Session, planned: CampaignJob, owner: str) -> str | None:
             result = Result.model_validate(job.result)
         except ValueError:  # of a version with other fields
             continue
-        if reusable(result, planned.digest, planned.identity):
+        if reusable(result, planned):
             return job.id
     return None

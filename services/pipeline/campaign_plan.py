@@ -1,18 +1,23 @@
 """A campaign between its request and its table, without the record and without torch.
 
-A campaign has views: its scenes, as a renderer draws them, for a network. The networks are asked about each view, the
-views to attack are chosen from these first answers (`choose`), and jobs are planned on them (`jobs`), always in the
-same order. A job that has ended becomes a case of the table, and an earlier result may be taken for it (`reusable`).
+A campaign goes through three states, whoever drives it: the command line in one process (`campaign_run`), or the
+supervisor of a service, which keeps what is known in the record (`services.jobs.campaigns`).
+
+1. Selecting: the networks are asked about `views`, the campaign's scenes as a renderer draws them.
+2. Running: `plan` chooses the views to attack from these first answers, and plans the jobs on them, always in the same
+   order. The result of an earlier job is taken if it is `reusable`, and each job that has ended becomes a case
+   (`case_of`).
+3. Finished: every job has its case, and the table is made of the cases.
 """
 
 import hashlib
 import json
 import operator
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, Self
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -66,16 +71,6 @@ class View:
         return (self.member if self.shared else self.number), self.image_renderer
 
 
-@dataclass(frozen=True)
-class PlannedJob:
-    """A job of a campaign: its row and column of the table, and the view that it attacks."""
-
-    target: str
-    attack: str
-    view: int
-    spec: JobSpec
-
-
 def image_renderer(spec: JobSpec) -> str:
     """The renderer of a job's original image."""
     return spec.attack.base_renderer or spec.attack.renderer
@@ -91,11 +86,6 @@ def views(campaign: CampaignSpec) -> list[View]:
     for number, job in enumerate(campaign.jobs):
         found.append(View(len(found), None, number, job, None))
     return found
-
-
-def filled(view: View, spec: JobSpec | None) -> View:
-    """The view with the scene and the goal as they run."""
-    return view if spec is None else replace(view, probe=spec)
 
 
 def _probes(grid: Grid, member: Member) -> Iterator[JobSpec]:
@@ -124,22 +114,6 @@ def job_of(grid: Grid, member: Member, target: TargetChoice, attack: AttackSetti
         tolerance=grid.tolerance,
         analysis=grid.analysis,
     )
-
-
-def jobs(campaign: CampaignSpec, found: Collection[View]) -> Iterator[PlannedJob]:
-    """The jobs on these views, in their order; on each view by attack, then by seed."""
-    for view in found:
-        probe = view.probe
-        if view.grid is None:
-            yield PlannedJob(probe.target.name, attack_name(probe.model_dump(mode="json")), view.number, probe)
-            continue
-        grid = campaign.grids[view.grid]
-        for column in grid.attacks:
-            if (column.attack.base_renderer or column.attack.renderer) != view.image_renderer:
-                continue
-            for seed in grid.seeds:
-                spec = probe.model_copy(update={"attack": column.attack, "seed": seed})
-                yield PlannedJob(probe.target.name, column.name, view.number, spec)
 
 
 UNKNOWN = "nobody knows its truth"
@@ -317,6 +291,69 @@ def _record(view: View, answer: FirstAnswer | None, why: str, titles: Mapping[st
     )
 
 
+class Planned(Protocol):
+    """A planned job, as each driver keeps it: its row and column of the table, and what a result must share with it."""
+
+    target: str
+    attack: str
+    right: bool
+    """Whether the truth is known and the network's first answer was right."""
+    identity: str | None
+    """The `identity` of the inputs at the selection."""
+    digest: str
+    """The digest of the request."""
+
+
+@dataclass
+class PlannedJob:
+    """A planned job with its request and the number of the view that it attacks; implements `Planned`."""
+
+    target: str
+    attack: str
+    right: bool
+    identity: str | None
+    digest: str
+    view: int
+    spec: JobSpec
+
+    @classmethod
+    def on(cls, view: View, answer: FirstAnswer, attack: str, spec: JobSpec) -> Self:
+        """The job on a view with the network's first answer."""
+        return cls(spec.target.name, attack, answer.right, answer.identity, digest(spec), view.number, spec)
+
+
+def plan(
+    campaign: CampaignSpec,
+    views: Sequence[View],
+    answers: Mapping[int, FirstAnswer],
+    titles: Mapping[str, str] | None = None,
+) -> tuple[list[ChosenView], list[PlannedJob]]:
+    """All views with whether each is attacked, as `choose` has them, and the jobs on those that are."""
+    chosen = choose(views, answers, titles)
+    attacked = [view for view in views if chosen[view.number].chosen]
+    return chosen, list(jobs(campaign, attacked, answers))
+
+
+def jobs(campaign: CampaignSpec, attacked: Iterable[View], answers: Mapping[int, FirstAnswer]) -> Iterator[PlannedJob]:
+    """The jobs on these views, in their order; on each view by attack, then by seed.
+
+    Scene and goal of a request are those that the view's answer is of, with all that was left open filled in.
+    """
+    for view in attacked:
+        answer = answers.get(view.number) or FirstAnswer(view=view.number)
+        probe = answer.spec or view.probe
+        if view.grid is None:
+            yield PlannedJob.on(view, answer, attack_name(probe.model_dump(mode="json")), probe)
+            continue
+        grid = campaign.grids[view.grid]
+        for column in grid.attacks:
+            if (column.attack.base_renderer or column.attack.renderer) != view.image_renderer:
+                continue
+            for seed in grid.seeds:
+                spec = probe.model_copy(update={"attack": column.attack, "seed": seed})
+                yield PlannedJob.on(view, answer, column.name, spec)
+
+
 _NOT_IDENTITY = ("seed", "credits", "extensions")
 """Fields of the provenance that belong to the request, or change no bits, or are compared otherwise."""
 
@@ -334,26 +371,26 @@ def identity(provenance: Provenance, label: str, confidence: float) -> str:
     return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 
-def reusable(result: Result, request: str, wanted: str | None) -> bool:
-    """Whether the result is that of the request with this digest, and of inputs and backend of identity `wanted`.
+def reusable(result: Result, planned: Planned) -> bool:
+    """Whether the result is of the planned job's request, and of the inputs and backend that its view had.
 
     The result of an extension's attack is not: its file may have changed since the first answers were found.
     """
     return (
-        wanted is not None
+        planned.identity is not None
         and not result.provenance.extensions
-        and identity(result.provenance, result.original.label, result.original.confidence) == wanted
-        and digest(JobSpec.model_validate(result.spec)) == request
+        and identity(result.provenance, result.original.label, result.original.confidence) == planned.identity
+        and digest(JobSpec.model_validate(result.spec)) == planned.digest
     )
 
 
-def case_of(result: Result, target: str, attack: str, *, run_seconds: float | None, reused: bool) -> Case:
+def case_of(planned: Planned, result: Result, *, run_seconds: float | None = None, reused: bool = False) -> Case:
     """The case of a job that ran to its end."""
     right = bool(result.right_before)
     rows = [row for row in result.trace if row.step == result.step]
     return Case(
-        target=target,
-        attack=attack,
+        target=planned.target,
+        attack=planned.attack,
         state="succeeded",
         right=right,
         outcome=result.outcome,
@@ -370,9 +407,9 @@ def case_of(result: Result, target: str, attack: str, *, run_seconds: float | No
     )
 
 
-def unfinished(target: str, attack: str, state: str, *, right: bool) -> Case:
-    """The case of a job that failed or was cancelled; `right` says whether the network's first answer was right."""
-    return Case(target=target, attack=attack, state=state, right=right)
+def unfinished(planned: Planned, state: str) -> Case:
+    """The case of a job that failed or was cancelled, as `state` says."""
+    return Case(target=planned.target, attack=planned.attack, state=state, right=planned.right)
 
 
 def curves_of(result: Result) -> Curves:

@@ -20,12 +20,10 @@ from services.pipeline.campaign_plan import (
     PlannedJob,
     View,
     case_of,
-    choose,
     curves_of,
-    filled,
     identity,
-    jobs,
     meshes_in,
+    plan,
     reusable,
     unfinished,
     views,
@@ -34,7 +32,6 @@ from services.pipeline.campaign_spec import CampaignSpec
 from services.pipeline.execute import RESULT, execute, provenance
 from services.pipeline.prepare import prepare_exactly
 from services.pipeline.result import Result
-from services.pipeline.spec import digest
 from services.scenes.library import Library
 from services.targets.scores import probability
 
@@ -104,18 +101,16 @@ def run_campaign(
     """
     found = views(campaign)
     answers = _answers(campaign, found, out, library, progress, cancelled)
-    chosen = choose(found, answers, library.titles(meshes_in(found)))
-    picked = [filled(view, answers[view.number].spec) for view, one in zip(found, chosen, strict=True) if one.chosen]
-    planned = list(jobs(campaign, picked))
+    chosen, planned = plan(campaign, found, answers, library.titles(meshes_in(found)))
     cells = [(job.target, job.attack) for job in planned]
-    atomic_write.write(out / "jobs.json", json.dumps([digest(job.spec) for job in planned], indent=1).encode())
+    atomic_write.write(out / "jobs.json", json.dumps([job.digest for job in planned], indent=1).encode())
     cases: list[Case] = []
     traced: list[tuple[str, str, Curves]] = []
     runner = _Runner(campaign, out / "jobs", library, cancelled)
     for job in planned:
         name = f"{job.target}, {job.attack}: {chosen[job.view].scene}"
         progress(CampaignProgress("attacking", len(cases), len(planned), cases, time_left(cells, cases), name))
-        case, curves = runner.run(job, answers[job.view])
+        case, curves = runner.run(job)
         cases.append(case)
         if curves is not None and case.right:
             traced.append((job.target, job.attack, curves))
@@ -179,25 +174,24 @@ class _Runner:
         self._reuse = campaign.reuse
         self._campaign = sha256(campaign.model_dump_json().encode()).hexdigest()
 
-    def run(self, job: PlannedJob, answer: FirstAnswer) -> tuple[Case, Curves | None]:
-        request = digest(job.spec)
-        place = self._folder / request
+    def run(self, job: PlannedJob) -> tuple[Case, Curves | None]:
+        place = self._folder / job.digest
         if (kept := _finished(place)) is not None:
             result, seconds, campaign = kept
             own = campaign == self._campaign
-            if (own or self._reuse) and reusable(result, request, answer.identity):
-                return case_of(result, job.target, job.attack, run_seconds=seconds, reused=not own), curves_of(result)
+            if (own or self._reuse) and reusable(result, job):
+                return case_of(job, result, run_seconds=seconds, reused=not own), curves_of(result)
         started = monotonic()
         try:
             result = self._execute(job, place)
         except (JobFailure, InvalidRequest) as error:
             (_part(place) / "failure.txt").write_text(f"{error}\n", "utf-8")
-            return unfinished(job.target, job.attack, "failed", right=answer.right), None
+            return unfinished(job, "failed"), None
         seconds = monotonic() - started
         (_part(place) / DONE).write_text(json.dumps({"seconds": seconds, "campaign": self._campaign}) + "\n", "utf-8")
         shutil.rmtree(place, ignore_errors=True)
         _part(place).rename(place)
-        return case_of(result, job.target, job.attack, run_seconds=seconds, reused=False), curves_of(result)
+        return case_of(job, result, run_seconds=seconds), curves_of(result)
 
     def _execute(self, job: PlannedJob, place: Path) -> Result:
         part = _part(place)

@@ -6,10 +6,12 @@ from typing import Any
 
 import pytest
 
-from services.pipeline.campaign_plan import case_of, curves_of
+from services.pipeline.campaign_plan import PlannedJob, case_of, curves_of
 from services.pipeline.result import Result
+from services.pipeline.spec import JobSpec
 
 STORED = json.loads((Path(__file__).parents[3] / "docs/results/combined.json").read_text())
+PLANNED = PlannedJob("t", "a", True, None, "", 0, JobSpec.model_validate(STORED["spec"]))
 
 
 def result(**changed: Any) -> Result:
@@ -18,7 +20,7 @@ def result(**changed: Any) -> Result:
 
 def test_a_case_has_the_papers_p_and_that_of_the_loop_at_the_stored_step() -> None:
     stored = result(step=1, truncated=17, float_perceptibility=0.00251)
-    case = case_of(stored, "t", "a", run_seconds=3.0, reused=False)
+    case = case_of(PLANNED, stored, run_seconds=3.0)
     assert stored.trace[1].perceptibility != stored.trace[-1].perceptibility
     assert case.loop_perceptibility == stored.trace[1].perceptibility
     assert case.perceptibility == 0.00251 != stored.perceptibility
@@ -29,7 +31,7 @@ def test_a_case_has_the_papers_p_and_that_of_the_loop_at_the_stored_step() -> No
 
 def test_a_result_of_version_0_1_has_only_the_p_of_the_saved_image() -> None:
     stored = result(float_perceptibility=None)
-    assert case_of(stored, "t", "a", run_seconds=None, reused=True).perceptibility == stored.perceptibility
+    assert case_of(PLANNED, stored).perceptibility == stored.perceptibility
 
 
 @pytest.mark.parametrize(
@@ -46,5 +48,5 @@ def test_a_result_of_version_0_1_has_only_the_p_of_the_saved_image() -> None:
 def test_only_a_network_that_was_right_is_fooled_verified_or_in_the_loop(
     changed: dict[str, Any], right: bool, success: bool, loop_success: bool
 ) -> None:
-    case = case_of(result(**changed), "t", "a", run_seconds=None, reused=False)
+    case = case_of(PLANNED, result(**changed))
     assert (case.right, case.success, case.loop_success) == (right, success, loop_success)

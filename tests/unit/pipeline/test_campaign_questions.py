@@ -59,7 +59,7 @@ def test_each_question_is_a_job_or_those_of_a_scene_together() -> None:
     found = views(one)
     assert [view.probe.target.question for view in found] == [q.question for view in found for q in view.asked]
     assert (len(found), most_jobs(one)) == (12, 24)
-    [first, *_] = jobs(one, found)
+    [first, *_] = jobs(one, found, {})
     assert first.spec.record == generate(8, 0, objects=(3, 4))
     both = changed(questions=3, together=True)
     assert [view.probe.target.questions for view in views(both)] == [

@@ -98,7 +98,7 @@ def test_views_are_scenes_by_target_and_renderer_of_the_image() -> None:
 def test_jobs_are_those_of_the_chosen_views_only() -> None:
     spec = parse(SPEC)
     found = views(spec)
-    planned = list(jobs(spec, [found[3], found[4]]))
+    planned = list(jobs(spec, [found[3], found[4]], {}))
     assert [(job.view, job.attack, job.spec.seed) for job in planned] == [
         (3, "pose", 0),
         (3, "pose", 1),
@@ -116,7 +116,7 @@ def test_single_jobs_are_run_as_they_are() -> None:
     spec = parse({"jobs": [job]})
     [view] = views(spec)
     assert view.selection is None
-    [planned] = jobs(spec, [view])
+    [planned] = jobs(spec, [view], {})
     assert (planned.attack, planned.target, planned.spec) == ("image fgsm", "efficientnet-lite0", spec.jobs[0])
 
 
