@@ -19,7 +19,7 @@ router = APIRouter(include_in_schema=False)
 
 
 @dataclass(frozen=True)
-class Compared:
+class ComparedCampaign:
     """A campaign of the comparison, and its table."""
 
     campaign: Campaign
@@ -28,7 +28,7 @@ class Compared:
 
 
 @dataclass(frozen=True)
-class Row:
+class CampaignRow:
     """One attack on one target in every campaign."""
 
     target: str
@@ -41,7 +41,7 @@ class Row:
 
 
 @router.get("/compare/campaigns")
-def compare(
+def compare_campaigns(
     services: ServicesDependency,
     caller: CallerDependency,
     campaigns: Annotated[str, Query(max_length=1000, description="ids, separated by commas")] = "",
@@ -55,7 +55,7 @@ def compare(
         found = caller.visible(services.campaigns.record.get(campaign_id, whole=True))
         if found is None:
             raise no_such(f"campaign as {campaign_id}")
-        compared.append(Compared(found, letter, services.campaigns.result(found, curves=False).table))
+        compared.append(ComparedCampaign(found, letter, services.campaigns.result(found, curves=False).table))
     return html(
         "compare_campaigns.html",
         caller=caller,
@@ -63,25 +63,25 @@ def compare(
         ids=",".join(ids),
         against=against,
         along=ALONG,
-        rows=rows(compared, against),
+        rows=campaign_rows(compared, against),
         differing=differences([one.campaign.spec for one in compared]),
     )
 
 
-def rows(compared: Sequence[Compared], against: Along) -> list[Row]:
+def campaign_rows(compared: Sequence[ComparedCampaign], against: Along) -> list[CampaignRow]:
     """A row for each target and attack of any campaign, in the order in which they first occur."""
     pairs = dict.fromkeys((cell.target, cell.attack) for one in compared for cell in one.table.cells)
-    return [_row(compared, target, attack, against) for target, attack in pairs]
+    return [_campaign_row(compared, target, attack, against) for target, attack in pairs]
 
 
-def _row(compared: Sequence[Compared], target: str, attack: str, against: Along) -> Row:
+def _campaign_row(compared: Sequence[ComparedCampaign], target: str, attack: str, against: Along) -> CampaignRow:
     found = [one.table.cell(target, attack) for one in compared]
     cells = [cell if cell and cell.success.of else None for cell in found]
     until = 1.05 * max((end(cell, against) for cell in cells if cell), default=0.0) or 1.0
     curves = [
         (one.letter, points(cell, against, until) if cell else []) for one, cell in zip(compared, cells, strict=True)
     ]
-    return Row(
+    return CampaignRow(
         target=target,
         attack=attack,
         cells=cells,

@@ -10,7 +10,7 @@ from fastapi import APIRouter, Query, Response
 from api.authentication import CallerDependency
 from api.dashboard.charts import Overlay, overlay
 from api.dashboard.pages import html
-from api.dashboard.traces import all_events, trace_of
+from api.dashboard.views import all_events, trace_of
 from api.state import Services, ServicesDependency, no_such
 from services.attacks.verdict import with_outcome
 from services.errors import InvalidRequest

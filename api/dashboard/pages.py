@@ -13,7 +13,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from api.dashboard import words
-from api.dashboard.polar import polar
+from api.dashboard.charts import polar
 from services.access.caller import Caller
 from services.jobs.models import CampaignState, State
 from services.pipeline.names import group_words

@@ -13,7 +13,7 @@ from api.dashboard import views
 from api.dashboard.commands import commands
 from api.dashboard.job_about import about
 from api.dashboard.pages import HEADERS, STATIC, VERSION, html
-from api.dashboard.traces import all_events
+from api.dashboard.views import all_events
 from api.routes.continuing import continued
 from api.state import KnownJob, Services, ServicesDependency, no_such
 from services.access.caller import Caller

@@ -1,19 +1,51 @@
-"""The data that the pages show of a job, taken from the record."""
+"""The data that the pages show of a job, taken from the record.
 
-from collections.abc import Iterable, Sequence
+The trace of a job, with and without a result: what its events make of it.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from api.dashboard.charts import Chart, chart
+from api.dashboard.charts import Chart, Upset, chart, upset
 from api.dashboard.questions import Question, SceneObject, objects, questions
-from api.dashboard.traces import trace_of
-from api.dashboard.upset import Upset, upset
 from services.attacks.verdict import judge, with_outcome
 from services.jobs.listed_job import ListedJob
 from services.jobs.models import Artifact, Event, Job, State
+from services.jobs.repository import Repository
 from services.pipeline.names import group_words, question_names
 from services.pipeline.result import CHECKPOINT
+
+
+def all_events(repository: Repository, job_id: str) -> Iterator[Event]:
+    """Every event of a job, in order."""
+    after = 0
+    while page := repository.events(job_id, after):
+        yield from page
+        after = page[-1].number
+
+
+def trace_of(job: Job, events: Iterable[Event]) -> list[dict[str, Any]]:
+    """The trace of the result or, if there is none yet, that of the events, which are read for this alone."""
+    if job.result:
+        found: list[dict[str, Any]] = job.result["trace"]
+        return found
+    return trace_of_events(events)
+
+
+def trace_of_events(events: Iterable[Event]) -> list[dict[str, Any]]:
+    """The trace so far. A resumed attempt repeats some steps; its rows replace the earlier rows of these steps."""
+    rows: list[dict[str, Any]] = []
+    for event in events:
+        if event.kind != "progress":
+            continue
+        for row in event.data["rows"]:
+            while rows and rows[-1]["step"] >= row["step"]:
+                rows.pop()
+            rows.append(row)
+    return rows
+
 
 IMAGES = ("original.png", "attacked.png", "perturbation.png")
 SEARCHED = ("coordinates", "coordinates that reach the answer")

@@ -1,8 +1,7 @@
 import pytest
 
 from api.dashboard.charts import BOTTOM, HEIGHT, LEFT, RIGHT, TOP, WIDTH, chart
-from api.dashboard.traces import trace_of_events
-from api.dashboard.views import charts
+from api.dashboard.views import charts, trace_of_events
 from services.jobs.models import Event
 from tests.unit.api.dashboard_records import row
 

@@ -1,6 +1,6 @@
 """The layout of polar plots."""
 
-from api.dashboard.polar import RADIUS, polar
+from api.dashboard.charts import RADIUS, polar
 
 
 def test_the_largest_value_of_both_has_the_radius() -> None:

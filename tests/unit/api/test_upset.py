@@ -2,7 +2,7 @@
 
 import pytest
 
-from api.dashboard.upset import BAR, COLUMN, LEFT, SHAPLEY, ZERO, upset
+from api.dashboard.charts import BAR, COLUMN, GROUPS_WIDTH, SHAPLEY, ZERO, upset
 from tests.unit.api.dashboard_records import ATTRIBUTION
 
 WORDS = {"normals": "surface normals", "illumination": "illumination"}
@@ -32,7 +32,7 @@ def test_a_column_has_the_image_bar_and_dots_of_its_subset() -> None:
     assert made.columns[1].words == "surface normals"
     assert made.columns[3].words == "surface normals + illumination"
     assert made.columns[3].x + COLUMN / 2 == made.width
-    assert made.columns[0].x - COLUMN / 2 == LEFT
+    assert made.columns[0].x - COLUMN / 2 == GROUPS_WIDTH
 
 
 def test_bars_of_shapley_values_leave_zero_to_either_side() -> None:
