@@ -5,7 +5,6 @@ from fastapi import APIRouter
 from api.dashboard import (
     asset_form,
     assets,
-    campaign_comparison,
     campaigns,
     comparison,
     job_about,
@@ -22,7 +21,6 @@ __all__ = ["router"]
 router = APIRouter()
 router.include_router(job_list.router)
 router.include_router(comparison.router)
-router.include_router(campaign_comparison.router)
 router.include_router(routes.router)
 router.include_router(new_job.router)
 router.include_router(job_about.router)

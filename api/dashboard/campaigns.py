@@ -320,7 +320,7 @@ def _charts(table: Table, along: Along) -> list[Chart]:
 
 def _chart(cell: Cell, along: Along, until: float) -> Chart:
     title = f"{cell.attack}, {cell.target}: verified successes, % of {cell.success.of}"
-    return chart(title, ALONG[along], points(cell, along, until), low=0, high=100)
+    return chart(title, ALONG[along], points(cell, along, until), include=(0, 100))
 
 
 def _rows(cell: Cell, along: Along) -> CurveRows:

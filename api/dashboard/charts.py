@@ -1,12 +1,4 @@
-"""Computes the layout of a trace's curves in an SVG of fixed size, which the template then writes.
-
-Lays out an UpSet plot (Lex et al. 2014) of the subsets of an attack's groups, in an SVG of fixed size.
-
-A column is a subset: its image, a bar of the probability of the goal's label, and a dot for each group that it has. A
-row is a group: its name, and a bar of its Shapley value.
-
-Lays out a polar plot of a quantity before and after, over angles from −90° (left) to 90° (right).
-"""
+"""Lays out charts in SVG units, which the templates then write: curves, UpSet plots and polar plots."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -32,13 +24,15 @@ class Tick:
 
 @dataclass(frozen=True)
 class Chart:
-    """A chart with one curve; positions are in SVG units."""
+    """A chart with one or several curves over common axes; positions are in SVG units."""
 
     title: str
     x_label: str
     summary: str
-    path: str
-    last: tuple[float, float]
+    paths: list[str | None]
+    """The curves, in their order; None for one without finite points."""
+    last: tuple[float, float] | None
+    """The end of the curve, where there is only one."""
     x_ticks: list[Tick]
     y_ticks: list[Tick]
     threshold: float | None
@@ -50,29 +44,26 @@ def chart(
     x_label: str,
     points: Sequence[tuple[float, float]],
     *,
-    low: float | None = None,
-    high: float | None = None,
+    include: Sequence[float] = (),
     threshold: float | None = None,
     note: str = "",
     whole: bool = False,
 ) -> Chart:
     """Lays out a curve through `points` (x, y), of which at least one must be finite.
 
-    The y axis includes the values `low`, `high` and `threshold`; a line is drawn at `threshold`. The ticks of the x
-    axis are whole numbers if `whole` is true.
+    The y axis has the values `include` and `threshold`; a line is drawn at `threshold`. The ticks of the x axis are
+    whole numbers if `whole` is true.
     """
-    points = [point for point in points if isfinite(point[0]) and isfinite(point[1])]
-    shown = [y for _, y in points] + [value for value in (low, high, threshold) if value is not None]
-    x_axis = _Axis([x for x, _ in points], LEFT, WIDTH - RIGHT)
-    y_axis = _Axis(shown, HEIGHT - BOTTOM, TOP)
-    drawn = [(x_axis.at(x), y_axis.at(y)) for x, y in _thinned(points)]
+    points = _finite(points)
+    drawn = [*include] if threshold is None else [*include, threshold]
+    x_axis, y_axis = _axes(points, drawn)
     (first_x, first), (last_x, last) = points[0], points[-1]
     return Chart(
         title=title,
         x_label=x_label,
         summary=f"{title}: {first:.3g} at {first_x:.3g}, {last:.3g} at {last_x:.3g} ({x_label})",
-        path="M" + " L".join(f"{x:.1f} {y:.1f}" for x, y in drawn),
-        last=drawn[-1],
+        paths=[_path(points, x_axis, y_axis)],
+        last=(x_axis.at(last_x), y_axis.at(last)),
         x_ticks=x_axis.ticks(6, least=1.0 if whole else 0.0),
         y_ticks=y_axis.ticks(5),
         threshold=None if threshold is None else y_axis.at(threshold),
@@ -80,47 +71,45 @@ def chart(
     )
 
 
-@dataclass(frozen=True)
-class Overlay:
-    """A chart with several curves; positions are in SVG units."""
-
-    title: str
-    x_label: str
-    summary: str
-    paths: list[str | None]
-    """The curve of each name, in their order; None where there are no finite points."""
-    x_ticks: list[Tick]
-    y_ticks: list[Tick]
-
-
 def overlay(
     title: str,
     x_label: str,
     curves: Sequence[tuple[str, Sequence[tuple[float, float]]]],
     include: Sequence[float] = (),
-) -> Overlay | None:
+) -> Chart | None:
     """Lays out curves, each a name and points (x, y), over common axes; None if no point is finite.
 
     The y axis has the values `include`.
     """
-    finite = [[point for point in points if isfinite(point[0]) and isfinite(point[1])] for _, points in curves]
-    shown = [point for points in finite for point in points]
-    if not shown:
+    finite = [_finite(points) for _, points in curves]
+    if not any(finite):
         return None
-    x_axis = _Axis([x for x, _ in shown], LEFT, WIDTH - RIGHT)
-    y_axis = _Axis([*(y for _, y in shown), *include], HEIGHT - BOTTOM, TOP)
+    x_axis, y_axis = _axes([point for points in finite for point in points], include)
     ends = [f"{name} {points[-1][1]:.3g}" for (name, _), points in zip(curves, finite, strict=True) if points]
-    return Overlay(
+    return Chart(
         title=title,
         x_label=x_label,
         summary=f"{title} against {x_label}; at the end: {', '.join(ends)}",
-        paths=[
-            "M" + " L".join(f"{x_axis.at(x):.1f} {y_axis.at(y):.1f}" for x, y in _thinned(points)) if points else None
-            for points in finite
-        ],
+        paths=[_path(points, x_axis, y_axis) if points else None for points in finite],
+        last=None,
         x_ticks=x_axis.ticks(6),
         y_ticks=y_axis.ticks(5),
+        threshold=None,
+        note="",
     )
+
+
+def _finite(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    return [point for point in points if isfinite(point[0]) and isfinite(point[1])]
+
+
+def _axes(points: Sequence[tuple[float, float]], include: Sequence[float]) -> "tuple[_Axis, _Axis]":
+    x_axis = _Axis([x for x, _ in points], LEFT, WIDTH - RIGHT)
+    return x_axis, _Axis([*(y for _, y in points), *include], HEIGHT - BOTTOM, TOP)
+
+
+def _path(points: Sequence[tuple[float, float]], x_axis: "_Axis", y_axis: "_Axis") -> str:
+    return "M" + " L".join(f"{x_axis.at(x):.1f} {y_axis.at(y):.1f}" for x, y in _thinned(points))
 
 
 class _Axis:
@@ -200,7 +189,11 @@ class Group:
 
 @dataclass(frozen=True)
 class Upset:
-    """The plot."""
+    """An UpSet plot (Lex et al. 2014) of the subsets of an attack's groups.
+
+    A column is a subset: its image, a bar of the probability of the goal's label, and a dot for each group that it has.
+    A row is a group: its name, and a bar of its Shapley value.
+    """
 
     width: float
     height: float
@@ -271,7 +264,7 @@ RADIUS = 90.0
 
 @dataclass(frozen=True)
 class Polar:
-    """A plot: paths of the curves in SVG units."""
+    """A quantity before and after, over angles from −90° (left) to 90° (right): paths of the curves in SVG units."""
 
     name: str
     before: str
@@ -287,10 +280,10 @@ def polar(curve: Mapping[str, Any]) -> Polar:
     largest = max(*before, *after)
     scale = RADIUS / largest if largest > 0 else 0.0
     rows = list(zip(angles, before, after, strict=True))
-    return Polar(curve["name"], _path(angles, before, scale), _path(angles, after, scale), largest, rows)
+    return Polar(curve["name"], _polar_path(angles, before, scale), _polar_path(angles, after, scale), largest, rows)
 
 
-def _path(angles: Sequence[float], values: Sequence[float], scale: float) -> str:
+def _polar_path(angles: Sequence[float], values: Sequence[float], scale: float) -> str:
     points = [(scale * v * sin(radians(a)), -scale * v * cos(radians(a))) for a, v in zip(angles, values, strict=True)]
     # adding 0 turns −0 into 0
     return "M0 0 L" + " L".join(f"{round(x, 1) + 0:g} {round(y, 1) + 0:g}" for x, y in points) + " Z"

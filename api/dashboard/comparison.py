@@ -1,4 +1,4 @@
-"""The page that compares jobs: what differs in their requests, their results, images and curves."""
+"""The page that compares jobs, or campaigns: their results, what differs in their requests, images and curves."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -8,13 +8,16 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Query, Response
 
 from api.authentication import CallerDependency
-from api.dashboard.charts import Overlay, overlay
+from api.dashboard.campaigns import ALONG, Along, corners, end, points, steps
+from api.dashboard.charts import Chart, overlay
 from api.dashboard.pages import html
 from api.dashboard.views import all_events, trace_of
 from api.state import Services, ServicesDependency, no_such
+from services.access.caller import Caller
+from services.analysis.campaign_table import Cell, Table
 from services.attacks.verdict import with_outcome
 from services.errors import InvalidRequest
-from services.jobs.models import Job
+from services.jobs.models import CampaignState, Job, State
 
 LETTERS = "ABCDEFGH"
 """Names of what is compared, at most so many: more colours cannot be told apart."""
@@ -26,6 +29,8 @@ CURVES: dict[str, tuple[str, tuple[float, ...]]] = {
 }
 """The title of each curve, and values that its axis has."""
 Against = Literal["step", "queries", "seconds"]
+ROWS = 40
+"""Rows of the table behind the curves at most; the trace in the result has every one."""
 ABSENT = "–"
 """What the table shows of a job whose request has no such field, or null there."""
 
@@ -34,15 +39,45 @@ router = APIRouter(include_in_schema=False)
 
 @dataclass(frozen=True)
 class Compared:
+    """A job or a campaign of the comparison, and where its page is."""
+
+    letter: str
+    name: str
+    address: str
+    state: State | CampaignState
+    spec: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class ComparedJob(Compared):
     """A job of the comparison."""
 
     job: Job
-    letter: str
     outcome: dict[str, Any] | None
     trace: Sequence[Mapping[str, Any]]
     """The rows of the result's trace, or those so far."""
     images: Collection[str]
     """Names of the images that there are."""
+
+
+@dataclass(frozen=True)
+class ComparedCampaign(Compared):
+    """A campaign of the comparison, and its table."""
+
+    table: Table
+
+
+@dataclass(frozen=True)
+class CampaignRow:
+    """One attack on one target in every campaign."""
+
+    target: str
+    attack: str
+    cells: list[Cell | None]
+    """For each campaign; None if it does not combine the two, or none of its cases has ended."""
+    chart: Chart | None
+    corners: list[list[tuple[float, int, float]]]
+    """The curve of each campaign as a table: work, successes, and their share."""
 
 
 @router.get("/compare")
@@ -60,24 +95,66 @@ def compare(
         found = caller.visible(services.repository.get(job_id, with_result=True))
         if found is None:
             raise no_such(f"job as {job_id}")
-        compared.append(_compared(services, found, letter))
-    charts = [(name, curve) for name in CURVES if (curve := _curve(compared, name, against))]
+        compared.append(_compared_job(services, found, letter))
+    charts = [curve for name in CURVES if (curve := _curve(compared, name, against))]
+    along = {"step": "steps", "queries": "queries", "seconds": "seconds"}
+    return _page(caller, "jobs", compared, ids, along, against, charts, _table(compared, against))
+
+
+@router.get("/compare/campaigns")
+def compare_campaigns(
+    services: ServicesDependency,
+    caller: CallerDependency,
+    campaigns: Annotated[str, Query(max_length=1000, description="ids, separated by commas")] = "",
+    campaign: Annotated[list[str], Query(max_length=200)] = [],  # noqa: B006 - the framework copies it
+    against: Along = "queries",
+) -> Response:
+    """Compares two to eight campaigns, named by `campaigns` or, as a form sends ticked boxes, by several `campaign`."""
+    ids = named(campaigns, campaign, "campaigns, as in /compare/campaigns?campaigns=a,b")
+    compared = []
+    for letter, campaign_id in zip(LETTERS, ids, strict=False):
+        found = caller.visible(services.campaigns.record.get(campaign_id, whole=True))
+        if found is None:
+            raise no_such(f"campaign as {campaign_id}")
+        table = services.campaigns.result(found, curves=False).table
+        about = (found.name, f"/campaigns/{found.id}", found.state, found.spec)
+        compared.append(ComparedCampaign(letter, *about, table))
+    rows = _campaign_rows(compared, against)
+    charts = [row.chart for row in rows if row.chart]
+    return _page(caller, "campaigns", compared, ids, ALONG, against, charts, rows)
+
+
+def _page(
+    caller: Caller,
+    what: Literal["jobs", "campaigns"],
+    compared: Sequence[Compared],
+    ids: Sequence[str],
+    along: Mapping[Any, str],
+    against: str,
+    charts: Sequence[Chart],
+    rows: Sequence[Any],
+) -> Response:
+    """The page; `along` are what the curves may be drawn against, `rows` those of the table behind them."""
+    query = "/compare?jobs=" if what == "jobs" else "/compare/campaigns?campaigns="
     return html(
         "compare.html",
         caller=caller,
+        what=what,
         compared=compared,
-        ids=",".join(ids),
+        address=query + ",".join(ids),
+        along=along,
         against=against,
-        differing=differences([one.job.spec for one in compared]),
+        differing=differences([one.spec for one in compared]),
         charts=charts,
-        rows=_table(compared, against),
+        rows=rows,
     )
 
 
-def _compared(services: Services, job: Job, letter: str) -> Compared:
+def _compared_job(services: Services, job: Job, letter: str) -> ComparedJob:
     trace = trace_of(job, all_events(services.repository, job.id))
     images = {one.name for one in services.repository.artifacts(job.id) if one.media_type == "image/png"}
-    return Compared(job, letter, with_outcome(job.outcome), trace, images)
+    about = (job.title or job.name or "", f"/jobs/{job.id}", job.state, job.spec)
+    return ComparedJob(letter, *about, job, with_outcome(job.outcome), trace, images)
 
 
 def named(listed: str, ticked: Sequence[str], what: str) -> list[str]:
@@ -121,7 +198,7 @@ def _fields(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
         yield from _fields(one, f"{path}.{name}" if path else str(name))
 
 
-def _curve(compared: Sequence[Compared], name: str, against: str) -> Overlay | None:
+def _curve(compared: Sequence[ComparedJob], name: str, against: str) -> Chart | None:
     title, include = CURVES[name]
     curves = [
         (one.letter, [(row[against], row[name]) for row in one.trace if name in row and against in row])
@@ -130,11 +207,7 @@ def _curve(compared: Sequence[Compared], name: str, against: str) -> Overlay | N
     return overlay(title, against, curves, include)
 
 
-ROWS = 40
-"""Rows of the table behind the curves at most; the trace in the result has every one."""
-
-
-def _table(compared: Sequence[Compared], against: str) -> list[list[tuple[float, float, float] | None]]:
+def _table(compared: Sequence[ComparedJob], against: str) -> list[list[tuple[float, float, float] | None]]:
     """For each job (x, advantage, p) of some of its rows, first and last among them."""
     columns = []
     for one in compared:
@@ -143,3 +216,25 @@ def _table(compared: Sequence[Compared], against: str) -> list[list[tuple[float,
         kept = [row for number, row in enumerate(trace) if number % every == 0 or number == len(trace) - 1]
         columns.append([(row[against], row["advantage"], row["perceptibility"]) for row in kept])
     return [list(row) for row in zip_longest(*columns)]
+
+
+def _campaign_rows(compared: Sequence[ComparedCampaign], against: Along) -> list[CampaignRow]:
+    """A row for each target and attack of any campaign, in the order in which they first occur."""
+    pairs = dict.fromkeys((cell.target, cell.attack) for one in compared for cell in one.table.cells)
+    return [_campaign_row(compared, target, attack, against) for target, attack in pairs]
+
+
+def _campaign_row(compared: Sequence[ComparedCampaign], target: str, attack: str, against: Along) -> CampaignRow:
+    found = [one.table.cell(target, attack) for one in compared]
+    cells = [cell if cell and cell.success.of else None for cell in found]
+    until = 1.05 * max((end(cell, against) for cell in cells if cell), default=0.0) or 1.0
+    curves = [
+        (one.letter, points(cell, against, until) if cell else []) for one, cell in zip(compared, cells, strict=True)
+    ]
+    return CampaignRow(
+        target=target,
+        attack=attack,
+        cells=cells,
+        chart=overlay(f"{attack}, {target}: verified successes, % of all cases", ALONG[against], curves),
+        corners=[steps(corners(cell, against), cell.success.of) if cell else [] for cell in cells],
+    )

@@ -228,12 +228,12 @@ def charts(trace: Sequence[dict[str, Any]], spec: dict[str, Any], against: str) 
 
     whole = against != "seconds"
     return [
-        chart(loss, against, curve("loss"), low=0, high=1, whole=whole),
+        chart(loss, against, curve("loss"), include=(0, 1), whole=whole),
         chart("Log-probability advantage", against, curve("advantage"), threshold=0, note=other, whole=whole),
         chart(
-            "Perceptibility p, in thousandths", against, curve("perceptibility", 1000), low=0, high=LEAST, whole=whole
+            "Perceptibility p, in thousandths", against, curve("perceptibility", 1000), include=(0, LEAST), whole=whole
         ),
-        chart("Distance ‖ΔY‖₂", against, curve("distance"), low=0, high=LEAST, whole=whole),
+        chart("Distance ‖ΔY‖₂", against, curve("distance"), include=(0, LEAST), whole=whole),
     ]
 
 

@@ -6,14 +6,15 @@ from services.jobs.models import Event
 from tests.unit.api.dashboard_records import row
 
 
-def coordinates(path: str) -> list[tuple[float, float]]:
+def coordinates(path: str | None) -> list[tuple[float, float]]:
+    assert path is not None
     pairs = [pair.split() for pair in path.removeprefix("M").split(" L")]
     return [(float(x), float(y)) for x, y in pairs]
 
 
 def test_a_line_fills_the_frame_corner_to_corner() -> None:
     made = chart("t", "step", [(0, 0.0), (5, 0.5), (10, 1.0)])
-    assert coordinates(made.path) == [
+    assert coordinates(made.paths[0]) == [
         (LEFT, HEIGHT - BOTTOM),
         ((LEFT + WIDTH - RIGHT) / 2, (TOP + HEIGHT - BOTTOM) / 2),
         (WIDTH - RIGHT, TOP),
@@ -39,13 +40,16 @@ def test_the_rounding_of_an_unchanged_image_looks_like_nothing() -> None:
     """In its first row a trace has the distance that rounding leaves, 1e-6, and would fill the chart with it."""
     curves = charts([row(0, distance=1e-6, perceptibility=1e-11)], {"goal": {}}, "step")
     assert [tick.text for tick in curves[3].y_ticks] == ["0", "0.005", "0.01"]
+    assert curves[3].last is not None
     assert curves[3].last[1] == pytest.approx(HEIGHT - BOTTOM, abs=0.1)
     assert [tick.text for tick in curves[0].x_ticks] == ["0", "1"]
 
 
 @pytest.mark.parametrize("value", [0.0, 0.7, -3e-9, 1e12])
 def test_a_single_point_is_drawn_inside_the_frame(value: float) -> None:
-    x, y = chart("t", "step", [(0, value)]).last
+    last = chart("t", "step", [(0, value)]).last
+    assert last is not None
+    x, y = last
     assert LEFT <= x <= WIDTH - RIGHT
     assert TOP <= y <= HEIGHT - BOTTOM
 
@@ -54,7 +58,7 @@ def test_a_long_curve_is_thinned_without_losing_its_spike() -> None:
     points = [(float(i), 1.0) for i in range(10_000)]
     points[6_789] = (6_789.0, 50.0)
     made = chart("t", "step", points)
-    drawn = coordinates(made.path)
+    drawn = coordinates(made.paths[0])
     assert len(drawn) <= 402
     assert min(y for _, y in drawn) == TOP
     assert drawn[-1][0] == WIDTH - RIGHT
