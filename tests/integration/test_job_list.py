@@ -10,7 +10,7 @@ from playwright.sync_api import Browser, ConsoleMessage, Page, expect
 
 from api.main import create_app
 from api.state import Services
-from benchmarks.job_list import fill
+from benchmarks.filled_record import fill
 from services.settings import Settings
 from tests.integration.browser import fresh_page, launched
 from tests.unit.api.conftest import serving
