@@ -35,7 +35,6 @@ from api.previewer import Previewer
 from api.problems import Answers, install
 from api.reading import Reading
 from api.request_id import RequestId
-from api.rerenderer import Rerenderer
 from api.routes import (
     artifacts,
     assets,
@@ -53,8 +52,10 @@ from api.routes import (
 from api.routes import metrics as scraping
 from api.same_site import SameSite
 from api.state import Services
+from api.submissions import Submissions
 from api.watcher import Watcher
 from services.access.assets import OwnedAssets
+from services.access.caller import Caller
 from services.access.keys import AccessKeys
 from services.access.listening import check_listening, listen
 from services.access.quotas import Quotas
@@ -74,11 +75,12 @@ from services.jobs.lists import JobLists
 from services.jobs.queue import Queue
 from services.jobs.queue import connect as connect_redis
 from services.jobs.repository import Repository
-from services.jobs.service import Submissions
 from services.jobs.storage import Storage
 from services.jobs.target_record import TargetRecords
 from services.logs import configure, logger
+from services.names import Names
 from services.pipeline.extensions import log_extensions, set_up
+from services.pipeline.names_known import names_in
 from services.scenes.library import Library
 from services.settings import Settings
 
@@ -119,7 +121,6 @@ def create_app(values: Settings) -> FastAPI:
         preflight = Preflight(values)
         preflight.start()
         previewer = Previewer(values)
-        rerenderer = Rerenderer(values)
         exporter = Exporter(values)
         library = Library(values.cache_dir, values.files)
         uploads = MeshUploads(library, values)
@@ -127,22 +128,26 @@ def create_app(values: Settings) -> FastAPI:
         watcher, lists = Watcher(repository, keys), JobLists(engine)
         list_watcher = ListWatcher(lists, keys)
         store = ArtifactStore(values.files)
+        quotas = Quotas(owned, values.owner_queued, values.owner_campaigns, values.owner_upload_bytes)
+
+        def names(caller: Caller) -> Names:
+            return names_in(library, owned.visible(caller))
+
         app.state.services = Services(
             keys=keys,
             sessions=Sessions(engine),
             assets=owned,
-            quotas=Quotas(owned, values.owner_queued, values.owner_campaigns, values.owner_upload_bytes),
+            quotas=quotas,
             repository=repository,
             reading=Reading(engine),
             lists=lists,
             queue=queue,
-            submissions=Submissions(repository, queue, values.max_queued),
+            submissions=Submissions(repository, queue, quotas, names, values.max_queued),
             store=store,
             library=library,
             preflight=preflight,
             uploads=uploads,
             previewer=previewer,
-            rerenderer=rerenderer,
             exporter=exporter,
             campaigns=CampaignService(Campaigns(engine), queue),
             asset_records=AssetRecords(engine),
@@ -167,7 +172,6 @@ def create_app(values: Settings) -> FastAPI:
             preflight.close()
             uploads.close()
             previewer.close()
-            rerenderer.close()
             exporter.close()
             redis.close()
             engine.dispose()

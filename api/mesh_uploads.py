@@ -6,7 +6,8 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import BinaryIO
+from functools import partial
+from typing import BinaryIO, TypeVar
 
 from api.fair_queue import FairQueue
 from api.warm_process import Unavailable
@@ -18,6 +19,7 @@ from services.scenes.library import Entry, Library
 from services.scenes.uploads import max_unpacked, to_bundle
 from services.settings import Settings
 
+Found = TypeVar("Found")
 Adding = Callable[[str, int, str | None], AbstractContextManager[None]]
 """Takes the name of a mesh, its size, bytes, and the name that people see, if it has one; what it gives is entered
 while the mesh is read and stored."""
@@ -67,13 +69,20 @@ class MeshUploads:
 
         Raises InvalidRequest("file", "kind" or "mesh"), and Unavailable.
         """
+        return await self._in_turn(client, sent.size(), partial(self._add, sent, adding))
+
+    async def check_image(self, data: bytes, size: tuple[int, int], client: str) -> None:
+        """Reads an image. Raises InvalidRequest("image") unless its height and width are `size`, and Unavailable."""
+        await self._in_turn(client, len(data), partial(reader().read_image, data, size))
+
+    async def _in_turn(self, client: str, size: int, read: Callable[[], Found]) -> Found:
         loop = asyncio.get_running_loop()
         turn = loop.create_future()
-        place = self._waiting.add(turn, client, sent.size())
+        place = self._waiting.add(turn, client, size)
         self._admit()
         try:
             await turn
-            return await loop.run_in_executor(self._threads, self._add, sent, adding)
+            return await loop.run_in_executor(self._threads, read)
         except JobFailure as error:
             raise Unavailable(f"the file could not be read: {error.detail}") from error
         finally:

@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 
 from pydantic import BaseModel, Field, model_validator
 
-from services.analysis.records import Rerendering
 from services.analysis.requests import RerenderingRequest
 from services.errors import InvalidRequest, without_folders
 from services.jobs.placement import Priority
-from services.jobs.states import CampaignState, State, times_of
+from services.jobs.states import CampaignState, JobKind, State, times_of
 from services.pipeline.campaign_plan import ChosenView
 from services.pipeline.campaign_spec import CampaignSpec
 from services.pipeline.job_plan import JobPlan
 from services.pipeline.outcome import Outcome
 from services.pipeline.preview_record import Cost, Preview
+from services.pipeline.rerendering_spec import RerenderingSpec, RerenderingView
 from services.pipeline.result import Result
 from services.pipeline.spec import JobSpec, TargetChoice
 from services.pipeline.warning import JobWarning
@@ -72,6 +72,7 @@ class JobSummary(BaseModel):
     waiting: str | None = Field(
         None, description="why no live worker takes the queued job, if none of them has what it needs; else null"
     )
+    kind: JobKind = Field(JobKind.ATTACK, description="lists show a `rerendering` only if they are asked to")
     seed: int
     progress: ProgressView | None
     title: str | None = Field(None, description="the name that a person gave the job; null if nobody has")
@@ -105,12 +106,14 @@ class JobSummary(BaseModel):
 class JobView(JobSummary):
     """A job with its request and its result."""
 
-    spec: Annotated[JobSpec | dict[str, Any], Field(union_mode="left_to_right")] = Field(
+    spec: Annotated[JobSpec | RerenderingSpec | dict[str, Any], Field(union_mode="left_to_right")] = Field(
         description="the request with the values of all fields filled in; as it was stored, if its attack or renderer "
         "is not installed any more"
     )
     note: str | None = Field(None, description="what a person wrote about the job; null if nobody has")
-    result: Result | None = Field(description="the result, once the job succeeded")
+    result: Annotated[Result | RerenderingView | None, Field(union_mode="left_to_right")] = Field(
+        description="the result of an attack, or of a job of the kind `rerendering`, once it succeeded"
+    )
 
     @classmethod
     def of(cls, job: "Job", with_result: bool = False) -> Self:
@@ -132,6 +135,7 @@ def _fields(job: "Job | ListedJob") -> dict:  # type: ignore[type-arg]
         "attempt": job.attempt,
         "priority": job.priority,
         "waiting": job.waiting if job.state is State.QUEUED else None,
+        "kind": job.kind,
         "seed": job.seed,
         "progress": progress,
         "title": job.title,
@@ -147,7 +151,7 @@ def _fields(job: "Job | ListedJob") -> dict:  # type: ignore[type-arg]
         "checked": job.checked,
         "errors": job.errors or [],
         "warnings": job.warnings or [],
-        "outcome": job.outcome,
+        "outcome": job.outcome or None,
         "failure": failure,
     }
 
@@ -242,13 +246,6 @@ class RerenderingBody(Model):
     scene: Scene | None = Field(None, description="the scene of the image; default: that of the job, if one is given")
     target: TargetChoice | None = Field(None, description="the network; default: that of the job, else the default one")
     fit: RerenderingRequest = RerenderingRequest()
-
-
-class RerenderingView(BaseModel):
-    """The network's answers to the image and to the rendering of the scene fitted to it."""
-
-    rerendering: Rerendering
-    png: str = Field(description="the rendering as a PNG file in base64")
 
 
 class Uploaded(Entry):

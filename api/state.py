@@ -12,7 +12,7 @@ from api.mesh_uploads import MeshUploads
 from api.preflight import Preflight
 from api.previewer import Previewer
 from api.reading import Reading
-from api.rerenderer import Rerenderer
+from api.submissions import Submissions
 from api.watcher import Watcher
 from services.access.assets import OwnedAssets
 from services.access.caller import Caller
@@ -28,7 +28,6 @@ from services.jobs.lists import JobLists
 from services.jobs.models import Job
 from services.jobs.queue import Queue
 from services.jobs.repository import Repository
-from services.jobs.service import Submissions
 from services.jobs.storage import Storage
 from services.jobs.target_record import TargetRecords
 from services.names import Names
@@ -39,7 +38,7 @@ from services.scenes.library import Library
 @dataclass(frozen=True)
 class Services:
     """Keys, sessions, uploads and quotas, the record of jobs and campaigns, the queue, the files, and what checks,
-    previews, re-renders, exports and watches.
+    previews, exports and watches.
     """
 
     keys: AccessKeys
@@ -56,7 +55,6 @@ class Services:
     preflight: Preflight
     uploads: MeshUploads
     previewer: Previewer
-    rerenderer: Rerenderer
     exporter: Exporter
     campaigns: CampaignService
     asset_records: AssetRecords

@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import AsyncGenerator, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
+from functools import partial
 
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.concurrency import run_in_threadpool
@@ -100,8 +101,14 @@ class Watcher:
                     yield event
                     after = event.number
 
-    async def until_over(self, job: Job, seconds: float) -> bool:
-        """Waits until the job has ended, at most for `seconds`. Returns whether it has."""
+    async def ended_within(self, job_id: str, seconds: float) -> Job | None:
+        """Waits for the end of a job, and returns it with its result; None if it takes more than `seconds`."""
+        queued = await run_in_threadpool(self._repository.line, job_id)
+        if queued is None or not await self._ends(queued, seconds):
+            return None
+        return await run_in_threadpool(partial(self._repository.get, job_id, with_result=True))
+
+    async def _ends(self, job: Job, seconds: float) -> bool:
         if job.state.terminal:
             return True
 

@@ -523,6 +523,8 @@ class JobEdit(TypedDict):
     tags: NotRequired[list[str] | None]
     note: NotRequired[str | None]
 
+JobKind = Literal['attack', 'rerendering', 'selection']
+
 class JobPage(TypedDict):
     """A page of the list of jobs."""
     items: list[JobSummary]
@@ -593,6 +595,7 @@ class JobSummary(TypedDict):
     attempt: int
     priority: NotRequired[Priority]
     waiting: NotRequired[str | None]
+    kind: NotRequired[JobKind]
     seed: int
     progress: ProgressView | None
     title: NotRequired[str | None]
@@ -624,6 +627,7 @@ class JobView(TypedDict):
     attempt: int
     priority: NotRequired[Priority]
     waiting: NotRequired[str | None]
+    kind: NotRequired[JobKind]
     seed: int
     progress: ProgressView | None
     title: NotRequired[str | None]
@@ -641,9 +645,9 @@ class JobView(TypedDict):
     outcome: Outcome | None
     failure: FailureView | None
     errors: NotRequired[list[BadField]]
-    spec: JobSpec | dict[str, Any]
+    spec: JobSpec | RerenderingSpec | dict[str, Any]
     note: NotRequired[str | None]
-    result: Result | None
+    result: Result | RerenderingView | None
 
 class JobWarning(TypedDict):
     """A warning about one field of an accepted request."""
@@ -935,6 +939,13 @@ class RerenderingRequest(TypedDict):
     optimiser: NotRequired[Literal['sgd', 'adam']]
     rate: NotRequired[float]
     steps: NotRequired[int]
+
+class RerenderingSpec(TypedDict):
+    """The request of a job that fits a scene to an image, and asks a network about the fitted scene's rendering."""
+    image: str
+    scene: Scene
+    target: TargetChoice
+    fit: RerenderingRequest
 
 class RerenderingView(TypedDict):
     """The network's answers to the image and to the rendering of the scene fitted to it."""

@@ -68,14 +68,14 @@ class JobFields:
 
     @property
     def result(self) -> Result:
-        """The whole result. Raises Unfinished unless the job succeeded."""
+        """The whole result, of a re-rendering a RerenderingView. Raises Unfinished unless the job succeeded."""
         if self.data["result"] is None:
             why = self.data["failure"]
             said = "; ".join(f"{one['field']}: {one['detail']}" for one in self.errors)
             reason = said if why is None else f"{why['kind']}: {why['detail']}"
             hint = reason if self.ended else "call wait() first"
             raise Unfinished(f"job {self.id} is {self.state}" + (f": {hint}" if hint else ""))
-        return self.data["result"]
+        return cast("Result", self.data["result"])
 
     @property
     def verified(self) -> bool:

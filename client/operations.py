@@ -36,7 +36,6 @@ if TYPE_CHECKING:
         Priority,
         Readiness,
         RerenderingBody,
-        RerenderingView,
         SceneLibrary,
         State,
         TargetList,
@@ -69,12 +68,21 @@ def list_jobs(
     q: str | None = None,
     sort: str | None = None,
     state: State | Sequence[State] | None = None,
+    kind: Literal["attack", "rerendering"] | None = None,
     campaign: str | None = None,
     limit: int | None = None,
     cursor: str | None = None,
 ) -> Request[JobPage]:
     """A page of the jobs that meet a query such as "renderer:torch verified", newest first or in another order."""
-    params = {"q": q, "sort": sort, "state": state, "campaign": campaign, "limit": limit, "cursor": cursor}
+    params = {
+        "q": q,
+        "sort": sort,
+        "state": state,
+        "kind": kind,
+        "campaign": campaign,
+        "limit": limit,
+        "cursor": cursor,
+    }
     return Request("GET", "/v1/jobs", params=params)
 
 
@@ -153,9 +161,26 @@ def preview_job(spec: JobSpec | Mapping[str, Any], *, plan: bool | None = None) 
     return Request("POST", "/v1/preview", params={"plan": plan}, json=spec, seconds=CHECK_SECONDS)
 
 
-def rerender_image(body: RerenderingBody) -> Request[RerenderingView]:
-    """Renders the scene of an image again and asks the network about both; takes up to five minutes."""
-    return Request("POST", "/v1/rerenderings", json=body, seconds=CHECK_SECONDS)
+def rerender_image(
+    body: RerenderingBody,
+    *,
+    priority: Priority | None = None,
+    device: Device | None = None,
+    memory: int | None = None,
+    idempotency_key: str | None = None,
+    wait: float | None = None,
+) -> Request[JobView]:
+    """Queues a job that renders the scene of an image again and asks the network about both; its `result` is a
+    RerenderingView. The other arguments are those of `submit_job`.
+    """
+    return Request(
+        "POST",
+        "/v1/rerenderings",
+        params={"priority": priority, "device": device, "memory": memory},
+        headers={"Idempotency-Key": idempotency_key, "Prefer": None if wait is None else f"wait={wait:.0f}"},
+        json=body,
+        seconds=CHECK_SECONDS,
+    )
 
 
 def list_assets() -> Request[AssetList]:

@@ -4,6 +4,7 @@ A worker starts it with `python -m worker.job_process FD`. The process writes pr
 worker renews the lease, and kills the process if it does not stop.
 """
 
+import base64
 import json
 import os
 import time
@@ -12,9 +13,10 @@ from math import inf
 from pathlib import Path
 from typing import Any
 
+from services.analysis.images import png
 from services.device import device
 from services.errors import Cancelled, InvalidRequest, JobFailure, out_of_memory, summary
-from services.jobs.artifacts import ArtifactStore
+from services.jobs.artifacts import ArtifactStore, Damaged
 from services.jobs.attempts import Attempt, Standing
 from services.jobs.child import connect, reply, requests
 from services.jobs.cpu_share import give_way
@@ -32,6 +34,8 @@ from services.pipeline.campaign_plan import View
 from services.pipeline.campaign_run import first_answers
 from services.pipeline.execute import Progress, execute
 from services.pipeline.outcome import outcome
+from services.pipeline.rerender import decode_image, rerender_image
+from services.pipeline.rerendering_spec import IMAGE, RENDERING, RerenderingSpec, RerenderingView
 from services.pipeline.result import Result
 from services.pipeline.spec import JobSpec, digest, parse
 from services.pipeline.warning import JobWarning
@@ -126,6 +130,8 @@ class Jobs:
         try:
             if job.kind is JobKind.SELECTION:
                 self._select(attempt, job, reporter)
+            elif job.kind is JobKind.RERENDERING:
+                self._rerender(attempt, job, reporter)
             else:
                 self._attack(attempt, job, reporter)
         except Cancelled:
@@ -176,6 +182,37 @@ class Jobs:
                     checked=checked,
                 )
             self._keep(attempt, result, out)
+
+    def _rerender(self, attempt: Attempt, job: Job, reporter: Reporter) -> None:
+        """Fits a scene to an image. An attempt that follows another one begins again."""
+        spec = RerenderingSpec.model_validate(job.spec)
+
+        def tick(step: int, steps: int) -> None:
+            reporter.progress(Progress(phase="analysing", step=step, steps=steps))
+            if reporter.stop():
+                raise Cancelled
+
+        try:
+            reporter.progress(Progress(phase="loading", steps=spec.fit.steps))
+            data = self._kept.given(attempt, IMAGE)
+            if data is None:
+                raise JobFailure("asset-missing", "the job's image is gone")
+            image = decode_image(data, spec.scene.camera.size)
+            rerendering, rendered = rerender_image(image, spec.attack(), spec.fit, self._library, tick)
+        except (FileNotFoundError, Damaged) as error:
+            raise JobFailure("asset-missing", f"the job's image is gone: {error}") from error
+        except InvalidRequest as error:
+            if job.checked:
+                raise
+            log.info("job rejected", error=str(error))
+            self._repository.reject(attempt, error)
+            return
+        rendering = png(rendered)
+        found = RerenderingView(rerendering=rerendering, png=base64.b64encode(rendering).decode())
+        with self._working_files.attempt_directory(attempt) as out:
+            (out / RENDERING).write_bytes(rendering)
+            files = self._kept.stored(attempt, out)
+            self._repository.succeed(attempt, finite(found.model_dump(mode="json")), {}, files)
 
     def _select(self, attempt: Attempt, job: Job, reporter: Reporter) -> None:
         """Finds the first answers to some views of a campaign."""

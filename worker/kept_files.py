@@ -38,14 +38,22 @@ class KeptFiles:
 
     def go_on(self, attempt: Attempt, path: Path) -> None:
         """Writes the checkpoint that the job is to go on from, if it has one and has made none of its own yet."""
-        given = None if path.exists() else self._repository.artifact(attempt.job_id, CHECKPOINT)
-        if given is None:
+        if path.exists():
             return
         try:
-            with self._store.open(given.sha256) as file:
-                atomic_write.write(path, file.read())
+            given = self.given(attempt, CHECKPOINT)
+            if given is not None:
+                atomic_write.write(path, given)
         except (FileNotFoundError, Damaged) as error:
             log.warning("checkpoint gone, the job begins again", job=attempt.job_id, error=str(error))
+
+    def given(self, attempt: Attempt, name: str) -> bytes | None:
+        """The bytes of a file that the job began with, or None. Raises FileNotFoundError and Damaged."""
+        artifact = self._repository.artifact(attempt.job_id, name)
+        if artifact is None:
+            return None
+        with self._store.open(artifact.sha256) as file:
+            return file.read()
 
     def left(self, attempt: Attempt, job: Job) -> list[Artifact]:
         """The files of an attack that ends early: its checkpoint, and the best that it has found, rendered exactly.

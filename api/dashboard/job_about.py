@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Form, Response
 from fastapi.responses import RedirectResponse
@@ -11,7 +11,6 @@ from pydantic import ValidationError
 from api.authentication import CallerDependency
 from api.dashboard.pages import HEADERS
 from api.job_edit import JobEdit
-from api.retries import retry
 from api.state import KnownJob, ServicesDependency, no_such
 from services.errors import InvalidFields
 from services.jobs.models import Job
@@ -65,8 +64,7 @@ def again(job: KnownJob, services: ServicesDependency, caller: CallerDependency)
     found = services.repository.get(job.id)
     if found is None:
         raise no_such("job")
-    new: dict[str, Any] = retry(services, caller, found, lambda made: {"id": made.id})
-    return _to(f"/jobs/{new['id']}")
+    return _to(f"/jobs/{services.submissions.retry(caller, found).id}")
 
 
 @router.post("/jobs/{job_id}/delete")

@@ -14,7 +14,6 @@ from api.authentication import CallerDependency
 from api.dashboard.pages import HEADERS, html
 from api.job_edit import MOST_TAGS, TAG_WORDS, is_tag
 from api.job_places import SORT_PATTERN, read_cursor, write_cursor
-from api.retries import retry
 from api.state import Services, ServicesDependency
 from services.access.caller import Caller
 from services.attacks.verdict import with_outcome
@@ -149,7 +148,7 @@ def _act(services: Services, caller: Caller, action: str, job_id: str, tag: str)
             raise InUse(f"it has {MOST_TAGS} tags already, and may have no more")
         services.lists.edit(job_id, {"tags": tags})
     else:
-        retry(services, caller, found, lambda job: {"id": job.id})
+        services.submissions.retry(caller, found)
 
 
 def address(q: str, sort: str, cursor: str | None = None) -> str:

@@ -60,12 +60,12 @@ async def submit(
     try:
         parsed = await run_in_threadpool(_parsed, spec, names_of(services, caller))
         priority = Demand(Priority.NORMAL)
-        body = await jobs.submit_job(parsed, services, caller, request, Response(), None, priority, None)
+        job = await jobs.submit_job(parsed, services, caller, request, Response(), priority)
     except Refused as refused:
         return _page(caller, spec, refused.errors, 422)
     except InvalidRequest as error:
         return _page(caller, spec, [error], 422)
-    return RedirectResponse(f"/jobs/{body['id']}", 303, HEADERS)
+    return RedirectResponse(f"/jobs/{job.id}", 303, HEADERS)
 
 
 @router.get("/new/choices.json")

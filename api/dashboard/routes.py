@@ -18,7 +18,7 @@ from api.routes.continuing import continued
 from api.state import KnownJob, Services, ServicesDependency, no_such
 from services.access.caller import Caller
 from services.jobs.artifacts import Damaged
-from services.jobs.models import Artifact
+from services.jobs.models import Artifact, JobKind
 from services.pipeline.result import BEST_SO_FAR
 
 _KINDS = {"css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
@@ -30,13 +30,13 @@ router = APIRouter(include_in_schema=False)
 @router.get("/jobs/{job_id}")
 def job(job_id: str, services: ServicesDependency, caller: CallerDependency, request: Request) -> Response:
     """The page of one job."""
-    return _job("job.html", job_id, services, caller, request)
+    return _job("", job_id, services, caller, request)
 
 
 @router.get("/parts/jobs/{job_id}")
 def job_part(job_id: str, services: ServicesDependency, caller: CallerDependency, request: Request) -> Response:
     """The part of a job's page that the script reloads."""
-    return _job("_job.html", job_id, services, caller, request)
+    return _job("_", job_id, services, caller, request)
 
 
 @router.post("/jobs/{job_id}/cancel")
@@ -51,7 +51,7 @@ def cancel(job_id: str, services: ServicesDependency, caller: CallerDependency) 
 @router.post("/jobs/{job_id}/continue")
 def continue_job(job: KnownJob, services: ServicesDependency, caller: CallerDependency) -> Response:
     """Continues a job that was cancelled or failed, as the button on its page asks, and redirects to the new job."""
-    return RedirectResponse(f"/jobs/{continued(job, services, caller)['id']}", 303, HEADERS)
+    return RedirectResponse(f"/jobs/{continued(job, services, caller).id}", 303, HEADERS)
 
 
 @router.get("/static/{path:path}")
@@ -66,16 +66,18 @@ def static(path: str) -> Response:
     return Response(data, headers=HEADERS | {"Cache-Control": kept}, media_type=kind)
 
 
-def _job(template: str, job_id: str, services: Services, caller: Caller, request: Request) -> Response:
+def _job(part: str, job_id: str, services: Services, caller: Caller, request: Request) -> Response:
     found = caller.visible(services.repository.get(job_id, with_result=True))
     if found is None:
         raise no_such("job")
+    if found.kind is JobKind.RERENDERING:
+        return html(f"{part}rerendering.html", caller=caller, job=found)
     events = all_events(services.repository, job_id)
     artifacts = services.repository.artifacts(job_id)
     page = views.page(found, events, artifacts, _best_so_far(services, artifacts))
     said = about(found, services.lists.retries(job_id, caller.only), page.went_on)
     sent_again = commands(found.spec, str(request.base_url).rstrip("/"), with_key=bool(caller.key))
-    return html(template, caller=caller, page=page, about=said, commands=sent_again)
+    return html(f"{part}job.html", caller=caller, page=page, about=said, commands=sent_again)
 
 
 def _best_so_far(services: Services, artifacts: Sequence[Artifact]) -> dict[str, Any] | None:

@@ -1,11 +1,8 @@
 """Route that continues a job which ended before its time."""
 
-from typing import Any
-
 from fastapi import APIRouter, HTTPException, Response
 
 from api.authentication import CallerDependency
-from api.retries import retry
 from api.schemas import JobView
 from api.state import KnownJob, Services, ServicesDependency, no_such
 from services.access.caller import Caller
@@ -15,8 +12,8 @@ from services.pipeline.result import CHECKPOINT
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 
 
-@router.post("/{job_id}/continue", status_code=202, response_model=JobView)
-def continue_job(job: KnownJob, services: ServicesDependency, caller: CallerDependency, response: Response) -> Any:
+@router.post("/{job_id}/continue", status_code=202)
+def continue_job(job: KnownJob, services: ServicesDependency, caller: CallerDependency, response: Response) -> JobView:
     """Queues a new job that goes on where one stopped that was cancelled or failed, in time, queries and steps.
 
     It has the same request and begins with the earlier job's file `checkpoint.safetensors`; its `retry_of` is that job,
@@ -24,13 +21,13 @@ def continue_job(job: KnownJob, services: ServicesDependency, caller: CallerDepe
     would differ in their last bits. Answers 409 if the job has not ended, has succeeded, or ended before its first
     checkpoint.
     """
-    body = continued(job, services, caller)
-    response.headers["Location"] = f"/v1/jobs/{body['id']}"
-    return body
+    queued = continued(job, services, caller)
+    response.headers["Location"] = f"/v1/jobs/{queued.id}"
+    return queued
 
 
-def continued(job: Job, services: Services, caller: Caller) -> dict[str, Any]:
-    """Queues the job that goes on from another's checkpoint; returns its view. Raises HTTPException as above."""
+def continued(job: Job, services: Services, caller: Caller) -> JobView:
+    """Queues the job that goes on from another's checkpoint. Raises HTTPException as above."""
     if job.state not in (State.CANCELLED, State.FAILED):
         raise HTTPException(409, f"the job is {job.state.value}; one that was cancelled or failed can be continued")
     checkpoint = services.repository.artifact(job.id, CHECKPOINT)
@@ -39,4 +36,4 @@ def continued(job: Job, services: Services, caller: Caller) -> dict[str, Any]:
     first = services.repository.get(job.id)
     if first is None:
         raise no_such("job")
-    return retry(services, caller, first, lambda made: JobView.of(made).model_dump(mode="json"), checkpoint)
+    return services.submissions.retry(caller, first, checkpoint)

@@ -1,28 +1,26 @@
 """Routes that submit, list, read and cancel jobs."""
 
 import re
-from functools import partial
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Header, HTTPException, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from api.authentication import CallerDependency
 from api.bodies import body_of
-from api.demands import demand
+from api.demands import demand as demand_of
 from api.job_edit import JobEdit
 from api.job_places import SORT_PATTERN, read_cursor, write_cursor
-from api.retries import retry
 from api.routes.connection import while_connected
 from api.schemas import JobPage, JobSummary, JobView
-from api.state import KnownJob, ServicesDependency, names_of, no_such
+from api.state import KnownJob, Services, ServicesDependency, names_of, no_such
+from api.submissions import key_of
 from services.access.caller import Caller
 from services.jobs.job_query import EXAMPLE, LONGEST, Term, parse_query
-from services.jobs.models import Job, State
+from services.jobs.models import State
 from services.jobs.placement import Demand, Priority
-from services.jobs.repository import Key
 from services.pipeline.names_known import check_names
-from services.pipeline.spec import JobSpec, digest
+from services.pipeline.spec import JobSpec
 
 LONGEST_WAIT = 30.0
 """Largest N of `Prefer: wait=N`, in seconds; larger values are reduced to it."""
@@ -57,26 +55,31 @@ def client_of(request: Request, caller: Caller) -> str:
     return f"owner {caller.owner}" if caller.key else "" if request.client is None else request.client.host
 
 
-@router.post(
-    "",
-    status_code=202,
-    response_model=JobView,
-    responses={200: {"model": JobView, "description": "the job has ended within the time of `Prefer: wait`"}},
-    dependencies=[Depends(json_body)],
-)
+SUBMISSION: dict[str, Any] = {
+    "status_code": 202,
+    "responses": {200: {"model": JobView, "description": "the job has ended within the time of `Prefer: wait`"}},
+    "dependencies": [Depends(json_body)],
+}
+"""What routes have that submit a job."""
+PreferredWait = Annotated[float | None, Depends(wait_preferred)]
+DemandOfQuery = Annotated[Demand, Depends(demand_of(Priority.NORMAL))]
+IdempotencyKey = Annotated[
+    str | None,
+    Header(min_length=1, max_length=255, description="a repeated key gets the first answer again, and no new job"),
+]
+
+
+@router.post("", **SUBMISSION)
 async def submit_job(
     spec: Annotated[JobSpec, Depends(body_of(JobSpec))],
     services: ServicesDependency,
     caller: CallerDependency,
     request: Request,
     response: Response,
-    wait: Annotated[float | None, Depends(wait_preferred)],
-    asked: Annotated[Demand, Depends(demand(Priority.NORMAL))],
-    idempotency_key: Annotated[
-        str | None,
-        Header(min_length=1, max_length=255, description="a repeated key gets the first answer again, and no new job"),
-    ] = None,
-) -> Any:
+    demand: DemandOfQuery,
+    wait: PreferredWait = None,
+    idempotency_key: IdempotencyKey = None,
+) -> JobView:
     """Queues one attack.
 
     The request's fields, names and limits are checked before the answer. So is whether the scene can be rendered and
@@ -87,30 +90,26 @@ async def submit_job(
     says why a job that runs may show less than it seems to: the network is wrong before the attack, nobody knows the
     truth, or the network is unsure.
     """
-    key = None if idempotency_key is None else Key(idempotency_key, digest(spec), caller.owner)
-    body = None if key is None else await run_in_threadpool(services.repository.first_answer, key)
-    if body is None:
+    key = key_of(idempotency_key, spec, caller)
+    job = await services.submissions.earlier(key)
+    if job is None:
         await run_in_threadpool(lambda: check_names(spec, names_of(services, caller)))
-        found = await while_connected(request, services.preflight.check(spec, client_of(request, caller)))
-        spec, warnings = (spec, ()) if found is None else (found.spec, found.warnings)
-        whose, most = caller.owner, services.quotas.queued_of(caller.owner)
-        about: dict[str, Any] = {"checked": found is not None, "owner": whose, "owner_queued": most, "demand": asked}
-        submit_now = partial(services.submissions.submit, **about)
-        body = await run_in_threadpool(submit_now, spec, key, _answer, warnings)
-    response.headers["Location"] = f"/v1/jobs/{body['id']}"
-    if wait is not None:
-        response.headers["Preference-Applied"] = f"wait={wait:g}"
-        queued = await run_in_threadpool(services.repository.line, body["id"])
-        if queued is not None and await services.watcher.until_over(queued, wait):
-            job = await run_in_threadpool(partial(services.repository.get, queued.id, with_result=True))
-            if job is not None:
-                response.status_code = 200
-                return JobView.of(job, with_result=True)
-    return body
+        checked = await while_connected(request, services.preflight.check(spec, client_of(request, caller)))
+        job = await services.submissions.submit(spec, checked, caller, demand, key)
+    return await answered(job, wait, services, response)
 
 
-def _answer(job: Job) -> dict[str, Any]:
-    return JobView.of(job).model_dump(mode="json")
+async def answered(job: JobView, wait: float | None, services: Services, response: Response) -> JobView:
+    """The answer to a submission: the job, or what has become of it if it ends within `wait` seconds."""
+    response.headers["Location"] = f"/v1/jobs/{job.id}"
+    if wait is None:
+        return job
+    response.headers["Preference-Applied"] = f"wait={wait:g}"
+    ended = await services.watcher.ended_within(job.id, wait)
+    if ended is None:
+        return job
+    response.status_code = 200
+    return JobView.of(ended, with_result=True)
 
 
 @router.get("", response_model=JobPage)
@@ -120,6 +119,9 @@ async def list_jobs(
     q: QueryText = None,
     sort: Sort = NEWEST,
     state: Annotated[list[State] | None, Query(description="repeated, it lists jobs in any of these states")] = None,
+    kind: Annotated[
+        Literal["attack", "rerendering"], Query(description="kind of the jobs to list; `q` may ask for both")
+    ] = "attack",
     campaign: Annotated[
         str | None, Query(min_length=1, max_length=32, description="id of the campaign that queued the jobs")
     ] = None,
@@ -128,6 +130,7 @@ async def list_jobs(
 ) -> Response:
     """Lists the jobs that meet a query, newest first or in another order."""
     terms = [*parse_query(q or "")]
+    terms += [Term("kind", "=", (kind,))] if kind != "attack" else []
     terms += [Term("state", "=", tuple(state))] if state else []
     terms += [Term("campaign", "=", (campaign,))] if campaign is not None else []
     place = read_cursor(cursor, sort)
@@ -186,15 +189,15 @@ def edit_job(
     return JobView.of(edited)
 
 
-@router.post("/{job_id}/retry", status_code=202, response_model=JobView)
-def retry_job(job: KnownJob, services: ServicesDependency, caller: CallerDependency, response: Response) -> Any:
+@router.post("/{job_id}/retry", status_code=202)
+def retry_job(job: KnownJob, services: ServicesDependency, caller: CallerDependency, response: Response) -> JobView:
     """Queues the job's request again: a new job, whose `retry_of` is this one. A worker checks it before it runs."""
     first = services.repository.get(job.id)
     if first is None:
         raise no_such("job")
-    body = retry(services, caller, first, _answer)
-    response.headers["Location"] = f"/v1/jobs/{body['id']}"
-    return body
+    queued = services.submissions.retry(caller, first)
+    response.headers["Location"] = f"/v1/jobs/{queued.id}"
+    return queued
 
 
 @router.delete("/{job_id}", status_code=204)

@@ -1,46 +1,67 @@
 """The route of the re-rendering defence."""
 
-import binascii
+import base64
+from hashlib import sha256
+from pathlib import Path
+from tempfile import NamedTemporaryFile
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import APIRouter, Depends, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from api.authentication import CallerDependency
 from api.bodies import body_of
-from api.rerenderer import decoded
 from api.routes.connection import while_connected
-from api.routes.jobs import json_body
-from api.schemas import RerenderingBody, RerenderingView
+from api.routes.jobs import SUBMISSION, DemandOfQuery, IdempotencyKey, PreferredWait, answered, client_of
+from api.schemas import JobView, RerenderingBody
 from api.state import Services, ServicesDependency, names_of, no_such
+from api.submissions import key_of
 from services.access.caller import Caller
 from services.errors import InvalidRequest
+from services.jobs.models import Artifact
+from services.pipeline.checked import Checked
 from services.pipeline.names_known import check_names
-from services.pipeline.spec import JobSpec
+from services.pipeline.rerendering_spec import IMAGE, RerenderingSpec
 
 router = APIRouter(prefix="/v1/rerenderings", tags=["defences"])
 
 
-@router.post("", dependencies=[Depends(json_body)])
+@router.post("", **SUBMISSION)
 async def rerender_image(
-    request: Request,
     body: Annotated[RerenderingBody, Depends(body_of(RerenderingBody))],
     services: ServicesDependency,
     caller: CallerDependency,
-) -> RerenderingView:
-    """Fits the scene's normals, illumination and material to an image, and classifies the fitted scene's rendering.
+    request: Request,
+    response: Response,
+    demand: DemandOfQuery,
+    wait: PreferredWait = None,
+    idempotency_key: IdempotencyKey = None,
+) -> JobView:
+    """Queues a job that fits the scene's normals, illumination and material to an image, and classifies the fitted
+    scene's rendering.
 
-    The answer comes when the fit has ended: one image at a time, for at most five minutes. A client that closes its
-    connection ends it.
+    Lists of jobs show it if they are asked for the kind `rerendering`. The image and the request are checked before the
+    answer, as those of `POST /v1/jobs` are, and `Prefer: wait=N` has the same meaning.
     """
+    client = client_of(request, caller)
     image, spec = await run_in_threadpool(_read, body, services, caller)
-    work = services.rerenderer.rerender(image, spec, body.fit)
-    return RerenderingView.model_validate(await while_connected(request, work))
+    key = key_of(idempotency_key, spec, caller)
+    job = await services.submissions.earlier(key)
+    if job is None:
+        checked = await while_connected(request, _check(image, spec, services, client))
+        file = await run_in_threadpool(_stored, image, services)
+        job = await services.submissions.submit(spec, checked, caller, demand, key, file)
+    return await answered(job, wait, services, response)
 
 
-def _read(body: RerenderingBody, services: Services, caller: Caller) -> tuple[bytes, JobSpec]:
-    """The image's bytes, and a spec with the scene and the target."""
-    given: dict[str, object] = {}
+async def _check(image: bytes, spec: RerenderingSpec, services: Services, client: str) -> Checked | None:
+    await services.uploads.check_image(image, spec.scene.camera.size, client)
+    return await services.preflight.check(spec.attack(), client)
+
+
+def _read(body: RerenderingBody, services: Services, caller: Caller) -> tuple[bytes, RerenderingSpec]:
+    """The image's bytes, and the job's request."""
+    given: dict[str, object] = {"target": {}}
     if body.image.job is not None:
         job = caller.visible(services.repository.get(body.image.job))
         artifact = None if job is None else services.repository.artifact(job.id, body.image.artifact)
@@ -54,8 +75,8 @@ def _read(body: RerenderingBody, services: Services, caller: Caller) -> tuple[by
         given = {"scene": job.spec["scene"], "target": job.spec["target"]}
     else:
         try:
-            image = decoded(body.image.data or "")
-        except (binascii.Error, ValueError) as error:
+            image = base64.b64decode(body.image.data or "", validate=True)
+        except ValueError as error:
             raise InvalidRequest("image.data", "it is not base64") from error
     if body.scene is not None:
         given["scene"] = body.scene.model_dump(mode="json")
@@ -63,7 +84,16 @@ def _read(body: RerenderingBody, services: Services, caller: Caller) -> tuple[by
         given["target"] = body.target.model_dump(mode="json")
     if "scene" not in given:
         raise InvalidRequest("scene", "an image that is no file of a job needs its scene")
-    spec = JobSpec.model_validate(given)
+    about = {"image": sha256(image).hexdigest(), "fit": body.fit.model_dump(mode="json")}
+    spec = RerenderingSpec.model_validate(given | about)
     if body.scene is not None:
-        check_names(spec, names_of(services, caller))
+        check_names(spec.attack(), names_of(services, caller))
     return image, spec
+
+
+def _stored(image: bytes, services: Services) -> Artifact:
+    with NamedTemporaryFile() as file:
+        file.write(image)
+        file.flush()
+        stored = services.store.put(Path(file.name))
+    return Artifact(name=IMAGE, sha256=stored.sha256, media_type="application/octet-stream", size=stored.size)

@@ -12,7 +12,7 @@ from typing import Literal, get_args
 
 from services.attacks.verdict import Verdict
 from services.errors import InvalidRequest
-from services.jobs.models import State
+from services.jobs.models import JobKind, State
 from services.suggestions import there_are
 from services.written_text import character, unfit
 
@@ -25,7 +25,7 @@ and thousands take seconds before any job has been looked at.
 """
 WORDS = ("name", "scene", "target", "question")
 """Fields whose value is looked for anywhere in the text, in upper or lower case."""
-EXACT = ("state", "renderer", "method", "outcome", "tag", "campaign", "owner")
+EXACT = ("state", "kind", "renderer", "method", "outcome", "tag", "campaign", "owner")
 """Fields whose value is the whole text."""
 NUMBERS = ("p", "queries", "seconds")
 TIMES = ("created", "ended")
@@ -36,6 +36,7 @@ EXAMPLE = "scene:piano renderer:torch verified p<5e-3"
 
 _CHOICES: dict[str, tuple[str, ...]] = {
     "state": tuple(state.value for state in State),
+    "kind": (JobKind.ATTACK.value, JobKind.RERENDERING.value),
     "outcome": get_args(Verdict),
 }
 Comparison = Literal["=", "<", "<=", ">", ">="]

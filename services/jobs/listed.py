@@ -11,14 +11,19 @@ LONGEST = 300
 
 
 def listed(spec: Mapping[str, Any], titles: Mapping[str, str] | None = None) -> dict[str, str | None]:
-    """The listed columns of a full spec, by name; `titles` are those of uploads, by their names in scenes."""
-    attack, questions = spec["attack"], question_names(spec)
+    """The listed columns of the full spec of an attack or re-rendering, by name; `titles` are those of uploads, by
+    their names in scenes.
+    """
+    questions = question_names(spec)
+    if "fit" in spec:
+        work = {"attack": "re-rendering", "renderer": "torch", "method": f"fit by {spec['fit']['optimiser']}"}
+    else:
+        attack = spec["attack"]
+        work = {"attack": attack_name(spec), "renderer": attack["renderer"], "method": attack["method"]}
     columns = {
         "name": job_name(spec, titles),
         "scene": scene_name(spec, titles),
-        "attack": attack_name(spec),
-        "renderer": attack["renderer"],
-        "method": attack["method"],
+        **work,
         "target": spec["target"]["name"],
         "question": questions[0] if questions else None,
     }

@@ -42,6 +42,7 @@ _COLUMNS: dict[str, InstrumentedAttribute[Any]] = {
     "state": Job.state,
     "outcome": Job.verdict,
     "campaign": Job.campaign_id,
+    "kind": Job.kind,
     **{name: getattr(Job, name) for name in ("scene", "target", "question", "renderer", "method", "owner")},
     **{name: getattr(Job, name) for name in ("p", "queries", "seconds")},
 }
@@ -95,7 +96,7 @@ class ListTotals:
 
 
 class JobLists(Transactions):
-    """Reads lists of attacks, and writes what people say about them."""
+    """Reads lists of jobs, and writes what people say about them. Terms of the field `kind` show re-renderings, too."""
 
     def page(
         self,
@@ -107,7 +108,7 @@ class JobLists(Transactions):
         before: Place | None = None,
         owner: str | None = None,
     ) -> ListPage:
-        """At most `limit` attacks that meet the terms: those after or before a place, or the first ones.
+        """At most `limit` jobs that meet the terms: those after or before a place, or the first ones.
 
         `sort` is one of `SORTS`, with "-" before it for the greatest first. Jobs with equal values are in the order of
         their submission, in the same direction. If `owner` is given, only the owner's.
@@ -145,7 +146,7 @@ class JobLists(Transactions):
         )
 
     def totals(self, terms: Sequence[Term], owner: str | None = None) -> ListTotals:
-        """Sums over all attacks that meet the terms."""
+        """Sums over all jobs that meet the terms."""
         decided, verified = func.count(Job.verdict), func.sum(case((Job.verified.is_(True), 1), else_=0))
         sums = (func.count(), verified, decided, func.sum(Job.queries), func.sum(Job.seconds))
         query = self._matching(select(Job.state, *sums), terms, owner).group_by(Job.state)
@@ -165,11 +166,11 @@ class JobLists(Transactions):
 
         A job may begin and end between two looks: the newest jobs are looked at, too.
         """
-        attack = Job.kind == JobKind.ATTACK
+        listed = Job.kind != JobKind.SELECTION
         open_jobs = select(Job.owner, func.count(), func.sum(Job.events), func.max(Job.created_at))
-        newest = select(Job.owner, Job.id).where(attack).order_by(Job.created_at.desc(), Job.id.desc()).limit(RECENT)
+        newest = select(Job.owner, Job.id).where(listed).order_by(Job.created_at.desc(), Job.id.desc()).limit(RECENT)
         with self._read() as session:
-            rows = session.execute(open_jobs.where(Job.state.in_(OPEN), attack).group_by(Job.owner)).all()
+            rows = session.execute(open_jobs.where(Job.state.in_(OPEN), listed).group_by(Job.owner)).all()
             last: dict[str, str] = {}
             for owner, job_id in session.execute(newest):
                 last.setdefault(owner, job_id)
@@ -195,7 +196,8 @@ class JobLists(Transactions):
             return list(session.scalars(query if owner is None else query.where(Job.owner == owner)))
 
     def _matching(self, query: Select[*tuple[Any, ...]], terms: Collection[Term], owner: str | None) -> Any:
-        query = query.where(Job.kind == JobKind.ATTACK, *map(_condition, terms))
+        kinds = [JobKind.ATTACK, *([JobKind.RERENDERING] if any(term.field == "kind" for term in terms) else [])]
+        query = query.where(Job.kind.in_(kinds), *map(_condition, terms))
         if owner is not None:
             query = query.where(Job.owner == owner)
         return query
@@ -213,7 +215,7 @@ def _met(term: Term) -> ColumnElement[bool]:
         return Job.note.is_not(None)
     if term.field == "tag":
         return Job.id.in_(select(JobTag.job_id).where(JobTag.tag.in_(term.values)))
-    if term.field in ("campaign", "state", "outcome", "renderer", "method", "owner"):
+    if term.field in ("campaign", "state", "kind", "outcome", "renderer", "method", "owner"):
         return _COLUMNS[term.field].in_(term.values)
     return or_(*(_one(term, value) for value in term.values))
 

@@ -126,7 +126,7 @@ def targets_of(spec: Mapping[str, Any]) -> list[str]:
     if "views" in spec:
         return [name for view in spec["views"] for name in targets_of(view["probe"])]
     transfer = (spec.get("analysis") or {}).get("transfer") or {}
-    guide = spec["attack"].get("surrogate")
+    guide = (spec.get("attack") or {}).get("surrogate")
     return [spec["target"]["name"], *([guide] if guide else []), *transfer.get("targets", ())]
 
 

@@ -1,5 +1,5 @@
-"""The process that checks requests before they are accepted, one that previews them, and one that re-renders images.
-Its network and OpenGL context stay loaded.
+"""The process that checks requests before they are accepted, and one that previews them. Its
+network and OpenGL context stay loaded.
 
 The API starts it with `python -m services.jobs.preflight_process FD`.
 """
@@ -8,7 +8,6 @@ import base64
 from typing import Any
 
 from services.analysis.images import png
-from services.analysis.requests import RerenderingRequest
 from services.errors import InvalidRequest, JobFailure, out_of_memory
 from services.jobs.child import OUT_OF_MEMORY, connect, reply, requests
 from services.jobs.cpu_share import CHECKING, give_way
@@ -17,7 +16,6 @@ from services.jobs.warm_up import warm_up
 from services.logs import configure, logger
 from services.pipeline.prepare import preflight
 from services.pipeline.preview import planned_cost, preview
-from services.pipeline.rerender import decode_image, rerender_image
 from services.pipeline.spec import JobSpec
 from services.scenes.library import Library
 from services.settings import Settings
@@ -25,10 +23,9 @@ from services.settings import Settings
 log = logger(__name__)
 
 
-def answer(message: dict[str, Any], data: bytes, library: Library) -> dict[str, Any]:
+def answer(message: dict[str, Any], library: Library) -> dict[str, Any]:
     """Answers one request: {"check": spec} by {"spec", "warnings"}, {"preview": spec} by {"preview", "png"},
-    {"plan": spec} by {"plan", "cost"}, and {"rerender": {"spec", "fit"}}, with an image file as `data`, by
-    {"rerendering", "png"}.
+    and {"plan": spec} by {"plan", "cost"}.
 
     A request with bad fields is answered by {"errors": [[field, detail], …]}, one that needs too much memory by
     OUT_OF_MEMORY, and a check that failed by {"trouble"}.
@@ -41,9 +38,7 @@ def answer(message: dict[str, Any], data: bytes, library: Library) -> dict[str, 
         if "preview" in message:
             shown, image = preview(JobSpec.model_validate(message["preview"]), library)
             return {"preview": shown.model_dump(mode="json"), "png": base64.b64encode(png(image)).decode()}
-        if "plan" in message:
-            return planned_cost(JobSpec.model_validate(message["plan"]), library).model_dump(mode="json")
-        return _rerender(message["rerender"], data, library)
+        return planned_cost(JobSpec.model_validate(message["plan"]), library).model_dump(mode="json")
     except InvalidRequest as error:
         return {"errors": [(one.field, one.detail) for one in error.every]}
     except JobFailure as error:
@@ -60,14 +55,6 @@ def answer(message: dict[str, Any], data: bytes, library: Library) -> dict[str, 
         return {"trouble": "internal: the service's log says why"}
 
 
-def _rerender(request: dict[str, Any], data: bytes, library: Library) -> dict[str, Any]:
-    spec = JobSpec.model_validate(request["spec"])
-    fit = RerenderingRequest.model_validate(request["fit"])
-    image = decode_image(data, spec.scene.camera.size)
-    record, rendered = rerender_image(image, spec, fit, library, lambda done, of: None)  # noqa: ARG005
-    return {"rerendering": record.model_dump(mode="json"), "png": base64.b64encode(png(rendered)).decode()}
-
-
 def main() -> None:
     """Loads network and OpenGL once, reports that it is ready, then answers requests until its parent ends."""
     configure("preflight")
@@ -78,8 +65,8 @@ def main() -> None:
     warm_up(values)
     library = Library(values.cache_dir, values.files)
     reply(connection, {"ready": True})
-    for message, data in inbox:
-        reply(connection, answer(message, data, library))
+    for message, _ in inbox:
+        reply(connection, answer(message, library))
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ from services.jobs.models import Artifact, Event, IdempotencyKey, Job, JobKind, 
 from services.jobs.placement import NO_DEMAND, Demand
 from services.jobs.turns import Turns
 from services.pipeline.names_known import check_meshes
+from services.pipeline.rerendering_spec import RerenderingSpec
 from services.pipeline.spec import JobSpec, digest
 from services.pipeline.warning import JobWarning
 
@@ -72,7 +73,7 @@ class Repository(Turns):
 
     def create(
         self,
-        spec: JobSpec,
+        spec: JobSpec | RerenderingSpec,
         max_queued: int,
         key: Key | None,
         answer: Callable[[Job], dict[str, Any]],
@@ -83,11 +84,11 @@ class Repository(Turns):
         owner_queued: int | None = None,
         demand: Demand = NO_DEMAND,
         retry_of: str | None = None,
-        checkpoint: Artifact | None = None,
+        file: Artifact | None = None,
     ) -> tuple[Job | None, dict[str, Any]]:
         """Records a new queued job. Returns it and `answer(job)`, or None and the key's first answer if it was used.
 
-        It goes on from `checkpoint`, the file of another job, if given.
+        It begins with `file`, whose bytes are in the store: the checkpoint of another job, or an image to re-render.
 
         Raises QueueFull if `max_queued` jobs are queued, QuotaExceeded if the owner has `owner_queued` of them,
         KeyReused if the key came with another request, and InvalidRequest if a mesh of the request was deleted.
@@ -103,11 +104,12 @@ class Repository(Turns):
                 if (session.scalar(own) or 0) >= owner_queued:
                     raise QuotaExceeded(f"an owner may have {owner_queued:,} jobs queued", QUEUED_SECONDS)
             request = spec.model_dump(mode="json")
-            check_held(session, uploads_of(request), partial(check_meshes, spec))
+            check_held(session, uploads_of(request), partial(check_meshes, spec.scene))
             job = self._add_job(
                 session,
                 request,
-                seed=spec.seed,
+                seed=spec.seed if isinstance(spec, JobSpec) else 0,
+                kind=JobKind.ATTACK if isinstance(spec, JobSpec) else JobKind.RERENDERING,
                 digest=digest(spec),
                 warnings=warnings,
                 checked=checked,
@@ -115,9 +117,9 @@ class Repository(Turns):
                 demand=demand,
                 retry_of=retry_of,
             )
-            if checkpoint is not None:
-                file = {"name": checkpoint.name, "sha256": checkpoint.sha256, "size": checkpoint.size}
-                session.add(Artifact(job_id=job.id, media_type=checkpoint.media_type, **file))
+            if file is not None:
+                about = {"name": file.name, "sha256": file.sha256, "size": file.size, "media_type": file.media_type}
+                session.add(Artifact(job_id=job.id, **about))
             said = answer(job)
             if key is not None:
                 values = {"key": key.stored, "digest": key.digest, "answer": said, "created_at": job.created_at}
@@ -130,16 +132,18 @@ class Repository(Turns):
             return _first_answer(session, key)
 
     def line(self, job_id: str) -> Job | None:
-        """An attack without its request and result, as lists show it, or None if the id is unknown."""
+        """An attack or re-rendering without its request and result, as lists show it; None if the id is unknown."""
         with self._read() as session:
             job = session.get(Job, job_id, options=_AS_LISTED)
-            return None if job is None or job.kind is not JobKind.ATTACK else job
+            return None if job is None or job.kind is JobKind.SELECTION else job
 
     def get(self, job_id: str, *, with_result: bool = False) -> Job | None:
-        """An attack, or None if the id is unknown. The result, which may be large, is read only if `with_result`."""
+        """An attack or re-rendering, or None if the id is unknown. The result, which may be large, is read only if
+        `with_result`.
+        """
         with self._read() as session:
             job = session.get(Job, job_id, options=[undefer(Job.result)] if with_result else [])
-            return None if job is None or job.kind is not JobKind.ATTACK else job
+            return None if job is None or job.kind is JobKind.SELECTION else job
 
     def work(self, job_id: str) -> Job | None:
         """A job of any kind, without its result, or None if the id is unknown."""

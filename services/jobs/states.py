@@ -46,7 +46,10 @@ class CampaignState(StrEnum):
 
 
 class JobKind(StrEnum):
-    """The work that a job is. Lists of jobs show attacks only."""
+    """The work that a job is. Lists show attacks, and re-renderings if they are asked to; selections are parts of
+    campaigns.
+    """
 
     ATTACK = "attack"
+    RERENDERING = "rerendering"
     SELECTION = "selection"

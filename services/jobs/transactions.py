@@ -100,11 +100,11 @@ class Transactions:
             warnings=[one.model_dump(mode="json") for one in warnings],
             events=1,
             retry_of=retry_of,
-            **(listed(spec, titles(session, uploads_of(spec))) if kind is JobKind.ATTACK else {}),
+            **(listed(spec, titles(session, uploads_of(spec))) if kind is not JobKind.SELECTION else {}),
         )
         session.add(job)
         session.flush()
-        if kind is JobKind.ATTACK:  # selections belong to a campaign, which refers to the meshes itself
+        if kind is not JobKind.SELECTION:  # selections belong to a campaign, which refers to the meshes itself
             refer_from_job(session, job.id, uploads_of(spec))
         session.add(Event(job_id=job.id, number=1, kind="state", data=story(job), created_at=now))
         totals.count(session, "submitted", kind.value)

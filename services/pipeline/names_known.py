@@ -11,6 +11,7 @@ from services.pipeline.campaign_spec import parse as parse_campaign
 from services.pipeline.spec import JobSpec
 from services.pipeline.spec import parse as parse_job
 from services.rendering.torch_renderer.preset_names import check_preset
+from services.scenes.description import Scene
 from services.scenes.library import Library
 from services.targets.download import check_obtainable
 
@@ -46,16 +47,16 @@ def check_names(request: JobSpec | CampaignSpec, names: Names) -> None:
     parse(request.model_dump(mode="json"), names)
 
 
-def check_meshes(spec: JobSpec, check: Callable[[str], None]) -> None:
+def check_meshes(scene: Scene, check: Callable[[str], None]) -> None:
     """Calls `check` with the name of every mesh, and of an environment map that is an upload. It raises
     InvalidRequest("mesh") for one that may not be named, which is raised again with its path in the request.
     """
-    for index, thing in enumerate(spec.scene.objects):
+    for index, thing in enumerate(scene.objects):
         try:
             check(thing.mesh)
         except InvalidRequest as error:
             raise InvalidRequest(f"scene.objects.{index}.mesh", error.detail) from error
-    environment = spec.scene.lights.environment.map
+    environment = scene.lights.environment.map
     if environment.startswith("sha256:"):
         try:
             check(environment)

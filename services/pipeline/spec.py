@@ -11,6 +11,7 @@ from hashlib import sha256
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, Union
 
 from pydantic import (
+    BaseModel,
     ConfigDict,
     Field,
     GetCoreSchemaHandler,
@@ -277,7 +278,7 @@ def parse(data: object, names: Names | None = None) -> JobSpec:
         raise InvalidFields(problems(error)) from error
 
 
-def digest(spec: JobSpec) -> str:
+def digest(spec: BaseModel) -> str:
     """Hex SHA-256 of a request with its defaults filled in, by which the same request is recognised."""
     return sha256(spec.model_dump_json().encode()).hexdigest()
 

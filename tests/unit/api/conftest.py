@@ -40,9 +40,9 @@ OUTCOME = Outcome(
 
 
 @pytest.fixture(scope="session")
-def app(redis_url: str, tmp_path_factory: pytest.TempPathFactory) -> FastAPI:
-    """The real app with database, Redis and preflight process, and no worker: jobs stay queued."""
-    settings = Settings(
+def settings(redis_url: str, tmp_path_factory: pytest.TempPathFactory) -> Settings:
+    """The settings of `app`."""
+    return Settings(
         data=tmp_path_factory.mktemp("data"),
         redis_url=redis_url,
         max_upload_bytes=300_000,
@@ -51,6 +51,11 @@ def app(redis_url: str, tmp_path_factory: pytest.TempPathFactory) -> FastAPI:
         check_seconds=120,
         preview_seconds=120,
     )
+
+
+@pytest.fixture(scope="session")
+def app(settings: Settings) -> FastAPI:
+    """The real app with database, Redis and preflight process, and no worker: jobs stay queued."""
     return create_app(settings)
 
 

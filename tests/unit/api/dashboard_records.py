@@ -221,7 +221,6 @@ def app(repository: Repository, campaigns: CampaignService | None = None) -> Fas
         previewer=none,
         exporter=none,
         reading=none,
-        rerenderer=none,
         campaigns=cast(Any, campaigns),
         asset_records=none,
         target_records=none,

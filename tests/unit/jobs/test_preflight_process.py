@@ -13,4 +13,4 @@ def test_a_request_that_can_never_fit_memory_is_answered_so(monkeypatch: pytest.
         raise error
 
     monkeypatch.setattr(preflight_process, "preflight", refuse)
-    assert answer({"check": spec().model_dump(mode="json")}, b"", LIBRARY) == OUT_OF_MEMORY
+    assert answer({"check": spec().model_dump(mode="json")}, LIBRARY) == OUT_OF_MEMORY

@@ -1,15 +1,20 @@
+import asyncio
 import json
 import zlib
 from collections.abc import Iterator
+from typing import Any, cast
 
 import pytest
 from rq.job import Job as Message
 
+from api.submissions import Submissions
+from services.access.caller import KEYLESS
+from services.access.quotas import Quotas
 from services.jobs import reconciler
+from services.jobs.placement import NO_DEMAND
 from services.jobs.queue import HEARTBEAT_SECONDS, TASK, Queue, connect
 from services.jobs.reconciler import SETTLE_SECONDS, Reconciler
 from services.jobs.repository import Repository
-from services.jobs.service import Submissions
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import SPEC, add, start
 
@@ -134,9 +139,11 @@ def test_a_job_given_back_is_sent_for_its_next_attempt(repository: Repository, q
 
 def test_a_job_is_taken_while_redis_is_away(repository: Repository, queue: Queue, tmp_path) -> None:  # type: ignore[no-untyped-def]
     nowhere = Queue(connect(f"unix://{tmp_path}/none.sock"))
-    said = Submissions(repository, nowhere, 10).submit(SPEC, None, lambda job: {"id": job.id})
+    quotas = Quotas(cast(Any, None), 10, 10, 10)
+    submissions = Submissions(repository, nowhere, quotas, cast(Any, None), 10)
+    job = asyncio.run(submissions.submit(SPEC, None, KEYLESS, NO_DEMAND, None))
     assert Reconciler(repository, queue).look() == 1
-    assert queue.waiting() == {f"{said['id']}-0"}
+    assert queue.waiting() == {f"{job.id}-0"}
 
 
 def test_signs_of_life_are_counted_and_do_not_last(queue: Queue) -> None:

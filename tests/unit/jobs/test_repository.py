@@ -1,16 +1,22 @@
+import asyncio
 from concurrent.futures import ThreadPoolExecutor
 from math import nan
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
 from sqlalchemy.exc import StatementError
 
+from api.schemas import JobView
+from api.submissions import Submissions
+from services.access.caller import KEYLESS
+from services.access.quotas import Quotas
 from services.errors import QuotaExceeded
 from services.jobs.attempts import Attempt, Standing
 from services.jobs.models import Job, State
+from services.jobs.placement import NO_DEMAND
 from services.jobs.queue import Queue, connect
 from services.jobs.repository import Key, KeyReused, QueueFull, Repository
-from services.jobs.service import Submissions
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import OUTCOME, SPEC, add, artifact, attacks, row, start, state
 
@@ -263,10 +269,13 @@ def test_an_owner_has_no_more_queued_jobs_than_it_may(repository: Repository) ->
 
 def test_a_key_makes_one_job_however_often_it_comes(repository: Repository, tmp_path: Path) -> None:
     key = Key("k", "same")
-    submissions = Submissions(repository, Queue(connect(f"unix://{tmp_path}/none.sock")), 1000)
-    with ThreadPoolExecutor(8) as pool:
-        made = list(pool.map(lambda _: submissions.submit(SPEC, key, lambda job: {"id": job.id}), range(8)))
-    assert len({said["id"] for said in made}) == 1
+    nowhere = Queue(connect(f"unix://{tmp_path}/none.sock"))
+    submissions = Submissions(repository, nowhere, Quotas(cast(Any, None), 10, 10, 10), cast(Any, None), 1000)
+
+    async def submitted() -> list[JobView]:
+        return await asyncio.gather(*(submissions.submit(SPEC, None, KEYLESS, NO_DEMAND, key) for _ in range(8)))
+
+    assert len({job.id for job in asyncio.run(submitted())}) == 1
     assert len(attacks(repository)) == 1
     with pytest.raises(KeyReused):
         repository.create(SPEC, 1000, Key("k", "other"), lambda job: {"id": job.id})

@@ -98,7 +98,7 @@ def test_a_cancelled_job_keeps_its_best_and_another_ends_as_it_would_have(
     assert best["attacked"]["label"] == prepared.target.labels[int(prepared.verifier.logits(image).argmax())]
 
     [given] = [one for one in repository.artifacts(job.id) if one.name == CHECKPOINT]
-    later, _ = repository.create(SPEC, 1000, None, lambda _: {}, checkpoint=given)
+    later, _ = repository.create(SPEC, 1000, None, lambda _: {}, file=given)
     assert later is not None
     jobs.run(start(repository, later))
     found = row(repository, later)
@@ -130,7 +130,7 @@ def test_a_checkpoint_that_is_gone_lets_the_job_begin_again(tmp_path: Path, repo
     jobs = Jobs(Settings(data=tmp_path))
     job = add(repository, SPEC)
     gone = Artifact(job_id=job.id, name=CHECKPOINT, sha256="ab" * 32, media_type="application/octet-stream", size=3)
-    later, _ = repository.create(SPEC, 1000, None, lambda _: {}, checkpoint=gone)
+    later, _ = repository.create(SPEC, 1000, None, lambda _: {}, file=gone)
     assert later is not None
     jobs.run(start(repository, later))
     assert row(repository, later)["state"] == "succeeded"
