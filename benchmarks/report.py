@@ -3,11 +3,13 @@
 import json
 import platform
 import shlex
+import subprocess
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 
+from benchmarks.stale import DEPENDS, ROOT
 from services.versions import versions
 
 RESULTS = Path(__file__).parent / "results"
@@ -50,6 +52,8 @@ def head(about: str, backend: str, seed: int | None) -> dict[str, object]:
 
 
 def save(path: Path, about: str, backend: str, seed: int | None, **content: object) -> None:
-    """Writes a result as JSON, with its provenance."""
+    """Writes a result as JSON, with its provenance. Signs it (`benchmarks.stale`) if it is one that is committed."""
     path.write_text(json.dumps(head(about, backend, seed) | content, indent=1) + "\n", "utf-8")
+    if any(path.resolve() == ROOT / name for name in DEPENDS):
+        subprocess.run([sys.executable, "-m", "benchmarks.stale", "sign", str(path)], check=True)
     print(f"written to {path}")
