@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 
 from rich.text import Text
 
-from client.console import out, table, yes
+from client.console import answer_text, out, table, yes
 from client.fitted_table import FittedTable
 from client.outcomes import thousandths, verdict
 from services.analysis.records import (
@@ -14,7 +14,6 @@ from services.analysis.records import (
     Interpretation,
     MinimalChange,
     Rerendering,
-    Said,
     Subset,
     Transferred,
 )
@@ -130,9 +129,9 @@ def _transfer(found: Sequence[Transferred]) -> FittedTable:
         [
             one.target,
             one.renderer,
-            _said(one.before),
-            _said(one.after),
-            verdict(one.model_dump()),
+            answer_text(one.before),
+            answer_text(one.after),
+            verdict(one.outcome),
             yes(one.right_before),
             one.note,
         ]
@@ -149,21 +148,21 @@ def _interpretation(found: Interpretation) -> FittedTable:
             f"{one.rate:.0e}",
             f"{one.losses[0] * 1000:.3f}",
             f"{min(one.losses) * 1000:.3f}",
-            _said(one.after),
+            answer_text(one.after),
             "yes" if one.after.label == found.image.label else "no",
         ]
         for one in found.fits
     ]
     columns = ("optimiser", "rate>", *FIT_COLUMNS, "label after", "attacked label kept")
-    said = f"image: {_said(found.image)}, scene: {_said(found.scene)}"
+    said = f"image: {answer_text(found.image)}, scene: {answer_text(found.scene)}"
     return table(columns, rows, title=f"Interpretation: fits of physical parameters to the image ({said})")
 
 
 def rerendering_table(found: Rerendering) -> FittedTable:
     """The re-rendering defence as a table of one row."""
     row = [
-        _said(found.before),
-        _said(found.after),
+        answer_text(found.before),
+        answer_text(found.after),
         f"{found.losses[0] * 1000:.3f}",
         f"{min(found.losses) * 1000:.3f}",
         thousandths(found.distance),
@@ -176,8 +175,8 @@ def _adaptive(found: AdaptiveAttack) -> FittedTable:
     row: list[str | Text] = [
         yes(found.fooled),
         str(found.steps),
-        _said(found.image),
-        _said(found.rerendered),
+        answer_text(found.image),
+        answer_text(found.rerendered),
         f"{found.goal_probability[0]:.3f} → {found.goal_probability[-1]:.3f}",
         thousandths(found.perceptibility),
     ]
@@ -190,7 +189,3 @@ def _adaptive(found: AdaptiveAttack) -> FittedTable:
         "p saved ×1e-3>",
     )
     return table(columns, [row], title="Attack on pixels through the re-rendering defence")
-
-
-def _said(said: Said) -> str:
-    return f"{said.label} {said.confidence:.2f}"

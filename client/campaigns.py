@@ -1,10 +1,10 @@
 """A campaign at the terminal: its progress, its table, and the results and images in its folder or at a service."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import monotonic
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rich.text import Text
 
@@ -14,7 +14,9 @@ from client.live import LOG_EVERY, ProgressLine
 from services.errors import InvalidRequest
 
 if TYPE_CHECKING:
-    from client.api_client import ApiClient
+    from api.schemas import CampaignJobView
+    from client.client import Client
+    from services.analysis.campaign_table import Cell, Table
     from services.pipeline.campaign_run import CampaignProgress
     from services.pipeline.result import Result
 
@@ -26,31 +28,31 @@ def campaign_state(state: str) -> Text:
     return Text(state, style=STYLES.get(state, "red"))
 
 
-def results(found: Mapping[str, Any]) -> FittedTable:
-    """The table of a campaign (services.analysis.campaign_table.Table, as JSON): a row for each target and attack."""
+def results(found: "Table") -> FittedTable:
+    """The table of a campaign: a row for each target and attack."""
     columns = ("target", "attack", "ended>", "n>", "success %>", "95 % interval>", "p ×1e-3>", "held within ε>")
     loop = ("in the loop %>", "p in the loop ×1e-3>", "truncated px>", "failed>", "reused>")
     spare = ("reused", "held within ε", "truncated px", "failed", "in the loop %", "ended", "n")
-    return table((*columns, *loop), [_row(cell) for cell in found["cells"]], title=found["campaign"], spare=spare)
+    return table((*columns, *loop), [_row(cell) for cell in found.cells], title=found.campaign, spare=spare)
 
 
-def _row(cell: Mapping[str, Any]) -> list[str | Text]:
-    success = cell["success"]
-    interval = "" if success["rate"] is None else f"{100 * success['low']:.1f}–{100 * success['high']:.1f}"
+def _row(cell: "Cell") -> list[str | Text]:
+    success = cell.success
+    interval = "–".join(_number(bound, 100) for bound in (success.low, success.high) if bound is not None)
     return [
-        cell["target"],
-        cell["attack"],
-        f"{cell['ended']}/{cell['jobs']}",
-        str(success["of"]),
-        _number(success["rate"], 100),
+        cell.target,
+        cell.attack,
+        f"{cell.ended}/{cell.jobs}",
+        str(success.of),
+        _number(success.rate, 100),
         interval,
-        _number(cell["perceptibility"], 1000),
-        str(cell["held_within_epsilon"] or ""),
-        _number(cell["loop_success"]["rate"], 100),
-        _number(cell["loop_perceptibility"], 1000),
-        _number(cell["truncated"], 1),
-        str(cell["failed"] or ""),
-        str(cell["reused"] or ""),
+        _number(cell.perceptibility, 1000),
+        str(cell.held_within_epsilon or ""),
+        _number(cell.loop_success.rate, 100),
+        _number(cell.loop_perceptibility, 1000),
+        _number(cell.truncated, 1),
+        str(cell.failed or ""),
+        str(cell.reused or ""),
     ]
 
 
@@ -114,22 +116,24 @@ def folder_results(folder: Path) -> Iterator[tuple["Result", Path]]:
             yield Result.model_validate_json((place / "result.json").read_bytes()), place
 
 
-def service_results(client: "ApiClient", campaign_id: str) -> Iterator[tuple["Result", Path]]:
+def service_results(client: "Client", campaign_id: str) -> Iterator[tuple["Result", Path]]:
     """The result of each job that succeeded, and a folder with its images that lasts until the next result."""
-    from services.pipeline.result import Result
+    from client import operations
 
     for planned in _planned(client, campaign_id):
-        if planned["state"] != "succeeded":
+        if planned.job is None or planned.state != "succeeded":
             continue
         with TemporaryDirectory() as folder:
             for name in IMAGES:
-                client.download_artifact(planned["job"], name, Path(folder) / name)
-            yield Result.model_validate(client.get_job(planned["job"])["result"]), Path(folder)
+                client.save(operations.download_artifact(planned.job, name), Path(folder) / name)
+            yield client.get_job(planned.job).result, Path(folder)
 
 
-def _planned(client: "ApiClient", campaign_id: str) -> Iterator[dict[str, Any]]:
+def _planned(client: "Client", campaign_id: str) -> Iterator["CampaignJobView"]:
+    from client import operations
+
     after: int | None = -1
     while after is not None:
-        page = client.list_campaign_jobs(campaign_id, after)
-        yield from page["items"]
-        after = page["next"]
+        page = client.call(operations.list_campaign_jobs(campaign_id, after=after))
+        yield from page.items
+        after = page.next

@@ -88,13 +88,12 @@ def _end_with(error: Exception) -> NoReturn:
     """Ends with a message for a bad setting or an error of a service; raises any other error again."""
     from httpx import HTTPError
 
-    from client.api_client import ApiError
-    from client.no_answer import why
+    from client.errors import ApiError, why
 
     if isinstance(error, ApiError):
         hint = "; the command line sends the one in SCENE_ATTACK_KEY" if error.status == 401 else ""
-        said = [f"{one.get('field')}: {one.get('detail')}" for one in error.problem.get("errors") or ()]
-        _end(2 if 400 <= error.status < 500 else 1, *(f"refused: {one}{hint}" for one in said or [str(error)]))
+        code = 2 if 400 <= error.status < 500 else 1
+        _end(code, *(f"refused: {message}{hint}" for message in error.fields or [str(error)]))
     if isinstance(error, HTTPError):
         _end(1, why(error))
     if isinstance(error, OSError) and error.strerror:  # a full disk, a folder that cannot be written, a store

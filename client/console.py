@@ -2,8 +2,8 @@
 
 import json
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
@@ -11,6 +11,9 @@ from rich.text import Text
 
 from client.fitted_table import FittedTable
 from services.written_text import escaped, visible
+
+if TYPE_CHECKING:
+    from services.analysis.records import Answer, Said
 
 
 class PlainConsole(Console):
@@ -53,7 +56,9 @@ def report_targets() -> None:
 
 
 def print_json(data: Any) -> None:
-    """Prints one JSON document on stdout. Raises ValueError for a number that is not finite."""
+    """Prints data, which may be a model, as one JSON document on stdout. ValueError for a number that is not finite."""
+    if hasattr(data, "model_dump"):
+        data = data.model_dump(mode="json")
     print(escaped(json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False)))
 
 
@@ -86,9 +91,9 @@ def state_text(state: str) -> Text:
     return Text(state, style=STATE_STYLES.get(state, ""))
 
 
-def answer_text(answer: Mapping[str, Any] | None) -> str:
-    """A label and its confidence, e.g. "grand piano 0.77"; empty for None."""
-    return "" if answer is None else f"{answer['label']} {answer['confidence']:.2f}"
+def answer_text(answer: "Answer | Said") -> str:
+    """A label and its confidence, e.g. "grand piano 0.77"."""
+    return f"{answer.label} {answer.confidence:.2f}"
 
 
 def small(value: float | str) -> str:

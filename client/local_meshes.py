@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 from services.errors import InvalidFields, InvalidRequest
 
 if TYPE_CHECKING:
-    from client.api_client import ApiClient
+    from client.client import Client
+    from client.operations import Answer, Request
     from services.pipeline.campaign_spec import CampaignSpec
     from services.pipeline.spec import JobSpec
     from services.scenes.bundle import Bundle
@@ -90,13 +91,13 @@ def with_meshes_added(data: dict[str, Any], folder: Path, add: Adding) -> tuple[
 
 
 def sent(
-    data: dict[str, Any], folder: Path, client: "ApiClient", send: Callable[[dict[str, Any]], dict[str, Any]]
-) -> dict[str, Any]:
-    """The service's answer to a request, which `send` sends, with the meshes that it names by paths uploaded.
+    data: dict[str, Any], folder: Path, client: "Client", request: Callable[[dict[str, Any]], "Request[Answer]"]
+) -> "Answer":
+    """The service's answer to a request of data, with the meshes that it names by paths uploaded.
 
     Raises InvalidFields with every wrong field: a mesh that was not uploaded, and what the service finds beside it.
     """
-    from client.request import ApiError
+    from client.errors import ApiError
 
     data, not_added = with_meshes_added(data, folder, to_service(client))
     wrong: dict[str, InvalidRequest] = {}
@@ -109,7 +110,7 @@ def sent(
     for place in _PLACES:
         _replaced(data, place.split("."), refused)
     try:
-        return send(data)
+        return client.call(request(data))
     except ApiError as error:
         if error.status != 422 or not wrong:
             raise
@@ -134,23 +135,22 @@ def local_library(settings: "Settings") -> "Library":
     return Library(settings.cache_dir, settings.files)
 
 
-def to_service(client: "ApiClient") -> Adding:
+def to_service(client: "Client") -> Adding:
     """Returns what uploads a mesh to a service, and says so on standard error. The name is that of `to_library`."""
 
     def add(path: Path) -> tuple[str, Sequence[str]]:
-        from client.mesh_files import with_files_beside
-        from client.request import ApiError
+        from client import operations
+        from client.errors import ApiError
         from services.scenes.bundle import title_of
 
-        files = with_files_beside([path])
         try:
-            entry = client.upload_asset(files, mesh=_chosen(path, files), name=title_of(path))
+            entry = client.call(operations.upload_asset([path], name=title_of(path)))
         except ApiError as error:
             if error.status != 422:
                 raise
             raise InvalidRequest("mesh", str(error)) from error
-        _say(f"{path.name}: uploaded as {entry['name']}")
-        return entry["name"], entry["notes"]
+        _say(f"{path.name}: uploaded as {entry.name}")
+        return entry.name, entry.notes
 
     return add
 
@@ -165,12 +165,9 @@ def bundle_at(path: Path, limits: "Settings") -> "Bundle":
     from services.scenes.uploads import max_unpacked, to_bundle
 
     files = [(name, one.read_bytes()) for name, one in with_files_beside([path])]
-    return to_bundle(files, None, _chosen(path, files), About(title=title_of(path)), max_unpacked(limits))
-
-
-def _chosen(path: Path, files: Sequence[object]) -> str | None:
-    """Which of the files is the mesh; one alone may be a zip file, which has it inside."""
-    return path.name if len(files) > 1 else None
+    return to_bundle(
+        files, None, path.name if len(files) > 1 else None, About(title=title_of(path)), max_unpacked(limits)
+    )
 
 
 def _replaced(data: Any, steps: Sequence[str], named: Callable[[str, str], str], place: str = "") -> Any:

@@ -1,52 +1,110 @@
-"""The operations of the HTTP API: each function gives the request of one, with the type of its answer.
+"""The operations of the HTTP API: each function gives the request of one, with the model of its answer.
 
-A client sends them: `client.call(operations.list_targets())`. A parameter that is None is left out of the request.
+This is the table of openapi.yaml's operations: method, path, parameters and models. A client sends a request and reads
+its answer: `client.call(operations.list_targets()).items`. A parameter that is None is left out of the request. The
+models are those with which the service makes its answers; fields that a newer service adds are left out.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Generic, Literal, TypeVar
+from urllib.parse import quote
 
-from client.campaign_operations import cancel_campaign as cancel_campaign
-from client.campaign_operations import get_campaign as get_campaign
-from client.campaign_operations import get_campaign_cases_csv as get_campaign_cases_csv
-from client.campaign_operations import get_campaign_table as get_campaign_table
-from client.campaign_operations import get_campaign_table_csv as get_campaign_table_csv
-from client.campaign_operations import get_campaign_table_latex as get_campaign_table_latex
-from client.campaign_operations import list_campaign_jobs as list_campaign_jobs
-from client.campaign_operations import list_campaign_views as list_campaign_views
-from client.campaign_operations import list_campaigns as list_campaigns
-from client.campaign_operations import pause_campaign as pause_campaign
-from client.campaign_operations import resume_campaign as resume_campaign
-from client.campaign_operations import submit_campaign as submit_campaign
-from client.request import CHECK_SECONDS, Device, Request
+from pydantic import BaseModel
 
-if TYPE_CHECKING:
-    from client.answers import (
-        ArtifactList,
-        AssetList,
-        Health,
-        JobPage,
-        JobSpec,
-        JobTable,
-        JobView,
-        PreviewView,
-        Priority,
-        Readiness,
-        RerenderingBody,
-        SceneLibrary,
-        State,
-        TargetList,
-        Uploaded,
-    )
+from api.job_edit import JobEdit
+from api.schemas import (
+    ArtifactList,
+    AssetList,
+    CampaignJobPage,
+    CampaignPage,
+    CampaignView,
+    Health,
+    JobPage,
+    JobTable,
+    JobView,
+    PreviewView,
+    Readiness,
+    RerenderingBody,
+    SceneLibrary,
+    TargetList,
+    Uploaded,
+    ViewList,
+)
+from services.jobs.placement import Priority
+from services.jobs.states import CampaignState, State
+from services.pipeline.campaign_plan import CampaignResult
+from services.pipeline.campaign_spec import CampaignSpec
+from services.pipeline.spec import JobSpec
+
+Answer = TypeVar("Answer")
+Device = Literal["cuda", "cpu"]
+PriorityName = Priority | Literal["high", "normal", "low"]
+StateName = State | Literal["queued", "running", "cancelling", "succeeded", "failed", "rejected", "cancelled"]
+CampaignStateName = CampaignState | Literal["selecting", "running", "paused", "finished", "failed", "cancelled"]
+CHECK_SECONDS = 300.0
+"""The service may take so long to check a request; the first request waits for a process to warm up."""
+
+
+@dataclass(frozen=True)
+class Request(Generic[Answer]):
+    """A request of an operation of openapi.yaml before it is sent.
+
+    `route` is its path there, whose names in braces are in `path`. `answer` is the model of the answer; `bytes` or
+    `str` for a file or a text, and the type of None where there is no content.
+    """
+
+    method: str
+    route: str
+    answer: type[Answer]
+    path: Mapping[str, str] = field(default_factory=dict)
+    params: Mapping[str, Any] = field(default_factory=dict)
+    headers: Mapping[str, str | None] = field(default_factory=dict)
+    json: BaseModel | Mapping[str, Any] | None = None
+    files: Sequence[tuple[str, bytes]] = ()
+    form: Mapping[str, Any] = field(default_factory=dict)
+    seconds: float | None = None
+    """Longest wait for the answer; None for the client's own."""
+
+    @property
+    def address(self) -> str:
+        """The path with its names filled in."""
+        return self.route.format_map({name: quote(value, safe="") for name, value in self.path.items()})
+
+    def arguments(self) -> dict[str, Any]:
+        """The request as the arguments of `httpx.Client.request`."""
+        arguments: dict[str, Any] = {"method": self.method, "url": self.address}
+        if params := _given(self.params):
+            arguments["params"] = params
+        if headers := _given(self.headers):
+            arguments["headers"] = headers
+        if self.json is not None:
+            arguments["json"] = _plain(self.json)
+        if self.files:
+            arguments |= {"files": [("file", file) for file in self.files], "data": _given(self.form)}
+        if self.seconds is not None:
+            arguments["timeout"] = self.seconds
+        return arguments
+
+
+def _given(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def _plain(body: BaseModel | Mapping[str, Any]) -> Any:
+    if not isinstance(body, BaseModel):
+        return body
+    # An edit leaves the fields alone that were not given; every other body may have its defaults spelt out.
+    return body.model_dump(mode="json", exclude_unset=isinstance(body, JobEdit))
 
 
 def submit_job(
     spec: JobSpec | Mapping[str, Any],
     *,
-    priority: Priority | None = None,
+    priority: PriorityName | None = None,
     device: Device | None = None,
     memory: int | None = None,
     idempotency_key: str | None = None,
@@ -56,6 +114,7 @@ def submit_job(
     return Request(
         "POST",
         "/v1/jobs",
+        JobView,
         params={"priority": priority, "device": device, "memory": memory},
         headers={"Idempotency-Key": idempotency_key, "Prefer": None if wait is None else f"wait={wait:.0f}"},
         json=spec,
@@ -67,7 +126,7 @@ def list_jobs(
     *,
     q: str | None = None,
     sort: str | None = None,
-    state: State | Sequence[State] | None = None,
+    state: StateName | Sequence[StateName] | None = None,
     kind: Literal["attack", "rerendering"] | None = None,
     campaign: str | None = None,
     limit: int | None = None,
@@ -83,69 +142,71 @@ def list_jobs(
         "limit": limit,
         "cursor": cursor,
     }
-    return Request("GET", "/v1/jobs", params=params)
+    return Request("GET", "/v1/jobs", JobPage, params=params)
 
 
 def get_job_table(*, q: str | None = None, sort: str | None = None, job: list[str] | None = None) -> Request[JobTable]:
     """Every job that meets a query, or those of the ids in `job`, as lines of a table."""
-    return Request("GET", "/v1/jobs.json", params={"q": q, "sort": sort, "job": job})
+    return Request("GET", "/v1/jobs.json", JobTable, params={"q": q, "sort": sort, "job": job})
 
 
 def get_job_table_csv(*, q: str | None = None, sort: str | None = None, job: list[str] | None = None) -> Request[str]:
     """The table of `jobs_json` as CSV."""
-    return Request("GET", "/v1/jobs.csv", params={"q": q, "sort": sort, "job": job})
+    return Request("GET", "/v1/jobs.csv", str, params={"q": q, "sort": sort, "job": job})
 
 
 def get_job(job_id: str) -> Request[JobView]:
     """One job, with its request and, when it has succeeded, its result."""
-    return Request("GET", "/v1/jobs/{job_id}", {"job_id": job_id})
+    return Request("GET", "/v1/jobs/{job_id}", JobView, {"job_id": job_id})
 
 
-def edit_job(job_id: str, body: Mapping[str, Any]) -> Request[JobView]:
+def edit_job(job_id: str, body: JobEdit | Mapping[str, Any]) -> Request[JobView]:
     """Changes a job's `title`, `tags` and `note`, those that `body` has."""
-    return Request("PATCH", "/v1/jobs/{job_id}", {"job_id": job_id}, json=body)
+    return Request("PATCH", "/v1/jobs/{job_id}", JobView, {"job_id": job_id}, json=body)
 
 
 def retry_job(job_id: str) -> Request[JobView]:
     """Queues a job's request again, as a new job."""
-    return Request("POST", "/v1/jobs/{job_id}/retry", {"job_id": job_id})
+    return Request("POST", "/v1/jobs/{job_id}/retry", JobView, {"job_id": job_id})
 
 
 def delete_job(job_id: str) -> Request[None]:
     """Deletes a job that has ended, with its files."""
-    return Request("DELETE", "/v1/jobs/{job_id}", {"job_id": job_id})
+    return Request("DELETE", "/v1/jobs/{job_id}", type(None), {"job_id": job_id})
 
 
 def cancel_job(job_id: str) -> Request[JobView]:
     """Asks a job to stop; one that has ended stays as it is."""
-    return Request("POST", "/v1/jobs/{job_id}/cancel", {"job_id": job_id})
+    return Request("POST", "/v1/jobs/{job_id}/cancel", JobView, {"job_id": job_id})
 
 
 def continue_job(job_id: str) -> Request[JobView]:
     """Queues a new job that goes on from the checkpoint of one that was cancelled or failed."""
-    return Request("POST", "/v1/jobs/{job_id}/continue", {"job_id": job_id})
+    return Request("POST", "/v1/jobs/{job_id}/continue", JobView, {"job_id": job_id})
 
 
 def stream_job_events(job_id: str, *, last_event_id: str | None = None) -> Request[bytes]:
     """A job's server-sent events after one of them; `Job.watch` reads them and takes up a dropped connection."""
-    return Request("GET", "/v1/jobs/{job_id}/events", {"job_id": job_id}, headers={"Last-Event-ID": last_event_id})
+    return Request(
+        "GET", "/v1/jobs/{job_id}/events", bytes, {"job_id": job_id}, headers={"Last-Event-ID": last_event_id}
+    )
 
 
 def list_artifacts(job_id: str) -> Request[ArtifactList]:
     """The list of a finished job's files."""
-    return Request("GET", "/v1/jobs/{job_id}/artifacts", {"job_id": job_id})
+    return Request("GET", "/v1/jobs/{job_id}/artifacts", ArtifactList, {"job_id": job_id})
 
 
 def download_artifact(job_id: str, name: str, *, if_none_match: str | None = None) -> Request[bytes]:
     """The bytes of one file of a job."""
     path, headers = {"job_id": job_id, "name": name}, {"If-None-Match": if_none_match}
-    return Request("GET", "/v1/jobs/{job_id}/artifacts/{name}", path, headers=headers)
+    return Request("GET", "/v1/jobs/{job_id}/artifacts/{name}", bytes, path, headers=headers)
 
 
 def download_export(job_id: str, *, if_none_match: str | None = None) -> Request[bytes]:
     """A zip file of a finished job: its scene before and after as glTF, maps, tables and a report."""
     path, headers = {"job_id": job_id}, {"If-None-Match": if_none_match}
-    return Request("GET", "/v1/jobs/{job_id}/export", path, headers=headers, seconds=CHECK_SECONDS)
+    return Request("GET", "/v1/jobs/{job_id}/export", bytes, path, headers=headers, seconds=CHECK_SECONDS)
 
 
 def download_scene(
@@ -153,18 +214,18 @@ def download_scene(
 ) -> Request[bytes]:
     """A finished job's scene before or after the attack as a glb file."""
     path, headers = {"job_id": job_id}, {"If-None-Match": if_none_match}
-    return Request("GET", "/v1/jobs/{job_id}/scene.glb", path, {"which": which}, headers, seconds=CHECK_SECONDS)
+    return Request("GET", "/v1/jobs/{job_id}/scene.glb", bytes, path, {"which": which}, headers, seconds=CHECK_SECONDS)
 
 
 def preview_job(spec: JobSpec | Mapping[str, Any], *, plan: bool | None = None) -> Request[PreviewView]:
     """The picture of a request, what the network says of it, and on demand its plan, without an attack."""
-    return Request("POST", "/v1/preview", params={"plan": plan}, json=spec, seconds=CHECK_SECONDS)
+    return Request("POST", "/v1/preview", PreviewView, params={"plan": plan}, json=spec, seconds=CHECK_SECONDS)
 
 
 def rerender_image(
-    body: RerenderingBody,
+    body: RerenderingBody | Mapping[str, Any],
     *,
-    priority: Priority | None = None,
+    priority: PriorityName | None = None,
     device: Device | None = None,
     memory: int | None = None,
     idempotency_key: str | None = None,
@@ -176,6 +237,7 @@ def rerender_image(
     return Request(
         "POST",
         "/v1/rerenderings",
+        JobView,
         params={"priority": priority, "device": device, "memory": memory},
         headers={"Idempotency-Key": idempotency_key, "Prefer": None if wait is None else f"wait={wait:.0f}"},
         json=body,
@@ -183,23 +245,103 @@ def rerender_image(
     )
 
 
+def submit_campaign(
+    spec: CampaignSpec | Mapping[str, Any],
+    *,
+    priority: PriorityName | None = None,
+    device: Device | None = None,
+    memory: int | None = None,
+    idempotency_key: str | None = None,
+) -> Request[CampaignView]:
+    """Starts a campaign; priority, device and memory are those of its jobs."""
+    return Request(
+        "POST",
+        "/v1/campaigns",
+        CampaignView,
+        params={"priority": priority, "device": device, "memory": memory},
+        headers={"Idempotency-Key": idempotency_key},
+        json=spec,
+        seconds=CHECK_SECONDS,
+    )
+
+
+def list_campaigns(
+    *, state: CampaignStateName | None = None, limit: int | None = None, cursor: str | None = None
+) -> Request[CampaignPage]:
+    """A page of the campaigns, newest first."""
+    return Request("GET", "/v1/campaigns", CampaignPage, params={"state": state, "limit": limit, "cursor": cursor})
+
+
+def get_campaign(campaign_id: str) -> Request[CampaignView]:
+    """One campaign, with its request, progress and outcomes."""
+    return Request("GET", "/v1/campaigns/{campaign_id}", CampaignView, {"campaign_id": campaign_id})
+
+
+def pause_campaign(campaign_id: str) -> Request[CampaignView]:
+    """Holds a campaign's queued jobs back."""
+    return Request("POST", "/v1/campaigns/{campaign_id}/pause", CampaignView, {"campaign_id": campaign_id})
+
+
+def resume_campaign(campaign_id: str) -> Request[CampaignView]:
+    """Lets a paused campaign go on."""
+    return Request("POST", "/v1/campaigns/{campaign_id}/resume", CampaignView, {"campaign_id": campaign_id})
+
+
+def cancel_campaign(campaign_id: str) -> Request[CampaignView]:
+    """Ends a campaign and its jobs."""
+    return Request("POST", "/v1/campaigns/{campaign_id}/cancel", CampaignView, {"campaign_id": campaign_id})
+
+
+def list_campaign_views(campaign_id: str) -> Request[ViewList]:
+    """The views of a campaign with the networks' first answers, and why some are not attacked."""
+    return Request("GET", "/v1/campaigns/{campaign_id}/views", ViewList, {"campaign_id": campaign_id})
+
+
+def list_campaign_jobs(
+    campaign_id: str, *, limit: int | None = None, after: int | None = None
+) -> Request[CampaignJobPage]:
+    """A page of a campaign's planned jobs, with numbers above `after`."""
+    path, params = {"campaign_id": campaign_id}, {"limit": limit, "after": after}
+    return Request("GET", "/v1/campaigns/{campaign_id}/jobs", CampaignJobPage, path, params)
+
+
+def get_campaign_table(campaign_id: str) -> Request[CampaignResult]:
+    """The table, the mean curves and the views of a campaign."""
+    return Request("GET", "/v1/campaigns/{campaign_id}/table.json", CampaignResult, {"campaign_id": campaign_id})
+
+
+def get_campaign_table_csv(campaign_id: str) -> Request[str]:
+    """The table of a campaign as CSV."""
+    return Request("GET", "/v1/campaigns/{campaign_id}/table.csv", str, {"campaign_id": campaign_id})
+
+
+def get_campaign_table_latex(campaign_id: str) -> Request[str]:
+    """The table of a campaign as LaTeX."""
+    return Request("GET", "/v1/campaigns/{campaign_id}/table.tex", str, {"campaign_id": campaign_id})
+
+
+def get_campaign_cases_csv(campaign_id: str) -> Request[str]:
+    """The jobs of a campaign that have ended, as CSV."""
+    return Request("GET", "/v1/campaigns/{campaign_id}/cases.csv", str, {"campaign_id": campaign_id})
+
+
 def list_assets() -> Request[AssetList]:
     """The meshes that were uploaded."""
-    return Request("GET", "/v1/assets")
+    return Request("GET", "/v1/assets", AssetList)
 
 
 def get_asset(name: str) -> Request[Uploaded]:
     """An uploaded mesh or environment map by its name, "sha256:" and 64 digits."""
-    return Request("GET", "/v1/assets/{sha256}", {"sha256": name.removeprefix("sha256:")})
+    return Request("GET", "/v1/assets/{sha256}", Uploaded, {"sha256": name.removeprefix("sha256:")})
 
 
 def download_thumbnail(name: str) -> Request[bytes]:
     """The picture of an upload, a PNG image."""
-    return Request("GET", "/v1/assets/{sha256}/thumbnail", {"sha256": name.removeprefix("sha256:")})
+    return Request("GET", "/v1/assets/{sha256}/thumbnail", bytes, {"sha256": name.removeprefix("sha256:")})
 
 
 def upload_asset(
-    path: Path,
+    files: Sequence[Path],
     kind: str | None = None,
     *,
     mesh: str | None = None,
@@ -210,19 +352,21 @@ def upload_asset(
 ) -> Request[Uploaded]:
     """Uploads a mesh with the files beside it that it names, a zip file of them, or an environment map.
 
-    `kind` is the format, by default the file's ending; `mesh` names the mesh among several in a zip file. Raises
-    InvalidRequest if there is no such file.
+    `kind` is the format, by default the file's ending; `mesh` names the mesh among several files. A file that is given
+    alone is the mesh. Raises InvalidRequest if there is no such file.
     """
     from client.mesh_files import with_files_beside
 
-    files = [(sent, one.read_bytes()) for sent, one in with_files_beside([path])]
+    sent = [(sent, path.read_bytes()) for sent, path in with_files_beside(files)]
+    if mesh is None and len(files) == 1 < len(sent):
+        mesh = files[0].name
     form = {"kind": kind, "mesh": mesh, "name": name, "up": up, "licence": licence, "credit": credit}
-    return Request("POST", "/v1/assets", files=files, form=form, seconds=CHECK_SECONDS)
+    return Request("POST", "/v1/assets", Uploaded, files=sent, form=form, seconds=CHECK_SECONDS)
 
 
 def delete_asset(name: str) -> Request[None]:
     """Deletes an uploaded mesh by its name, "sha256:" and 64 digits."""
-    return Request("DELETE", "/v1/assets/{sha256}", {"sha256": name.removeprefix("sha256:")})
+    return Request("DELETE", "/v1/assets/{sha256}", type(None), {"sha256": name.removeprefix("sha256:")})
 
 
 def get_scene_library(
@@ -230,24 +374,24 @@ def get_scene_library(
 ) -> Request[SceneLibrary]:
     """The meshes that match, and all environment maps."""
     params = {"category": category, "creator": creator, "licence": licence, "search": search}
-    return Request("GET", "/v1/scenes", params=params)
+    return Request("GET", "/v1/scenes", SceneLibrary, params=params)
 
 
 def list_targets() -> Request[TargetList]:
     """The networks that can be attacked."""
-    return Request("GET", "/v1/targets")
+    return Request("GET", "/v1/targets", TargetList)
 
 
 def get_health() -> Request[Health]:
     """Whether the process answers."""
-    return Request("GET", "/healthz")
+    return Request("GET", "/healthz", Health)
 
 
 def get_readiness() -> Request[Readiness]:
     """Whether the service can take jobs and run them; ApiError with status 503 if it cannot."""
-    return Request("GET", "/readyz")
+    return Request("GET", "/readyz", Readiness)
 
 
 def get_metrics() -> Request[str]:
     """The metrics, in Prometheus' text format."""
-    return Request("GET", "/metrics")
+    return Request("GET", "/metrics", str)

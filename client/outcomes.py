@@ -1,12 +1,14 @@
-"""Formats the outcomes of jobs (services.pipeline.outcome.Outcome, as JSON) as table rows."""
+"""Formats the outcomes of jobs as table rows."""
 
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, Literal
 
 from rich.text import Text
 
 from client.console import err, yes
-from services.attacks.verdict import SUCCESS, WRONG_BEFORE, held_within, with_outcome
+from services.attacks.verdict import SUCCESS, WRONG_BEFORE, Verdict, held_within
+from services.pipeline.outcome import Outcome
+from services.pipeline.warning import JobWarning
 
 STYLES = {"fooled": "bold magenta", "held": "bold blue"}
 """The colours of outcomes; the others are yellow, since they are neither a success nor a failure."""
@@ -15,19 +17,19 @@ SPARE = ("p saved", "seconds", "queries", "verified", "before")
 """The columns that a narrow terminal does not show; a wide one, and --json, do."""
 
 
-def cells(scene: str, attack: str, outcome: Mapping[str, Any]) -> list[str | Text]:
+def cells(scene: str, attack: str, outcome: Outcome) -> list[str | Text]:
     """The cells of one table row, in the order of COLUMNS."""
     return [
         scene,
         attack,
         answer_cell(outcome, "before"),
         answer_cell(outcome, "after"),
-        verdict(outcome),
+        outcome_cell(outcome),
         verified(outcome),
-        thousandths(outcome.get("float_perceptibility")),
-        thousandths(outcome["perceptibility"]),
-        f"{outcome['queries']:,}",
-        f"{outcome['seconds']:.1f}",
+        thousandths(outcome.float_perceptibility),
+        thousandths(outcome.perceptibility),
+        f"{outcome.queries:,}",
+        f"{outcome.seconds:.1f}",
     ]
 
 
@@ -48,38 +50,42 @@ def thousandths(p: float | None) -> str:
     return "–" if p is None else f"{p * 1000:.2f}"
 
 
-def answer_cell(outcome: Mapping[str, Any], when: str) -> str:
+def answer_cell(outcome: Outcome, when: Literal["before", "after"]) -> str:
     """The network's answer "before" or "after" the attack, with its confidence, e.g. "grand piano 0.77".
 
     Of several questions the answers to each, e.g. "4, cyan, yes".
     """
-    if several := outcome.get("answers"):
-        return ", ".join(before if when == "before" else after for before, after in several)
-    return f"{outcome[when]} {outcome[when + '_confidence']:.2f}"
+    if outcome.answers:
+        return ", ".join(before if when == "before" else after for before, after in outcome.answers)
+    if when == "before":
+        return f"{outcome.before} {outcome.before_confidence:.2f}"
+    return f"{outcome.after} {outcome.after_confidence:.2f}"
 
 
-def verdict(outcome: Mapping[str, Any]) -> Text:
-    """The word for what the attack came to, e.g. "fooled" or "held", in its colour, and what bound a search."""
-    whole = with_outcome(dict(outcome))
-    text = Text(whole["outcome"], style=STYLES.get(whole["outcome"], "yellow"))
-    bound = held_within(whole)
-    return text.append(f" {bound}") if bound else text
+def outcome_cell(outcome: Outcome) -> Text:
+    """What the attack came to, and what bound a search that held."""
+    bound = held_within(outcome.model_dump())
+    return verdict(outcome.outcome).append(f" {bound}" if bound else "")
 
 
-def verified(outcome: Mapping[str, Any]) -> Text:
+def verdict(word: Verdict) -> Text:
+    """The word for what an attack came to, e.g. "fooled" or "held", in its colour."""
+    return Text(word, style=STYLES.get(word, "yellow"))
+
+
+def verified(outcome: Outcome) -> Text:
     """Whether the adversary was verified; nothing where the network was wrong before, since no success can follow."""
-    return yes(None if with_outcome(dict(outcome))["outcome"] in WRONG_BEFORE else outcome["verified"])
+    return yes(None if outcome.outcome in WRONG_BEFORE else outcome.verified)
 
 
-def successes(outcomes: Iterable[Mapping[str, Any]]) -> str:
+def successes(outcomes: Iterable[Outcome]) -> str:
     """How many attacks succeeded, of those on scenes that the network is known to have had right before."""
-    found = [with_outcome(dict(one)) for one in outcomes]
-    counted = [one for one in found if one.get("right_before")]
-    won = sum(one["outcome"] == SUCCESS and one["verified"] for one in counted)
+    counted = [outcome for outcome in outcomes if outcome.right_before]
+    won = sum(outcome.outcome == SUCCESS and outcome.verified for outcome in counted)
     return f"Fooled and verified: {won} of {len(counted)} attacks on scenes that the network had right before"
 
 
-def warn(warnings: Iterable[Mapping[str, Any]]) -> None:
+def warn(warnings: Iterable[JobWarning]) -> None:
     """Prints the warnings of a job on stderr."""
-    for one in warnings:
-        err().print(f"warning: {one['field']}: {one['text']}", markup=False, highlight=False)
+    for warning in warnings:
+        err().print(f"warning: {warning.field}: {warning.text}", markup=False, highlight=False)

@@ -34,10 +34,10 @@ def print_answered(questions: Sequence[QuestionResult], folder: Path | None = No
             _asks_for(one),
             one.right,
             one.right_after or "ill-posed",
-            answer_text(one.before.model_dump()),
-            answer_text(one.after.model_dump()),
+            answer_text(one.before),
+            answer_text(one.after),
             yes(one.before_of_kind) + Text(" → ") + yes(one.after_of_kind),
-            verdict({"outcome": one.outcome}),
+            verdict(one.outcome),
         ]
         for number, one in enumerate(questions)
     ]

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from services.errors import InvalidRequest
 
 if TYPE_CHECKING:
+    from api.schemas import ArtifactView
     from services.attacks.attack import Goal
     from services.pipeline.spec import JobSpec
 
@@ -64,9 +65,9 @@ def check_finished(folder: Path) -> None:
         raise InvalidRequest("directory", f"{folder} is not the output of a finished job: there is no file {path}")
 
 
-def check_same_files(folder: Path, artifacts: Iterable[Mapping[str, Any]]) -> None:
+def check_same_files(folder: Path, artifacts: "Iterable[ArtifactView]") -> None:
     """Raises InvalidRequest("--out") if the folder's result is another one than that of these files of a job."""
-    wanted = next((one["sha256"] for one in artifacts if one["name"] == "result.json"), None)
+    wanted = next((file.sha256 for file in artifacts if file.name == "result.json"), None)
     path = folder / "result.json"
     if path.exists() and hashlib.sha256(path.read_bytes()).hexdigest() != wanted:
         raise InvalidRequest("--out", f"{folder} holds the result of another job; {REMEDY}")

@@ -94,9 +94,9 @@ def add(
 
     Prints the name to use in a scene, what of the files is used, and what is not.
     """
-    from client.api_client import ApiClient
+    from client import operations
+    from client.client import Client
     from client.console import err, out, print_json
-    from client.mesh_files import with_files_beside
     from services.errors import InvalidRequest
     from services.scenes.bundle import MAP_KINDS, MESH_KINDS
 
@@ -106,32 +106,31 @@ def add(
         raise InvalidRequest(
             "--kind", f"{min(forms) or 'no ending'!r} is not a mesh format; it is one of {known}, or a zip file"
         )
-    sent = with_files_beside(files)
-    with ApiClient(url) as client:
-        title = name or Path(mesh or files[0]).stem
-        entry = client.upload_asset(sent, kind, mesh, name=title, up=up, licence=licence, credit=credit)
+    title = name or Path(mesh or files[0]).stem
+    request = operations.upload_asset(files, kind, mesh=mesh, name=title, up=up, licence=licence, credit=credit)
+    with Client(url) as client:
+        entry = client.call(request)
     if as_json:
         print_json(entry)
     else:
-        out().print(entry["name"], markup=False, highlight=False)
-        for heading in ("used", "notes"):
-            for said in entry.get(heading, ()):
-                word = "used" if heading == "used" else "not shown"
-                err().print(f"{word}: {said}", markup=False, highlight=False)
+        out().print(entry.name, markup=False, highlight=False)
+        for word, notes in (("used", entry.used), ("not shown", entry.notes)):
+            for note in notes:
+                err().print(f"{word}: {note}", markup=False, highlight=False)
 
 
 @app.command(epilog="Example: [bold]scene-attack assets uploads[/bold]")
 def uploads(url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
     """List the meshes that were uploaded to a running service."""
-    from client.api_client import ApiClient
+    from client.client import Client
     from client.console import out, print_json, table
 
-    with ApiClient(url) as client:
+    with Client(url) as client:
         entries = client.list_assets()
     if as_json:
-        print_json(entries)
+        print_json([entry.model_dump(mode="json") for entry in entries])
     else:
-        rows = [[entry["title"], entry["licence"], str(entry["triangles"]), entry["name"]] for entry in entries]
+        rows = [[entry.title, entry.licence, str(entry.triangles), entry.name] for entry in entries]
         out().print(table(("title", "licence", "triangles", "mesh"), rows))
 
 
@@ -142,13 +141,13 @@ def delete(
     as_json: JsonOption = False,
 ) -> None:
     """Delete an uploaded mesh. A job or campaign that refers to it must be deleted first."""
-    from client.api_client import ApiClient
+    from client.client import Client
     from client.console import out, print_json
     from services.errors import InvalidRequest
 
     if not re.fullmatch(r"(sha256:)?[0-9a-f]{64}", mesh):
         raise InvalidRequest("MESH", f"{mesh!r} is not the name of an uploaded mesh, which is sha256: and 64 digits")
-    with ApiClient(url) as client:
+    with Client(url) as client:
         client.delete_asset(mesh)
     name = f"sha256:{mesh.removeprefix('sha256:')}"
     if as_json:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,8 +13,10 @@ from client.commands.options import DEFAULT_URL, JsonOption, PriorityOption, Url
 from services.errors import InvalidRequest
 
 if TYPE_CHECKING:
-    from client.answers import CampaignView
-    from client.request import Request
+    from rich.text import Text
+
+    from api.schemas import CampaignView
+    from client.operations import Request
 
 app = typer.Typer(
     help="Run many attacks that belong together, and make the paper's table of them.", no_args_is_help=True
@@ -76,7 +78,7 @@ def run(
     if as_json:
         print_json(found.model_dump(mode="json"))
     else:
-        stdout().print(results(found.table.model_dump(mode="json")))
+        stdout().print(results(found.table))
     chosen = sum(view.chosen for view in found.views)
     err().print(f"{chosen} of {len(found.views)} views attacked. Files in {folder}", markup=False, highlight=False)
     if why := nothing_chosen(found.views):
@@ -91,18 +93,18 @@ def submit(
     as_json: JsonOption = False,
 ) -> None:
     """Start a campaign at a running service."""
-    from client import spec_input
-    from client.api_client import ApiClient
+    from client import operations, spec_input
+    from client.client import Client
     from client.console import out, print_json
     from client.local_meshes import folder_of, sent
 
     data = spec_input.read(spec)
-    with ApiClient(url) as client:
-        found = sent(data, folder_of(spec), client, lambda request: client.submit_campaign(request, priority))
+    with Client(url) as client:
+        found = sent(data, folder_of(spec), client, lambda data: operations.submit_campaign(data, priority=priority))
         if as_json:
             print_json(found)
         else:
-            out().print(f"{found['id']}  {client.url}/campaigns/{found['id']}", markup=False, highlight=False)
+            out().print(f"{found.id}  {client.url}/campaigns/{found.id}", markup=False, highlight=False)
 
 
 @app.command("list", epilog="Example: [bold]scene-attack campaign list[/bold]")
@@ -112,27 +114,28 @@ def list_campaigns(
     as_json: JsonOption = False,
 ) -> None:
     """List campaigns, newest first."""
-    from client.api_client import ApiClient
+    from client import operations
     from client.campaigns import campaign_state
+    from client.client import Client
     from client.console import out, print_json, table
     from client.ids import SHORT
 
-    with ApiClient(url) as client:
-        page = client.list_campaigns(limit)
+    with Client(url) as client:
+        page = client.call(operations.list_campaigns(limit=limit))
     if as_json:
         print_json(page)
         return
-    rows = []
-    for one in page["items"]:
-        far = one["progress"]
+    rows: list[list[str | Text]] = []
+    for one in page.items:
+        far = one.progress
         rows.append(
             [
-                one["id"][:SHORT],
-                one["name"],
-                campaign_state(one["state"]),
-                f"{far['answered']}/{far['views']}",
-                f"{far['ended']}/{far['jobs']}",
-                one["created"][:19].replace("T", " "),
+                one.id[:SHORT],
+                one.name,
+                campaign_state(one.state),
+                f"{far.answered}/{far.views}",
+                f"{far.ended}/{far.jobs}",
+                f"{one.created:%Y-%m-%d %H:%M:%S}",
             ]
         )
     out().print(table(("id", "name", "state", "views>", "jobs>", "created (UTC)"), rows))
@@ -141,10 +144,10 @@ def list_campaigns(
 @app.command(epilog="Example: [bold]scene-attack campaign show 0f3c…[/bold]")
 def show(campaign_id: CampaignId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
     """Show one campaign: its progress, its outcomes so far and the time left."""
-    from client.api_client import ApiClient
+    from client.client import Client
     from client.ids import campaign_id as whole_id
 
-    with ApiClient(url) as client:
+    with Client(url) as client:
         _print(client.get_campaign(whole_id(client, campaign_id)), as_json)
 
 
@@ -185,21 +188,22 @@ def table(
     as_json: JsonOption = False,
 ) -> None:
     """Print the table of a campaign, of the jobs that have ended, or write it with its curves."""
-    from client.api_client import ApiClient
+    from client import operations
     from client.campaigns import results
+    from client.client import Client
     from client.console import err, out, print_json
     from client.ids import campaign_id as whole_id
 
-    with ApiClient(url) as client:
-        found = client.get_campaign_table(whole_id(client, campaign_id))
+    with Client(url) as client:
+        found = client.call(operations.get_campaign_table(whole_id(client, campaign_id)))
     if as_json:
         print_json(found)
     else:
-        out().print(results(found["table"]))
+        out().print(results(found.table))
     if to is not None:
-        from services.pipeline.campaign_plan import CampaignResult, write
+        from services.pipeline.campaign_plan import write
 
-        for path in write(CampaignResult.model_validate(found), to):
+        for path in write(found, to):
             err().print(str(path), markup=False, highlight=False)
 
 
@@ -223,10 +227,10 @@ def export(
     elif not re.fullmatch("[0-9a-f]{1,32}", source):
         raise InvalidRequest("source", f"there is no folder {source}, and a campaign's id has 32 hexadecimal digits")
     else:
-        from client.api_client import ApiClient
+        from client.client import Client
         from client.ids import campaign_id as whole_id
 
-        with ApiClient(url) as client:
+        with Client(url) as client:
             source = whole_id(client, source)
             count = write(service_results(client, source), maite, name=source)
     if as_json:
@@ -236,15 +240,15 @@ def export(
 
 
 def _move(operation: Callable[[str], Request[CampaignView]], campaign_id: str, url: str, as_json: bool) -> None:
-    from client.api_client import ApiClient
+    from client.client import Client
     from client.ids import campaign_id as whole_id
 
-    with ApiClient(url) as client:
+    with Client(url) as client:
         campaign = client.call(operation(whole_id(client, campaign_id)))
     _print(campaign, as_json)
 
 
-def _print(found: Mapping[str, Any], as_json: bool) -> None:
+def _print(found: CampaignView, as_json: bool) -> None:
     from client.campaigns import campaign_state, duration
     from client.console import out, print_json
     from client.console import table as text_table
@@ -252,17 +256,17 @@ def _print(found: Mapping[str, Any], as_json: bool) -> None:
     if as_json:
         print_json(found)
         return
-    far = found["progress"]
-    row = [
-        found["id"],
-        found["name"],
-        campaign_state(found["state"]),
-        f"{far['answered']}/{far['views']}",
-        str(found["chosen"]),
-        f"{far['ended']}/{far['jobs']}",
-        ", ".join(f"{count} {outcome}" for outcome, count in found["outcomes"].items()),
-        str(found["reused"] or ""),
-        "" if found["ended"] else duration(found["seconds_left"]),
+    far = found.progress
+    row: list[str | Text] = [
+        found.id,
+        found.name,
+        campaign_state(found.state),
+        f"{far.answered}/{far.views}",
+        str(found.chosen),
+        f"{far.ended}/{far.jobs}",
+        ", ".join(f"{count} {outcome}" for outcome, count in found.outcomes.items()),
+        str(found.reused or ""),
+        "" if found.ended else duration(found.seconds_left),
     ]
     columns = ("id", "name", "state", "views>", "chosen>", "jobs>", "outcomes", "reused>", "time left>")
     out().print(text_table(columns, [row]))

@@ -2,12 +2,13 @@
 
 from contextlib import suppress
 from time import sleep
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 if TYPE_CHECKING:
-    from client.api_client import ApiClient
+    from api.schemas import JobView
+    from client.client import Client
     from client.fitted_table import FittedTable
 
 LOOK_EVERY = 0.5
@@ -30,7 +31,7 @@ def demo(
 
     The exit code is 0 if all jobs ran to their end.
     """
-    from client.api_client import ApiClient
+    from client.client import Client
     from client.console import err, out
     from client.demo_jobs import specs
     from client.outcomes import successes
@@ -42,75 +43,71 @@ def demo(
     say.print("starting the service: networks and OpenGL are loaded once")
     with running_service(data, {"SCENE_ATTACK_PORT": str(_free_port(values.host, values.port))}) as (url, process):
         say.print(f"service at {url}, its log in {data / 'service.log'}", markup=False, highlight=False)
-        with ApiClient(url) as client:
+        with Client(url) as client:
             _clear(client)
-            jobs = _watch(client, [client.submit_job(spec)["id"] for spec in specs()])
+            jobs = _watch(client, [client.submit_job(spec).id for spec in specs()])
         out().print(_table(jobs))
-        out().print(successes(job["outcome"] for job in jobs if job.get("outcome")), highlight=False)
+        out().print(successes(job.outcome for job in jobs if job.outcome is not None), highlight=False)
         for job in jobs:
-            if job["state"] == "failed":
-                say.print(f"{_name(job)} failed: {job['failure']['detail']}", markup=False, highlight=False)
+            if job.failure is not None:
+                say.print(f"{_name(job)} failed: {job.failure.detail}", markup=False, highlight=False)
         out().print(f"Dashboard: {url}", markup=False, highlight=False)
         if not once:
             say.print("It stays up; Ctrl-C ends it.")
             with suppress(KeyboardInterrupt):
                 process.wait()
-    if any(job["state"] != "succeeded" for job in jobs):
+    if any(job.state != "succeeded" for job in jobs):
         raise typer.Exit(1)
 
 
-def _clear(client: "ApiClient") -> None:
+def _clear(client: "Client") -> None:
     """Cancels what a demonstration that was broken off has left behind."""
-    for state in ("queued", "running"):
-        for job in client.list_jobs(limit=200, state=state)["items"]:
-            client.cancel_job(job["id"])
+    from client import operations
+
+    for job in client.list_jobs(state=("queued", "running")):
+        client.call(operations.cancel_job(job.id))
 
 
-def _watch(client: "ApiClient", ids: list[str]) -> list[dict[str, Any]]:
+def _watch(client: "Client", ids: list[str]) -> list["JobView"]:
     """Shows the jobs until all have ended; returns them in the order of `ids`."""
     from rich.live import Live
 
-    from client.api_client import TERMINAL
     from client.console import err
 
     console, told = err(), dict.fromkeys(ids, "")
     with Live(console=console, auto_refresh=False, transient=True) as live:
         while True:
-            jobs = [client.get_job(job_id) for job_id in ids]
+            jobs = [client.get_job(job_id).data for job_id in ids]
             if console.is_terminal:
                 live.update(_table(jobs), refresh=True)
             else:
                 for job in jobs:
-                    if told[job["id"]] != job["state"]:
-                        told[job["id"]] = job["state"]
-                        console.print(f"{_name(job)}: {job['state']}", markup=False, highlight=False)
-            if all(job["state"] in TERMINAL for job in jobs):
+                    if told[job.id] != job.state:
+                        told[job.id] = job.state
+                        console.print(f"{_name(job)}: {job.state}", markup=False, highlight=False)
+            if all(job.state.terminal for job in jobs):
                 return jobs
             sleep(LOOK_EVERY)
 
 
-def _table(jobs: list[dict[str, Any]]) -> "FittedTable":
+def _table(jobs: list["JobView"]) -> "FittedTable":
     from client.console import state_text, table
     from client.outcomes import COLUMNS, SPARE, cells
-    from services.pipeline.names import attack_name, job_name
 
     rows = []
     for job in jobs:
-        scene, attack = job_name(job["spec"]), attack_name(job["spec"])
-        if job.get("outcome"):
-            rows.append([*cells(scene, attack, job["outcome"])])
+        if job.outcome is not None:
+            rows.append([*cells(job.name, job.attack, job.outcome)])
         else:
-            state = state_text(job["state"])
-            if job["state"] == "running" and job["progress"]:
-                state.append(f" {job['progress']['step']}/{job['progress']['steps']}")
-            rows.append([scene, attack, state, *[""] * (len(COLUMNS) - 3)])
+            state = state_text(job.state)
+            if job.state == "running" and job.progress:
+                state.append(f" {job.progress.step}/{job.progress.steps}")
+            rows.append([job.name, job.attack, state, *[""] * (len(COLUMNS) - 3)])
     return table(COLUMNS, rows, spare=SPARE)
 
 
-def _name(job: dict[str, Any]) -> str:
-    from services.pipeline.names import attack_name, job_name
-
-    return f"{job_name(job['spec'])}, {attack_name(job['spec'])}"
+def _name(job: "JobView") -> str:
+    return f"{job.name}, {job.attack}"
 
 
 def _free_port(host: str, wanted: int) -> int:

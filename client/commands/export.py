@@ -79,19 +79,20 @@ def _export_job(job: str, to: Path | None, url: str) -> Path:
     from tempfile import TemporaryDirectory
     from zipfile import ZipFile
 
-    from client.api_client import ApiClient
+    from client import operations
+    from client.client import Client
     from client.ids import SHORT, job_id
     from services.export.destinations import into_folder
     from services.scenes.bundle import clean_name
 
-    with ApiClient(url) as client, TemporaryDirectory() as folder:
+    with Client(url) as client, TemporaryDirectory() as folder:
         whole = job_id(client, job)
         to = to or Path(f"scene-attack-{whole[:SHORT]}.zip")
         if to.suffix == ".zip":
-            client.download_export(whole, to)
+            client.save(operations.download_export(whole), to)
             return to
         archive = Path(folder) / "export.zip"
-        client.download_export(whole, archive)
+        client.save(operations.download_export(whole), archive)
         write = into_folder(to)
         with ZipFile(archive) as found:
             for name in found.namelist():

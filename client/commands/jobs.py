@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
 from client.commands.options import DEFAULT_URL, JsonOption, UrlOption
 
 if TYPE_CHECKING:
-    from client.answers import JobView
-    from client.request import Request
+    from rich.text import Text
+
+    from api.schemas import JobView
+    from client.operations import Request, StateName
 
 app = typer.Typer(
     help="List, show, follow, name, repeat, continue, cancel and download the jobs of a running service.",
@@ -65,38 +67,32 @@ def list_jobs(
     """
     from itertools import islice
 
-    from client.api_client import ApiClient
+    from client.client import Client
     from client.console import err, out, print_json, state_text, table
     from client.ids import SHORT, campaign_id
-    from client.outcomes import answer_cell, verdict, verified
+    from client.outcomes import answer_cell, outcome_cell, verified
 
-    with ApiClient(url) as client:
+    with Client(url) as client:
         about = None if campaign is None else campaign_id(client, campaign)
-        states = None if state is None else [one.strip() for one in state.split(",")]
-        matching = client.all_jobs(state=states, campaign=about, q=query, sort=sort)
-        found = list(matching if whole else islice(matching, limit + 1))
-    more = not whole and len(found) > limit
-    found = found[:limit] if more else found
+        states = None if state is None else cast("list[StateName]", [name.strip() for name in state.split(",")])
+        matching = client.list_jobs(state=states, campaign=about, q=query, sort=sort)
+        jobs = list(matching if whole else islice(matching, limit + 1))
+    more = not whole and len(jobs) > limit
+    jobs = jobs[:limit] if more else jobs
     if as_json:
-        print_json({"items": found, "more": more})
+        print_json({"items": [job.model_dump(mode="json") for job in jobs], "more": more})
         return
-    rows = []
-    for job in found:
-        done, state_cell = job.get("outcome"), state_text(job["state"])
-        if job.get("waiting"):
-            state_cell.append(f"\n{job['waiting']}", style="dim")
-        rows.append(
-            [
-                job["id"][:SHORT],
-                state_cell,
-                job["name"],
-                job["attack"],
-                job["target"],
-                "" if done is None else f"{answer_cell(done, 'before')} → {answer_cell(done, 'after')}",
-                "" if done is None else verdict(done),
-                "" if done is None else verified(done),
-            ]
-        )
+    rows: list[list[str | Text]] = []
+    for job in jobs:
+        state_cell, outcome = state_text(job.state), job.outcome
+        if job.waiting:
+            state_cell.append(f"\n{job.waiting}", style="dim")
+        row: list[str | Text] = [job.id[:SHORT], state_cell, job.name, job.attack, job.target]
+        if outcome is None:
+            rows.append([*row, "", "", ""])
+        else:
+            change = f"{answer_cell(outcome, 'before')} → {answer_cell(outcome, 'after')}"
+            rows.append([*row, change, outcome_cell(outcome), verified(outcome)])
     columns = ("id", "state", "scene", "attack", "target", "before → after", "network", "verified")
     out().print(table(columns, rows, spare=("target", "attack", "verified", "network")))
     if more:
@@ -106,13 +102,13 @@ def list_jobs(
 @app.command(epilog="Example: [bold]scene-attack jobs show 0f3c… --json[/bold]")
 def show(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
     """Show one job: its state, outcome, or the reason it failed."""
-    from client.api_client import ApiClient
+    from client.client import Client
     from client.commands import submit
     from client.console import print_json
     from client.ids import job_id as whole_id
 
-    with ApiClient(url) as client:
-        job = client.get_job(whole_id(client, job_id))
+    with Client(url) as client:
+        job = client.get_job(whole_id(client, job_id)).data
     if as_json:
         print_json(job)
     else:
@@ -122,34 +118,35 @@ def show(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = Fals
 @app.command(epilog="Example: [bold]scene-attack jobs watch 0f3c…[/bold]")
 def watch(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
     """Follow a job until it ends. The exit code is 0 when it succeeded."""
-    from client.api_client import ApiClient
+    from client.client import Client
     from client.commands import submit
     from client.console import print_json
     from client.ids import job_id as whole_id
 
-    with ApiClient(url) as client:
-        job = submit.follow(client, client.get_job(whole_id(client, job_id)))
+    with Client(url) as client:
+        job = submit.follow(client.get_job(whole_id(client, job_id)))
     if as_json:
         print_json(job)
     else:
         submit.show(job)
-    if job["state"] != "succeeded":
+    if job.state != "succeeded":
         raise typer.Exit(1)
 
 
 @app.command(epilog="Example: [bold]scene-attack jobs cancel 0f3c…[/bold]")
 def cancel(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
     """Ask a job to stop; a running job stops within one step. A job that has ended stays as it is."""
-    from client.api_client import ApiClient
+    from client import operations
+    from client.client import Client
     from client.console import out, print_json
     from client.ids import job_id as whole_id
 
-    with ApiClient(url) as client:
-        job = client.cancel_job(whole_id(client, job_id))
+    with Client(url) as client:
+        job = client.call(operations.cancel_job(whole_id(client, job_id)))
     if as_json:
         print_json(job)
     else:
-        out().print(f"{job['id']}  {job['state']}", markup=False, highlight=False)
+        out().print(f"{job.id}  {job.state}", markup=False, highlight=False)
 
 
 @app.command(epilog="Example: [bold]scene-attack jobs retry 0f3c…[/bold]")
@@ -169,16 +166,16 @@ def go_on(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = Fal
 
 
 def _queue_again(operation: Callable[[str], Request[JobView]], job_id: str, url: str, as_json: bool) -> None:
-    from client.api_client import ApiClient
+    from client.client import Client
     from client.console import out, print_json
     from client.ids import job_id as whole_id
 
-    with ApiClient(url) as client:
+    with Client(url) as client:
         job = client.call(operation(whole_id(client, job_id)))
     if as_json:
         print_json(job)
     else:
-        out().print(job["id"], markup=False, highlight=False)
+        out().print(job.id, markup=False, highlight=False)
 
 
 @app.command(epilog="Example: [bold]scene-attack jobs edit 0f3c… --title 'Figure 3' --tag paper[/bold]")
@@ -193,34 +190,35 @@ def edit(
 ) -> None:
     """Give a job a title, tags and a note, by which lists find it (`tag:paper`). No result changes."""
     from client import operations
-    from client.api_client import ApiClient
+    from client.client import Client
     from client.console import out, print_json
     from client.ids import job_id as whole_id
 
     changes: dict[str, object] = {name: said for name, said in (("title", title), ("note", note)) if said is not None}
-    with ApiClient(url) as client:
+    with Client(url) as client:
         whole = whole_id(client, job_id)
         if tag or untag:
-            had = client.call(operations.get_job(whole)).get("tags", [])
+            had = client.get_job(whole).data.tags
             changes["tags"] = sorted({*had, *(tag or ())} - {*(untag or ())})
         job = client.call(operations.edit_job(whole, changes))
     if as_json:
         print_json(job)
     else:
-        said = " ".join([job.get("title") or job["name"], *(f"[{one}]" for one in job.get("tags", []))])
-        out().print(f"{job['id']}  {said}", markup=False, highlight=False)
+        words = " ".join([job.title or job.name, *(f"[{tag}]" for tag in job.tags)])
+        out().print(f"{job.id}  {words}", markup=False, highlight=False)
 
 
 @app.command(epilog="Example: [bold]scene-attack jobs delete 0f3c…[/bold]")
 def delete(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
     """Delete a job that has ended, with its files."""
-    from client.api_client import ApiClient
+    from client import operations
+    from client.client import Client
     from client.console import out, print_json
     from client.ids import job_id as whole_id
 
-    with ApiClient(url) as client:
+    with Client(url) as client:
         whole = whole_id(client, job_id)
-        client.delete_job(whole)
+        client.call(operations.delete_job(whole))
     if as_json:
         print_json({"id": whole, "deleted": True})
     else:
@@ -238,20 +236,21 @@ def download(
 
     A directory that holds the result of another job is refused.
     """
-    from client.api_client import ApiClient
+    from client import operations
+    from client.client import Client
     from client.console import out, print_json
     from client.ids import job_id as whole_id
     from client.result_folder import check_same_files, prepare_folder
 
     prepare_folder(to)
-    with ApiClient(url) as client:
+    with Client(url) as client:
         whole = whole_id(client, job_id)
-        artifacts = client.list_artifacts(whole)
+        artifacts = client.call(operations.list_artifacts(whole)).items
         check_same_files(to, artifacts)
         for artifact in artifacts:
-            name = Path(artifact["name"]).name  # a service can name no file outside the directory
-            client.download_artifact(whole, name, to / name)
+            name = Path(artifact.name).name  # a service can name no file outside the directory
+            client.save(operations.download_artifact(whole, artifact.name), to / name)
             if not as_json:
-                out().print(f"{to / name}  {artifact['size']:,} bytes", markup=False, highlight=False)
+                out().print(f"{to / name}  {artifact.size:,} bytes", markup=False, highlight=False)
     if as_json:
-        print_json({"id": whole, "files": [str(to / Path(one["name"]).name) for one in artifacts]})
+        print_json({"id": whole, "files": [str(to / Path(one.name).name) for one in artifacts]})

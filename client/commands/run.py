@@ -67,9 +67,10 @@ def run(
     if as_json:
         print_json(result.model_dump(mode="json"))
         return
-    from services.pipeline.outcome import outcome
+    from services.pipeline.outcome import Outcome, outcome
 
-    stdout().print(table(COLUMNS, [cells(name, attack, outcome(result))]))
+    found = Outcome.model_validate(outcome(result))
+    stdout().print(table(COLUMNS, [cells(name, attack, found)]))
     if line_of_goal := goal_line(result.spec):
         stdout().print(line_of_goal, markup=False, highlight=False, soft_wrap=True)
     print_answered(result.questions, out)
@@ -104,8 +105,8 @@ def replay(
         print_json(again.model_dump(mode="json") | {"reproduced": same})
     else:
         row: list[str | Text] = [
-            answer_text(again.stored.model_dump()),
-            answer_text(again.replayed.model_dump()),
+            answer_text(again.stored),
+            answer_text(again.replayed),
             yes(again.fooled),
             f"{again.pixels_differing:,}",
             yes(again.same_backend),
@@ -165,7 +166,7 @@ def _execute(spec: "JobSpec", out: Path, settings: "Settings", line: "JobLine") 
             library(settings),
             progress=report,
             checkpoint=checkpoint,
-            checked=lambda _, found: warn(one.model_dump() for one in found),
+            checked=lambda _, warnings: warn(warnings),
         )
     except InvalidRequest:
         begun.unlink()

@@ -18,13 +18,13 @@ def test_a_program_runs_a_job_and_reads_its_images(stack: Stack, tmp_path: Path)
         job = service.submit_job(QUICK).wait()
         assert job.state == "succeeded", job.failure
         assert job.trace.to_frame()["step"].is_monotonic_increasing
-        assert sorted(job.subsets[-1]["groups"]) == sorted(job.result["group_perceptibility"])
+        assert sorted(job.subsets[-1].groups) == sorted(job.result.group_perceptibility)
         size = tuple(reversed(QUICK["scene"]["camera"]["size"]))
         assert job.images.original.size == job.images.attacked.size == size
         assert (np.asarray(job.images.original) != np.asarray(job.images.attacked)).any()
         assert {path.name for path in job.download(tmp_path)} == set(job.files())
-        assert job.id in {one["id"] for one in service.list_jobs(state="succeeded")}
-        assert service.call(operations.get_readiness())["ready"]
+        assert job.id in {found.id for found in service.list_jobs(state="succeeded")}
+        assert service.call(operations.get_readiness()).ready
         with pytest.raises(ApiError, match=r"scene\.objects\.0\.mesh.*attack\.steps|attack\.steps.*mesh"):
             service.submit_job({"scene": {"objects": [{"mesh": 3}]}, "attack": {"steps": -1}})
         job.delete()

@@ -1,16 +1,15 @@
 """The beginning of an id stands for the whole one, if there is no other."""
 
 import json
-from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
-from client.api_client import ApiClient
+from client import Client
 from client.cli import app
 from client.ids import campaign_id, job_id
 from services.errors import InvalidRequest
-from tests.unit.client.test_api_client import Script, client, says, script
+from tests.unit.client.scripted_service import Script, client, job, says, script
 
 pytestmark = pytest.mark.slow
 
@@ -18,23 +17,20 @@ __all__ = ["client", "script"]  # fixtures
 
 ONE, TWO, THREE = "0f3c" + "0" * 28, "0f3d" + "0" * 28, "a" * 32
 PAGES = [
-    {"items": [{"id": ONE, "name": "piano"}, {"id": THREE, "name": "lamp"}], "next": "c"},
-    {"items": [{"id": TWO, "name": "chair"}], "next": None},
+    {"items": [job(id=ONE, name="piano"), job(id=THREE, name="lamp")], "next": "c"},
+    {"items": [job(id=TWO, name="chair")], "next": None},
 ]
 
 
 @pytest.mark.parametrize(("text", "found"), [("0f3c", ONE), ("0F3D", TWO), ("a", THREE), ("0f3c…", ONE)])
-def test_a_beginning_is_completed(client: ApiClient, script: Script, text: str, found: str) -> None:
+def test_a_beginning_is_completed(client: Client, script: Script, text: str, found: str) -> None:
     script.answers = [says(200, page) for page in PAGES]
     assert job_id(client, text) == found
-    asked = f"q=id%3A{text.strip('…').lower()}"  # the service looks for it
-    assert [path for _, path, _ in script.seen] == [
-        f"/v1/jobs?limit=200&{asked}",
-        f"/v1/jobs?limit=200&cursor=c&{asked}",
-    ]
+    asked = f"GET /v1/jobs?q=id%3A{text.strip('…').lower()}&limit=200"  # the service looks for it
+    assert script.paths == [asked, f"{asked}&cursor=c"]
 
 
-def test_a_whole_id_is_not_looked_up(client: ApiClient, script: Script) -> None:
+def test_a_whole_id_is_not_looked_up(client: Client, script: Script) -> None:
     assert job_id(client, ONE) == ONE
     assert script.seen == []
 
@@ -46,7 +42,7 @@ def test_a_whole_id_is_not_looked_up(client: ApiClient, script: Script) -> None:
         ("bc", "there is no job whose id begins with 'bc'"),
     ],
 )
-def test_one_that_is_not_one_job_says_so(client: ApiClient, script: Script, text: str, said: str) -> None:
+def test_one_that_is_not_one_job_says_so(client: Client, script: Script, text: str, said: str) -> None:
     script.answers = [says(200, page) for page in PAGES]
     with pytest.raises(InvalidRequest) as error:
         job_id(client, text)
@@ -54,19 +50,15 @@ def test_one_that_is_not_one_job_says_so(client: ApiClient, script: Script, text
 
 
 @pytest.mark.parametrize("text", ["piano", "", "../jobs", "0" * 33])
-def test_what_is_no_id_is_refused_before_anybody_is_asked(client: ApiClient, script: Script, text: str) -> None:
+def test_what_is_no_id_is_refused_before_anybody_is_asked(client: Client, script: Script, text: str) -> None:
     with pytest.raises(InvalidRequest, match="is no id of a campaign"):
         campaign_id(client, text)
     assert script.seen == []
 
 
-SUMMARY = {"state": "failed", "scene": "", "attack": "torch fgsm", "target": "lite0"}
-
-
-def listed(client: ApiClient, script: Script, *arguments: str) -> tuple[list[str], bool]:
+def listed(client: Client, script: Script, *arguments: str) -> tuple[list[str], bool]:
     """The names of the jobs that `jobs list --json` prints, and whether there are more."""
-    pages = [page | {"items": [item | SUMMARY for item in page["items"]]} for page in PAGES]
-    script.answers = [says(200, page) for page in pages]
+    script.answers = [says(200, page) for page in PAGES]
     done = CliRunner().invoke(app, ["jobs", "list", "--json", "--url", client.url, *arguments])
     assert done.exit_code == 0, done.output
     found = json.loads(done.stdout)
@@ -83,26 +75,16 @@ def listed(client: ApiClient, script: Script, *arguments: str) -> tuple[list[str
     ],
 )
 def test_a_list_has_as_many_pages_as_are_wanted(
-    client: ApiClient, script: Script, arguments: list[str], names: list[str], more: bool
+    client: Client, script: Script, arguments: list[str], names: list[str], more: bool
 ) -> None:
     assert listed(client, script, *arguments) == (names, more)
 
 
-def test_filters_are_sent(client: ApiClient, script: Script) -> None:
+def test_filters_are_sent(client: Client, script: Script) -> None:
     listed(client, script, "--state", "failed", "--campaign", ONE, "-q", "verified", "--sort", "p")
-    assert script.seen[0][1] == f"/v1/jobs?limit=200&state=failed&campaign={ONE}&q=verified&sort=p"
+    assert script.seen[0][1] == f"/v1/jobs?q=verified&sort=p&state=failed&campaign={ONE}&limit=200"
 
 
-def test_states_are_sent_one_by_one(client: ApiClient, script: Script) -> None:
+def test_states_are_sent_one_by_one(client: Client, script: Script) -> None:
     listed(client, script, "--state", "running, queued")
-    assert script.seen[0][1] == "/v1/jobs?limit=200&state=running&state=queued&sort=-created"
-
-
-def test_a_folder_of_another_job_is_not_written(client: ApiClient, script: Script, tmp_path: Path) -> None:
-    (tmp_path / "result.json").write_text("{}")
-    script.answers = [says(200, {"items": [{"name": "result.json", "sha256": "0" * 64, "size": 2}]})]
-    command = ["jobs", "download", ONE, "--out", str(tmp_path), "--url", client.url]
-    done = CliRunner().invoke(app, command)
-    assert isinstance(done.exception, InvalidRequest)
-    assert "holds the result of another job" in str(done.exception)
-    assert (tmp_path / "result.json").read_text() == "{}"
+    assert script.seen[0][1] == "/v1/jobs?sort=-created&state=running&state=queued&limit=200"

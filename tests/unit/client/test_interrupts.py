@@ -3,29 +3,29 @@
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import pytest
 
-from client.api_client import ApiClient, Event
+from api.schemas import JobView
+from client.client import Client, Event, Job
 from client.commands import run, submit
-from services.pipeline.spec import parse
+from tests.unit.client.scripted_service import job
 
 SPHERE = {"scene": {"objects": [{"mesh": "primitive/sphere"}]}}
 
 
-class Interrupted:
+class Interrupted(Client):
     """The events of a job, while which Ctrl-C is pressed."""
 
-    def stream_job_events(self, _: str) -> Iterator[Event]:
+    def stream_job_events(self, job_id: str, after: str | None = None) -> Iterator[Event]:
         yield Event("1", "progress", {"phase": "attacking", "step": 3, "steps": 9, "rows": []})
         raise KeyboardInterrupt
 
 
 def test_a_job_of_a_service_goes_on(capfd: pytest.CaptureFixture[str]) -> None:
-    job = {"id": "0f3c", "name": "sphere", "attack": "image fgsm", "spec": parse(SPHERE).model_dump(mode="json")}
     with pytest.raises(KeyboardInterrupt):
-        submit.follow(cast(ApiClient, Interrupted()), job)
+        submit.follow(Job(JobView.model_validate(job(id="0f3c")), Interrupted()))
     assert "The job goes on. `scene-attack jobs watch 0f3c` follows it" in capfd.readouterr().err
 
 

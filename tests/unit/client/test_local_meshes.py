@@ -8,14 +8,14 @@ import pytest
 from torch import nn
 from typer.testing import CliRunner
 
-from client import attack, local_meshes
-from client.api_client import ApiClient
+from client import Client, attack, local_meshes
 from client.cli import app
 from client.local_meshes import Adding, bundle_at, folder_of, read_campaign, read_job, to_library, with_meshes_added
 from services.errors import InvalidFields, InvalidRequest
 from services.scenes.library import Library
 from services.settings import DEFAULTS, Settings
-from tests.unit.client.test_api_client import Script, client, says, script
+from tests.unit.client.scripted_service import CAMPAIGN, UPLOADED, Script, client, says, script
+from tests.unit.client.scripted_service import job as answered
 from tests.unit.scenes.test_beside import MTL, OBJ, image
 
 pytestmark = pytest.mark.slow
@@ -131,10 +131,11 @@ def test_a_campaign_names_a_file_in_every_place_where_it_has_meshes(folder: Path
 
 @pytest.mark.parametrize("command", [["submit"], ["campaign", "submit"]], ids=" ".join)
 def test_a_mesh_is_uploaded_before_it_is_submitted(
-    client: ApiClient, script: Script, folder: Path, command: list[str]
+    client: Client, script: Script, folder: Path, command: list[str]
 ) -> None:
     job = request_with("./chair.obj")
-    script.answers = [says(201, {"name": NAME, "notes": ["bump map missing"]}), says(202, {"id": "b" * 32})]
+    uploaded = UPLOADED | {"name": NAME, "notes": ["bump map missing"]}
+    script.answers = [says(201, uploaded), says(202, answered() if command == ["submit"] else CAMPAIGN)]
     spec = written(folder, job if command == ["submit"] else {"jobs": [job]})
     done = CliRunner().invoke(app, [*command, spec, "--url", client.url])
     assert done.exit_code == 0, done.output
@@ -151,7 +152,7 @@ def test_a_mesh_is_uploaded_before_it_is_submitted(
 
 
 def test_a_mesh_that_the_service_refuses_is_named_with_all_else_that_it_refuses(
-    client: ApiClient, script: Script, folder: Path
+    client: Client, script: Script, folder: Path
 ) -> None:
     named = [{"field": "attack.steps", "detail": "too few"}, {"field": "scene.objects.0.mesh", "detail": "unknown"}]
     script.answers = [

@@ -2,12 +2,15 @@ from typing import Any
 
 import pytest
 
-from client.outcomes import goal_line, successes, verdict, verified, warn
+from client.outcomes import goal_line, outcome_cell, successes, verified, warn
+from services.pipeline.outcome import Outcome
+from services.pipeline.warning import JobWarning
+from tests.unit.client.scripted_service import SUCCEEDED
 
 
-def line(outcome: str | None, right_before: bool | None, verified: bool = True) -> dict[str, Any]:
-    said = {} if outcome is None else {"outcome": outcome}
-    return {"fooled": True, "verified": verified, "right_before": right_before} | said
+def line(outcome: str, right_before: bool | None, verified: bool = True, **fields: Any) -> Outcome:
+    said = {"outcome": outcome, "fooled": True, "verified": verified, "right_before": right_before}
+    return Outcome.model_validate(SUCCEEDED["outcome"] | said | fields)
 
 
 def test_a_rate_counts_only_scenes_that_were_right_before() -> None:
@@ -19,7 +22,6 @@ def test_a_rate_counts_only_scenes_that_were_right_before() -> None:
         line("still-wrong", False),
         line("changed", None),
         line("held", None),
-        {"fooled": True, "verified": True},  # of an earlier version
     ]
     assert successes(jobs).startswith("Fooled and verified: 1 of 3 attacks")
     assert successes([]).startswith("Fooled and verified: 0 of 0 attacks")
@@ -27,31 +29,27 @@ def test_a_rate_counts_only_scenes_that_were_right_before() -> None:
 
 @pytest.mark.parametrize("word", ["fooled", "changed", "became-right", "still-wrong", "held"])
 def test_the_word_of_a_job_is_its_outcome(word: str) -> None:
-    assert verdict(line(word, None)).plain == word
+    assert outcome_cell(line(word, None)).plain == word
 
 
 def test_a_search_that_held_says_that_its_epsilon_bound_it() -> None:
-    bound = line("held", True) | {"epsilon_bound": True, "float_perceptibility": 0.0213}
-    assert verdict(bound).plain == "held within ε"
-    assert verdict(bound | {"perceptibility_limit": 0.05}).plain == "held within ε, p used 21.30 of 50.00 ×10⁻³"
-    assert verdict(bound | {"epsilon_bound": False}).plain == "held"
-    assert verdict(bound | {"outcome": "fooled"}).plain == "fooled"
+    bound = {"epsilon_bound": True, "float_perceptibility": 0.0213}
+    limit = bound | {"perceptibility_limit": 0.05}
+    assert outcome_cell(line("held", True, **bound)).plain == "held within ε"
+    assert outcome_cell(line("held", True, **limit)).plain == "held within ε, p used 21.30 of 50.00 ×10⁻³"
+    assert outcome_cell(line("held", True, **limit | {"epsilon_bound": False})).plain == "held"
+    assert outcome_cell(line("fooled", True, **limit)).plain == "fooled"
 
 
 @pytest.mark.parametrize(
-    ("word", "shown"), [("fooled", "yes"), ("changed", "yes"), ("became-right", ""), ("still-wrong", ""), (None, "yes")]
+    ("word", "shown"), [("fooled", "yes"), ("changed", "yes"), ("became-right", ""), ("still-wrong", "")]
 )
-def test_what_was_wrong_before_is_not_shown_as_verified(word: str | None, shown: str) -> None:
+def test_what_was_wrong_before_is_not_shown_as_verified(word: str, shown: str) -> None:
     assert verified(line(word, None)).plain == shown
 
 
-def test_the_word_of_a_job_of_an_earlier_version() -> None:
-    assert verdict(line(None, None)).plain == "changed"
-    assert verdict(line(None, None, verified=False)).plain == "held"
-
-
 def test_warnings_are_for_people_and_name_their_field(capsys: pytest.CaptureFixture[str]) -> None:
-    warn([{"code": "truth-unknown", "field": "goal.truth", "text": "nobody has said [bold]what[/bold]"}])
+    warn([JobWarning(code="truth-unknown", field="goal.truth", text="nobody has said [bold]what[/bold]")])
     shown = capsys.readouterr()
     assert shown.err == "warning: goal.truth: nobody has said [bold]what[/bold]\n"
     assert shown.out == ""
