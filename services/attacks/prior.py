@@ -26,7 +26,6 @@ class Prior:
             problem,
             target=surrogate.target,
             goal=surrogate.goal,
-            question=None,
             loss="margin",
             weight=0.0,
             surrogate=None,

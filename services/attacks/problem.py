@@ -218,7 +218,6 @@ class AttackProblem:
     goal: ResolvedGoal
     groups: tuple[str, ...]
     seed: int = 0
-    question: str | None = None
     truncation: float | None = None
     weight: float = 0.0
     loss: Loss = "log-odds"
@@ -362,7 +361,7 @@ class AttackProblem:
         """Scores [B, K] of images [B, H, W, 3]. Raises JobFailure for what are no scores (`contract`)."""
         self.queries += len(images)
         with named(f"target {self.target.name!r}"):
-            logits = self.target.logits(images, self.question)
+            logits = self.target.logits(images)
         check_scores(self.target, logits, len(images))
         return logits
 

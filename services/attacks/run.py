@@ -115,7 +115,6 @@ class Verifier:
 
     renderer: Renderer
     target: Target
-    question: str | None = None
     queries: int = 0
     renders: int = 0
 
@@ -145,7 +144,7 @@ class Verifier:
         """Scores [K] of an image, uint8 [H, W, 3]. The batch is always of one image, so that no other changes bits."""
         self.queries += 1
         with named(f"target {self.target.name!r}"):
-            logits = self.target.logits(from_bytes(image)[None], self.question)
+            logits = self.target.logits(from_bytes(image)[None])
         check_scores(self.target, logits, 1)
         return logits[0]
 

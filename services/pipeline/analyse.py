@@ -19,6 +19,7 @@ from services.errors import InvalidRequest
 from services.pipeline import goals
 from services.pipeline.described import described
 from services.pipeline.prepare import Prepared
+from services.pipeline.questions import bound
 from services.pipeline.spec import JobSpec
 from services.rendering.factory import build
 from services.rendering.protocol import Parameters
@@ -103,7 +104,7 @@ def analyse(subject: Subject, request: AnalysisRequest, library: Library, report
 def fitting_verifier(scene: ResolvedScene, spec: JobSpec) -> Verifier:
     """The torch renderer of a scene, for fits of all its groups, and the network that answers for them."""
     renderer = build(scene, TORCH.name, tolerance=spec.tolerance)
-    return Verifier(renderer, registry.load(spec.target.name), spec.target.asked)
+    return Verifier(renderer, bound(registry.load(spec.target.name), spec.target))
 
 
 def rerendered(
@@ -119,7 +120,7 @@ def _named(report: Report, name: str) -> Tick:
 
 def _to_target(subject: Subject, name: str) -> Transferred:
     prepared = subject.prepared
-    other = replace(prepared.verifier, target=registry.load(name), question=None, queries=0, renders=0)
+    other = replace(prepared.verifier, target=registry.load(name), queries=0, renders=0)
     wanted = _wanted(prepared, name, other.target.labels)
     return shown_to(other, wanted, subject.original.saved, subject.attacked.saved, prepared.renderer.name)
 
@@ -129,7 +130,7 @@ def _to_renderer(subject: Subject, name: str, library: Library) -> Transferred:
     prepared = subject.prepared
     moved, carried, left = described(prepared.spec.scene, prepared.renderer.name, subject.perturbation)
     note = f"carries {', '.join(carried)}" + (f"; leaves out {', '.join(left)}" if left else "")
-    asked = Verifier(build(prepared.scene, name, tolerance="exact"), prepared.target, prepared.spec.target.asked)
+    asked = Verifier(build(prepared.scene, name, tolerance="exact"), prepared.target)
     original = attacked = asked.image({})
     try:
         attacked = Verifier(build(resolve(moved, library), name, tolerance="exact"), prepared.target).image({})

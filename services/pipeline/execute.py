@@ -134,7 +134,6 @@ def _problem(prepared: Prepared, interrupt: Callable[[], None]) -> AttackProblem
         constraint=prepared.limits,
         groups=attack.groups,
         seed=prepared.spec.seed,
-        question=prepared.spec.target.asked,
         truncation=None if backtracks else limit,
         backtrack=limit if backtracks else None,
         perceptibility=attack.perceptibility,

@@ -18,7 +18,7 @@ from services.pipeline.analysis_fields import check_analysis, load_targets
 from services.pipeline.checked import Checked
 from services.pipeline.expectations import check_range, moving_groups, with_cost
 from services.pipeline.job_plan import JobPlan
-from services.pipeline.questions import AskedQuestion, asked_questions, goal_of
+from services.pipeline.questions import AskedQuestion, asked_questions, bound, goal_of
 from services.pipeline.recall import recall
 from services.pipeline.scene_limits import SceneLimits, limits_of
 from services.pipeline.spec import JobSpec
@@ -142,6 +142,7 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
     if several and isinstance(answering, ProgramTarget):
         target = Together(answering, spec.target.together, several)
     else:
+        target = bound(answering, spec.target)
         spec = spec.model_copy(update={"goal": goal_of(spec.goal, questions)})
     asked = goal_labels.asked(spec.goal, card, labels)
     renderer = _renderer(spec, scene, tolerance)
@@ -158,10 +159,10 @@ def _prepare(spec: JobSpec, library: Library, tolerance: Tolerance) -> Prepared:
         spec.attack.bounds,
         spec.attack.epsilon,
     )
-    verifier = Verifier(renderer, target, spec.target.asked)
+    verifier = Verifier(renderer, target)
     exact = _exact_image(spec, scene, verifier)
     original = to_bytes(exact).cpu()
-    logits = _scores(spec, scene, verifier, original)
+    logits = _scores(spec, scene, answering, verifier, original)
     table = goals.table_truth((thing.mesh for thing in spec.scene.objects), card, labels)
     if several and isinstance(answering, ProgramTarget):
         settled = settled_together(answering, spec.goal, questions, original)
@@ -227,12 +228,12 @@ def _exact_image(spec: JobSpec, scene: ResolvedScene, verifier: Verifier) -> Ten
     return image
 
 
-def _scores(spec: JobSpec, scene: ResolvedScene, verifier: Verifier, original: Tensor) -> Tensor:
+def _scores(spec: JobSpec, scene: ResolvedScene, target: Target, verifier: Verifier, original: Tensor) -> Tensor:
     """The network's scores of that image rounded. They count as asked for also if they were recalled.
 
     Only the same network is not asked again, and none of which nothing but scores is known: a URL may answer otherwise.
     """
-    target, queries = verifier.target, verifier.queries
+    queries = verifier.queries
     try:
         own = ref(target)
     except TypeError:  # an object with slots, of an extension

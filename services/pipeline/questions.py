@@ -9,7 +9,7 @@ from services.errors import InvalidRequest
 from services.pipeline.described import can_carry, described
 from services.pipeline.question_record import Asked
 from services.pipeline.question_request import Call
-from services.pipeline.spec import JobSpec
+from services.pipeline.spec import JobSpec, TargetChoice
 from services.questions.answers import ANSWERS, KINDS, kind_asked
 from services.questions.executor import IllPosed, answer
 from services.questions.facts import Facts
@@ -21,7 +21,7 @@ from services.rendering.protocol import Parameters
 from services.scenes.clevr.description import record_after, scene_of
 from services.scenes.clevr.records import IMAGE_SIZE, SceneRecord
 from services.scenes.description import Camera, Scene, SceneObject
-from services.targets.protocol import ProgramTarget, Target
+from services.targets.protocol import ProgramTarget, QuestionTarget, Target
 
 FIELD = "target.question"
 PROPORTION = 0.01
@@ -61,6 +61,11 @@ class AskedQuestion:
             return answer(self.program, Facts.of(record_after(self.record, scene)))
         except IllPosed:
             return None
+
+
+def bound(target: Target, choice: TargetChoice) -> Target:
+    """Returns the target with the one question of a request; itself if it takes none."""
+    return target if choice.asked is None or not isinstance(target, QuestionTarget) else target.asked(choice.asked)
 
 
 def asked_questions(spec: JobSpec, target: Target) -> tuple[AskedQuestion, ...]:

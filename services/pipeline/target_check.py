@@ -64,7 +64,7 @@ def check(name: str, mesh: str, library: Library, report: Callable[[str], None] 
     image = from_bytes(prepared.original)[None]
     for count in BATCHES:
         report(f"timing batches of {count}")
-        seconds[count] = _seconds(target, image.expand(count, -1, -1, -1), question) / count
+        seconds[count] = _seconds(target, image.expand(count, -1, -1, -1)) / count
     return TargetCheck(
         target=card,
         weights_sha256=target.weights_sha256,
@@ -82,11 +82,11 @@ def check(name: str, mesh: str, library: Library, report: Callable[[str], None] 
 
 
 @torch.no_grad()
-def _seconds(target: Target, images: torch.Tensor, question: str | None) -> float:
+def _seconds(target: Target, images: torch.Tensor) -> float:
     """Seconds of the fastest of a few passes; the first pass of a network is slower and not counted."""
     found = []
     for _ in range(_REPEATS + 1):
         begun = time.perf_counter()
-        target.logits(images, question)
+        target.logits(images)
         found.append(time.perf_counter() - begun)
     return min(found[1:])

@@ -38,10 +38,8 @@ class Together:
         """That of the network."""
         return self._target.backend
 
-    def logits(self, images: Tensor, question: str | None = None) -> Tensor:
+    def logits(self, images: Tensor) -> Tensor:
         """Returns scores [B, 2] of images [B, H, W, 3] in [0,1]; see `Target.logits`."""
-        if question is not None:
-            raise ValueError(f"{self.name} has its questions already")
         scores = self._target.answers(images, self._asked)
         advantages = [goal.advantage(scores[:, number]) for number, goal in enumerate(self._goals)]
         hardest = torch.stack(advantages).amax(dim=0)

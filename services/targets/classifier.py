@@ -50,10 +50,8 @@ class Classifier:
         where = describe(self._device)
         return f"torch {torch.__version__} {where} {kind} {torch.get_num_threads()} threads"
 
-    def logits(self, images: Tensor, question: str | None = None) -> Tensor:
+    def logits(self, images: Tensor) -> Tensor:
         """Returns scores [B, K] of images [B, H, W, 3] in [0,1]; see `Target.logits`."""
-        if question is not None:
-            raise ValueError(f"{self.name} takes no question")
         width = images.shape[2]
         # Normalised row by row: broadcasting over the three channels takes six times as long.
         mean, scale = self._mean.repeat(width), self._scale.repeat(width)

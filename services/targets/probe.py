@@ -8,7 +8,7 @@ from torch import Tensor
 from services.finite import finite
 from services.targets.info import RegisteredTarget
 from services.targets.label_list import in_words, labels, refused
-from services.targets.protocol import Target
+from services.targets.protocol import QuestionTarget, Target
 
 ANY_QUESTION = "What is this?"
 """The question to a target whose card has no example of one."""
@@ -39,10 +39,10 @@ def load(name: str, known: RegisteredTarget, dtype: torch.dtype) -> Target:
         size = "×".join(map(str, target.input_size))
         raise refused(name, f"has input_size {size}, but its card says {height}×{width}")
     images = _images(target).to(dtype)
-    question = _question(target, known.info.example)
-    scores = _scores(name, target, images, question)
+    asked = _asked(target, known.info.example)
+    scores = _scores(name, asked, images)
     _check_scores(name, scores, listed)
-    alone = _scores(name, target, images[:1], question)
+    alone = _scores(name, asked, images[:1])
     difference, largest = float((alone - scores[:1]).abs().max()), float(scores.abs().max())
     if difference > _REPEATED * largest:
         raise refused(
@@ -61,11 +61,11 @@ def has_gradient(target: Target, example: str | None = None) -> bool:
     if not target.differentiable:
         return False
     images = _images(target)[:1].requires_grad_()
-    return target.logits(images, _question(target, example)).requires_grad
+    return _asked(target, example).logits(images).requires_grad
 
 
-def _question(target: Target, example: str | None) -> str | None:
-    return (example or ANY_QUESTION) if target.takes_question else None
+def _asked(target: Target, example: str | None) -> Target:
+    return target.asked(example or ANY_QUESTION) if isinstance(target, QuestionTarget) else target
 
 
 def _images(target: Target) -> Tensor:
@@ -80,9 +80,9 @@ def _check_labels(name: str, known: RegisteredTarget, found: Sequence[str], list
         raise refused(name, f"has {len(listed)} labels, but its card says {known.info.classes} classes")
 
 
-def _scores(name: str, target: Target, images: Tensor, question: str | None) -> Tensor:
+def _scores(name: str, target: Target, images: Tensor) -> Tensor:
     try:
-        return target.logits(images, question)
+        return target.logits(images)
     except (Exception, SystemExit) as error:
         size = "×".join(map(str, target.input_size))
         raise refused(

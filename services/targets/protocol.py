@@ -9,7 +9,7 @@ from services.questions.program import Program
 
 
 class Target(Protocol):
-    """A network that turns images (and, for some, a question) into scores for a fixed list of labels."""
+    """A network that turns images into scores for a fixed list of labels. One that answers questions is asked first."""
 
     @property
     def name(self) -> str:
@@ -33,7 +33,7 @@ class Target(Protocol):
 
     @property
     def takes_question(self) -> bool:
-        """Whether `logits` needs a question."""
+        """Whether it is a `QuestionTarget`, which has scores only once it is asked."""
         ...
 
     @property
@@ -46,7 +46,7 @@ class Target(Protocol):
         """A line that names everything that decides the bits of the scores: versions, device, dtype, threads."""
         ...
 
-    def logits(self, images: Tensor, question: str | None = None) -> Tensor:
+    def logits(self, images: Tensor) -> Tensor:
         """Returns unnormalised scores [B, K], float32 or wider, on the device of the images.
 
         `images` [B, H, W, 3] in [0,1], on any device and of any size; they are resized to `input_size` (antialiased
@@ -57,11 +57,19 @@ class Target(Protocol):
 
 
 @runtime_checkable
-class ProgramTarget(Target, Protocol):
-    """A target that answers by the functional program of a question about a scene after CLEVR.
-
-    A question is one text: its words, or its program as JSON (`services.questions.written`).
+class QuestionTarget(Target, Protocol):
+    """A target that answers questions. A question is one text: its words, or its program as JSON
+    (`services.questions.written`).
     """
+
+    def asked(self, question: str) -> Target:
+        """Returns the network with this question, whose `logits` are the scores of the answers."""
+        ...
+
+
+@runtime_checkable
+class ProgramTarget(QuestionTarget, Protocol):
+    """A target that answers by the functional program of a question about a scene after CLEVR."""
 
     def program(self, question: str) -> Program:
         """Returns the program of a question, the same for every image.
@@ -71,7 +79,7 @@ class ProgramTarget(Target, Protocol):
         ...
 
     def answers(self, images: Tensor, questions: Sequence[str]) -> Tensor:
-        """Returns the scores [B, Q, K] of each question to each of the images [B, H, W, 3], as `logits` does of one."""
+        """Returns the scores [B, Q, K] of each question to each of the images [B, H, W, 3], as `asked` has of one."""
         ...
 
     def attention(self, images: Tensor, question: str) -> list[Tensor | None]:

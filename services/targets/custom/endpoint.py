@@ -73,14 +73,12 @@ class Endpoint:
         return f"endpoint {self.url}"
 
     @torch.no_grad()
-    def logits(self, images: Tensor, question: str | None = None) -> Tensor:
+    def logits(self, images: Tensor) -> Tensor:
         """Returns scores [B, K] of images [B, H, W, 3] in [0,1], which are resized and rounded to 8 bits.
 
         Raises JobFailure("target-unreachable") if it does not answer, and JobFailure("internal") for an answer that is
         none of the protocol.
         """
-        if question is not None:
-            raise ValueError(f"{self.name} takes no question")
         x = images.detach().to("cpu", torch.float32).permute(0, 3, 1, 2)
         if tuple(x.shape[-2:]) != self.input_size:
             x = F.interpolate(x, self.input_size, mode="bilinear", antialias=True)

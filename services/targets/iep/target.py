@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -33,8 +34,39 @@ PROGRAMS = 1024
 """Questions whose programs are remembered."""
 
 
+@dataclass(frozen=True)
+class Asked:
+    """A network with its question; implements `Target`."""
+
+    network: IepTarget
+    question: str
+    takes_question: bool = field(default=False, init=False)
+    differentiable: bool = field(default=True, init=False)
+    labels: tuple[str, ...] = field(default=ANSWERS, init=False)
+    input_size: tuple[int, int] = field(default=IMAGE, init=False)
+
+    @property
+    def name(self) -> str:
+        """The network's."""
+        return self.network.name
+
+    @property
+    def weights_sha256(self) -> str:
+        """The network's."""
+        return self.network.weights_sha256
+
+    @property
+    def backend(self) -> str:
+        """The network's."""
+        return self.network.backend
+
+    def logits(self, images: Tensor) -> Tensor:
+        """Returns scores [B, 28] of images [B, H, W, 3] in [0,1]; see `Target.logits`. Raises as `program` does."""
+        return self.network.answers(images, [self.question])[:, 0]
+
+
 class IepTarget:
-    """A frozen network with the generator of its programs on the configured device; implements `Target`."""
+    """A frozen network with the generator of its programs on the configured device; implements `ProgramTarget`."""
 
     takes_question = True
     differentiable = True
@@ -74,14 +106,13 @@ class IepTarget:
             raise found
         return found
 
-    def logits(self, images: Tensor, question: str | None = None) -> Tensor:
-        """Returns scores [B, 28] of images [B, H, W, 3] in [0,1]; see `Target.logits`.
+    def asked(self, question: str) -> Asked:
+        """Returns the network with this question."""
+        return Asked(self, question)
 
-        Raises ValueError without a question, and as `program` does.
-        """
-        if question is None:
-            raise ValueError(f"{self.name} needs a question")
-        return self.answers(images, [question])[:, 0]
+    def logits(self, images: Tensor) -> Tensor:  # noqa: ARG002 - the protocol's
+        """Raises ValueError: without a question it has no scores."""
+        raise ValueError(f"{self.name} needs a question")
 
     def answers(self, images: Tensor, questions: Sequence[str]) -> Tensor:
         """Returns scores [B, Q, 28] of several questions to each image; what they share is computed once."""
@@ -93,7 +124,7 @@ class IepTarget:
         """Returns what each function of the question's program attends to in images [B, H, W, 3] in [0,1].
 
         For each node, in the program's order, its mask [B, 15, 20] in [0,1], float32 on the CPU, high where an object
-        of the set is; None for a node whose result is no set and no object. Raises as `logits` does.
+        of the set is; None for a node whose result is no set and no object. Raises as `program` does.
         """
         found = self._run(images, [question])
         return [

@@ -45,7 +45,7 @@ class Built:
     weights_sha256 = "0" * 64
     backend = "built"
 
-    def logits(self, images: Tensor, question: str | None = None) -> Tensor:
+    def logits(self, images: Tensor) -> Tensor:
         x = (images[..., 0].double() * 255).round().flatten(1)
         odds = self.offset + x @ torch.tensor(self.alone, dtype=torch.float64)
         for (i, j), b in self.pairs.items():

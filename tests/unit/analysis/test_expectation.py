@@ -20,7 +20,7 @@ class Brightness(LinearTarget):
         super().__init__(classes=3)
         self.limits = torch.tensor([low, high], dtype=torch.float64)
 
-    def logits(self, images: Tensor, question: str | None = None) -> Tensor:
+    def logits(self, images: Tensor) -> Tensor:
         level = torch.bucketize(images.double().mean(dim=(1, 2, 3)), self.limits)
         return 5 * torch.nn.functional.one_hot(level, 3).double()
 

@@ -110,7 +110,7 @@ class LinearTarget:
         random = torch.Generator().manual_seed(1)
         self.weights = torch.randn(60, self.classes, generator=random, dtype=torch.float64)
 
-    def logits(self, images: Tensor, question: str | None = None) -> Tensor:
+    def logits(self, images: Tensor) -> Tensor:
         return self.scale * (images.to(self.dtype).flatten(1) - 0.5) @ self.weights.to(self.dtype)
 
 
@@ -161,8 +161,8 @@ class Ahead(LinearTarget):
         first = int(super().logits(original).argmax())
         self.lead[first] = 10.0
 
-    def logits(self, images: Tensor, question: str | None = None) -> Tensor:
-        return super().logits(images, question) + self.lead
+    def logits(self, images: Tensor) -> Tensor:
+        return super().logits(images) + self.lead
 
 
 class Bowl(LinearTarget):
@@ -172,7 +172,7 @@ class Bowl(LinearTarget):
         super().__init__(scale=scale, classes=2)
         self.bottom = bottom
 
-    def logits(self, images: Tensor, question: str | None = None) -> Tensor:
+    def logits(self, images: Tensor) -> Tensor:
         leads = self.scale * (images.to(self.dtype) - self.bottom).square().flatten(1).sum(dim=1)
         return torch.stack([leads, torch.zeros_like(leads)], dim=1)
 

@@ -30,8 +30,8 @@ class BadRenderer(LinearRenderer):
 class BadTarget(LinearTarget):
     change: Change = lambda scores: scores
 
-    def logits(self, images: Tensor, question: str | None = None) -> Tensor:
-        return self.change(super().logits(images, question))  # type: ignore[return-value]
+    def logits(self, images: Tensor) -> Tensor:
+        return self.change(super().logits(images))  # type: ignore[return-value]
 
 
 class BadMethod:

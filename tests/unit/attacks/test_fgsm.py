@@ -46,7 +46,7 @@ def test_groups_step_at_their_own_rate_and_stay_in_bounds() -> None:
 
 def test_a_gradient_that_is_not_a_number_ends_the_job() -> None:
     class Broken(LinearTarget):
-        def logits(self, images: torch.Tensor, question: str | None = None) -> torch.Tensor:
+        def logits(self, images: torch.Tensor) -> torch.Tensor:
             # finite forward, infinite slope: sqrt at 0
             return super().logits(images) + (images - images.detach()).abs().sum().sqrt()
 

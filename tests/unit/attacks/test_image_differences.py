@@ -37,7 +37,7 @@ class CountingTarget(LinearTarget):
 
     images: int = 0
 
-    def logits(self, images: Tensor, question: str | None = None) -> Tensor:
+    def logits(self, images: Tensor) -> Tensor:
         self.images += len(images)
         return super().logits(images)
 
@@ -241,7 +241,7 @@ def test_an_image_that_is_not_finite_ends_the_job_from_inside_the_backward_pass(
 
 def test_a_network_without_gradients_is_named() -> None:
     class Detached(LinearTarget):
-        def logits(self, images: Tensor, question: str | None = None) -> Tensor:
+        def logits(self, images: Tensor) -> Tensor:
             return super().logits(images).detach()
 
     case = problem(OpaqueCurvedRenderer(), Detached())

@@ -132,7 +132,7 @@ class Straight:
         random = torch.Generator().manual_seed(0)
         self.weights = torch.randn(3 * SIZE[0] * SIZE[1], 2, generator=random, dtype=torch.float64) / 50
 
-    def logits(self, images: Tensor, question: str | None = None) -> Tensor:
+    def logits(self, images: Tensor) -> Tensor:
         return images.double().flatten(1) @ self.weights
 
 

@@ -106,7 +106,7 @@ def test_success_is_judged_on_the_image_as_saved() -> None:
     class Edge(LinearTarget):
         """Answers by the sum of sin(2π·255·x): zero on every k/255, so no saved image ever crosses."""
 
-        def logits(self, images: torch.Tensor, question: str | None = None) -> torch.Tensor:
+        def logits(self, images: torch.Tensor) -> torch.Tensor:
             off = torch.sin(2 * torch.pi * 255 * images.double()).flatten(1).sum(1)
             return torch.stack([torch.full_like(off, 0.1), off], 1)
 
@@ -126,7 +126,7 @@ def test_a_image_fooled_by_truncation_alone_does_not_end_the_loop() -> None:
     class Shy(LinearTarget):
         """Another label wins only for images that moved, and moved by no more than U = 0.01."""
 
-        def logits(self, images: torch.Tensor, question: str | None = None) -> torch.Tensor:
+        def logits(self, images: torch.Tensor) -> torch.Tensor:
             change = (images.double() - original).abs().flatten(1).amax(1)
             wins = ((change > 0.004) & (change < 0.02)).double()
             slope = images.double().flatten(1).sum(1) * 1e-3

@@ -148,8 +148,8 @@ def margin_gradient(case: AttackProblem) -> torch.Tensor:
 
 def test_a_prior_without_direction_is_left_out() -> None:
     class Blank(LinearTarget):
-        def logits(self, images: torch.Tensor, question: str | None = None) -> torch.Tensor:
-            return 0.0 * super().logits(images, question)
+        def logits(self, images: torch.Tensor) -> torch.Tensor:
+            return 0.0 * super().logits(images)
 
     renderer = Pixels(dtype=torch.float32)
     case = with_surrogate(Ahead(renderer), Blank())

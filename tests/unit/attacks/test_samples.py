@@ -147,7 +147,7 @@ class Threshold(LinearTarget):
         super().__init__(classes=2)
         self.level = level
 
-    def logits(self, images: Tensor, question: str | None = None) -> Tensor:
+    def logits(self, images: Tensor) -> Tensor:
         height = 100 * (images.to(self.dtype).mean(dim=(1, 2, 3)) - self.level)
         return torch.stack([-height, height], dim=1)
 

@@ -127,8 +127,8 @@ def test_it_fools_a_network_whose_gradient_is_zero() -> None:
     """Its use as an alarm: scores rounded to steps, through which no gradient passes."""
 
     class Stairs(LinearTarget):
-        def logits(self, images: torch.Tensor, question: str | None = None) -> torch.Tensor:
-            return (20 * super().logits(images, question)).round() / 20
+        def logits(self, images: torch.Tensor) -> torch.Tensor:
+            return (20 * super().logits(images)).round() / 20
 
     renderer, target, limits = Pixels(), Stairs(scale=3.0), {"image": EPSILON}
     found = {}

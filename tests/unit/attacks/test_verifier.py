@@ -33,7 +33,7 @@ class Threshold:
     labels = ("below", "above")
     seen: list[Tensor] = field(default_factory=list)
 
-    def logits(self, images: Tensor, question: str | None = None) -> Tensor:
+    def logits(self, images: Tensor) -> Tensor:
         self.seen.append(images)
         change = images.double().mean(dim=(1, 2, 3)) - self.above
         return torch.stack([-change, change], dim=-1)
@@ -46,13 +46,13 @@ NOTHING = {"a": torch.zeros(2, 3), "b": torch.zeros(3)}
 def test_an_image_that_fools_only_before_it_is_rounded_does_not_fool() -> None:
     """100.4/255 is above 100.2/255, and saved as 100; 100.6/255 is saved as 101."""
     target = Threshold(100.2 / 255)
-    assert not Verifier(Level(value=100.4 / 255), target, None).fooled(NOTHING, LEAVE)
-    assert Verifier(Level(value=100.6 / 255), target, None).fooled(NOTHING, LEAVE)
+    assert not Verifier(Level(value=100.4 / 255), target).fooled(NOTHING, LEAVE)
+    assert Verifier(Level(value=100.6 / 255), target).fooled(NOTHING, LEAVE)
     assert [round(float(images.max()) * 255, 4) for images in target.seen] == [100, 101]
 
 
 def test_the_exact_renderer_decides_and_not_the_loop_s() -> None:
     target = Threshold(0.5)
     dark, bright = Level(value=0.4), Level(value=0.6)
-    assert not Verifier(Level(value=0.6, twin=dark), target, None).fooled(NOTHING, LEAVE)
-    assert Verifier(Level(value=0.4, twin=bright), target, None).fooled(NOTHING, LEAVE)
+    assert not Verifier(Level(value=0.6, twin=dark), target).fooled(NOTHING, LEAVE)
+    assert Verifier(Level(value=0.4, twin=bright), target).fooled(NOTHING, LEAVE)

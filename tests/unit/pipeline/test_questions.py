@@ -109,7 +109,9 @@ def test_a_right_answer_is_attacked_to_the_verdict(run: Any, tmp_path: Path) -> 
     own, question = registry.load("iep-right"), parse(result.spec).target.asked
     assert isinstance(own, IepTarget)
     assert question is not None
-    assert own.labels[int(own.logits(shown(tmp_path / "attacked.png"), question)[0].argmax())] == found.after.label
+    assert (
+        own.labels[int(own.asked(question).logits(shown(tmp_path / "attacked.png"))[0].argmax())] == found.after.label
+    )
     # and its attention
     masks = load_file(tmp_path / ATTENTION)
     attended = own.attention(shown(tmp_path / "attacked.png"), question)

@@ -35,13 +35,13 @@ class Other(LinearTarget):
         super().__init__(classes=len(labels))
         self.labels = labels
 
-    def logits(self, images: torch.Tensor, question: str | None = None) -> torch.Tensor:
+    def logits(self, images: torch.Tensor) -> torch.Tensor:
         return torch.stack([images.sum((1, 2, 3)) * (k + 1) for k in range(len(self.labels))], dim=1)
 
 
 class Blind(Other):
-    def logits(self, images: torch.Tensor, question: str | None = None) -> torch.Tensor:
-        return super().logits(images.detach(), question)
+    def logits(self, images: torch.Tensor) -> torch.Tensor:
+        return super().logits(images.detach())
 
 
 def card(of: Other) -> TargetInfo:

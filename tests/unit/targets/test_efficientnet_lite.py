@@ -104,11 +104,6 @@ def test_labels_are_the_thousand(target: Classifier) -> None:
     assert labels[805] == "soccer ball"
 
 
-def test_it_takes_no_question(target: Classifier, images: torch.Tensor) -> None:
-    with pytest.raises(ValueError, match="no question"):
-        target.logits(images, "what is this?")
-
-
 def test_loading_and_a_gradient_import_no_symbolic_algebra() -> None:
     """torch imports sympy for the gradient of anything but a scalar: 30 MiB and half a second of every job."""
     code = (

@@ -147,7 +147,7 @@ def test_gradients_of_zoo_are_differences_of_exact_images(coordinates: int) -> N
         name = "linear"
         labels = ("one", "other")
 
-        def logits(self, images: torch.Tensor, question: str | None = None) -> torch.Tensor:
+        def logits(self, images: torch.Tensor) -> torch.Tensor:
             return images.flatten(1).float() @ weights.T
 
     def gradients(of: PyrenderRenderer, chosen: torch.Tensor) -> torch.Tensor:

@@ -37,15 +37,15 @@ def test_a_question_in_words_has_the_scores_of_its_program() -> None:
     shown = images(2)
     for question, known in TAUGHT.items():
         expected = network()(shown, assemble([Question(known, 0), Question(known, 1)])).scores
-        assert torch.equal(target().logits(shown, question), expected)
-        assert torch.equal(target().logits(shown, written(known)), expected)
+        assert torch.equal(target().asked(question).logits(shown), expected)
+        assert torch.equal(target().asked(written(known)).logits(shown), expected)
 
 
 @torch.no_grad()
 def test_images_of_other_sizes_are_resized() -> None:
     large = images(1, 448, 448)
     small = F.interpolate(large.permute(0, 3, 1, 2), (240, 320), mode="bilinear", antialias=True).permute(0, 2, 3, 1)
-    assert torch.equal(target().logits(large, written(SAME)), target().logits(small, written(SAME)))
+    assert torch.equal(target().asked(written(SAME)).logits(large), target().asked(written(SAME)).logits(small))
 
 
 def test_attention_is_that_of_each_module() -> None:
@@ -73,12 +73,12 @@ def test_a_program_is_a_text_and_comes_back() -> None:
 
 def test_what_cannot_be_asked_is_said() -> None:
     with pytest.raises(UnknownWord, match="'mauve'"):
-        target().logits(images(1), "How many mauve things are there?")
+        target().asked("How many mauve things are there?").logits(images(1))
     ignorant = ProgramGenerator().requires_grad_(False)
     ignorant.output.weight.zero_()  # the bias alone says which function comes, whatever was read
     ignorant.output.bias.zero_()[TOKENS.index("scene")] = 1.0
     with pytest.raises(InvalidRequest, match="no program can be made"):
-        IepTarget("ignorant", Checkpoint(network(), ignorant), "0" * 64).logits(images(1), "How many things are there?")
+        IepTarget("ignorant", Checkpoint(network(), ignorant), "0" * 64).program("How many things are there?")
     with pytest.raises(ValueError, match="needs a question"):
         target().logits(images(1))
 
@@ -94,7 +94,7 @@ def test_missing_or_damaged_weights_are_said(tmp_path: Path) -> None:
     shown = images(1)
     found = read("iep", path, torch.float32)
     stored = IepTarget(INFO.name, load(path), "0" * 64)  # 8 bits per weight
-    assert torch.equal(found.logits(shown, written(COUNT)), stored.logits(shown, written(COUNT)))
+    assert torch.equal(found.asked(written(COUNT)).logits(shown), stored.asked(written(COUNT)).logits(shown))
 
 
 def test_it_is_listed_with_its_answers() -> None:
