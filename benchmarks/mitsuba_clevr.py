@@ -28,7 +28,7 @@ from client.settings import settings_to_run
 from services.rendering.color import to_display
 from services.rendering.opengl.gbuffer import rasterise
 from services.rendering.pyrender_renderer.renderer import EXPOSURE, PyrenderRenderer
-from services.rendering.torch_renderer.environment_light import illumination
+from services.rendering.torch_renderer.light import illumination
 from services.rendering.torch_renderer.renderer import TorchRenderer
 from services.scenes.clevr.description import describe
 from services.scenes.clevr.generator import generate

@@ -13,11 +13,9 @@ from services.rendering.color import to_display
 from services.rendering.opengl.gbuffer import rasterise
 from services.rendering.protocol import Parameters
 from services.rendering.torch_renderer import dsbrdf
-from services.rendering.torch_renderer.directions import directions, solid_angles
-from services.rendering.torch_renderer.environment_light import illumination
-from services.rendering.torch_renderer.normals import to_vectors
-from services.rendering.torch_renderer.presets import colored_lobes
-from services.rendering.torch_renderer.units import MATERIAL_UNIT
+from services.rendering.torch_renderer.dsbrdf import MATERIAL_UNIT, colored_lobes
+from services.rendering.torch_renderer.light import directions, illumination, solid_angles
+from services.rendering.torch_renderer.table import to_vectors
 from services.scenes.resolve import ResolvedScene
 
 

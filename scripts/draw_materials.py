@@ -13,7 +13,7 @@ from PIL import Image
 from client.settings import settings_to_run
 from services.rendering.color import to_bytes
 from services.rendering.opengl.gbuffer import rasterise
-from services.rendering.torch_renderer.presets import presets
+from services.rendering.torch_renderer.dsbrdf import presets
 from services.rendering.torch_renderer.renderer import TorchRenderer
 from services.scenes.description import Scene
 from services.scenes.library import Library

@@ -13,11 +13,10 @@ import torch
 from torch import Tensor
 
 from services.rendering.torch_renderer import dsbrdf
-from services.rendering.torch_renderer.environment_light import illumination
-from services.rendering.torch_renderer.presets import colored_lobes, presets
+from services.rendering.torch_renderer.dsbrdf import MATERIAL_UNIT, colored_lobes, presets
+from services.rendering.torch_renderer.light import illumination
 from services.rendering.torch_renderer.renderer import sky_of
 from services.rendering.torch_renderer.shading import Lobes, radiance
-from services.rendering.torch_renderer.units import MATERIAL_UNIT
 from services.scenes.description import ELEVATION, Camera, Environment, Lights
 from services.scenes.environment import average
 from services.scenes.library import Library

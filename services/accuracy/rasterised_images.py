@@ -23,11 +23,10 @@ from torch import Tensor
 
 from services.accuracy.provenance import PACKAGES
 from services.process import use
-from services.rendering.image_error import ImageError, image_error
 from services.rendering.opengl import context
+from services.rendering.plan import ImageError, image_error
 from services.rendering.pyrender_renderer.declaration import PYRENDER
-from services.rendering.pyrender_renderer.errors import REACH
-from services.rendering.pyrender_renderer.planner import both_sides
+from services.rendering.pyrender_renderer.planner import MEASURED_REACH, both_sides
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.scenes.description import Scene
 from services.scenes.library import Library
@@ -81,7 +80,7 @@ def compare(scene: Scene, library: Library, images: int) -> dict[str, Any]:
     while compared < images:
         at = {
             group: torch.clamp(
-                value + REACH[group] * (2 * torch.rand(value.shape, generator=random, dtype=value.dtype) - 1),
+                value + MEASURED_REACH[group] * (2 * torch.rand(value.shape, generator=random, dtype=value.dtype) - 1),
                 *renderer.bounds()[group],
             )
             for group, value in renderer.initial().items()

@@ -32,7 +32,7 @@ from services.attacks.problem import (
 from services.attacks.trace import TraceRow
 from services.errors import named
 from services.rendering.color import from_bytes, to_bytes
-from services.rendering.image_error import ImageError
+from services.rendering.plan import ImageError
 from services.rendering.protocol import Parameters, Renderer
 from services.rendering.variation import Variation, noisy, varied
 from services.targets.protocol import Target

@@ -16,7 +16,7 @@ from services.pipeline.result import Result
 from services.pipeline.spec import JobSpec
 from services.rendering.pyrender_renderer.declaration import PYRENDER
 from services.rendering.pyrender_renderer.renderer import EXPOSURE
-from services.rendering.torch_renderer.environment_light import illumination
+from services.rendering.torch_renderer.light import illumination
 from services.scenes.resolve import ResolvedScene
 
 CONTENTS = {

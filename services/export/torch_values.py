@@ -8,9 +8,9 @@ from torch import Tensor
 
 from services.rendering.opengl.gbuffer import rasterise
 from services.rendering.protocol import Parameters
-from services.rendering.torch_renderer.environment_light import illumination
-from services.rendering.torch_renderer.normals import to_vectors
-from services.rendering.torch_renderer.visible_surfaces import visible_surfaces
+from services.rendering.torch_renderer.light import illumination
+from services.rendering.torch_renderer.surfaces import visible_surfaces
+from services.rendering.torch_renderer.table import to_vectors
 from services.scenes.mesh import Bytes, Floats
 from services.scenes.resolve import ResolvedScene
 

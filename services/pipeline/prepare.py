@@ -30,8 +30,8 @@ from services.rendering.factory import build
 from services.rendering.plan import Tolerance
 from services.rendering.protocol import Renderer
 from services.rendering.torch_renderer.declaration import TORCH
-from services.rendering.torch_renderer.map_size import smallest_map
 from services.rendering.torch_renderer.preset_names import check_preset
+from services.rendering.torch_renderer.renderer import smallest_map
 from services.scenes.description import Environment
 from services.scenes.library import Library
 from services.scenes.resolve import ResolvedScene, resolve

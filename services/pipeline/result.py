@@ -10,9 +10,8 @@ from services.attacks.trace import TraceRow
 from services.attacks.verdict import Verdict, with_outcome
 from services.pipeline.question_record import QuestionResult
 from services.pipeline.warning import JobWarning
-from services.rendering.image_error import ImageError
 from services.rendering.physical_change import Change
-from services.rendering.plan import Plan
+from services.rendering.plan import ImageError, Plan
 
 
 class _Record(BaseModel):

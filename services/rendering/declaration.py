@@ -15,8 +15,7 @@ from services.extensions import Registry
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from services.rendering.image_error import ImageError
-    from services.rendering.plan import Tolerance
+    from services.rendering.plan import ImageError, Tolerance
     from services.rendering.protocol import InactiveCoordinate, Parameters, Renderer
     from services.scenes.resolve import ResolvedScene
 

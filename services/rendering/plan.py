@@ -1,13 +1,23 @@
-"""Defines a renderer's plan for a scene and a set of attacked groups: the steps of an image, and the work left out.
+"""A renderer's plan for a scene and a set of attacked groups: the steps of an image, the work left out, and the error.
 
 A plan is made before the attack starts, stored with the result and shown on the job's page. The renderers hold the
 executable form of it and run nothing that the plan does not list.
+
+At a silhouette one sample more or less changes a pixel by a quarter of its contrast, however small the difference in
+arithmetic: the largest error of an image says next to nothing. So the error of an image that stands in for an exact one
+is two numbers: the mean over the covered pixels, and the share of them that are off by more than a step of an 8-bit
+image. A tolerance t allows a mean of t and a share of SHARE_PER_TOLERANCE t: at the default of 1e-3 a quarter of a
+step, and one pixel in a hundred.
 """
 
 from collections.abc import Sequence
-from typing import Literal
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 Tolerance = float | Literal["exact"]
 """Largest error of a displayed value, in [0,1], that images inside the attack may have; "exact" allows no shortcut."""
@@ -123,3 +133,34 @@ class Plan(_Record):
             error_is=error_is,
             error=errors.pop("", 0.0) + max(errors.values(), default=0.0),
         )
+
+
+STEP = 1 / 255
+"""Errors of a displayed value that are not more than this are not counted in the share."""
+SHARE_PER_TOLERANCE = 10.0
+"""Share of pixels beyond STEP that a tolerance of 1 would allow."""
+
+
+@dataclass(frozen=True)
+class ImageError:
+    """Mean absolute error of the displayed values of covered pixels, and the share of them off by more than 1/255."""
+
+    mean: float = 0.0
+    share: float = 0.0
+
+    def within(self, tolerance: float) -> bool:
+        """Whether a tolerance allows it."""
+        return self.mean <= tolerance and self.share <= SHARE_PER_TOLERANCE * tolerance
+
+    def or_worse(self, other: "ImageError | None") -> "ImageError":
+        """The larger of both numbers, if there is another error."""
+        return self if other is None else ImageError(max(self.mean, other.mean), max(self.share, other.share))
+
+
+def image_error(image: "Tensor", exact: "Tensor", ground: "Tensor") -> tuple[ImageError, int]:
+    """The error of a displayed image [H, W, 3] against the exact one, and the number of pixels that are covered: those
+    of the exact image that differ from the `ground`, [3] or [H, W, 3], at least 1."""
+    off = (image - exact).abs()
+    covered = max(1, int((exact != ground).any(dim=-1).sum()))
+    mean = float(off.double().mean(dim=-1).sum()) / covered
+    return ImageError(mean, int((off.amax(dim=-1) > STEP).sum()) / covered), covered

@@ -6,8 +6,7 @@ from typing import Protocol
 
 from torch import Tensor
 
-from services.rendering.image_error import ImageError
-from services.rendering.plan import Plan
+from services.rendering.plan import ImageError, Plan
 
 Parameters = dict[str, Tensor]
 """Values by group name, on the CPU whatever the renderer's device. Scene values and perturbations have no batch

@@ -32,14 +32,13 @@ from services.scenes.mesh import (
     Part,
     TextureMap,
 )
+from services.scenes.solids import OPAQUE_FROM, has_holes
 from services.scenes.view import camera_to_world, model_matrix, projection, visible_area
 
 METALLIC, ROUGHNESS = 0.0, 0.5
 """What a surface has of the two if only the other is given."""
 REPEAT = (10497, 10497)
 """OpenGL's wrap modes of a texture that repeats, as those of files without sampler settings do."""
-OPAQUE_FROM = 128
-"""Texels of less alpha are holes."""
 
 
 def with_surface(mesh: Mesh, metallic: float | None, roughness: float | None) -> Mesh:
@@ -98,8 +97,7 @@ def _maps(part: Part) -> Mapping[MapName, TextureMap]:
 def _alpha_mode(part: Part) -> AlphaMode:
     if part.color[3] < 1:
         return "BLEND"
-    holes = part.texture is not None and part.uv is not None and bool((part.texture[..., 3] < OPAQUE_FROM).any())
-    return "MASK" if holes else "OPAQUE"
+    return "MASK" if has_holes(part) else "OPAQUE"
 
 
 def floor_mesh(floor: Floor) -> Mesh:

@@ -36,7 +36,7 @@ class Mutant(NamedTuple):
 
 MUTANTS = {
     "partial visibility lost": Mutant(
-        "services.rendering.torch_renderer.regions:regions",
+        "services.rendering.torch_renderer.surfaces:regions",
         "(visibility < WHOLE)",
         "(visibility < WHOLE / 2)",
         test_shadows.test_a_matte_scene_in_partial_shadow_looks_the_same_from_near_and_from_afar,
@@ -48,7 +48,7 @@ MUTANTS = {
         test_attack_errors.test_the_error_of_an_image_is_that_of_its_worst_value,
     ),
     "vanished signs counted as right": Mutant(
-        "services.rendering.torch_renderer.gradient_error:_compared",
+        "services.rendering.torch_renderer.planner:_compared",
         "& there\n",
         "& there & (value != 0)\n",
         test_gradient_error.test_a_gradient_that_vanishes_in_float32_has_the_wrong_sign,

@@ -11,8 +11,7 @@ from services.accuracy.placing import TABLES, placed, sky, sun
 from services.accuracy.stability.case import Case, Measured, need
 from services.accuracy.stability.linear import linear_problem
 from services.accuracy.stability.shading import GRADIENT, SHARP, Shading
-from services.rendering.torch_renderer.dsbrdf import LOG_KAPPA_RANGE, SHAPE
-from services.rendering.torch_renderer.units import MATERIAL_UNIT
+from services.rendering.torch_renderer.dsbrdf import LOG_KAPPA_RANGE, MATERIAL_UNIT, SHAPE
 from services.scenes.mesh import Floats
 
 

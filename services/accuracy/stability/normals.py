@@ -11,7 +11,7 @@ from services.accuracy.stability.case import Case, Measured, need
 from services.accuracy.stability.lobes import of_one_lobe
 from services.accuracy.stability.shading import GRADIENT, Shading
 from services.rendering.opengl.gbuffer import rasterise
-from services.rendering.torch_renderer.normals import to_angles, to_vectors
+from services.rendering.torch_renderer.table import to_angles, to_vectors
 
 
 def _all_at(shading: Shading, azimuth: float, polar: float) -> Tensor:

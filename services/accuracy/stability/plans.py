@@ -12,7 +12,7 @@ from services.accuracy.stability.lobes import of_one_lobe
 from services.accuracy.stability.shading import EXACT, GRADIENT, Shading
 from services.rendering.plan import DEFAULT_TOLERANCE, Tolerance
 from services.rendering.protocol import Parameters
-from services.rendering.torch_renderer.lookup_table import look_up
+from services.rendering.torch_renderer.table import look_up
 from services.scenes.mesh import Doubles, Floats
 
 SHARPEST = "brushed-metal"

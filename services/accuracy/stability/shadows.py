@@ -13,8 +13,8 @@ from services.accuracy.placing import library
 from services.accuracy.stability.case import Case, Measured, need
 from services.rendering.opengl.gbuffer import rasterise
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
-from services.rendering.torch_renderer.directions import directions
-from services.rendering.torch_renderer.visibility import WHOLE, visibility
+from services.rendering.torch_renderer.light import directions
+from services.rendering.torch_renderer.surfaces import WHOLE, visibility
 from services.scenes.description import Scene
 from services.scenes.mesh import FIT_RADIUS, Doubles
 from services.scenes.resolve import ResolvedScene, resolve

@@ -12,17 +12,15 @@ from services.accuracy.work_precision.shading import subject, values_of
 from services.accuracy.work_precision.timing import repeated
 from services.attacks.seeds import generator
 from services.rendering.factory import build
-from services.rendering.image_error import image_error
 from services.rendering.opengl.gbuffer import rasterise
-from services.rendering.plan import Tolerance
+from services.rendering.plan import Tolerance, image_error
 from services.rendering.protocol import Parameters, Renderer
-from services.rendering.pyrender_renderer.errors import REACH
+from services.rendering.pyrender_renderer.planner import MEASURED_REACH
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
-from services.rendering.torch_renderer.error_estimates import MAX_PERTURBATION
-from services.rendering.torch_renderer.planner import exact_recipe
+from services.rendering.torch_renderer.planner import MAX_PERTURBATION, exact_recipe
 from services.rendering.torch_renderer.renderer import TorchRenderer
 from services.rendering.torch_renderer.shader import Shader
-from services.rendering.torch_renderer.visibility import visibility
+from services.rendering.torch_renderer.surfaces import visibility
 from services.scenes.clevr.description import describe
 from services.scenes.clevr.generator import generate
 from services.scenes.description import Scene
@@ -176,7 +174,7 @@ def _shadow_row(
 # One option more at a time
 
 TOLERANCES: tuple[Tolerance, ...] = (1e-2, 1e-3, "exact")
-REACHES = {"pyrender": REACH, "torch": MAX_PERTURBATION}
+REACHES = {"pyrender": MEASURED_REACH, "torch": MAX_PERTURBATION}
 """How far an attack moves a coordinate of each group."""
 
 

@@ -17,15 +17,13 @@ from services.rendering.color import to_display
 from services.rendering.kernels import compiled
 from services.rendering.opengl.gbuffer import rasterise
 from services.rendering.plan import Tolerance
-from services.rendering.torch_renderer import lookup_table
-from services.rendering.torch_renderer.environment_light import illumination
-from services.rendering.torch_renderer.error_estimates import MAX_PERTURBATION
-from services.rendering.torch_renderer.normals import to_angles
-from services.rendering.torch_renderer.planner import compile_plan, exact_recipe
-from services.rendering.torch_renderer.presets import preset
+from services.rendering.torch_renderer import table
+from services.rendering.torch_renderer.dsbrdf import MATERIAL_UNIT, preset
+from services.rendering.torch_renderer.light import illumination
+from services.rendering.torch_renderer.planner import MAX_PERTURBATION, compile_plan, exact_recipe
 from services.rendering.torch_renderer.renderer import sky_of
 from services.rendering.torch_renderer.shader import Recipe, Shader, Sky, Surface
-from services.rendering.torch_renderer.units import MATERIAL_UNIT
+from services.rendering.torch_renderer.table import to_angles
 from services.scenes.resolve import ResolvedScene
 
 GROUPS = ("normals", "illumination", "material")
@@ -98,7 +96,7 @@ def subject(mesh: str, material: str, size: tuple[int, int], texels: tuple[int, 
     to_camera = torch.as_tensor(scene.view, dtype=torch.float64)[:3, :3]
     angles = to_angles(gbuffer.normals.double() @ to_camera).float().double().reshape(-1, 2)
     covered = gbuffer.coverage.flatten().nonzero()[:, 0]
-    pixels = covered[torch.argsort(lookup_table.normal_sort_keys(angles[covered]), stable=True)]
+    pixels = covered[torch.argsort(table.normal_sort_keys(angles[covered]), stable=True)]
     light = illumination(torch.as_tensor(scene.environment))
     sky, intensity = sky_of(light, to_camera), light.intensity.flatten().float().double()
     values = {

@@ -1,5 +1,5 @@
 // Exports the layout of each structure that callers pass and the signature of each function, as the compiler sees them
-// (services/rendering/kernels/layouts.py).
+// (services/rendering/kernels/compiled.py).
 //
 // STRUCTURE(S, ID, NAME, FIELD(S, a) FIELD(S, b)) and FUNCTION(f) add lines to a text table that all sources share.
 

@@ -1,5 +1,5 @@
 // Unit normals from azimuth and polar angle, and the gradient with respect to the angles
-// (services/rendering/torch_renderer/normals.py).
+// (services/rendering/torch_renderer/table.py).
 
 #include "lanes.h"
 #include "layout.h"

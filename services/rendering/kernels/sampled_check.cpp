@@ -1,4 +1,4 @@
-// Choosing the pixels of a looked-up image that are summed too (services/rendering/torch_renderer/sampled_check.py).
+// Choosing the pixels of a looked-up image that are summed too (services/rendering/torch_renderer/table.py).
 
 #include <algorithm>
 #include <cmath>

@@ -1,4 +1,4 @@
-// Interpolates tables over normals (services/rendering/torch_renderer/lookup_table.py).
+// Interpolates tables over normals (services/rendering/torch_renderer/table.py).
 
 #include <algorithm>
 #include <cmath>

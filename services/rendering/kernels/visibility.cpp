@@ -1,5 +1,5 @@
 // Which directions the surface at each pixel sees past the scene's triangles, and where rays from the camera meet them
-// (services/rendering/torch_renderer/visibility.py).
+// (services/rendering/torch_renderer/surfaces.py).
 //
 // The rays of a shadow packet are parallel and start at neighbouring pixels, so that they mostly meet the same boxes.
 

@@ -1,22 +1,126 @@
 """The process's one OpenGL context: which platform draws, and proof that it works.
 
 OpenGL binds to a platform at import, so nothing may import OpenGL or pyrender before `current()` has chosen one; the
-modules that do (`drawing`) are imported from here. There is one context per process, because under EGL deleting one
+modules that do (`render_pass`) are imported from here. There is one context per process, because under EGL deleting one
 renderer kills the others, and it belongs to the thread that first asked for it: OpenGL keeps its current context per
 thread, and a forked child of a process that has one hangs.
+
+Whether EGL draws here is tried in a process of its own, for a broken driver may take the one that tries it down. The
+answer is remembered as long as nothing that it depends on has changed.
 """
 
+import json
 import os
+import subprocess
+import sys
 import threading
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+from services import atomic_write
 from services.errors import JobFailure
 from services.process import options
-from services.rendering.opengl import probe
 
 if TYPE_CHECKING:
     from services.rendering.opengl.render_pass import FloatRenderer
+
+PROBE_SECONDS = 300.0
+"""Time after which a driver hangs. On a busy machine a process may take minutes, and must not draw otherwise than on an
+idle one: the images of another platform differ.
+"""
+PREFIXES = ("EGL", "__EGL", "__GL", "LIBGL", "MESA", "GALLIUM", "LP_", "LD_", "CUDA_VISIBLE", "DISPLAY", "WAYLAND")
+"""Prefixes of the environment variables that drivers read."""
+FOLDERS = ("/dev/dri", "/usr/share/glvnd/egl_vendor.d", "/etc/glvnd/egl_vendor.d")
+"""Where a driver or a device that comes or goes shows."""
+
+_PROBE = """
+import json
+from services.rendering.opengl import context
+print(json.dumps({"device": context.try_egl_devices(), "files": context.loaded()}))
+"""
+
+
+def working_device() -> tuple[str | None, str]:
+    """The EGL device that draws, or None and why there is none.
+
+    The memory of it is taken away until `confirm`: were it wrong, and this process died of it, the next would probe.
+    """
+    remembered = _take()
+    if remembered is not None:
+        return remembered["device"], ""
+    environment = os.environ | {"PYOPENGL_PLATFORM": "egl", "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", _PROBE],
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=PROBE_SECONDS,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return None, str(error)
+    if done.returncode == 0:
+        found = json.loads(done.stdout.splitlines()[-1])
+        _taken.update(found, surroundings=_surroundings())
+        return found["device"], ""
+    lines = done.stderr.strip().splitlines()
+    return None, lines[-1] if lines else f"the probe ended with status {done.returncode}"
+
+
+def confirm() -> None:
+    """Remember the device that `working_device` gave: it draws in this process too."""
+    if not _taken:
+        return
+    atomic_write.write(_path(), json.dumps(_taken).encode())
+
+
+def loaded() -> dict[str, list[int]]:
+    """The shared libraries in this process, with size and time of change: those of the driver among them."""
+    lines = Path("/proc/self/maps").read_text("utf-8").splitlines()
+    paths = {line.split(maxsplit=5)[5] for line in lines if ".so" in line and "/" in line}
+    return {path: stamp for path in sorted(paths) if (stamp := _stamp(path)) is not None}
+
+
+_taken: dict[str, Any] = {}
+
+
+def _take() -> dict[str, Any] | None:
+    path = _path()
+    try:
+        text = path.read_text("utf-8")
+        path.unlink()
+        memory = json.loads(text)
+        if memory["surroundings"] != _surroundings():
+            return None
+        if any(_stamp(file) != stamp for file, stamp in memory["files"].items()):
+            return None
+        _taken.update(memory)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None  # none, someone else's at the moment, or not ours: probe
+    return _taken
+
+
+def _path() -> Path:
+    return options().cache / "egl.json"
+
+
+def _surroundings() -> list[object]:
+    """Everything that a driver may read beside its own files: machine, interpreter, variables, folders of devices."""
+    machine = os.uname()
+    variables = {name: value for name, value in sorted(os.environ.items()) if name.startswith(PREFIXES)}
+    folders = [sorted(p.name for p in Path(f).iterdir()) if Path(f).is_dir() else None for f in FOLDERS]
+    return [machine.nodename, machine.release, machine.version, sys.executable, variables, folders]
+
+
+def _stamp(path: str) -> list[int] | None:
+    try:
+        state = os.stat(path)
+    except OSError:
+        return None
+    return [state.st_size, state.st_mtime_ns]
+
 
 PLATFORMS = ("egl", "osmesa")
 PACKAGES = "install the Debian packages `libegl1 libgl1 libgl1-mesa-dri` (EGL) or `libosmesa6 libgl1` (OSMesa)"
@@ -51,7 +155,7 @@ def current() -> Context:
     with _lock:
         if _context is None:
             _context = _create(choose_platform())
-            probe.confirm()
+            confirm()
     if _context.pid != os.getpid():
         raise JobFailure("internal", "OpenGL was used before this process was forked; start it afresh (spawn) instead")
     if _context.thread != threading.get_ident():
@@ -79,7 +183,7 @@ def choose_platform() -> str:
             raise JobFailure("internal", f"SCENE_ATTACK_GL={wanted} contradicts PYOPENGL_PLATFORM={chosen}; unset one")
         return chosen
     if wanted != "osmesa":
-        device, trouble = probe.working_device()
+        device, trouble = working_device()
         if device is not None:
             os.environ["EGL_DEVICE_ID"] = device
             wanted = "egl"

@@ -12,12 +12,11 @@ from torch import Tensor
 from services.errors import InvalidRequest
 from services.rendering.kernels import compiled
 from services.rendering.opengl import context
-from services.rendering.opengl.camera import CameraMatrices
+from services.rendering.opengl.camera import CameraMatrices, Rectangle, rectangle
 from services.rendering.opengl.fragments import Fragments, fragments
-from services.rendering.opengl.screen_bounds import Rectangle, rectangle
-from services.rendering.opengl.watertight import has_holes
 from services.scenes.mesh import Part
 from services.scenes.resolve import ResolvedScene
+from services.scenes.solids import has_holes
 
 if TYPE_CHECKING:
     from services.rendering.opengl.mesh_upload import Drawing

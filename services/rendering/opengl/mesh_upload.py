@@ -1,19 +1,156 @@
-"""Meshes and textures as OpenGL holds them. Imports OpenGL, so import it only through `context.current()`."""
+"""Meshes, textures and glTF materials as OpenGL holds them. Imports OpenGL, so import it only through
+`context.current()`.
+"""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from OpenGL import GL
 from pyrender.material import MetallicRoughnessMaterial
 from pyrender.primitive import Primitive
+from pyrender.texture import Texture
 
-from services.rendering.opengl.material_upload import Textures, UploadedMaterial, upload_material
-from services.rendering.opengl.textures import LinearTexture, SrgbTexture
-from services.rendering.opengl.watertight import has_holes, outsides
-from services.scenes.mesh import Integers, Mesh, MetallicRoughness, Part
+from services.rendering.opengl.program import Program
+from services.scenes.image_file import to_linear
+from services.scenes.mesh import Integers, MapName, Mesh, MetallicRoughness, Part, TextureMap
+from services.scenes.solids import has_holes, outsides
+
+LINEAR = to_linear(np.arange(256) / 255).astype(np.float32)
+"""The linear value of each 8-bit sRGB value."""
+
+
+class LinearTexture(Texture):  # type: ignore[misc]
+    """An RGBA texture with mipmaps; `wrap`: OpenGL's modes for u and v."""
+
+    _format = GL.GL_RGBA8
+    wrap: tuple[int, int] = (GL.GL_REPEAT, GL.GL_REPEAT)
+
+    def _add_to_context(self) -> None:
+        height, width = self.source.shape[:2]
+        self._texid = int(GL.glGenTextures(1))
+        GL.glBindTexture(GL.GL_TEXTURE_2D, self._texid)
+        # OpenGL's first row is v = 0, the bottom of the image.
+        rows = np.ascontiguousarray(self.source[::-1])
+        GL.glTexImage2D(GL.GL_TEXTURE_2D, 0, self._format, width, height, 0, GL.GL_RGBA, GL.GL_UNSIGNED_BYTE, rows)
+        GL.glGenerateMipmap(GL.GL_TEXTURE_2D)
+        GL.glTexParameteri(GL.GL_TEXTURE_2D, GL.GL_TEXTURE_MIN_FILTER, GL.GL_LINEAR_MIPMAP_LINEAR)
+        GL.glTexParameteri(GL.GL_TEXTURE_2D, GL.GL_TEXTURE_MAG_FILTER, GL.GL_LINEAR)
+        GL.glTexParameteri(GL.GL_TEXTURE_2D, GL.GL_TEXTURE_WRAP_S, self.wrap[0])
+        GL.glTexParameteri(GL.GL_TEXTURE_2D, GL.GL_TEXTURE_WRAP_T, self.wrap[1])
+        GL.glBindTexture(GL.GL_TEXTURE_2D, 0)
+
+
+class SrgbTexture(LinearTexture):
+    """A texture in sRGB, decoded to linear before it is filtered (pyrender's are filtered as they are stored)."""
+
+    _format = GL.GL_SRGB8_ALPHA8
+    _levels: list[NDArray[np.float32]] | None = None
+
+    def levels(self) -> list[NDArray[np.float32]]:
+        """The driver's mipmaps, once uploaded: each [height, width, 4], linear red, green and blue, and alpha, all in
+        [0,1], with its first row at v = 0."""
+        if self._levels is None:
+            self._levels = []
+            GL.glPixelStorei(GL.GL_PACK_ALIGNMENT, 1)
+            GL.glBindTexture(GL.GL_TEXTURE_2D, self._texid)
+            size = np.array(self.source.shape[:2])
+            for level in range(int(size.max()).bit_length()):
+                texels = np.empty((*np.maximum(size >> level, 1), 4), np.uint8)
+                GL.glGetTexImage(GL.GL_TEXTURE_2D, level, GL.GL_RGBA, GL.GL_UNSIGNED_BYTE, array=texels)
+                linear = LINEAR[texels]
+                linear[..., 3] = texels[..., 3] / np.float32(255)
+                self._levels.append(linear)
+            GL.glBindTexture(GL.GL_TEXTURE_2D, 0)
+        return self._levels
+
+
+NO_MATERIAL = {"METALLIC_ROUGHNESS": 0}
+"""Constants of `Program` for surfaces without a glTF material."""
+
+_SRGB = ("base_color", "emissive")
+_MODES = {"OPAQUE": 0, "MASK": 1, "BLEND": 2}
+_NAMES: tuple[MapName, ...] = ("base_color", "metallic_roughness", "normal", "occlusion", "emissive")
+
+Textures = dict[tuple[int, bool, tuple[int, int]], LinearTexture]
+"""Uploaded once each: by the array of texels, whether it is sRGB, and how it wraps."""
+
+
+@dataclass(frozen=True, eq=False)
+class UploadedMaterial:
+    """A material, its textures and the constants of `Program` that draw it."""
+
+    material: MetallicRoughness
+    opacity: float
+    textures: Mapping[MapName, LinearTexture]
+
+    @property
+    def constants(self) -> dict[str, int]:
+        """See `metallic_roughness.frag`."""
+        maps = self.material.maps
+        sets = {f"{name.upper()}_MAP": maps[name].uv_set + 1 if name in maps else 0 for name in _NAMES}
+        kind = {"ALPHA_MODE": _MODES[self.material.alpha_mode], "GIVEN": int(self.material.given)}
+        return {"METALLIC_ROUGHNESS": 1, **kind, **sets}
+
+    def bind(self, program: Program) -> None:
+        """Set the uniforms that the program uses, and bind the textures."""
+        m = self.material
+        values = {
+            "opacity": self.opacity,
+            "metallic": m.metallic,
+            "roughness": m.roughness,
+            "emissive": np.array(m.emissive),
+            "alpha_cutoff": m.alpha_cutoff,
+            "normal_scale": m.normal_scale,
+            "occlusion_strength": m.occlusion_strength,
+        }
+        for name, value in values.items():
+            if program.has(name):
+                program.set(name, value)
+        for unit, (name, texture) in enumerate(self.textures.items()):
+            if program.has(f"{name}_map"):
+                program.set(f"{name}_map", unit)
+                GL.glActiveTexture(GL.GL_TEXTURE0 + unit)
+                texture._bind()
+        GL.glActiveTexture(GL.GL_TEXTURE0)
+
+
+def upload_material(
+    part: Part, material: MetallicRoughness, faces: Integers, textures: Textures
+) -> tuple[Primitive, UploadedMaterial]:
+    """The primitive of a part with a glTF material, with all vertex attributes of `surface.vert`, and the material."""
+    held = {name: _texture(name, one, textures) for name, one in material.maps.items()}
+    primitive = Primitive(
+        positions=part.vertices,
+        normals=part.normals,
+        tangents=material.tangents,
+        texcoord_0=part.uv,
+        texcoord_1=material.second_uv,
+        color_0=material.vertex_colors,
+        indices=faces,
+        # For pyrender, which uploads the textures of a primitive's material.
+        material=MetallicRoughnessMaterial(
+            baseColorTexture=held.get("base_color"),
+            metallicRoughnessTexture=held.get("metallic_roughness"),
+            normalTexture=held.get("normal"),
+            occlusionTexture=held.get("occlusion"),
+            emissiveTexture=held.get("emissive"),
+        ),
+    )
+    return primitive, UploadedMaterial(material, float(part.color[3]), held)
+
+
+def _texture(name: MapName, one: TextureMap, textures: Textures) -> LinearTexture:
+    srgb = name in _SRGB
+    key = id(one.texels), srgb, one.wrap
+    if key not in textures:
+        textures[key] = (SrgbTexture if srgb else LinearTexture)(source=one.texels, source_channels="RGBA")
+        textures[key].wrap = one.wrap
+    return textures[key]
+
 
 Array = NDArray[np.float64]
 

@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from OpenGL import GL
 from scipy.ndimage import minimum_filter
 
+from services.rendering.opengl.camera import beyond
 from services.rendering.opengl.mesh_upload import Drawing, Piece
 from services.rendering.opengl.program import Program
-from services.rendering.opengl.screen_bounds import beyond
-from services.rendering.opengl.shadow_views import ShadowView, box_corners, casters, shadow_views
-from services.rendering.opengl.shadows import PassShadows
+from services.rendering.opengl.shadows import PassShadows, ShadowView, box_corners, casters, shadow_views
 
 Array = NDArray[np.float64]
 

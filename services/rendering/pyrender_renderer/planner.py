@@ -1,23 +1,263 @@
-"""The plan of the pyrender renderer: which stage each coordinate touches, and what is not drawn."""
+"""The plan of the pyrender renderer: which stage each coordinate touches, what is not drawn, and the error of what
+stands in for OpenGL's images.
 
-from collections.abc import Iterator, Mapping, Sequence
+The error of rasterised images and of their differences is measured for the plan, and again, for images, while an attack
+runs.
+
+Coordinates that cannot change an image are left out, each with its proof. Radiance is linear in the ambient light and
+in each energy, but for what glTF materials emit. So what two values of one of these do, all values do: a light that
+adds nothing at energy 1 adds nothing at any. In a colour factor it is linear or, for a glTF material that is part
+metal, quadratic: what three values do, all do. A light's position is not linear, but the positions from which it
+reaches no pixel are a convex set: for every pixel the half-space behind its surface. If they hold six points around a
+position, they hold all between.
+"""
+
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from math import acos, pi, sqrt
+from typing import TYPE_CHECKING, Protocol
 
 import torch
 from torch import Tensor
 
-from services.rendering.image_error import ImageError
-from services.rendering.opengl.screen_bounds import Rectangle
-from services.rendering.plan import GradientError, Item, Plan, Stage, Tolerance
-from services.rendering.protocol import InactiveCoordinate
+from services.rendering.opengl.camera import Rectangle, RenderPass
+from services.rendering.opengl.shadows import box_corners, casters, pass_shadows, shadow_views
+from services.rendering.plan import GradientError, ImageError, Item, Plan, Stage, Tolerance, image_error
+from services.rendering.protocol import InactiveCoordinate, Parameters, Renderer
 from services.rendering.pyrender_renderer.batching import SharedPass, alone, shared
-from services.rendering.pyrender_renderer.errors import DRAWS, EVERY, HALF_STEP, estimated
-from services.rendering.pyrender_renderer.inactive import REACH
+from services.rendering.pyrender_renderer.parameters import FINER
 
 if TYPE_CHECKING:
     from services.rendering.opengl.mesh_upload import Drawing
     from services.rendering.protocol import Renderer
+
+DRAWS = 5
+"""Images at random places around the start, beside the start's own, that are drawn both ways for the plan."""
+MEASURED_REACH = {"illumination": 0.3, "color": 0.3, "translation": 0.1, "rotation": 0.3, "camera": 0.3}
+"""How far from the start these are in each attacked coordinate, at most: as far as attacks move."""
+MARGIN = 2.0
+"""By how much the largest error found is multiplied, to estimate that of any other image."""
+FEW = 4
+"""Pixels of which a sample may flip in an image though none did in those that were measured."""
+LINE = 0.5
+"""Pixels that may be off because a face has come to be seen from its edge, where two ways to interpolate differ most:
+a line of this length, in sides of a square of as many pixels as are covered. Few of them are off by much."""
+EVERY = 128
+"""One image in so many of an attack is drawn by OpenGL too."""
+HALF_STEP = 0.01
+"""Half-step of the central differences whose error is measured, in the groups' units."""
+MAX_COORDINATES = 12
+"""Maximum number of coordinates of a group whose differences are measured: of each object one, then another."""
+GRADIENT_SHARE = 100.0
+"""Relative error of a group's gradient that a tolerance of 1 would allow: a tenth at the default tolerance."""
+
+
+def around(renderer: Renderer, groups: tuple[str, ...]) -> Parameters:
+    """The start and DRAWS places around it, {group: [1 + DRAWS, ...]}; the same ones every time."""
+    random = torch.Generator().manual_seed(0)
+    places, bounds = {}, renderer.bounds()
+    for group, value in renderer.initial().items():
+        reach = MEASURED_REACH[group] if group in groups else 0.0
+        moves = 2 * torch.rand(DRAWS + 1, *value.shape, generator=random, dtype=value.dtype) - 1
+        moves[0] = 0.0
+        places[group] = torch.clamp(value + reach * moves, *bounds[group])
+    return places
+
+
+def measure(
+    renderer: Renderer, behind: Callable[[Parameters], Tensor], groups: tuple[str, ...]
+) -> tuple[ImageError, int]:
+    """The largest error of the renderer's images around the start, and the fewest pixels that one of them covers.
+
+    `behind` returns what is behind the objects, [3] or [H, W, 3], at parameters {group: [1, ...]}.
+    """
+    worst, fewest, places = ImageError(), torch.iinfo(torch.int64).max, around(renderer, groups)
+    for row, (image, exact) in enumerate(zip(renderer.render(places), renderer.exact().render(places), strict=True)):
+        ground = behind({group: value[row : row + 1] for group, value in places.items()})
+        error, covered = image_error(image, exact, ground)
+        worst, fewest = worst.or_worse(error), min(fewest, covered)
+    return worst, fewest
+
+
+def refusal(error: ImageError, gradients: Sequence[GradientError], tolerance: float) -> str | None:
+    """Why errors of images and of gradients are beyond the tolerance, as a clause; None if they are within it."""
+    if not ImageError(MARGIN * error.mean, MARGIN * error.share).within(tolerance):
+        return "twice its error is beyond the tolerance"
+    if any(one.relative > GRADIENT_SHARE * tolerance for one in gradients):
+        return "the error of its gradients is beyond the tolerance"
+    return None
+
+
+def estimated(measured: ImageError, covered: int) -> ImageError:
+    """The estimated largest error of an image that was not measured and covers at least `covered` pixels."""
+    flips, line = FEW / covered, LINE / sqrt(covered)
+    return ImageError(MARGIN * measured.mean + flips / 4, MARGIN * measured.share + max(flips, line))
+
+
+def measure_gradients(renderer: Renderer, opengl: Renderer, groups: tuple[str, ...]) -> tuple[GradientError, ...]:
+    """Errors of the central differences of the renderer's images at the start against `opengl`'s, by attacked group.
+
+    They are the expected errors of the gradient of a sum of the displayed values with normally distributed random
+    weights: its relative error is that of the differences of images, in length, and its sign is wrong with probability
+    θ / π, where θ is the angle between the two differences. Coordinates that change nothing do not count, and one that
+    changes the image of only one of them counts as a wrong sign.
+    """
+    found = []
+    for group in groups:
+        sides = sides_of(renderer.initial(), group)
+        ours, exact = (
+            (at[::2] - at[1::2]).double().flatten(1) for at in (renderer.render(sides), opengl.render(sides))
+        )
+        length, error = float(exact.norm()), float((ours - exact).norm())
+        angles = [
+            acos(max(-1.0, min(1.0, float(own @ true) / float(own.norm() * true.norm()))))
+            if own.any() and true.any()
+            else pi  # a difference that only one of them has is of no sign in the other
+            for own, true in zip(ours, exact, strict=True)
+            if own.any() or true.any()
+        ]
+        relative = error / length if length else float(error > 0)
+        wrong_signs = sum(angles) / (pi * len(angles)) if angles else 0.0
+        found.append(GradientError(part="", group=group, relative=relative, wrong_signs=wrong_signs))
+    return tuple(found)
+
+
+def sides_of(start: Parameters, group: str) -> Parameters:
+    """`start` with each of at most MAX_COORDINATES coordinates of a group moved up, then down, {group: [B, ...]}."""
+    count = start[group].numel()
+    # Three coordinates are an object's: one of each object, along axes in turn, then a second, then the third.
+    triples = range(-(-count // 3))
+    places = [3 * number + (number + turn) % 3 for turn in range(3) for number in triples]
+    chosen = torch.tensor([place for place in places if place < count][:MAX_COORDINATES])
+    steps = HALF_STEP * torch.nn.functional.one_hot(chosen, count).to(start[group].dtype)
+    moves = torch.stack([steps, -steps], dim=1).reshape(-1, *start[group].shape)
+    sides = {name: value.expand(len(moves), *value.shape) for name, value in start.items()}
+    return sides | {group: start[group] + moves}
+
+
+def is_sampled(parameters: Mapping[str, Tensor], row: int) -> bool:
+    """Whether OpenGL draws this image of a batch too; its parameters decide, so nothing that was drawn before does."""
+    key = b"".join(parameters[group][row].double().numpy().tobytes() for group in sorted(parameters))
+    return zlib.crc32(key) % EVERY == 0
+
+
+Values = Mapping[str, Tensor]
+
+LARGEST_STEP = 0.1
+"""The largest half-step of a difference that is ever measured."""
+
+
+class Linear(Protocol):
+    """The part of the renderer that the proofs need: images before exposure, and the objects' places."""
+
+    def initial(self) -> dict[str, Tensor]:
+        """The scene's own values."""
+        ...
+
+    def names(self, group: str) -> list[str] | None:
+        """A word for each coordinate."""
+        ...
+
+    def radiance(self, parameters: Values) -> Tensor:
+        """Radiance times coverage, and coverage, [B, H, W, 4]."""
+        ...
+
+    def out_of_frame(self, parameters: Values, index: int, margin: float, turned: bool) -> bool:
+        """Whether an object stays outside the frame wherever it moves by `margin`, or however it is turned."""
+        ...
+
+
+def inactive_coordinates(renderer: Linear, parameters: Values, reach: Mapping[str, float]) -> list[InactiveCoordinate]:
+    """The coordinates of which none alone changes the image at `parameters` {group: [...]}, moved by at most its
+    group's `reach` up or down; energies, colours and the ambient light by any amount.
+    """
+    at = {group: parameters.get(group, value).double() for group, value in renderer.initial().items()}
+    found = _lights(renderer, at, reach.get("illumination", LARGEST_STEP)) + _colors(renderer, at)
+    for index in range(len(at["translation"])):
+        if renderer.out_of_frame(at, index, reach.get("translation", LARGEST_STEP), turned=False):
+            why = "the object is out of the frame, and would be were it moved by as much"
+            found += [_inactive(renderer, "translation", 3 * index + axis, why) for axis in range(3)]
+        if renderer.out_of_frame(at, index, 0.0, turned=True):
+            why = "the object is out of the frame however it is turned"
+            found += [_inactive(renderer, "rotation", 3 * index + axis, why) for axis in range(3)]
+    return found
+
+
+def _lights(renderer: Linear, at: Values, reach: float) -> list[InactiveCoordinate]:
+    """The ambient light, and each other light where it is and around it, with one unit of it alone.
+
+    The directions from which a directional light reaches no pixel are a convex cone, so that the same six points prove
+    them. Those of a spot light, and its positions, are no convex set: they are idle only where it has no energy.
+    """
+    lights = at["illumination"]
+    alone = torch.zeros_like(lights)
+    alone[0] = 1.0
+    found = []
+    if _dark(renderer, at, alone):
+        found.append(_inactive(renderer, "illumination", 0, "no object is in the image"))
+    for kind, energy, others in _coordinates(renderer.names("illumination") or [], len(lights)):
+        alone = torch.zeros_like(lights)
+        alone[energy] = 1.0
+        alone[others] = lights[others]
+        behind = _dark(renderer, at, alone)
+        if behind:
+            found.append(_inactive(renderer, "illumination", energy, "the light is behind all that is seen"))
+        if lights[energy] == 0:
+            found += [_inactive(renderer, "illumination", place, "the light has no energy") for place in others]
+        elif behind and kind != "spot" and all(_dark(renderer, at, moved) for moved in _around(alone, others, reach)):
+            why = f"the light is behind all that is seen, and would be from anywhere within {reach:g}"
+            found += [_inactive(renderer, "illumination", place, why) for place in others]
+    return found
+
+
+def _coordinates(names: list[str], count: int) -> Iterator[tuple[str, int, list[int]]]:
+    """For each light of the group `illumination` its kind, the index of its energy, and of its other coordinates."""
+    energies = [index for index, name in enumerate(names) if name.endswith(" energy")]
+    for energy, following in zip(energies, [*energies, count][1:], strict=True):
+        yield names[energy].split()[0], energy, list(range(energy + 1, following))
+
+
+def _around(lights: Tensor, places: list[int], reach: float) -> Iterator[Tensor]:
+    for place in places:
+        for sign in (1, -1):
+            moved = lights.clone()
+            moved[place] += sign * reach
+            yield moved
+
+
+def _dark(renderer: Linear, at: Values, lights: Tensor) -> bool:
+    return not bool(_image(renderer, at, "illumination", lights).any())
+
+
+def _colors(renderer: Linear, at: Values) -> list[InactiveCoordinate]:
+    """Images with an object white, black and grey, where its colour has nothing to do if they are the same."""
+    found = []
+    for index in range(len(at["color"])):
+
+        def shown(factor: float, index: int = index) -> Tensor:
+            color = at["color"].clone()
+            color[index] = factor
+            return _image(renderer, at, "color", color)
+
+        black = shown(0.0)
+        same = (shown(1.0) == black).flatten(0, 1).all(dim=0)
+        if same.any():
+            same &= (shown(0.5) == black).flatten(0, 1).all(dim=0)
+        why = "the object's colour is not seen: it is black, unlit, hidden or out of the frame"
+        found += [_inactive(renderer, "color", 3 * index + channel, why) for channel in range(3) if same[channel]]
+    return found
+
+
+def _image(renderer: Linear, at: Values, group: str, value: Tensor) -> Tensor:
+    """Radiance [H, W, 3] with one group replaced. One at a time: that takes no shader but the one for one image."""
+    return renderer.radiance({name: v[None] for name, v in {**at, group: value}.items()})[0, ..., :3]
+
+
+def _inactive(renderer: Linear, group: str, index: int, why: str) -> InactiveCoordinate:
+    names = renderer.names(group)
+    return InactiveCoordinate(group, index, names[index] if names else f"{group} {index}", why)
+
 
 STAGES = {"redraw": ("translation", "rotation", "camera"), "relight": ("illumination",), "recolour": ("color",)}
 WHY = {
@@ -54,7 +294,7 @@ def compile_plan(
 
     `watertight`: backfaces of watertight surfaces are not drawn; `rasterised`: whether and how well the rasteriser
     draws, None for "exact"; `most`: images to a pass; `idle`: coordinates that change nothing at the start, moved by at
-    most REACH.
+    most LARGEST_STEP.
 
     Errors, also those of gradients, are the rasteriser's alone: all else that is left out or shared gives an image the
     very bits it has without.
@@ -81,7 +321,8 @@ def compile_plan(
             what="coordinates",
             kept=coordinates - len(still),
             of=coordinates,
-            why="; ".join(f"{one.name}: {one.why}" for one in still) or f"each may change the image within {REACH:g}",
+            why="; ".join(f"{one.name}: {one.why}" for one in still)
+            or f"each may change the image within {LARGEST_STEP:g}",
         ),
         Item(
             what="pixels",
@@ -221,3 +462,46 @@ def both_sides(start: Mapping[str, Tensor], groups: Sequence[str], step: float =
                 moved[group].view(-1)[index] += sign * step
                 rows.append(moved)
     return {name: torch.stack([row[name] for row in rows]) for name in start}
+
+
+def with_shadows(plan: Plan, drawing: "Drawing", lit: RenderPass, error: float) -> Plan:
+    """A plan with the lines on shadows; as it is if there are none. `lit` is the scene's own image, and `error` that of
+    `shadow_error`.
+    """
+    shadows = lit.shadows
+    of_lights = None if shadows is None else pass_shadows(lit, shadows)
+    if shadows is None or of_lights is None:
+        return plan
+    own, plain = box_corners(drawing.points)
+    corners = [points @ pose[:3, :3].T + pose[:3, 3] for points, pose in zip(own, lit.poses, strict=True)]
+    casting = [casters(corners, plain, light) for light in of_lights.lights]
+    maps = sum(
+        len(shadow_views([corners[k] for k in kept], light))
+        for kept, light in zip(casting, of_lights.lights, strict=True)
+    )
+    texels = shadows.resolution**2
+    item = Item(
+        what="shadow casters",
+        kept=sum(map(len, casting)),
+        of=len(corners) * len(casting),
+        why="objects times lights; the others are boxes with the light and all other objects before one of their sides",
+    )
+    stage = Stage(
+        name="shadow maps",
+        method=f"{maps} maps of {shadows.resolution} × {shadows.resolution} texels for {len(of_lights.lights)} lights, "
+        f"{of_lights.samples} samples of each",
+        when="every image",
+        evaluations=maps * texels,
+        unit="texels",
+        why="the exact image has the same maps, so this costs it no error; maps and samples each "
+        f"{FINER**2} times as many change displayed values by {error:.1e} in the mean over covered pixels; images of "
+        "one pass share the maps of lights that agree, and maps stay until an object moves",
+    )
+    return plan.model_copy(update={"items": (*plan.items, item), "stages": (*plan.stages, stage)})
+
+
+def shadow_error(image: Tensor, finer: Tensor, covered: Tensor) -> float:
+    """The mean difference of displayed values between the scene's own image [H, W, 3] and that with finer shadow maps,
+    over the pixels that are `covered` [H, W]; 0 if none is."""
+    off = (image - finer).abs().mean(dim=-1)
+    return float(off[covered].double().mean()) if bool(torch.any(covered)) else 0.0

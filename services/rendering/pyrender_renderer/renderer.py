@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -12,24 +13,65 @@ from torch import Tensor
 
 from services.errors import JobFailure
 from services.finite import finite
-from services.rendering.compositing import over_ground
+from services.rendering.color import over_ground
 from services.rendering.declaration import BuildRequest, DeclaredRenderer
-from services.rendering.image_error import ImageError, image_error
 from services.rendering.opengl import context, gbuffer
-from services.rendering.opengl.camera import CameraMatrices, RenderPass
-from services.rendering.opengl.screen_bounds import Rectangle, beyond, rectangle
+from services.rendering.opengl.camera import CameraMatrices, Rectangle, RenderPass, beyond, rectangle
 from services.rendering.opengl.shadows import check_size, images_per_pass
-from services.rendering.plan import DEFAULT_TOLERANCE, Plan, Tolerance
+from services.rendering.plan import DEFAULT_TOLERANCE, ImageError, Plan, Tolerance, image_error
 from services.rendering.protocol import InactiveCoordinate, Parameters
-from services.rendering.pyrender_renderer import errors, opengl_pass, rasteriser
+from services.rendering.pyrender_renderer import opengl_pass, planner, rasteriser
 from services.rendering.pyrender_renderer.batching import Array, SharedPass, alone, fill, shared
 from services.rendering.pyrender_renderer.declaration import PYRENDER
-from services.rendering.pyrender_renderer.ground import Ground
-from services.rendering.pyrender_renderer.inactive import inactive_coordinates
 from services.rendering.pyrender_renderer.parameters import SceneParameters
-from services.rendering.pyrender_renderer.planner import Rasterised, compile_plan
-from services.rendering.pyrender_renderer.shadow_plan import shadow_error, with_shadows
+from services.rendering.pyrender_renderer.planner import (
+    Rasterised,
+    compile_plan,
+    inactive_coordinates,
+    shadow_error,
+    with_shadows,
+)
 from services.scenes.resolve import ResolvedScene
+
+CAMERAS = 32
+"""Number of cameras whose view of a map is kept: more than the two sides of each coordinate's difference."""
+
+
+class Ground:
+    """Displayed values behind the objects: one colour [3], or an image [H, W, 3]. A map is seen from each camera; a
+    colour and a picture stay as they are.
+    """
+
+    def __init__(self, scene: ResolvedScene, parameters: SceneParameters) -> None:
+        self._scene = scene
+        self._parameters = parameters
+        self.at_start = torch.tensor(scene.ground, dtype=torch.float32)
+        self._start = parameters.initial()["camera"].numpy().tobytes()
+        self._seen = lru_cache(CAMERAS)(self._from)
+
+    def before(self, camera: Array) -> Tensor:
+        """What is behind the objects before the camera of coordinates [4]."""
+        key = np.asarray(camera, np.float64).tobytes()
+        return self.at_start if key == self._start or not self._scene.shows_map else self._seen(key)
+
+    def at(self, parameters: Mapping[str, Tensor]) -> Tensor:
+        """As `before`, at parameters {group: [1, ...]}."""
+        return self.before(self._parameters.checked(parameters)["camera"][0])
+
+    def before_each(self, cameras: Array, size: tuple[int, int]) -> Tensor:
+        """Images [B, H, W, 3] of what is behind the objects before cameras [B, 4]."""
+        return torch.stack([self.before(camera).expand(*size, 3) for camera in cameras])
+
+    def _from(self, key: bytes) -> Tensor:
+        view = self._parameters.view(np.frombuffer(key, np.float64))
+        return torch.tensor(self._scene.ground_from(view.clip_from_world), dtype=torch.float32)
+
+    def part(self, camera: Array, part: tuple[int, int, int, int]) -> Tensor:
+        """As `before`, in rows from and to and columns from and to, the bottom row first as OpenGL has them."""
+        ground = self.before(camera)
+        top, bottom, left, right = part
+        return ground if ground.dim() == 1 else ground[top:bottom, left:right].flip(0)
+
 
 EXPOSURE = 0.5
 """Radiance times this is the linear image: a white surface that faces the default light from 2.5 away (radiance 2.0
@@ -141,10 +183,10 @@ class PyrenderRenderer(DeclaredRenderer):
             return Rasterised(refusal="a face reaches to the camera or far beyond the frame, or is seen from its edge")
         opengl = copy(self)
         self._rasterises = True
-        error, covered = errors.measure(self, self._ground.at, groups)
-        gradients = errors.measure_gradients(self, opengl, groups)
+        error, covered = planner.measure(self, self._ground.at, groups)
+        gradients = planner.measure_gradients(self, opengl, groups)
         self._sampled = None
-        why = errors.refusal(error, gradients, tolerance)
+        why = planner.refusal(error, gradients, tolerance)
         self._rasterises = why is None
         return Rasterised(error, covered, drawn[1], gradients, why)
 
@@ -193,7 +235,7 @@ class PyrenderRenderer(DeclaredRenderer):
         behind = self._ground.before_each(batch["camera"], self.size)
         images = self._draw(batch, behind, lambda radiance, ground: over_ground(radiance, EXPOSURE, ground))
         for row in range(len(images)):
-            if self._rasterises and errors.is_sampled(parameters, row):
+            if self._rasterises and planner.is_sampled(parameters, row):
                 images[row] = self._verified(images[row], {g: v[row : row + 1] for g, v in parameters.items()})
         return images
 

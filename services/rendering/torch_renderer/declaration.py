@@ -49,9 +49,9 @@ TORCH = Declaration(
     differentiable=True,
     method="fgsm",
     renderer="services.rendering.torch_renderer.renderer:TorchRenderer",
-    changes="services.rendering.torch_renderer.physical:changes",
-    drawn="services.rendering.torch_renderer.drawings:drawn",
-    worded="services.rendering.torch_renderer.worded:worded",
+    changes="services.rendering.torch_renderer.words:changes",
+    drawn="services.rendering.torch_renderer.words:drawn",
+    worded="services.rendering.torch_renderer.words:worded",
     varies={"intensity": "illumination"},
     varied="services.rendering.torch_renderer.variation:varied",
 )

@@ -1,4 +1,5 @@
-"""The directional statistics BRDF (Nishino, ICCV 2009), the material model of the paper's differentiable renderer.
+"""The directional statistics BRDF (Nishino, ICCV 2009), the material model of the paper's differentiable renderer: its
+formula, its units, named materials, and the layers of an object.
 
 Per colour channel a material is a sum of lobes,
 
@@ -10,12 +11,40 @@ Lambertian, large κ and γ a mirror-like lobe. ρ is the whole BRDF, in 1/stera
 log κ and log γ are polynomials of θ_d held by DEGREE + 1 Bernstein coefficients each, so κ and γ are positive whatever
 the coefficients. Bernstein, because its basis functions are positive and sum to 1: bounds on the coefficients bound the
 curve, moving all coefficients by s moves the curve by s, and there are no knots to choose.
+
+The paper gives learning rates but not the units of L and m. docs/materials.md says where ours come from. The named
+materials are fitted to analytic reference BRDFs by scripts/fit_materials.py.
+
+A dielectric's gloss is reflected at its surface and has the colour of the light; what enters the body and comes out
+again, and what a conductor reflects, has the mesh's colour. So the radiance of an object is
+
+    I = base_color · Σ_(coloured lobes) + Σ_(other lobes).
+
+Each layer has a plan of its own. An object whose lobes are all coloured is a single layer. The displayed error of an
+object is at most the sum of those of its layers, each taken alone: the display curve is concave, so that light of
+another layer only flattens it.
 """
 
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 from math import comb, log, pi
 
 import torch
 from torch import Tensor
+
+from services.rendering.torch_renderer.preset_names import check_preset, stored_presets
+
+ILLUMINATION_MEAN = 10.0
+"""Mean over the sphere (weighted by solid angle) of an unperturbed map's intensities. The exposure undoes it, so that
+the image does not depend on it: a perturbation of 1 is a tenth of the map's mean."""
+
+MATERIAL_UNIT = 30.0
+"""Material coordinates per natural logarithm of κ or γ: a perturbation of 1 scales κ or γ by exp(1/30), about 3 %."""
+
+WHITE = 0.9
+"""Linear value to which the exposure scales the brightest channel of the most lit white Lambertian surface."""
+
 
 CHANNELS, LOBES, DEGREE = 3, 3, 5
 SHAPE = (CHANNELS, LOBES, 2, DEGREE + 1)
@@ -72,3 +101,72 @@ def reflectance(log_cosine: Tensor, log_kappa: Tensor, gamma: Tensor) -> Tensor:
     """Evaluates one lobe, exp(κ cos^γ θ_h) − 1, from log cos θ_h, log κ and γ, whose shapes broadcast."""
     log_exponent = torch.addcmul(log_kappa, gamma, log_cosine)
     return torch.expm1(log_exponent.clamp(*LOG_EXPONENT_RANGE).exp())
+
+
+@lru_cache(maxsize=1)
+def presets() -> dict[str, Tensor]:
+    """Returns all presets, {name: coefficients}, float64 [3, 3, 2, 6].
+
+    The coefficients are natural logarithms of κ and γ, for a white base colour.
+    """
+    return {
+        name: torch.tensor(fit["coefficients"], dtype=torch.float64).reshape(SHAPE)
+        for name, fit in stored_presets().items()
+    }
+
+
+def preset(name: str, field: str = "material") -> Tensor:
+    """Returns the coefficients of one preset, float64 [3, 3, 2, 6].
+
+    Raises InvalidRequest(field, …) with the nearest names for an unknown name.
+    """
+    check_preset(name, field)
+    return presets()[name].clone()
+
+
+def colored_lobes(name: str, field: str = "material") -> tuple[bool, ...]:
+    """Returns for each lobe of a preset whether the mesh's colour multiplies what it reflects.
+
+    So it is for the body of any material and for the gloss of metals; the gloss of others keeps the light's colour.
+    Raises InvalidRequest as `preset` does.
+    """
+    preset(name, field)
+    return tuple(stored_presets()[name]["colored_lobes"])
+
+
+@dataclass(frozen=True)
+class Layer:
+    """Lobes of one object. `owner` is the object's index, `words` say on plans which lobes it has, "" for all.
+
+    `share` is the part of the tolerance that its error may take.
+    """
+
+    owner: int
+    lobes: tuple[int, ...]
+    colored: bool
+    words: str = ""
+    share: float = 1.0
+
+    def material(self, of_object: Tensor) -> Tensor:
+        """Returns the layer's coefficients [3, lobes, 2, 6] of an object's [3, LOBES, 2, 6]."""
+        whole = len(self.lobes) == of_object.shape[1]
+        return of_object if whole else of_object[:, list(self.lobes)]
+
+    def base_color(self, of_object: Tensor) -> Tensor:
+        """Returns the factor on the layer's radiance [P, 3], of an object's base colour [P, 3]."""
+        return of_object if self.colored else of_object.new_ones(of_object.shape)
+
+
+def layers(materials: Sequence[str]) -> list[tuple[Layer, ...]]:
+    """Returns the layers of each object, whose presets are `materials`. Raises InvalidRequest as `preset` does."""
+    return [tuple(_of(owner, name)) for owner, name in enumerate(materials)]
+
+
+def _of(owner: int, name: str) -> Iterator[Layer]:
+    colored = colored_lobes(name, f"scene.objects.{owner}.material")
+    chosen = [tuple(lobe for lobe, own in enumerate(colored) if own is kind) for kind in (True, False)]
+    words = ("of the body", "of the gloss") if all(chosen) else ("", "")
+    share = 0.5 if all(chosen) else 1.0
+    for kind, lobes, word in zip((True, False), chosen, words, strict=True):
+        if lobes:
+            yield Layer(owner, lobes, kind, word, share)

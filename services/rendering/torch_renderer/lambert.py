@@ -13,7 +13,7 @@ from torch.autograd.function import once_differentiable
 
 from services.rendering.kernels import compiled
 from services.rendering.torch_renderer import dsbrdf
-from services.rendering.torch_renderer.units import MATERIAL_UNIT
+from services.rendering.torch_renderer.dsbrdf import MATERIAL_UNIT
 
 CHUNK = 2**18
 """Number of normals times directions per chunk in torch."""

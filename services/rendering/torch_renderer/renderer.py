@@ -4,14 +4,15 @@ The radiance of a pixel with normal n, for a distant viewer and distant light, i
 
     I = exposure · Σ_ω ρ(θ_h, θ_d) · chroma(ω) · ℓ(ω) · max(0, n·ω) · ΔΩ(ω),
 
-with base_color as a factor on the lobes that have the mesh's colour (layers). The displayed value is its sRGB curve on
-[0,1], composited over the ground by coverage. The viewer direction is the same for all pixels, from the scene's origin
-to the camera: a modelling choice of the paper, under which θ_d depends on the light direction alone. With the camera's
-`viewer` "perspective" each pixel has its own viewer direction. How the sum is computed for the attacked groups is
-decided by a plan (planner) when the renderer is made.
+with base_color as a factor on the lobes that have the mesh's colour (`dsbrdf.Layer`). The displayed value is its sRGB
+curve on [0,1], composited over the ground by coverage. The viewer direction is the same for all pixels, from the
+scene's origin to the camera: a modelling choice of the paper, under which θ_d depends on the light direction alone.
+With the camera's `viewer` "perspective" each pixel has its own viewer direction. How the sum is computed for the
+attacked groups is decided by a plan (planner) when the renderer is made; `smallest_map` chooses the size of an
+environment map for a tolerance.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -19,29 +20,45 @@ import torch
 from torch import Tensor
 
 from services.device import describe, device
-from services.rendering.compositing import Canvas
+from services.rendering.color import Canvas
 from services.rendering.declaration import BuildRequest, DeclaredRenderer
 from services.rendering.kernels import compiled
 from services.rendering.opengl.gbuffer import GBuffer, rasterise
-from services.rendering.plan import DEFAULT_TOLERANCE, Plan, Tolerance
+from services.rendering.plan import DEFAULT_TOLERANCE, Item, Plan, Tolerance
 from services.rendering.protocol import Parameters
 from services.rendering.torch_renderer import dsbrdf
 from services.rendering.torch_renderer.declaration import TORCH
-from services.rendering.torch_renderer.directions import directions, solid_angles
-from services.rendering.torch_renderer.environment_light import Illumination, illumination
-from services.rendering.torch_renderer.layers import layers
-from services.rendering.torch_renderer.map_error import looked_at, map_error
-from services.rendering.torch_renderer.normals import MAX_ANGLE
-from services.rendering.torch_renderer.plan_items import ignored_items, surface_items
-from services.rendering.torch_renderer.planner import compile_plan
-from services.rendering.torch_renderer.presets import preset
-from services.rendering.torch_renderer.regions import regions
+from services.rendering.torch_renderer.dsbrdf import MATERIAL_UNIT, layers, preset
+from services.rendering.torch_renderer.light import Illumination, directions, illumination, solid_angles
+from services.rendering.torch_renderer.planner import compile_plan, looked_at, map_error
 from services.rendering.torch_renderer.shader import Recipe, Shader, Sky, Surface
 from services.rendering.torch_renderer.shading import Directions
-from services.rendering.torch_renderer.units import MATERIAL_UNIT
-from services.rendering.torch_renderer.visibility import visibility
-from services.rendering.torch_renderer.visible_surfaces import visible_surfaces
+from services.rendering.torch_renderer.surfaces import VisibleSurfaces, regions, visibility, visible_surfaces
+from services.rendering.torch_renderer.table import MAX_ANGLE
+from services.scenes.description import MAP_SIZES
+from services.scenes.environment import average
 from services.scenes.resolve import ResolvedScene
+
+
+def ignored_items(scene: ResolvedScene) -> Iterator[Item]:
+    """Yields items on what the scene says of its surfaces and the renderer does not use."""
+    why = "metallic, roughness, emission and occlusion are ignored: the torch renderer has materials of its own"
+    parts = [part for placed in scene.placed if not placed.given_surface for part in placed.mesh.parts]
+    if own := sum(part.metallic_roughness is not None for part in parts):
+        yield Item(what="materials of the file", kept=0, of=own, why=why)
+    if given := sum(placed.given_surface for placed in scene.placed):
+        why = "the fields are pyrender's: the torch renderer has materials of its own, named in `material`"
+        yield Item(what="metallic and roughness", kept=0, of=given, why=why)
+
+
+def surface_items(visible: VisibleSurfaces) -> Iterator[Item]:
+    """Yields the item on pixels that show several surfaces."""
+    if visible.turns is not None:
+        count = len(visible.angles)
+        why = (
+            "in a pixel at an outline each surface is shaded by itself, and their colours are averaged by their shares"
+        )
+        yield Item(what="surfaces of pixels", kept=count, of=count, why=why)
 
 
 class TorchRenderer(DeclaredRenderer):
@@ -296,3 +313,20 @@ def viewers_of(scene: ResolvedScene, size: tuple[int, int]) -> Tensor:
     return torch.nn.functional.normalize(
         torch.stack((-right, -down, torch.ones_like(right)), -1).reshape(-1, 3), dim=-1
     )
+
+
+def smallest_map(scene: ResolvedScene, tolerance: Tolerance) -> tuple[int, int]:
+    """Returns the smallest of MAP_SIZES whose displayed values are within `tolerance` of those of the largest.
+
+    The values are compared at the pixels that `map_error` samples. The result is the largest size where no smaller one
+    suffices, for "exact", and for a scene without a source map (one that was not resolved from a library).
+    """
+    if scene.source_map is None or tolerance == "exact":
+        return MAP_SIZES[-1]
+    gbuffer, rotation = rasterise(scene), scene.description.lights.environment.rotation
+    for size in MAP_SIZES[:-1]:
+        averaged = replace(scene, environment=average(scene.source_map, *size, rotation))
+        error = TorchRenderer(averaged, gbuffer, tolerance="exact").plan.environment_map_error
+        if error is None or error <= tolerance:
+            return size
+    return MAP_SIZES[-1]

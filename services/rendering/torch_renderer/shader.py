@@ -21,11 +21,9 @@ from torch import Tensor
 from services.rendering.color import to_display
 from services.rendering.kernels import compiled
 from services.rendering.torch_renderer import dsbrdf, lambert, perspective
-from services.rendering.torch_renderer.lookup_table import TILE, look_up, nodes_of, tiles, touched
-from services.rendering.torch_renderer.normals import to_vectors
-from services.rendering.torch_renderer.sampled_check import chosen_pixels
+from services.rendering.torch_renderer.dsbrdf import MATERIAL_UNIT
 from services.rendering.torch_renderer.shading import Directions, Lobes, radiance, transport
-from services.rendering.torch_renderer.units import MATERIAL_UNIT
+from services.rendering.torch_renderer.table import TILE, chosen_pixels, look_up, nodes_of, tiles, to_vectors, touched
 
 CHECKED = 256
 """Pixels of a looked-up image that are summed as well, at most, to see whether the table still holds."""

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from torch import Tensor
 
 from services.rendering.protocol import Parameters, Renderer
-from services.rendering.torch_renderer.environment_light import LIGHT_GROUPS
+from services.rendering.torch_renderer.light import LIGHT_GROUPS
 from services.rendering.variation import Variation
 
 

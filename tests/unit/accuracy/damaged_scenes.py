@@ -6,11 +6,11 @@ import torch
 
 from services.accuracy.stability import environments, plans, precision
 from services.accuracy.stability.shading import Shading
-from services.rendering import compositing
-from services.rendering.compositing import Canvas
-from services.rendering.pyrender_renderer import camera, parameters
+from services.rendering import color
+from services.rendering.color import Canvas
+from services.rendering.pyrender_renderer import parameters
 from services.rendering.pyrender_renderer import renderer as pyrender_renderer
-from services.rendering.torch_renderer import environment_light, shader
+from services.rendering.torch_renderer import light, shader
 from services.rendering.torch_renderer import renderer as torch_renderer
 from services.scenes import environment, gltf, reading, resolve, view
 
@@ -22,7 +22,7 @@ def half_exposure(patch) -> None:
 
 def half_white(patch) -> None:
     """The torch renderer's exposure."""
-    patch.setattr(environment_light, "WHITE", environment_light.WHITE / 2)
+    patch.setattr(light, "WHITE", light.WHITE / 2)
 
 
 def half_energy(patch) -> None:
@@ -80,14 +80,14 @@ def map_turned_back(patch) -> None:
 def directions_swapped(patch) -> None:
     """x and z of the torch renderer's light."""
     true = torch_renderer.directions
-    for module in (torch_renderer, environment_light):
+    for module in (torch_renderer, light):
         patch.setattr(module, "directions", lambda rows, cols: true(rows, cols).flip(-1))
 
 
 def no_solid_angles(patch) -> None:
     """Every texel counts alike."""
     alike = lambda rows, cols: torch.full((rows * cols,), 4 * torch.pi / rows / cols, dtype=torch.float64)  # noqa: E731
-    for module in (torch_renderer, environment_light):
+    for module in (torch_renderer, light):
         patch.setattr(module, "solid_angles", alike)
 
 
@@ -120,7 +120,7 @@ def squared_coverage_over_ground(patch) -> None:
 
 def other_gamma(patch) -> None:
     """The display curve with 2.2 for 2.4."""
-    true = compositing.to_display
+    true = color.to_display
 
     def to_display(linear):
         shown = true(linear)
@@ -128,7 +128,7 @@ def other_gamma(patch) -> None:
             shown > 0.04045, ((shown + 0.055) / 1.055).clamp_min(0) ** (2.4 / 2.2) * 1.055 - 0.055, shown
         )
 
-    for module in (compositing, precision):
+    for module in (color, precision):
         patch.setattr(module, "to_display", to_display)
 
 
@@ -158,8 +158,8 @@ def mirrored_camera(patch) -> None:
 
 def rolled_back_camera(patch) -> None:
     """The roll of an attacked camera turns it the other way."""
-    true = camera.MovingCamera.matrices
-    patch.setattr(camera.MovingCamera, "matrices", lambda self, given: true(self, given * (1, 1, 1, -1)))
+    true = parameters.MovingCamera.matrices
+    patch.setattr(parameters.MovingCamera, "matrices", lambda self, given: true(self, given * (1, 1, 1, -1)))
 
 
 def files_upside_down(patch) -> None:

@@ -7,8 +7,8 @@ import torch
 
 from services.accuracy.stability import environments
 from services.accuracy.stability import normals as normals_cases
-from services.rendering.compositing import Canvas
-from services.rendering.torch_renderer import layers, shader
+from services.rendering.color import Canvas
+from services.rendering.torch_renderer import dsbrdf, shader
 from services.rendering.torch_renderer import renderer as torch_renderer
 from services.rendering.torch_renderer.dsbrdf import COSINE_FLOOR
 from services.scenes import environment
@@ -98,12 +98,12 @@ def brighter_light(patch, factor: float = 1.05) -> None:
 
 def colored_gloss(patch) -> None:
     """Gloss multiplied by the mesh's colour whatever the material."""
-    patch.setattr(layers, "colored_lobes", lambda *_: (True, True, True))
+    patch.setattr(dsbrdf, "colored_lobes", lambda *_: (True, True, True))
 
 
 def colorless_metal(patch) -> None:
     """Gloss that keeps the light's colour whatever the material."""
-    patch.setattr(layers, "colored_lobes", lambda *_: (True, False, False))
+    patch.setattr(dsbrdf, "colored_lobes", lambda *_: (True, False, False))
 
 
 def swapped_light(patch) -> None:

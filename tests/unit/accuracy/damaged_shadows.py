@@ -23,7 +23,7 @@ def too_near(patch) -> None:
     """Every depth is taken for half as large, and everything is in the maps, the ground too."""
     context.current()
     from services.rendering.opengl import shadow_maps
-    from services.rendering.opengl.shadow_views import ShadowView
+    from services.rendering.opengl.shadows import ShadowView
 
     row = ShadowView.row.fget
     patch.setattr(ShadowView, "row", property(lambda view: row(view) * np.array([1, 1, 1, 1.0]) * _half()))
@@ -38,7 +38,7 @@ def _half() -> np.ndarray:
 
 def rays_miss(patch) -> None:
     """No triangle stops a ray."""
-    from services.rendering.torch_renderer import visibility
+    from services.rendering.torch_renderer import surfaces
 
-    casters = visibility.casters
-    patch.setattr(visibility, "casters", lambda scene: tuple(of[:2] for of in casters(scene)))
+    casters = surfaces.casters
+    patch.setattr(surfaces, "casters", lambda scene: tuple(of[:2] for of in casters(scene)))

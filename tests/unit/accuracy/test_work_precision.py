@@ -22,7 +22,7 @@ from services.accuracy.work_precision.timing import repeated
 from services.rendering.factory import build
 from services.rendering.kernels import compiled
 from services.rendering.opengl.gbuffer import rasterise
-from services.rendering.torch_renderer import lookup_table, shader
+from services.rendering.torch_renderer import shader, table
 from services.rendering.torch_renderer.planner import exact_recipe
 from services.rendering.torch_renderer.shader import Recipe, Shader
 
@@ -106,7 +106,7 @@ def test_a_wrong_table_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
 
     wanted, unchecked = truth(large, GROUPS), Unchecked(GROUPS, tolerance=1e-2)
     assert shading.row(unchecked, large, wanted, 0.0).note == ""
-    monkeypatch.setattr(shader, "look_up", lambda values, angles: lookup_table.look_up(values, angles + 0.05))
+    monkeypatch.setattr(shader, "look_up", lambda values, angles: table.look_up(values, angles + 0.05))
     assert shading.row(unchecked, large, wanted, 0.0).note.startswith("misses")
 
 

@@ -9,8 +9,7 @@ from torch import Tensor
 
 from services.attacks.goal import ResolvedGoal
 from services.attacks.problem import AttackProblem, Evaluation, gradients, quantize
-from services.rendering.image_error import ImageError
-from services.rendering.plan import Plan
+from services.rendering.plan import ImageError, Plan
 from services.rendering.protocol import Parameters
 
 

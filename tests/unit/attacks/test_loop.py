@@ -14,7 +14,7 @@ from services.attacks.zoo import Zoo, ZooMethod
 from services.errors import Cancelled, JobFailure
 from services.finite import finite
 from services.rendering.color import as_saved
-from services.rendering.image_error import ImageError
+from services.rendering.plan import ImageError
 from tests.unit.attacks.small import Ahead, LinearRenderer, LinearTarget, problem
 
 FGSM = Fgsm.model_construct(learning_rate={"a": 0.01, "b": 0.01}, momentum=0.9, weight_decay=1e-4)

@@ -9,7 +9,7 @@ from pydantic import BaseModel
 from api.main import create_app
 from services.attacks.attack import Goal
 from services.pipeline import field_tables
-from services.rendering.torch_renderer.presets import presets
+from services.rendering.torch_renderer.dsbrdf import presets
 from services.scenes.description import (
     Camera,
     DirectionalLight,

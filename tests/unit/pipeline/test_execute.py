@@ -18,7 +18,7 @@ from services.pipeline.prepare import prepare
 from services.pipeline.result import AtEpsilon, Result
 from services.pipeline.spec import parse
 from services.rendering.factory import build
-from services.rendering.pyrender_renderer import errors
+from services.rendering.pyrender_renderer import planner
 from services.scenes.resolve import resolve
 from tests.unit.jobs.small import LIBRARY, spec
 
@@ -92,7 +92,7 @@ def test_the_error_of_images_that_opengl_drew_too_is_in_the_result(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Every image is drawn twice here, so that the largest of all errors is at least that of the stored image."""
-    monkeypatch.setattr(errors, "EVERY", 1)
+    monkeypatch.setattr(planner, "EVERY", 1)
     attack = {"renderer": "pyrender", "delta": 1e-2, "steps": 2}
     result = execute(spec(attack), tmp_path / "rasterised", LIBRARY)
     exact = execute(spec(attack, tolerance="exact"), tmp_path / "exact", LIBRARY)

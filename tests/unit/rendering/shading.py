@@ -6,8 +6,7 @@ import numpy as np
 import torch
 
 from services.rendering.opengl.gbuffer import GBuffer
-from services.rendering.torch_renderer.dsbrdf import COSINE_FLOOR
-from services.rendering.torch_renderer.units import ILLUMINATION_MEAN, MATERIAL_UNIT, WHITE
+from services.rendering.torch_renderer.dsbrdf import COSINE_FLOOR, ILLUMINATION_MEAN, MATERIAL_UNIT, WHITE
 from services.scenes.description import Camera, Scene, SceneObject
 from services.scenes.resolve import ResolvedScene
 from tests.unit.rendering.shapes import mesh, placed

@@ -4,8 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from services.rendering.color import to_display
-from services.rendering.compositing import Canvas, over_ground
+from services.rendering.color import Canvas, over_ground, to_display
 from services.rendering.kernels import compiled
 
 SIZE = (7, 9)

@@ -10,7 +10,7 @@ from PIL import Image
 
 from services.errors import InvalidRequest
 from services.pipeline.spec import parse
-from services.rendering.torch_renderer.environment_light import illumination
+from services.rendering.torch_renderer.light import illumination
 from services.scenes.description import MAX_PICTURE, Camera, Scene
 from services.scenes.environment import average
 from services.scenes.image_file import to_display

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from services.rendering.torch_renderer.directions import directions, solid_angles
+from services.rendering.torch_renderer.light import directions, solid_angles
 from services.scenes.description import DirectionalLight, Environment, Lights, PointLight, Scene, SceneObject, SpotLight
 from services.scenes.environment import LIGHTS_ROWS as ROWS
 from services.scenes.environment import lights_map

@@ -9,8 +9,8 @@ import torch
 
 from services.errors import InvalidRequest, JobFailure
 from services.process import replaced
-from services.rendering.kernels import build, compiled, processor
-from services.rendering.torch_renderer import normals
+from services.rendering.kernels import build, compiled
+from services.rendering.torch_renderer import table
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")]
 
@@ -43,8 +43,8 @@ def test_kernels_are_loaded_without_a_compiler(prebuilt: Path) -> None:
 @pytest.mark.usefixtures("prebuilt")
 def test_portable_kernels_compute_what_torch_does() -> None:
     angles = torch.linspace(-5, 5, 200, dtype=torch.float32).reshape(-1, 2)
-    found = normals.to_vectors(angles)
-    exact = normals.to_vectors(angles.double())
+    found = table.to_vectors(angles)
+    exact = table.to_vectors(angles.double())
     assert compiled.library() is not None
     torch.testing.assert_close(found.double(), exact, rtol=0, atol=2e-7)  # rounded to float32 once or twice
 
@@ -63,8 +63,8 @@ def test_kernels_of_other_sources_are_refused(tmp_path: Path, monkeypatch: pytes
 @pytest.mark.usefixtures("prebuilt")
 def test_kernels_for_a_better_processor_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     _, manifest = build.library_path()
-    lacking = processor.features() - {manifest.features[-1]}
-    monkeypatch.setattr(processor, "features", lambda: lacking)
+    lacking = build.features() - {manifest.features[-1]}
+    monkeypatch.setattr(build, "features", lambda: lacking)
     with pytest.raises(JobFailure, match=f"this processor lacks {manifest.features[-1]}"):
         compiled.library()
 
@@ -132,4 +132,4 @@ def test_native_kernels_and_an_empty_path(prebuilt: Path, tmp_path: Path, monkey
 
 
 def test_what_compiled_code_needs_is_read_off_the_compilers_macros() -> None:
-    assert processor.needed("#define __AVX2__ 1\n#define __FMA__ 1\n#define __GNUC__ 12\n") == {"avx2", "fma"}
+    assert build.needed("#define __AVX2__ 1\n#define __FMA__ 1\n#define __GNUC__ 12\n") == {"avx2", "fma"}

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from services.rendering.kernels import arguments, build, compiled, layouts
+from services.rendering.kernels import build, compiled
 
 pytestmark = pytest.mark.slow
 
@@ -27,19 +27,20 @@ field pair 48 8 float32[2]
 """
 
 
-TABLED = layouts.parse(TABLE)
+TABLED = compiled.parse(TABLE)
 
 
 def outer(**changed: object) -> Any:
     """A structure `Outer`, its values in an order of their own; `...` leaves one out."""
-    inner = [arguments.structure(TABLED, "Inner", n=n, a=n / 2) for n in (1, 2)]
+    inner = [compiled.make_structure(TABLED, "Inner", n=n, a=n / 2) for n in (1, 2)]
     row = np.arange(3, dtype=np.float32)
     values: dict[str, object] = {"one": inner[0], "pair": [5, 6], "inner": inner, "rows": [row + 1, row + 2]}
     values |= {"row": row, "count": 3, **changed}
-    return arguments.structure(TABLED, "Outer", **{name: value for name, value in values.items() if value is not ...})
+    given = {name: value for name, value in values.items() if value is not ...}
+    return compiled.make_structure(TABLED, "Outer", **given)
 
 
-def exports() -> layouts.Exports:
+def exports() -> compiled.Exports:
     library = compiled.library()
     assert library is not None
     return library.exports
@@ -104,7 +105,7 @@ def test_a_field_moved_in_the_sources_is_moved_here(tmp_path: Path) -> None:
     table = ctypes.CDLL(str(made)).layout_table
     table.restype = ctypes.c_char_p
     name = "perspective.Scene.float"
-    here, there = (found.structures[name].kind for found in (exports(), layouts.parse(table().decode())))
+    here, there = (found.structures[name].kind for found in (exports(), compiled.parse(table().decode())))
     fields: list[tuple[Any, Any]] = [(kind.normals, kind.viewers) for kind in (here, there)]  # type: ignore[attr-defined]
     assert [(normals.offset, viewers.offset) for normals, viewers in fields] == [(24, 32), (32, 24)]
 
@@ -137,5 +138,5 @@ def test_a_missing_argument_is_refused() -> None:
     ],
 )
 def test_a_table_that_cannot_be_right_is_refused(table: str, said: str) -> None:
-    with pytest.raises(layouts.LayoutError, match=said):
-        layouts.parse(table)
+    with pytest.raises(compiled.LayoutError, match=said):
+        compiled.parse(table)

@@ -9,7 +9,7 @@ import torch
 
 from services.errors import JobFailure
 from services.process import replaced
-from services.rendering.opengl import context, probe
+from services.rendering.opengl import context
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from tests.unit.rendering.shapes import PLATFORMS, mesh, on_platform, placed, quad, scene
 
@@ -19,7 +19,7 @@ pytestmark = pytest.mark.slow
 @pytest.fixture
 def fresh(monkeypatch: pytest.MonkeyPatch, tmp_path):
     """The environment of a process that has not chosen a platform yet, nor any before it."""
-    monkeypatch.setattr(probe, "_taken", {})
+    monkeypatch.setattr(context, "_taken", {})
     for name in ("PYOPENGL_PLATFORM", "EGL_DEVICE_ID"):
         monkeypatch.setenv(name, "")  # so that what the code under test sets is taken back afterwards
         monkeypatch.delenv(name)

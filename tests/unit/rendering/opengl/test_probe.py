@@ -12,12 +12,11 @@ ROOT = Path(__file__).parents[4]
 _START = """
 from services.process import use
 from services.rendering.opengl import context
-from services.rendering.opengl import probe
 from services.settings import Settings
 use(Settings())
-run = probe.subprocess.run
+run = context.subprocess.run
 probes = []
-probe.subprocess.run = lambda *a, **k: probes.append(1) or run(*a, **k)
+context.subprocess.run = lambda *a, **k: probes.append(1) or run(*a, **k)
 {before}
 platform = context.choose_platform()
 {between}

@@ -4,16 +4,19 @@ import numpy as np
 import pytest
 
 from services.rendering.opengl.camera import CameraMatrices, RenderPass
-from services.rendering.opengl.shadow_views import (
+from services.rendering.opengl.shadows import (
     GRID,
+    MAX_PASS_BYTES,
     PARALLEL,
+    SIDES,
     axes_along,
     box_corners,
     casters,
+    images_per_pass,
+    pass_shadows,
     rounded_box,
     shadow_views,
 )
-from services.rendering.opengl.shadows import MAX_PASS_BYTES, SIDES, images_per_pass, pass_shadows
 from services.scenes.description import Lights, PointLight, Scene, SceneObject, Shadows
 
 BOX = np.array([np.where([k & 1, k & 2, k & 4], (0.5, 0.4, 0.3), (-0.2, 0.1, -0.3)) for k in range(8)])

@@ -6,10 +6,10 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from services.rendering.opengl import context
-from services.rendering.opengl.watertight import outsides
 from services.rendering.pyrender_renderer import opengl_pass
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.scenes.mesh import Mesh, Part
+from services.scenes.solids import outsides
 from tests.unit.rendering.shapes import disk, mesh, part, placed, quad, scene, six_parts, sphere
 
 

@@ -3,8 +3,7 @@
 import numpy as np
 import torch
 
-from services.rendering.pyrender_renderer.errors import ImageError, image_error
-from services.rendering.pyrender_renderer.planner import both_sides
+from services.rendering.pyrender_renderer.planner import ImageError, both_sides, image_error
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.scenes.description import GROUND, Lights, PointLight
 from services.scenes.mesh import Part

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from services.rendering.opengl.camera import CameraMatrices
-from services.rendering.pyrender_renderer.camera import POLES, MovingCamera
 from services.rendering.pyrender_renderer.declaration import PYRENDER
+from services.rendering.pyrender_renderer.parameters import POLES, MovingCamera
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.scenes.description import Floor, Lights, PointLight, SceneObject
 from services.scenes.mesh import FIT_RADIUS

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import torch
 
-from services.rendering.pyrender_renderer.physical import changes
 from services.rendering.pyrender_renderer.planner import both_sides
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
+from services.rendering.pyrender_renderer.words import changes
 from services.scenes.description import Scene
 from services.scenes.library import Library
 from services.scenes.mesh import FIT_RADIUS

@@ -2,7 +2,7 @@
 
 import torch
 
-from services.rendering.pyrender_renderer.inactive import REACH
+from services.rendering.pyrender_renderer.planner import LARGEST_STEP
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.scenes.description import Lights, PointLight, SceneObject
 from tests.unit.rendering.shapes import mesh, placed, quad, scene, sphere
@@ -17,7 +17,7 @@ def plane(*lights: PointLight, ambient: float = 0.3, color: tuple[float, ...] = 
     return PyrenderRenderer(placed(description, mesh(quad(0.4, color=color))))
 
 
-def names(renderer: PyrenderRenderer, reach: float = REACH) -> list[str]:
+def names(renderer: PyrenderRenderer, reach: float = LARGEST_STEP) -> list[str]:
     groups = dict.fromkeys(renderer.groups, reach)
     found = renderer.inactive(renderer.initial(), groups)
     for one in found:  # what is said to change nothing changes nothing

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from services.rendering.pyrender_renderer.declaration import PYRENDER
-from services.rendering.pyrender_renderer.inactive import inactive_coordinates
+from services.rendering.pyrender_renderer.planner import inactive_coordinates
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.scenes.description import DirectionalLight, Lights, PointLight, SpotLight
 from tests.unit.rendering import shapes

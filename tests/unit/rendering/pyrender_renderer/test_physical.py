@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from services.rendering.pyrender_renderer.physical import (
+from services.rendering.pyrender_renderer.words import (
     camera_changes,
     changes,
     color_changes,

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from services.rendering.pyrender_renderer import renderer as pyrender_renderer
-from services.rendering.pyrender_renderer.inactive import REACH
+from services.rendering.pyrender_renderer.planner import LARGEST_STEP
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.scenes.description import Lights, PointLight
 from services.scenes.mesh import Part
@@ -102,7 +102,7 @@ def test_every_coordinate_that_is_kept_changes_the_image_and_no_other_does() -> 
         for index, name in enumerate(renderer.names(group) or []):
             sides = torch.stack([value, value])
             for row, sign in enumerate((1, -1)):
-                sides[row].view(-1)[index] += sign * REACH
+                sides[row].view(-1)[index] += sign * LARGEST_STEP
             if torch.equal(renderer.radiance({group: sides}), start.expand(2, -1, -1, -1)):
                 still.add(name)
             else:
@@ -116,7 +116,7 @@ def test_a_look_at_a_white_texture_changes_no_bit() -> None:
     start, pieces = image(renderer), renderer.drawing.pieces
     [textures] = [[item.kept, item.of] for item in renderer.plan.items if item.what.startswith("parts with a look")]
     assert textures == [6, 8]
-    from services.rendering.opengl.textures import SrgbTexture
+    from services.rendering.opengl.mesh_upload import SrgbTexture
 
     white = SrgbTexture(source=np.full((2, 2, 4), 255, np.uint8), source_channels="RGBA")
     white._add_to_context()

@@ -7,7 +7,7 @@ import torch
 from services.rendering.kernels import compiled
 from services.rendering.opengl import context
 from services.rendering.pyrender_renderer import rasteriser
-from services.rendering.pyrender_renderer.errors import EVERY, is_sampled
+from services.rendering.pyrender_renderer.planner import EVERY, is_sampled
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from tests.unit.rendering.pyrender_renderer.rasterised_scenes import rasterised, threads
 from tests.unit.rendering.shapes import mesh, placed, quad, scene, six_parts, sphere

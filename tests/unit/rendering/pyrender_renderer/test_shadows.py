@@ -12,8 +12,8 @@ from services.errors import InvalidRequest
 from services.rendering.declaration import BuildRequest
 from services.rendering.pyrender_renderer import opengl_pass
 from services.rendering.pyrender_renderer.parameters import FINER
+from services.rendering.pyrender_renderer.planner import shadow_error
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
-from services.rendering.pyrender_renderer.shadow_plan import shadow_error
 from services.scenes.description import DirectionalLight, Lights, PointLight, SceneObject, Shadows, SpotLight
 from services.scenes.resolve import ResolvedScene
 from tests.unit.rendering import shapes

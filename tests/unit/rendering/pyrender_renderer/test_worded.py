@@ -10,15 +10,7 @@ from scipy.spatial.transform import Rotation
 from services.analysis.physical import changes_in_words
 from services.rendering.factory import build
 from services.rendering.physical_change import number
-from services.rendering.pyrender_renderer.worded import (
-    brightness,
-    camera,
-    color,
-    lights,
-    moved,
-    rotation,
-    translation,
-)
+from services.rendering.pyrender_renderer.words import brightness, camera, color, lights, moved, rotation, translation
 from services.scenes.description import Camera, Scene
 from services.scenes.resolve import resolve
 from services.scenes.view import camera_pose, camera_to_world

@@ -7,8 +7,8 @@ import torch
 
 from services.rendering.plan import Tolerance
 from services.rendering.protocol import Parameters
+from services.rendering.torch_renderer.dsbrdf import ILLUMINATION_MEAN
 from services.rendering.torch_renderer.renderer import TorchRenderer
-from services.rendering.torch_renderer.units import ILLUMINATION_MEAN
 from tests.unit.rendering.shading import sky, sphere_gbuffer, sphere_scene
 
 GROUPS = ("normals", "illumination", "material")

@@ -3,8 +3,8 @@
 import torch
 
 from services.rendering.protocol import Parameters
+from services.rendering.torch_renderer.dsbrdf import ILLUMINATION_MEAN, MATERIAL_UNIT
 from services.rendering.torch_renderer.renderer import TorchRenderer
-from services.rendering.torch_renderer.units import ILLUMINATION_MEAN, MATERIAL_UNIT
 from tests.unit.rendering.shading import sphere_gbuffer, sphere_scene
 
 GROUPS = ("normals", "illumination", "illumination_rgb", "material")

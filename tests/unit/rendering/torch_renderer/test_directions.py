@@ -3,7 +3,7 @@ from math import pi
 import pytest
 import torch
 
-from services.rendering.torch_renderer.directions import directions, solid_angles
+from services.rendering.torch_renderer.light import directions, solid_angles
 
 SIZES = [(1, 1), (1, 4), (3, 5), (16, 32)]
 

@@ -5,7 +5,7 @@ from math import cos, exp, pi, radians
 import pytest
 import torch
 
-from services.rendering.torch_renderer.drawings import (
+from services.rendering.torch_renderer.words import (
     VIEWERS,
     drawn,
     images_of,

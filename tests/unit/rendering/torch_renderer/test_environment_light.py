@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from services.rendering.torch_renderer.directions import solid_angles
-from services.rendering.torch_renderer.environment_light import illumination
-from services.rendering.torch_renderer.units import ILLUMINATION_MEAN, WHITE
+from services.rendering.torch_renderer.dsbrdf import ILLUMINATION_MEAN, WHITE
+from services.rendering.torch_renderer.light import illumination, solid_angles
 from tests.unit.rendering.shading import reference_exposure, sky
 
 

@@ -10,8 +10,8 @@ import torch
 from services.errors import InvalidRequest
 from services.rendering.opengl.gbuffer import rasterise
 from services.rendering.torch_renderer import planner
-from services.rendering.torch_renderer.physical import changes
 from services.rendering.torch_renderer.renderer import TorchRenderer
+from services.rendering.torch_renderer.words import changes
 from services.scenes.description import Scene
 from services.scenes.library import Library
 from services.scenes.mesh import FIT_RADIUS

@@ -5,12 +5,11 @@ import torch
 from torch import Tensor
 
 from services.rendering.torch_renderer.declaration import TORCH
-from services.rendering.torch_renderer.environment_light import illumination
-from services.rendering.torch_renderer.gradient_error import gradient_errors
-from services.rendering.torch_renderer.presets import preset
+from services.rendering.torch_renderer.dsbrdf import MATERIAL_UNIT, preset
+from services.rendering.torch_renderer.light import illumination
+from services.rendering.torch_renderer.planner import gradient_errors
 from services.rendering.torch_renderer.renderer import TorchRenderer, sky_of
 from services.rendering.torch_renderer.shader import Recipe, Surface
-from services.rendering.torch_renderer.units import MATERIAL_UNIT
 from tests.unit.rendering.shading import sky
 from tests.unit.rendering.torch_renderer.planned import on_sphere
 

@@ -6,8 +6,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from services.rendering.torch_renderer import dsbrdf, lambert
-from services.rendering.torch_renderer.presets import preset
-from services.rendering.torch_renderer.units import MATERIAL_UNIT
+from services.rendering.torch_renderer.dsbrdf import MATERIAL_UNIT, preset
 
 pytestmark = pytest.mark.usefixtures("kernel")
 

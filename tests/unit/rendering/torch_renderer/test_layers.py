@@ -5,8 +5,7 @@ import torch
 from torch import Tensor
 
 from services.errors import InvalidRequest
-from services.rendering.torch_renderer.layers import layers
-from services.rendering.torch_renderer.presets import colored_lobes, presets
+from services.rendering.torch_renderer.dsbrdf import colored_lobes, layers, presets
 from services.rendering.torch_renderer.renderer import TorchRenderer
 from services.scenes.image_file import to_linear
 from tests.unit.rendering.shading import sky, sphere_gbuffer, sphere_scene

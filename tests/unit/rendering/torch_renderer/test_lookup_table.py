@@ -7,15 +7,15 @@ import torch
 from torch import Tensor
 
 from services.rendering.kernels import compiled
-from services.rendering.torch_renderer.lookup_table import (
+from services.rendering.torch_renderer.table import (
     N_SORT_KEYS,
     look_up,
     node_vectors,
     normal_sort_keys,
     tiles,
+    to_vectors,
     touched,
 )
-from services.rendering.torch_renderer.normals import to_vectors
 
 pytestmark = pytest.mark.usefixtures("kernel")
 

@@ -7,10 +7,8 @@ import pytest
 import torch
 
 from services.rendering.opengl.gbuffer import rasterise
-from services.rendering.torch_renderer.error_estimates import subset
-from services.rendering.torch_renderer.map_error import PIXELS, looked_at
-from services.rendering.torch_renderer.map_size import smallest_map
-from services.rendering.torch_renderer.renderer import TorchRenderer
+from services.rendering.torch_renderer.planner import PIXELS, looked_at, subset
+from services.rendering.torch_renderer.renderer import TorchRenderer, smallest_map
 from services.rendering.torch_renderer.shader import Surface
 from services.scenes.description import MAP_SIZES
 from services.scenes.environment import average

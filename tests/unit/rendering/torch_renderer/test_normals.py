@@ -3,7 +3,7 @@ from math import pi
 import pytest
 import torch
 
-from services.rendering.torch_renderer.normals import MAX_ANGLE, to_angles, to_vectors
+from services.rendering.torch_renderer.table import MAX_ANGLE, to_angles, to_vectors
 
 
 def test_vectors_come_back() -> None:

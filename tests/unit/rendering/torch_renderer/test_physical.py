@@ -5,8 +5,8 @@ from math import radians
 import pytest
 import torch
 
-from services.rendering.torch_renderer.physical import changes, map_changes, material_changes, normal_changes
-from services.rendering.torch_renderer.units import MATERIAL_UNIT
+from services.rendering.torch_renderer.dsbrdf import MATERIAL_UNIT
+from services.rendering.torch_renderer.words import changes, map_changes, material_changes, normal_changes
 from tests.unit.rendering.shading import sphere_scene
 from tests.unit.rendering.torch_renderer.spheres import sphere
 

@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 
 from services.rendering.opengl.gbuffer import GBuffer
 from services.rendering.torch_renderer.declaration import TORCH
-from services.rendering.torch_renderer.presets import presets
+from services.rendering.torch_renderer.dsbrdf import ILLUMINATION_MEAN, presets
 from services.rendering.torch_renderer.renderer import TorchRenderer
-from services.rendering.torch_renderer.units import ILLUMINATION_MEAN
 from services.scenes.resolve import ResolvedScene
 from tests.unit.rendering.shading import sphere_gbuffer, sphere_scene
 from tests.unit.rendering.torch_renderer.planned import GROUPS, error, moved, on_sphere

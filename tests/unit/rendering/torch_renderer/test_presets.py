@@ -8,8 +8,7 @@ import torch
 from numpy.typing import NDArray
 
 from services.errors import InvalidRequest
-from services.rendering.torch_renderer.dsbrdf import SHAPE
-from services.rendering.torch_renderer.presets import colored_lobes, preset, presets
+from services.rendering.torch_renderer.dsbrdf import SHAPE, colored_lobes, preset, presets
 from tests.unit.rendering.shading import reference_brdf
 
 pytestmark = pytest.mark.slow

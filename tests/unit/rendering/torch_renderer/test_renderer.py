@@ -9,10 +9,9 @@ from torch import Tensor
 
 from services.rendering.plan import Tolerance
 from services.rendering.protocol import Parameters
-from services.rendering.torch_renderer.environment_light import illumination
-from services.rendering.torch_renderer.presets import presets
+from services.rendering.torch_renderer.dsbrdf import ILLUMINATION_MEAN, MATERIAL_UNIT, presets
+from services.rendering.torch_renderer.light import illumination
 from services.rendering.torch_renderer.renderer import TorchRenderer
-from services.rendering.torch_renderer.units import ILLUMINATION_MEAN, MATERIAL_UNIT
 from services.scenes.image_file import to_linear
 from tests.unit.rendering.shading import GROUND, lambertian, reference_image, sky, sphere_gbuffer, sphere_scene
 from tests.unit.rendering.torch_renderer.spheres import GROUPS, TIGHT, TWO, moved, sphere

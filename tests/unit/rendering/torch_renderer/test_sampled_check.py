@@ -12,12 +12,19 @@ from services.rendering.kernels import compiled
 from services.rendering.plan import Plan
 from services.rendering.torch_renderer import renderer as renderer_module
 from services.rendering.torch_renderer import shader as shader_module
-from services.rendering.torch_renderer.lookup_table import look_up, nearest, node_vectors, tiles, touched, unevenness
-from services.rendering.torch_renderer.normals import to_vectors
 from services.rendering.torch_renderer.planner import compile_plan
 from services.rendering.torch_renderer.renderer import TorchRenderer
-from services.rendering.torch_renderer.sampled_check import chosen_pixels
 from services.rendering.torch_renderer.shader import Recipe
+from services.rendering.torch_renderer.table import (
+    chosen_pixels,
+    look_up,
+    nearest,
+    node_vectors,
+    tiles,
+    to_vectors,
+    touched,
+    unevenness,
+)
 from services.scenes.description import Scene
 from services.scenes.library import Library
 from services.scenes.resolve import resolve

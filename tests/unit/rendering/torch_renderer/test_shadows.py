@@ -8,7 +8,7 @@ from services.rendering.opengl.gbuffer import rasterise
 from services.rendering.torch_renderer import perspective
 from services.rendering.torch_renderer.renderer import TorchRenderer
 from services.rendering.torch_renderer.shading import Directions, Lobes, radiance, transport
-from services.rendering.torch_renderer.visibility import WHOLE
+from services.rendering.torch_renderer.surfaces import WHOLE
 from services.scenes.description import Shadows
 from tests.unit.rendering.shading import sky
 from tests.unit.rendering.shadow_scenes import ball, over_ground

@@ -11,11 +11,11 @@ from trimesh.creation import icosphere
 from services.errors import InvalidRequest
 from services.rendering.kernels import compiled
 from services.rendering.opengl.gbuffer import rasterise
-from services.rendering.torch_renderer.directions import directions
-from services.rendering.torch_renderer.visibility import WHOLE, casters, inner_balls, texel_directions, visibility
-from services.scenes.convexity import is_convex
+from services.rendering.torch_renderer.light import directions
+from services.rendering.torch_renderer.surfaces import WHOLE, casters, inner_balls, texel_directions, visibility
 from services.scenes.description import Camera, Scene, SceneObject, Shadows
 from services.scenes.resolve import with_surface
+from services.scenes.solids import is_convex
 from tests.unit.rendering import shapes
 from tests.unit.rendering.shadow_scenes import (
     CENTRE,

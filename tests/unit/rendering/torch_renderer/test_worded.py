@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from services.rendering.torch_renderer.worded import worded
+from services.rendering.torch_renderer.words import worded
 from tests.unit.rendering.shading import sphere_scene
 from tests.unit.rendering.torch_renderer.spheres import sphere
 

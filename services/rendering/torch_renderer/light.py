@@ -1,4 +1,9 @@
-"""Splits an environment map into the parts that the torch renderer uses: intensities, fixed colours, an exposure."""
+"""The environment map as the torch renderer uses it: directions and solid angles of its texels, intensities, fixed
+colours, an exposure.
+
+Row i is the polar angle θ = (i + ½)π/rows from +y, column j the azimuth φ = (j + ½)2π/cols about +y, from +z towards
++x, so the direction is (sin θ sin φ, cos θ, sin θ cos φ). Flat order is row by row.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,8 +12,23 @@ from math import pi
 import torch
 from torch import Tensor
 
-from services.rendering.torch_renderer.directions import directions, solid_angles
-from services.rendering.torch_renderer.units import ILLUMINATION_MEAN, WHITE
+from services.rendering.torch_renderer.dsbrdf import ILLUMINATION_MEAN, WHITE
+
+
+def directions(rows: int, cols: int) -> Tensor:
+    """Returns unit vectors towards the texel centres in world space, float64 [rows·cols, 3]."""
+    polar = (torch.arange(rows, dtype=torch.float64) + 0.5) * (pi / rows)
+    azimuth = (torch.arange(cols, dtype=torch.float64) + 0.5) * (2 * pi / cols)
+    theta, phi = torch.meshgrid(polar, azimuth, indexing="ij")
+    vectors = torch.stack((theta.sin() * phi.sin(), theta.cos(), theta.sin() * phi.cos()), dim=-1)
+    return vectors.reshape(-1, 3)
+
+
+def solid_angles(rows: int, cols: int) -> Tensor:
+    """Returns the solid angle of each texel in steradians, float64 [rows·cols]; they sum to 4π."""
+    edges = (torch.arange(rows + 1, dtype=torch.float64) * (pi / rows)).cos()
+    return ((edges[:-1] - edges[1:]) * (2 * pi / cols)).repeat_interleave(cols)
+
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Weights that turn linear RGB into luminance (ITU-R BT.709)."""

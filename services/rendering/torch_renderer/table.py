@@ -1,9 +1,22 @@
-"""Tables of radiance over normals, indexed by the two angles that are the parameters of an attack.
+"""Unit normals as the paper's two angles per pixel, tables of radiance over them, and the check of a table in each
+image.
 
-Row i of a table is at polar angle (i + ½)h, column j at azimuth −π + (j + ½)h, h = π / rows, with twice as many
-columns as rows. A normal is smooth and periodic in its angles, so a table needs no border: beyond a pole the rows
-repeat in reverse order, shifted by half a turn of azimuth. Values between nodes are interpolated by Catmull-Rom splines
-in both angles, which are once continuously differentiable.
+The angles are of the camera's frame: polar angle θ from the camera's up axis (+y), azimuth φ about it from the axis
+towards the viewer (+z) to the camera's right (+x), so n = (sin θ sin φ, cos θ, sin θ cos φ). A visible surface has n·z
+> 0, hence φ in (−π/2, π/2), away from the jump at ±π; and the pole, where φ has no meaning, lies on the silhouette:
+only surfaces seen exactly edge-on have a normal straight up. The pole is harmless: n is smooth in (θ, φ) everywhere and
+its gradient with respect to φ goes to zero at the pole.
+
+Row i of a table is at polar angle (i + ½)h, column j at azimuth −π + (j + ½)h, h = π / rows, with twice as many columns
+as rows. A normal is smooth and periodic in its angles, so a table needs no border: beyond a pole the rows repeat in
+reverse order, shifted by half a turn of azimuth. Values between nodes are interpolated by Catmull-Rom splines in both
+angles, which are once continuously differentiable.
+
+No bound of a table's error is known that is cheap and tight: an attack takes normals, light and material to where the
+table was not measured. So the error is sampled, in every image, where it is likely to be largest: a third of the pixels
+have the largest fourth differences of the table around their normal, a third the largest second differences, both times
+the steepness of the display's curve; the last third are spread evenly over the object, from a start that changes with
+the image. The choice depends on the image alone, so that an attack that is resumed chooses the same pixels.
 """
 
 from dataclasses import dataclass
@@ -15,8 +28,57 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from services.rendering.color import KNEE
 from services.rendering.kernels import compiled
-from services.rendering.torch_renderer.normals import to_vectors
+
+MAX_ANGLE = 100.0
+"""Largest magnitude of an attacked angle, radians: 16 turns, more than 120 steps of the paper's size can reach. There
+float32 resolves 8e-6 radians. At 1e6 it would resolve 0.06, and the float32 attack loop and the float64 verifier would
+see different normals."""
+
+
+def to_angles(vectors: Tensor) -> Tensor:
+    """Returns azimuth and polar angle [..., 2], radians, of vectors [..., 3] in the camera's frame (of any length > 0).
+
+    The azimuth is in [−π, π], and 0 at the poles; the polar angle is in [0, π]. The zero vector gives (0, 0).
+    """
+    x, y, z = vectors.unbind(-1)
+    horizontal = torch.hypot(x, z)
+    azimuth = torch.where(horizontal > 0, torch.atan2(x, z), 0.0)
+    return torch.stack((azimuth, torch.atan2(horizontal, y)), dim=-1)
+
+
+def to_vectors(angles: Tensor) -> Tensor:
+    """Returns unit vectors [..., 3] in the camera's frame for azimuth and polar angle [..., 2], radians.
+
+    The angles may have any finite values. It is differentiable; only once in float32 on the CPU, where a
+    compiled kernel runs.
+    """
+    if angles.dtype == torch.float32 and compiled.runs(angles):
+        result: Tensor = _Vectors.apply(angles.contiguous())  # type: ignore[no-untyped-call]
+        return result
+    azimuth, polar = angles.unbind(-1)
+    horizontal = polar.sin()
+    return torch.stack((horizontal * azimuth.sin(), polar.cos(), horizontal * azimuth.cos()), dim=-1)
+
+
+class _Vectors(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, angles: Tensor) -> Tensor:
+        ctx.save_for_backward(angles)
+        found = angles.new_empty(*angles.shape[:-1], 3)
+        compiled.call("vectors", angles.dtype, angles.numel() // 2, angles, found, compiled.threads())
+        return found
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, gradient: Tensor) -> Tensor:
+        [angles] = ctx.saved_tensors
+        found = torch.empty_like(angles)
+        arguments = (angles.numel() // 2, angles, gradient.contiguous(), found)
+        compiled.call("vectors_backward", angles.dtype, *arguments, compiled.threads())
+        return found
+
 
 CPU = torch.device("cpu")
 TILE = 4
@@ -191,3 +253,37 @@ def _catmull_rom(f: Tensor) -> Tensor:
         ),
         dim=-1,
     )
+
+
+def chosen_pixels(
+    most: int, table: Tensor, filled: Tensor, rows: int, angles: Tensor, shaded: Tensor, base_color: Tensor
+) -> Tensor:
+    """Indices of at most `most` of the pixels, ascending; all of them where there are no more.
+
+    table [nodes, 3] of `rows` rows with its `filled` tiles [tiles]; angles [P, 2]; shaded [P, 3], the looked-up
+    radiance; base_color [P, 3].
+    """
+    count = len(angles)
+    if count <= most:
+        return torch.arange(count, device=angles.device)
+    third = most // 3
+    uneven = unevenness(table, filled)
+    if compiled.runs(angles):
+        chosen, number = torch.empty(most, dtype=torch.int64), torch.empty(1, dtype=torch.int64)
+        image = (uneven, *(of.detach().contiguous() for of in (angles, shaded, base_color)))
+        sizes = (most, third, count, rows, KNEE)
+        compiled.call("choose_pixels", angles.dtype, *sizes, *image, chosen, number, compiled.threads())
+        return chosen[: int(number)]
+    linear = (shaded.detach() * base_color).clamp_(0.0, 1.0)
+    steepness = (base_color * linear.add_(KNEE).rsqrt_()).amax(1)  # near enough to put pixels in order
+    likely = uneven[:, nearest(angles.detach(), rows)] * steepness
+    stride = count // (most - 2 * third)
+    even = torch.arange(_start(shaded) % stride, count, stride, device=angles.device)[: most - 2 * third]
+    found: Tensor = torch.unique(torch.cat([*likely.topk(third).indices, even]))
+    return found
+
+
+def _start(shaded: Tensor) -> int:
+    """A number that changes with the image: the sum of its bits, which no order of summing changes."""
+    bits = torch.int32 if shaded.dtype == torch.float32 else torch.int64
+    return int(shaded.detach().contiguous().view(bits).sum(dtype=torch.int64))

@@ -1,6 +1,7 @@
-"""Which texels of the environment map the surface at each pixel sees past the scene's objects.
+"""The surfaces that the torch renderer shades: what each covered pixel shows, which texels of the environment map it
+sees past the scene's objects, and which pixels are in shadow.
 
-Geometry is fixed in the torch renderer, so visibility is found once: from every covered pixel a ray runs towards a
+Geometry is fixed in the torch renderer, so visibility is computed once: from every covered pixel a ray runs towards a
 square grid of directions within each texel (kernels/visibility.cpp), and the share of rays that meet nothing is a
 factor of the texel's light. Directions below a pixel's own horizon, be it that of its normal or of the triangle that it
 is on, are left to the cosine. They count as visible, so that a convex object alone has no shadow, and a normal that an
@@ -9,8 +10,16 @@ attack tilts towards them sees their light as it does in a scene without shadows
 Objects cast shadows as they stand in the scene; a part of an opacity below 1 casts none, and the holes of a texture are
 taken for closed. A surface point is where the ray through the middle of its samples in the pixel first meets the
 triangles, or, at an outline where it meets none of the surface's object, where the G-buffer's depth says.
+
+Where nothing hides any of the light, radiance is a function of the normal alone and every method of shading applies. A
+pixel in shadow has a visibility of its own and is summed directly. So the pixels of each object are two regions.
+
+A pixel has one pair of angles among the parameters. Where it shows several surfaces they are those of the surface with
+the largest share, and a change of them turns the others by the same angles.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from math import pi
 from typing import Any
 
@@ -22,10 +31,13 @@ from torch import Tensor
 from services.errors import InvalidRequest
 from services.rendering.kernels import compiled
 from services.rendering.opengl.fragments import Fragments
-from services.scenes.convexity import is_convex
+from services.rendering.opengl.gbuffer import GBuffer
+from services.rendering.torch_renderer import table
+from services.rendering.torch_renderer.table import to_angles
 from services.scenes.description import Floor
 from services.scenes.mesh import Floats
 from services.scenes.resolve import ResolvedScene
+from services.scenes.solids import is_convex
 
 OFFSET = 1e-3
 """Distance of a ray's start from the surface along the normal, times the object's scale: more than a finely divided
@@ -161,3 +173,97 @@ def _surface(
     facets = np.where(own[:, None], -np.sign(away) * facets, normals)
     points, normals, facets = (np.ascontiguousarray(of, np.float32) for of in (points, normals, facets))
     return points, normals, facets, outside
+
+
+IN_SHADOW = " in shadow"
+"""End of the name of a region from which some of the light is hidden."""
+
+
+@dataclass(frozen=True)
+class Regions:
+    """Regions of the covered pixels. `order` [P] sorts the pixels by region and keeps their order within one.
+
+    For each region: `owners`, the object's index; `counts`, its pixels; `names`, what plans call it; `visibilities`,
+    uint8 [D, its pixels] in units of 1 / WHOLE, None where nothing is hidden.
+    """
+
+    order: Tensor
+    owners: list[int]
+    counts: list[int]
+    names: list[str]
+    visibilities: list[Tensor | None]
+
+
+def regions(owner: Tensor, visibility: Tensor | None, names: Sequence[str], by_shadow: bool = True) -> Regions:
+    """Splits pixels that are sorted by their objects' indices, `owner` [P], by their `visibility` [D, P]; `names` are
+    those of the objects.
+
+    Every object has a region, be it empty; one with pixels of both kinds has two, the unshadowed pixels first. Without
+    `by_shadow` it has one all the same: where the viewer is near, all pixels are summed directly.
+    """
+    if visibility is None or not by_shadow:
+        counts = torch.bincount(owner, minlength=len(names)).tolist()
+        order = torch.arange(len(owner), device=owner.device)
+        parts: list[Tensor | None] = [None] * len(names)
+        if visibility is not None:
+            parts = [*torch.split(visibility, counts, dim=1)]
+        return Regions(order, list(range(len(names))), counts, list(names), parts)
+    shadowed = (visibility < WHOLE).any(0)
+    found = Regions(torch.argsort(2 * owner + shadowed, stable=True), [], [], [], [])
+    for k, name in enumerate(names):
+        for kind, words in ((False, ""), (True, IN_SHADOW)):
+            own = ((owner == k) & (shadowed == kind)).nonzero()[:, 0]
+            if len(own) or (not kind and not bool((owner == k).any())):
+                found.owners.append(k)
+                found.counts.append(len(own))
+                found.names.append(name + words)
+                found.visibilities.append(visibility[:, own] if kind else None)
+    return found
+
+
+@dataclass(frozen=True)
+class VisibleSurfaces:
+    """The surfaces, sorted by object and then by normal, so that neighbours see the same light.
+
+    image: the angles of each pixel [H, W, 2], 0 where nothing is. shown: the surfaces. angles: theirs [P, 2]. turns:
+    what their angles are more than their pixel's [P, 2], or None where each pixel shows one surface. Angles are in
+    radians, in the camera's frame, float64 rounded to float32, so that the exact renderer renders the same scene.
+    """
+
+    image: Tensor
+    shown: Fragments
+    angles: Tensor
+    turns: Tensor | None
+
+    @property
+    def ranks(self) -> tuple[Tensor, ...]:
+        """The surfaces that are the first of their pixels, the second, and so on; empty where each shows one."""
+        if self.turns is None:
+            return ()
+        return tuple((self.shown.rank == k).nonzero()[:, 0] for k in range(int(self.shown.rank.amax()) + 1))
+
+    def ordered(self, order: Tensor) -> "VisibleSurfaces":
+        """Returns the surfaces in another order."""
+        turns = None if self.turns is None else self.turns[order]
+        return VisibleSurfaces(self.image, self.shown.some(order), self.angles[order], turns)
+
+
+def visible_surfaces(gbuffer: GBuffer, to_camera: Tensor) -> VisibleSurfaces:
+    """Returns what a G-buffer shows. `to_camera` [3, 3] turns world vectors, as rows, into the camera's frame."""
+    shown, normals = gbuffer.surfaces(), gbuffer.normals
+    if gbuffer.fragments is not None:
+        first = shown.rank == 0
+        normals = torch.zeros_like(normals)
+        normals.view(-1, 3)[shown.pixels[first]] = shown.normals[first]
+    image = _rounded(to_angles(normals.to(torch.float64) @ to_camera) * (gbuffer.coverage > 0)[..., None])
+    angles = image.reshape(-1, 2)[shown.pixels]
+    turns = None
+    if gbuffer.fragments is not None:
+        own = torch.where(first[:, None], angles, _rounded(to_angles(shown.normals.to(torch.float64) @ to_camera)))
+        angles, turns = own, own - angles
+    keys = shown.object_index * table.N_SORT_KEYS + table.normal_sort_keys(angles)
+    return VisibleSurfaces(image, shown, angles, turns).ordered(torch.argsort(keys, stable=True))
+
+
+def _rounded(angles: Tensor) -> Tensor:
+    return angles.to(torch.float32).to(torch.float64)
