@@ -109,6 +109,9 @@ async def known_caller(request: Request) -> Caller | None:  # a function that is
     return found
 
 
+KnownCaller = Annotated[Caller | None, Depends(known_caller)]
+
+
 async def caller(request: Request) -> Caller:
     """Who sends a request to a route that needs a key."""
     found = await known_caller(request)
@@ -117,4 +120,16 @@ async def caller(request: Request) -> Caller:
 
 
 CallerDependency = Annotated[Caller, Depends(caller)]
-KnownCaller = Annotated[Caller | None, Depends(known_caller)]
+
+
+def client_of(request: Request, caller: Caller) -> str:
+    """Whose turn a request takes: that of its owner, or of its address if nobody has a key."""
+    return f"owner {caller.owner}" if caller.key else "" if request.client is None else request.client.host
+
+
+async def client(request: Request, caller: CallerDependency) -> str:
+    """Whose turn a request takes, for routes."""
+    return client_of(request, caller)
+
+
+Client = Annotated[str, Depends(client)]

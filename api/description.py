@@ -40,8 +40,11 @@ ERRORS = {
     "503": "The service cannot take the request now; `Retry-After` says when to try again.",
 }
 
-LIMITED = ("submit_job", "retry_job", "continue_job", "submit_campaign", "upload_asset")
-"""The operations that make what an owner may have only so much of."""
+LIMITED = (
+    *("submit_job", "retry_job", "continue_job", "rerender_image", "submit_campaign", "upload_asset"),
+    *("preview_job", "download_export", "download_scene", "download_thumbnail"),
+)
+"""The operations of which an owner may have only so much."""
 EXAMPLES = Path(__file__).with_name("examples.json")
 KEY = {
     "type": "http",

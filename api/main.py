@@ -19,19 +19,17 @@ from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddle
 from api import dashboard
 from api.audit import Audit
 from api.authentication import Authentication
+from api.checks import Checks, Exporter
 from api.conditional import Conditional
 from api.dashboard import asset_form
 from api.dashboard.error_pages import ErrorPages, show_mistakes
 from api.description import TAGS, describe
-from api.exporter import Exporter
 from api.hosts import KnownHosts
 from api.limits import BodyLimit, NoNul, Utf8Forms
 from api.list_watcher import ListWatcher
 from api.mesh_uploads import MeshUploads
 from api.metrics import Measured, RequestMetrics, ServiceMetrics
 from api.open_uploads import OpenUploads
-from api.preflight import Preflight
-from api.previewer import Previewer
 from api.problems import Answers, install
 from api.reading import Reading
 from api.request_id import RequestId
@@ -53,6 +51,7 @@ from api.routes import metrics as scraping
 from api.same_site import SameSite
 from api.state import Services
 from api.submissions import Submissions
+from api.warm_pool import WarmPool, WarmProcess
 from api.watcher import Watcher
 from services.access.assets import OwnedAssets
 from services.access.caller import Caller
@@ -72,6 +71,7 @@ from services.jobs.database import connect as connect_database
 from services.jobs.figures import Figures
 from services.jobs.housekeeping import Housekeeping
 from services.jobs.lists import JobLists
+from services.jobs.memory_limit import WARM_PROCESSES
 from services.jobs.queue import Queue
 from services.jobs.queue import connect as connect_redis
 from services.jobs.repository import Repository
@@ -105,7 +105,7 @@ log = logger(__name__)
 def create_app(values: Settings) -> FastAPI:
     """Creates the app.
 
-    The app opens the database, Redis and its preflight process when it starts, and closes them when it ends.
+    The app opens the database, Redis and its warm processes when it starts, and closes them when it ends.
     """
     metrics = RequestMetrics()
 
@@ -118,10 +118,8 @@ def create_app(values: Settings) -> FastAPI:
         repository, owned, keys = Repository(engine), OwnedAssets(engine), AccessKeys(engine)
         redis = connect_redis(values.redis_url)
         queue = Queue(redis)
-        preflight = Preflight(values)
-        preflight.start()
-        previewer = Previewer(values)
-        exporter = Exporter(values)
+        pool = WarmPool([WarmProcess(values) for _ in range(WARM_PROCESSES)])
+        pool.start()
         library = Library(values.cache_dir, values.files)
         uploads = MeshUploads(library, values)
         uploads.start()
@@ -145,10 +143,10 @@ def create_app(values: Settings) -> FastAPI:
             submissions=Submissions(repository, queue, quotas, names, values.max_queued),
             store=store,
             library=library,
-            preflight=preflight,
             uploads=uploads,
-            previewer=previewer,
-            exporter=exporter,
+            pool=pool,
+            checks=Checks(pool, names, values),
+            exporter=Exporter(pool),
             campaigns=CampaignService(Campaigns(engine), queue),
             asset_records=AssetRecords(engine),
             target_records=TargetRecords(engine),
@@ -169,10 +167,8 @@ def create_app(values: Settings) -> FastAPI:
                 task.cancel()
             watcher.close()
             list_watcher.close()
-            preflight.close()
+            pool.close()
             uploads.close()
-            previewer.close()
-            exporter.close()
             redis.close()
             engine.dispose()
 

@@ -1,7 +1,6 @@
-"""Takes uploaded meshes: a few at a time, each read in a process of its own, clients in turn and small files first."""
+"""Takes uploaded meshes: a few at a time, each read in a process of its own, and clients in turn."""
 
 import asyncio
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager
@@ -9,8 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import BinaryIO, TypeVar
 
-from api.fair_queue import FairQueue
-from api.warm_process import Unavailable
+from api.warm_pool import MOST_OPEN, Turns, Unavailable
 from services.errors import JobFailure
 from services.logs import logger
 from services.scenes.bundle import About, Bundle
@@ -40,10 +38,6 @@ class Sent:
     mesh: str | None
     about: About
 
-    def size(self) -> int:
-        """Bytes of all files as they were sent."""
-        return sum(file.seek(0, os.SEEK_END) for _, file in self.files)
-
 
 class MeshUploads:
     """The uploads that are being read, and those that wait. Used by one event loop."""
@@ -52,8 +46,8 @@ class MeshUploads:
         self._library = library
         self._limits = limits
         self._threads = ThreadPoolExecutor(AT_ONCE, "uploads")
-        self._waiting: FairQueue[asyncio.Future[None]] = FairQueue()
-        self._free = AT_ONCE
+        self._turns = Turns(AT_ONCE, MOST_OPEN)
+        self._free = asyncio.Semaphore(AT_ONCE)
 
     def start(self) -> None:
         """Starts the process that reads files, without waiting until it is there; the first upload starts it too."""
@@ -69,34 +63,18 @@ class MeshUploads:
 
         Raises InvalidRequest("file", "kind" or "mesh"), and Unavailable.
         """
-        return await self._in_turn(client, sent.size(), partial(self._add, sent, adding))
+        return await self._in_turn(client, partial(self._add, sent, adding))
 
     async def check_image(self, data: bytes, size: tuple[int, int], client: str) -> None:
         """Reads an image. Raises InvalidRequest("image") unless its height and width are `size`, and Unavailable."""
-        await self._in_turn(client, len(data), partial(reader().read_image, data, size))
+        await self._in_turn(client, partial(reader().read_image, data, size))
 
-    async def _in_turn(self, client: str, size: int, read: Callable[[], Found]) -> Found:
-        loop = asyncio.get_running_loop()
-        turn = loop.create_future()
-        place = self._waiting.add(turn, client, size)
-        self._admit()
+    async def _in_turn(self, client: str, read: Callable[[], Found]) -> Found:
         try:
-            await turn
-            return await loop.run_in_executor(self._threads, read)
+            async with self._turns.turn(client), self._free:
+                return await asyncio.get_running_loop().run_in_executor(self._threads, read)
         except JobFailure as error:
             raise Unavailable(f"the file could not be read: {error.detail}") from error
-        finally:
-            if not self._waiting.drop(place):
-                self._waiting.done(place)
-                self._free += 1
-            self._admit()
-
-    def _admit(self) -> None:
-        while self._free and len(self._waiting):
-            self._free -= 1
-            turn = self._waiting.take().what
-            if not turn.done():  # its client may have gone
-                turn.set_result(None)
 
     def _add(self, sent: Sent, adding: Adding) -> Entry:
         # Waiting uploads stay on the disk; only those whose turn it is are in memory.

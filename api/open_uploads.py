@@ -9,8 +9,8 @@ from collections.abc import Collection
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from api.authentication import client_of
 from api.problems import problem
-from api.routes.jobs import client_of
 from services.access.caller import Caller
 
 MOST = 8

@@ -20,7 +20,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.request_id import HEADER
 from api.schemas import BadField
-from api.warm_process import Unavailable
+from api.warm_pool import Unavailable
 from services.errors import InUse, InvalidRequest, QuotaExceeded, without_folders
 from services.jobs.artifacts import Damaged
 from services.jobs.outages import outage_of

@@ -6,13 +6,12 @@ from typing import Annotated
 from fastapi import Depends, HTTPException, Request
 
 from api.authentication import CallerDependency
-from api.exporter import Exporter
+from api.checks import Checks, Exporter
 from api.list_watcher import ListWatcher
 from api.mesh_uploads import MeshUploads
-from api.preflight import Preflight
-from api.previewer import Previewer
 from api.reading import Reading
 from api.submissions import Submissions
+from api.warm_pool import WarmPool
 from api.watcher import Watcher
 from services.access.assets import OwnedAssets
 from services.access.caller import Caller
@@ -52,9 +51,9 @@ class Services:
     submissions: Submissions
     store: ArtifactStore
     library: Library
-    preflight: Preflight
+    pool: WarmPool
+    checks: Checks
     uploads: MeshUploads
-    previewer: Previewer
     exporter: Exporter
     campaigns: CampaignService
     asset_records: AssetRecords

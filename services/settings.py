@@ -73,13 +73,12 @@ class Settings(BaseSettings):
     kernel_dir: Path | None = Field(None, description="folder of the compiled kernels; default: native in the cache")
     max_upload_bytes: int = Field(32 * 2**20, ge=1, description="largest mesh upload")
     max_faces: int = Field(300_000, ge=1, description="largest mesh, in triangles")
-    check_processes: int = Field(
-        1, ge=1, le=16, description="processes that check requests before they are accepted; about 0.6 GB each"
+    check_seconds: float = Field(
+        5.0,
+        gt=0,
+        description="longest check of a request, and a tenth of it the longest wait for one; after either a job is "
+        "accepted, and checked by its worker",
     )
-    check_wait_seconds: float = Field(
-        0.5, ge=0, description="longest wait for such a process; after it a job is accepted, and checked by its worker"
-    )
-    check_seconds: float = Field(5.0, gt=0, description="longest check before acceptance; after it likewise")
     preview_seconds: float = Field(
         10.0, gt=0, description="longest preview, and longest wait for one; a preview has two parts, the plan apart"
     )

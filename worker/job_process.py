@@ -268,7 +268,7 @@ def main() -> None:
     log.info("warm", gl=warm_up(values))
     jobs = Jobs(values)
     reply(connection, {"ready": os.getpid(), "abilities": abilities(values).record()})
-    for request, _ in inbox:
+    for request in inbox:
         attempt = Attempt(request["job"], request["attempt"])
         with bound(job=attempt.job_id, attempt=attempt.number):
             found = answer(jobs, attempt)

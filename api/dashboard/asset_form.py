@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from pathlib import PurePosixPath
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, File, Form, Request, Response, UploadFile
+from fastapi import APIRouter, Depends, File, Form, Response, UploadFile
 from fastapi.responses import RedirectResponse
 from pydantic import BaseModel, ValidationError
 from starlette.concurrency import run_in_threadpool
 
-from api.authentication import CallerDependency
+from api.authentication import CallerDependency, Client
 from api.dashboard.assets import EVERYTHING, grid
 from api.dashboard.pages import HEADERS
 from api.routes.assets import form_body, store
@@ -47,7 +47,7 @@ class Said(BaseModel):
 async def add(
     services: ServicesDependency,
     caller: CallerDependency,
-    request: Request,
+    client: Client,
     file: Annotated[list[UploadFile], File(default_factory=list)],
     mesh: Text = "",
     name: Text = "",
@@ -60,7 +60,7 @@ async def add(
     sent = [one for one in file if one.filename]  # a browser sends an empty part for no file
     try:
         about = _about(said, sent)
-        entry = await store(services, caller, request, sent, None, mesh or None, about)
+        entry = await store(services, caller, client, sent, None, mesh or None, about)
     except InvalidRequest as error:
         return await run_in_threadpool(grid, services, caller, EVERYTHING, 1, errors=error.every, said=said)
     return RedirectResponse(f"{PATH}/{entry.name}", 303, HEADERS)

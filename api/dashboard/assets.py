@@ -10,7 +10,7 @@ from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import FileResponse
 from starlette.concurrency import run_in_threadpool
 
-from api.authentication import CallerDependency
+from api.authentication import CallerDependency, Client
 from api.dashboard.pages import HEADERS, html
 from api.routes.artifacts import VerifiedFile
 from api.routes.connection import while_connected
@@ -120,12 +120,14 @@ def asset_picture(asset: str, services: ServicesDependency) -> Response:
 
 
 @router.get("/assets/scenes/{asset:path}", response_class=FileResponse)
-async def asset_scene(request: Request, asset: str, services: ServicesDependency, caller: CallerDependency) -> Response:
+async def asset_scene(
+    request: Request, asset: str, services: ServicesDependency, caller: CallerDependency, client: Client
+) -> Response:
     """A mesh as a binary glTF file, for the view in three dimensions."""
     entry = await run_in_threadpool(_entry, services, caller, asset)
     if entry.kind == "environment":
         raise no_such("mesh")
-    file = await while_connected(request, services.exporter.asset(entry.name))
+    file = await while_connected(request, services.exporter.asset(entry.name, client))
     headers = {"Cache-Control": "private, max-age=3600", "Content-Security-Policy": "default-src 'none'; sandbox"}
     return VerifiedFile(file, "model/gltf-binary", headers)
 

@@ -18,6 +18,7 @@ from api.state import Services, ServicesDependency, names_of, no_such
 from services.access.caller import Caller
 from services.attacks.attack import ATTACKS
 from services.errors import InvalidRequest
+from services.jobs.memory_limit import WARM_PROCESSES
 from services.jobs.placement import Demand, Priority
 from services.json_text import NotJson, read_json
 from services.names import Names
@@ -39,7 +40,7 @@ async def page(
     mesh: Annotated[str | None, Query(max_length=200, description="mesh of the first scene")] = None,
 ) -> Response:
     """The form, filled with a small request, that of another job (`from`), or one of a mesh (`mesh`)."""
-    services.previewer.start()  # so that it is warm when the script asks
+    services.pool.start(WARM_PROCESSES)  # so that it is warm when the script asks
     return await run_in_threadpool(_form, services, caller, origin, mesh)
 
 

@@ -10,10 +10,9 @@ from pydantic import BeforeValidator
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import UploadFile as StarletteUploadFile
 
-from api.authentication import CallerDependency
+from api.authentication import CallerDependency, Client
 from api.mesh_uploads import Sent
 from api.routes.connection import while_connected
-from api.routes.jobs import client_of
 from api.schemas import AssetList, Uploaded
 from api.state import Services, ServicesDependency, no_such
 from services.access.caller import Caller
@@ -44,7 +43,7 @@ def form_body(request: Request) -> None:
 async def upload_asset(
     services: ServicesDependency,
     caller: CallerDependency,
-    request: Request,
+    client: Client,
     file: Annotated[
         list[Annotated[UploadFile, BeforeValidator(_file)]],
         File(
@@ -76,13 +75,13 @@ async def upload_asset(
     Scenes name it by the `name` in the answer, which also says what of the files is `used`, and in `notes` what is not.
     """
     about = About(title=name, up=up, licence=licence, credit=credit)
-    return Uploaded.of(await store(services, caller, request, file, kind, mesh, about))
+    return Uploaded.of(await store(services, caller, client, file, kind, mesh, about))
 
 
 async def store(
     services: Services,
     caller: Caller,
-    request: Request,
+    client: str,
     files: Sequence[UploadFile],
     kind: str | None,
     mesh: str | None,
@@ -92,7 +91,7 @@ async def store(
     await run_in_threadpool(services.quotas.check_upload, caller.owner, sum(one.size or 0 for one in files))
     sent = Sent([(one.filename or "", one.file) for one in files], kind, mesh, about)
     adding = partial(services.assets.adding, caller.owner)
-    return await services.uploads.add(sent, client_of(request, caller), adding)
+    return await services.uploads.add(sent, client, adding)
 
 
 @router.get("")
@@ -125,7 +124,7 @@ def get_asset(name: KnownUpload, services: ServicesDependency) -> Uploaded:
 
 @router.get("/{sha256}/thumbnail", response_class=Response, responses={200: {"content": {"image/png": {}}}})
 async def download_thumbnail(
-    name: KnownUpload, services: ServicesDependency, caller: CallerDependency, request: Request
+    name: KnownUpload, services: ServicesDependency, caller: CallerDependency, client: Client, request: Request
 ) -> Response:
     """Returns a picture of an upload, a PNG image that never changes: a mesh in the default light, or a map as it is.
 
@@ -137,7 +136,7 @@ async def download_thumbnail(
         if entry is not None and entry.kind == "environment":
             kept = await run_in_threadpool(lambda: picture_of(services.library.environment(name)))
         else:
-            asked = services.previewer.preview(thumbnail_spec(name), client_of(request, caller))
+            asked = services.checks.preview(thumbnail_spec(name), caller, client)
             _, shown = await while_connected(request, asked)
             kept = base64.b64decode(shown)
         await run_in_threadpool(services.library.keep_thumbnail, name, kept)

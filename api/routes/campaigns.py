@@ -9,7 +9,7 @@ from api.authentication import CallerDependency
 from api.bodies import body_of
 from api.demands import demand
 from api.routes.connection import while_connected
-from api.routes.jobs import client_of, json_body
+from api.routes.jobs import json_body
 from api.schemas import (
     CampaignJobPage,
     CampaignJobView,
@@ -20,18 +20,14 @@ from api.schemas import (
     cursor_after,
     read_cursor,
 )
-from api.state import Services, ServicesDependency, names_of, no_such
-from services.access.caller import Caller
+from api.state import Services, ServicesDependency, no_such
 from services.analysis.campaign_text import cases_to_csv, to_csv, to_latex
-from services.errors import InvalidRequest
 from services.jobs.campaigns import request_digest
 from services.jobs.models import Campaign, CampaignState
 from services.jobs.placement import Demand, Priority
 from services.jobs.repository import Key
-from services.pipeline.campaign_check import check_size, placed, samples
 from services.pipeline.campaign_plan import CampaignResult
 from services.pipeline.campaign_spec import CampaignSpec
-from services.pipeline.names_known import check_names
 
 router = APIRouter(prefix="/v1/campaigns", tags=["campaigns"])
 
@@ -70,23 +66,13 @@ async def submit_campaign(
         key = Key(idempotency_key, await run_in_threadpool(request_digest, spec), caller.owner)
     campaign = None if key is None else await run_in_threadpool(services.campaigns.record.of_key, key)
     if campaign is None:
-        await while_connected(request, _check(spec, services, caller, client_of(request, caller)))
+        await while_connected(request, services.checks.check_campaign(spec, caller, services.max_campaign_jobs))
         whose, most = caller.owner, services.quotas.campaigns_of(caller.owner)
         campaign = await run_in_threadpool(services.campaigns.submit, spec, idempotency_key, whose, asked, most)
     # The answer to a long list of jobs is large, so it is written in a thread too.
     answer = await run_in_threadpool(lambda: CampaignView.accepted(campaign, spec).model_dump_json())
     headers = {"Location": f"/v1/campaigns/{campaign.id}"}
     return Response(answer, 202, headers, "application/json")
-
-
-async def _check(spec: CampaignSpec, services: Services, caller: Caller, client: str) -> None:
-    check_size(spec, services.max_campaign_jobs)
-    await run_in_threadpool(lambda: check_names(spec, names_of(services, caller)))
-    for job, places in await run_in_threadpool(lambda: list(samples(spec))):
-        try:
-            await services.preflight.check(job, client)
-        except InvalidRequest as error:
-            raise placed(error, places) from error
 
 
 @router.get("")

@@ -8,6 +8,7 @@ from fastapi import APIRouter, Header, HTTPException, Request, Response
 from fastapi.responses import FileResponse
 from starlette.concurrency import run_in_threadpool
 
+from api.authentication import Client
 from api.conditional import matches
 from api.routes.artifacts import VerifiedFile
 from api.routes.connection import while_connected
@@ -30,7 +31,11 @@ def _answers(media_type: str) -> dict[int | str, dict[str, Any]]:
 
 @router.get("/{job_id}/export", response_class=FileResponse, responses=_answers("application/zip"))
 async def download_export(
-    request: Request, job: KnownJob, services: ServicesDependency, if_none_match: IfNoneMatch = None
+    request: Request,
+    job: KnownJob,
+    services: ServicesDependency,
+    client: Client,
+    if_none_match: IfNoneMatch = None,
 ) -> Response:
     """Downloads everything of a finished job in one zip file.
 
@@ -39,7 +44,7 @@ async def download_export(
     """
     name = f"scene-attack-{job.id[:8]}.zip"
     headers = {"Content-Disposition": f'attachment; filename="{name}"'}
-    return await _made(request, job, services, BUNDLE, "application/zip", headers, if_none_match)
+    return await _made(request, job, services, client, BUNDLE, "application/zip", headers, if_none_match)
 
 
 @router.get("/{job_id}/scene.glb", response_class=FileResponse, responses=_answers("model/gltf-binary"))
@@ -47,17 +52,19 @@ async def download_scene(
     request: Request,
     job: KnownJob,
     services: ServicesDependency,
+    client: Client,
     which: Literal["before", "after"] = "after",
     if_none_match: IfNoneMatch = None,
 ) -> Response:
     """Downloads the scene before or after the attack as a binary glTF file. 409 for a job without a result."""
-    return await _made(request, job, services, which, "model/gltf-binary", {}, if_none_match)
+    return await _made(request, job, services, client, which, "model/gltf-binary", {}, if_none_match)
 
 
 async def _made(
     request: Request,
     job: Job,
     services: Services,
+    client: str,
     what: str,
     media_type: str,
     headers: dict[str, str],
@@ -77,5 +84,5 @@ async def _made(
     }
     if if_none_match is not None and matches(if_none_match, headers["ETag"]):
         return Response(status_code=304, headers=headers)
-    file = await while_connected(request, services.exporter.made(what, job.id, artifacts))
+    file = await while_connected(request, services.exporter.made(what, job.id, artifacts, client))
     return VerifiedFile(file, media_type, headers)

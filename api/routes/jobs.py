@@ -13,13 +13,11 @@ from api.job_edit import JobEdit
 from api.job_places import SORT_PATTERN, read_cursor, write_cursor
 from api.routes.connection import while_connected
 from api.schemas import JobPage, JobSummary, JobView
-from api.state import KnownJob, Services, ServicesDependency, names_of, no_such
+from api.state import KnownJob, Services, ServicesDependency, no_such
 from api.submissions import key_of
-from services.access.caller import Caller
 from services.jobs.job_query import EXAMPLE, LONGEST, Term, parse_query
 from services.jobs.models import State
 from services.jobs.placement import Demand, Priority
-from services.pipeline.names_known import check_names
 from services.pipeline.spec import JobSpec
 
 LONGEST_WAIT = 30.0
@@ -48,11 +46,6 @@ def wait_preferred(prefer: Annotated[str | None, Header()] = None) -> float | No
     """The seconds of `Prefer: wait=N` (RFC 7240), at most `LONGEST_WAIT`; None if the header has no such preference."""
     found = re.search(r"(?:^|,)\s*wait\s*=\s*\"?(\d{1,9})\"?\s*(?:;[^,]*)?(?:,|$)", prefer or "", re.IGNORECASE)
     return None if found is None else min(float(found[1]), LONGEST_WAIT)
-
-
-def client_of(request: Request, caller: Caller) -> str:
-    """Whose turn a request takes: that of its owner, or of its address if nobody has a key."""
-    return f"owner {caller.owner}" if caller.key else "" if request.client is None else request.client.host
 
 
 SUBMISSION: dict[str, Any] = {
@@ -93,8 +86,7 @@ async def submit_job(
     key = key_of(idempotency_key, spec, caller)
     job = await services.submissions.earlier(key)
     if job is None:
-        await run_in_threadpool(lambda: check_names(spec, names_of(services, caller)))
-        checked = await while_connected(request, services.preflight.check(spec, client_of(request, caller)))
+        checked = await while_connected(request, services.checks.check(spec, caller))
         job = await services.submissions.submit(spec, checked, caller, demand, key)
     return await answered(job, wait, services, response)
 

@@ -3,15 +3,13 @@
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Query, Request
-from starlette.concurrency import run_in_threadpool
 
-from api.authentication import CallerDependency
+from api.authentication import CallerDependency, Client
 from api.bodies import body_of
 from api.routes.connection import while_connected
-from api.routes.jobs import client_of, json_body
+from api.routes.jobs import json_body
 from api.schemas import PreviewView
-from api.state import ServicesDependency, names_of
-from services.pipeline.names_known import check_names
+from api.state import ServicesDependency
 from services.pipeline.preview_record import PlannedCost
 from services.pipeline.spec import JobSpec
 
@@ -23,6 +21,7 @@ async def preview_job(
     spec: Annotated[JobSpec, Depends(body_of(JobSpec))],
     services: ServicesDependency,
     caller: CallerDependency,
+    client: Client,
     request: Request,
     plan: Annotated[
         bool, Query(description="whether to make the plan, too, which may take several times as long as the image")
@@ -35,12 +34,10 @@ async def preview_job(
     takes longer than a preview may gets 413, and 503 says that other previews took all the time. A client that closes
     its connection gives up its turn.
     """
-    await run_in_threadpool(lambda: check_names(spec, names_of(services, caller)))
-    client = client_of(request, caller)
-    shown, png = await while_connected(request, services.previewer.preview(spec, client))
+    shown, png = await while_connected(request, services.checks.preview(spec, caller, client))
     planned: PlannedCost | None = None
     if plan:
-        planned = await while_connected(request, services.previewer.plan(spec, client))
+        planned = await while_connected(request, services.checks.plan(spec, client))
     return PreviewView(
         **dict(shown),
         png=png,

@@ -9,10 +9,10 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from api.authentication import CallerDependency
+from api.authentication import CallerDependency, Client
 from api.bodies import body_of
 from api.routes.connection import while_connected
-from api.routes.jobs import SUBMISSION, DemandOfQuery, IdempotencyKey, PreferredWait, answered, client_of
+from api.routes.jobs import SUBMISSION, DemandOfQuery, IdempotencyKey, PreferredWait, answered
 from api.schemas import JobView, RerenderingBody
 from api.state import Services, ServicesDependency, names_of, no_such
 from api.submissions import key_of
@@ -31,6 +31,7 @@ async def rerender_image(
     body: Annotated[RerenderingBody, Depends(body_of(RerenderingBody))],
     services: ServicesDependency,
     caller: CallerDependency,
+    client: Client,
     request: Request,
     response: Response,
     demand: DemandOfQuery,
@@ -43,20 +44,21 @@ async def rerender_image(
     Lists of jobs show it if they are asked for the kind `rerendering`. The image and the request are checked before the
     answer, as those of `POST /v1/jobs` are, and `Prefer: wait=N` has the same meaning.
     """
-    client = client_of(request, caller)
     image, spec = await run_in_threadpool(_read, body, services, caller)
     key = key_of(idempotency_key, spec, caller)
     job = await services.submissions.earlier(key)
     if job is None:
-        checked = await while_connected(request, _check(image, spec, services, client))
+        checked = await while_connected(request, _check(image, spec, services, caller, client))
         file = await run_in_threadpool(_stored, image, services)
         job = await services.submissions.submit(spec, checked, caller, demand, key, file)
     return await answered(job, wait, services, response)
 
 
-async def _check(image: bytes, spec: RerenderingSpec, services: Services, client: str) -> Checked | None:
+async def _check(
+    image: bytes, spec: RerenderingSpec, services: Services, caller: Caller, client: str
+) -> Checked | None:
     await services.uploads.check_image(image, spec.scene.camera.size, client)
-    return await services.preflight.check(spec.attack(), client)
+    return await services.checks.check(spec.attack(), caller)
 
 
 def _read(body: RerenderingBody, services: Services, caller: Caller) -> tuple[bytes, RerenderingSpec]:

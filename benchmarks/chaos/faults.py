@@ -12,7 +12,7 @@ from benchmarks.chaos.service import Service
 
 RUNNING = ("worker.job_process", "worker.rq_worker")
 """What runs jobs. They are hit while a job takes steps."""
-OTHERS = ("redis-server", "supervisor", "api.main", "services.jobs.preflight_process")
+OTHERS = ("redis-server", "supervisor", "api.main", "services.jobs.warm_process")
 """What else can die: modules of the service, a program that it runs, and the supervisor, which is started again."""
 PATIENCE = 30.0
 """Time in seconds to wait for a process that is to be hit: it may have been hit just before."""

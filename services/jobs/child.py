@@ -1,7 +1,7 @@
 """A child process that stays warm, answers requests over a pipe, and never outlives its parent.
 
 It is spawned as a fresh interpreter, because a fork hangs after its parent has used OpenGL or torch. A message is a
-JSON object, followed by the bytes of a file if the request sends one.
+JSON object.
 """
 
 import json
@@ -104,13 +104,13 @@ class Child:
         """How long the child has done nothing, in seconds; see `Stillness`."""
         return self._stillness.seconds()
 
-    def send(self, message: dict[str, Any], data: bytes = b"") -> None:
-        """Sends a request, and the bytes `data` after it. Raises ChildDied."""
+    def send(self, message: dict[str, Any]) -> None:
+        """Sends a request. Raises ChildDied."""
         self._stillness = Stillness(self.pid)
         limit = Timer(SEND_SECONDS, self.end)  # the pipe holds less than a large request
         limit.start()
         try:
-            self._connection.send_bytes(json.dumps(message).encode() + b"\n" + data)
+            self._connection.send_bytes(json.dumps(message).encode())
         except OSError as error:
             raise ChildDied from error
         finally:
@@ -158,13 +158,12 @@ def connect() -> Connection:
     return Connection(int(sys.argv[1]))
 
 
-def requests(connection: Connection) -> Iterator[tuple[dict[str, Any], bytes]]:
-    """Yields requests as (message, bytes) as they come. The process exits at once when its parent has ended."""
+def requests(connection: Connection) -> Iterator[dict[str, Any]]:
+    """Yields requests as they come. The process exits at once when its parent has ended."""
     inbox: SimpleQueue[bytes] = SimpleQueue()
     Thread(target=_read, args=(connection, inbox), daemon=True).start()
     while True:
-        head, _, data = inbox.get().partition(b"\n")
-        yield json.loads(head), data
+        yield json.loads(inbox.get())
 
 
 def _read(connection: Connection, inbox: "SimpleQueue[bytes]") -> None:

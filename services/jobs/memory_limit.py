@@ -7,6 +7,8 @@ from pathlib import Path
 from services.scenes.isolated_reading import READING_BYTES
 from services.settings import Settings
 
+WARM_PROCESSES = 2
+"""Processes of the API that render (`api.warm_pool`)."""
 REST_BYTES = 2 * 2**30
 """What the API, the workers, the supervisor, Redis and the system take."""
 LEAST, MOST = 4 * 2**30, 16 * 2**30
@@ -15,14 +17,13 @@ an image of 1024×1024 pixels."""
 
 
 def memory_limit(values: Settings) -> int:
-    """Bytes of memory of a job process, of one that checks requests, and of those that preview, re-render and make
-    exports.
+    """Bytes of memory of a job process, and of each of the two that check and preview requests and make exports.
 
     The default is an equal share of the machine's memory, after READING_BYTES and REST_BYTES.
     """
     if values.job_memory_bytes is not None:
         return values.job_memory_bytes
-    processes = values.workers + values.check_processes + 3
+    processes = values.workers + WARM_PROCESSES
     share = (machine_memory() - READING_BYTES - REST_BYTES) // processes
     return min(max(share, LEAST), MOST)
 

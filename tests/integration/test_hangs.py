@@ -54,7 +54,7 @@ def test_a_stopped_process_does_not_hold_its_job(stack: Stack, impatient: Stack,
 
 def test_the_rest_of_the_service_may_be_stopped_too(impatient: Stack) -> None:
     (redis,) = [p for p in psutil.Process(impatient.process.pid).children() if p.name() == "redis-server"]
-    stopped = [redis, impatient.one("api.main"), impatient.one("services.jobs.preflight_process")]
+    stopped = [redis, impatient.one("api.main"), impatient.one("services.jobs.warm_process")]
     for process in stopped:
         stop(process)
     job_id = until(lambda: submitted(impatient), "the API takes a job")

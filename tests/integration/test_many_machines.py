@@ -47,7 +47,6 @@ def machine(folder: Path) -> dict[str, str]:
         "SCENE_ATTACK_DATA": str(folder / "data"),
         "SCENE_ATTACK_CACHE": str(cache),
         "SCENE_ATTACK_THREADS": "1",
-        "SCENE_ATTACK_CHECK_WAIT_SECONDS": "60",
         "SCENE_ATTACK_CHECK_SECONDS": "120",
     }
 

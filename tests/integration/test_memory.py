@@ -65,7 +65,7 @@ def target(name, take, process):
 for take in (reserve, torch_block, numpy_block, pieces, private_map, shared_map):
     target("job-" + take.__name__, take, "worker.job_process")
 for take in (torch_block, shared_map):
-    target("check-" + take.__name__, take, "services.jobs.preflight_process")
+    target("check-" + take.__name__, take, "services.jobs.warm_process")
 '''
 )
 

@@ -47,7 +47,6 @@ def settings(redis_url: str, tmp_path_factory: pytest.TempPathFactory) -> Settin
         redis_url=redis_url,
         max_upload_bytes=300_000,
         max_faces=5000,
-        check_wait_seconds=60,
         check_seconds=120,
         preview_seconds=120,
     )

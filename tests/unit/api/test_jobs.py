@@ -7,6 +7,7 @@ import pytest
 from httpx import Client
 
 from api.state import Services
+from api.warm_pool import TooSlow
 from services.jobs.models import Job
 from tests.processes import command_line
 from tests.unit.api.conftest import SPHERE
@@ -158,7 +159,7 @@ def test_more_jobs_than_the_queue_takes_are_put_off(client: Client, services: Se
 def test_a_lost_preflight_process_is_replaced(client: Client) -> None:
     submit(client)
     for child in psutil.Process().children():
-        if "services.jobs.preflight_process" in command_line(child):
+        if "services.jobs.warm_process" in command_line(child):
             child.kill()
     statuses = [client.post("/v1/jobs", json=unseen()).status_code for _ in range(2)]
     assert statuses[-1] == 202
@@ -166,12 +167,12 @@ def test_a_lost_preflight_process_is_replaced(client: Client) -> None:
 
 
 def unseen() -> dict[str, object]:
-    """A request that no other is like, so that its check is not remembered."""
+    """A request that no other is like."""
     camera = SPHERE["scene"]["camera"] | {"azimuth": next(AZIMUTHS)}
     return SPHERE | {"scene": SPHERE["scene"] | {"camera": camera}}
 
 
-def test_a_check_is_remembered_for_other_seeds(client: Client) -> None:
+def test_the_seed_of_a_checked_request_stays(client: Client) -> None:
     spec = unseen()
     first = client.post("/v1/jobs", json=spec).json()
     asked = len(client.get("/v1/jobs").json()["items"])
@@ -182,14 +183,15 @@ def test_a_check_is_remembered_for_other_seeds(client: Client) -> None:
     assert second["spec"] == first["spec"] | {"seed": 5}
 
 
-def test_a_job_whose_check_takes_too_long_is_accepted_unchecked(client: Client, services: Services) -> None:
-    pool = services.preflight.specs
-    patience, pool.seconds = pool.seconds, 0.0
-    try:
-        answer = client.post("/v1/jobs", json=unseen())
-        named = client.post("/v1/jobs", json={"scene": {"objects": [{"mesh": "furniture/sofaa"}]}})
-    finally:
-        pool.seconds = patience
+def test_a_job_whose_check_takes_too_long_is_accepted_unchecked(
+    client: Client, services: Services, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def too_slow(*_: object) -> None:
+        raise TooSlow
+
+    monkeypatch.setattr(services.pool, "check", too_slow)
+    answer = client.post("/v1/jobs", json=unseen())
+    named = client.post("/v1/jobs", json={"scene": {"objects": [{"mesh": "furniture/sofaa"}]}})
     assert answer.status_code == 202, answer.text
     assert not answer.json()["checked"]
     assert named.status_code == 422  # names need no process

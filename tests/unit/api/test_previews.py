@@ -6,14 +6,11 @@ from typing import Any
 
 import pytest
 import torch
-from fastapi import FastAPI
 from httpx import Client
 from PIL import Image
 
-from api.check_pool import NoneFree
-from api.previewer import Previewer
 from api.state import Services
-from api.warm_process import TooSlow
+from api.warm_pool import NoneFree, TooSlow
 from services.analysis.images import pixels
 from services.pipeline.prepare import plan, prepare
 from tests.unit.jobs.records import attacks
@@ -63,31 +60,19 @@ def test_a_bad_request_gets_the_answer_of_a_job(client: Client, body: dict[str, 
     assert (answer.status_code, answer.json()) == (422, of_job.json())
 
 
-class OutOfTime:
-    """A pool that has no time."""
-
-    seconds = 1.5
-
-    def __init__(self, error: type[Exception]) -> None:
-        self.error = error
-
-    def start(self) -> None:
-        pass
-
-    def close(self) -> None:
-        pass
-
-    async def check(self, *_: object) -> dict[str, Any]:
-        raise self.error
-
-
-@pytest.mark.parametrize(("error", "status", "said"), [(TooSlow, 413, "1.5 s"), (NoneFree, 503, "try again")])
+@pytest.mark.parametrize(("error", "status", "said"), [(TooSlow, 413, "120 s"), (NoneFree, 503, "try again")])
 def test_too_little_time_is_said(
-    app: FastAPI, client: Client, monkeypatch: pytest.MonkeyPatch, error: type[Exception], status: int, said: str
+    services: Services,
+    client: Client,
+    monkeypatch: pytest.MonkeyPatch,
+    error: type[Exception],
+    status: int,
+    said: str,
 ) -> None:
-    previewer = app.state.services.previewer
-    assert isinstance(previewer, Previewer)
-    monkeypatch.setattr(previewer, "_pool", OutOfTime(error))
+    async def out_of_time(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(services.pool, "work", out_of_time)
     answer = client.post(PATH, json=BODY)
     assert answer.status_code == status
     assert said in answer.json()["detail"]

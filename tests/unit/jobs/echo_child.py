@@ -9,7 +9,7 @@ from services.jobs.child import OUT_OF_MEMORY, connect, reply, requests
 if __name__ == "__main__":
     connection = connect()
     reply(connection, {"ready": os.getpid(), "allocator": os.environ["MALLOC_TOP_PAD_"]})
-    for message, data in requests(connection):
+    for message in requests(connection):
         if message == {"do": "die"}:
             os.kill(os.getpid(), signal.SIGKILL)
         if message == {"do": "hang"}:
@@ -23,4 +23,4 @@ if __name__ == "__main__":
             continue
         if message == {"do": "stop"}:
             os.kill(os.getpid(), signal.SIGSTOP)
-        reply(connection, {"message": message, "bytes": len(data)})
+        reply(connection, {"message": message})

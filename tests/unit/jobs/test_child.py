@@ -25,9 +25,9 @@ def child(tmp_path: Path) -> Iterator[Child]:
     child.kill()
 
 
-def test_it_answers_messages_and_files(child: Child) -> None:
-    child.send({"do": "echo"}, b"line\nline\n" * 1000)
-    assert child.receive(10) == {"message": {"do": "echo"}, "bytes": 10_000}
+def test_it_answers_messages(child: Child) -> None:
+    child.send({"do": "echo", "text": "line\nline\n" * 1000})
+    assert child.receive(10) == {"message": {"do": "echo", "text": "line\nline\n" * 1000}}
     assert child.alive()
     assert child.memory() > 2**20
 
@@ -46,7 +46,7 @@ def test_one_that_says_it_needs_too_much_memory_stays(child: Child) -> None:
     with pytest.raises(OutOfMemory, match="SCENE_ATTACK_JOB_MEMORY_BYTES"):
         child.receive(30)
     child.send({"do": "echo"})
-    assert child.receive(10) == {"message": {"do": "echo"}, "bytes": 0}
+    assert child.receive(10) == {"message": {"do": "echo"}}
 
 
 def test_one_that_has_too_much_memory_is_killed_also_if_it_is_shared(tmp_path: Path) -> None:
@@ -70,7 +70,7 @@ def test_a_child_that_takes_no_request_is_killed(child: Child, monkeypatch: pyte
     monkeypatch.setattr(module, "SEND_SECONDS", 0.1)
     os.kill(child.pid, signal.SIGSTOP)
     with pytest.raises(ChildDied):
-        child.send({"do": "echo"}, bytes(2**23))
+        child.send({"do": "echo", "text": "x" * 2**23})
     assert child.kill() == -9
 
 

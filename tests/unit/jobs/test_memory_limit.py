@@ -13,11 +13,11 @@ GIB = 2**30
 
 
 @pytest.mark.parametrize("machine", [24, 32, 64])
-@pytest.mark.parametrize(("workers", "checks"), [(1, 1), (2, 1), (4, 2)])
-def test_the_limits_add_up_to_less_than_the_machine(monkeypatch, machine, workers, checks):
+@pytest.mark.parametrize("workers", [1, 2, 4])
+def test_the_limits_add_up_to_less_than_the_machine(monkeypatch, machine, workers):
     monkeypatch.setattr(module, "machine_memory", lambda: machine * GIB)
-    limit = memory_limit(Settings(workers=workers, check_processes=checks))
-    total = (workers + checks + 3) * limit + READING_BYTES + REST_BYTES
+    limit = memory_limit(Settings(workers=workers))
+    total = (workers + 2) * limit + READING_BYTES + REST_BYTES
     assert total <= machine * GIB or limit == LEAST
     assert LEAST <= limit <= MOST
 

@@ -10,7 +10,7 @@ if __name__ == "__main__":
     connection = connect()
     abilities = {"device": "cpu", "targets": ["efficientnet-lite0"], "memory": 7}
     reply(connection, {"ready": os.getpid(), "abilities": abilities})
-    for message, _ in requests(connection):
+    for message in requests(connection):
         script = (Settings().data_dir / "script").read_text()
         if script == "die":
             os.kill(os.getpid(), signal.SIGKILL)

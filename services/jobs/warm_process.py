@@ -1,0 +1,111 @@
+"""The program of the API's warm processes: it checks and previews requests, and makes exports of finished jobs and
+assets. Its network and OpenGL context stay loaded.
+
+The API starts it with `python -m services.jobs.warm_process FD`.
+"""
+
+import base64
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from services.analysis.images import png
+from services.errors import InvalidRequest, JobFailure, out_of_memory
+from services.export import ASSET, BUNDLE
+from services.export.asset_glb import asset_glb
+from services.export.bundle import read_finished, write_bundle
+from services.export.destinations import zipped
+from services.jobs.artifacts import ArtifactStore, Damaged
+from services.jobs.child import OUT_OF_MEMORY, connect, reply, requests
+from services.jobs.cpu_share import CHECKING, give_way
+from services.jobs.outages import outage_of
+from services.jobs.warm_up import warm_up
+from services.logs import configure, logger
+from services.pipeline.prepare import preflight
+from services.pipeline.preview import planned_cost, preview
+from services.pipeline.spec import JobSpec
+from services.scenes.library import Library
+from services.settings import Settings
+
+log = logger(__name__)
+
+
+def answer(message: dict[str, Any], library: Library, store: ArtifactStore) -> dict[str, Any]:
+    """Answers one request: {"check": spec} by {"spec", "warnings"}, {"preview": spec} by {"preview", "png"},
+    {"plan": spec} by {"plan", "cost"}, and {"export": …} as `export` says.
+
+    A request with bad fields is answered by {"errors": [[field, detail], …]}, one that needs too much memory by
+    OUT_OF_MEMORY, and one that failed by {"trouble"}.
+    """
+    try:
+        if "check" in message:
+            found = preflight(JobSpec.model_validate(message["check"]), library)
+            said = [one.model_dump(mode="json") for one in found.warnings]
+            return {"spec": found.spec.model_dump(mode="json"), "warnings": said}
+        if "preview" in message:
+            shown, image = preview(JobSpec.model_validate(message["preview"]), library)
+            return {"preview": shown.model_dump(mode="json"), "png": base64.b64encode(png(image)).decode()}
+        if "plan" in message:
+            return planned_cost(JobSpec.model_validate(message["plan"]), library).model_dump(mode="json")
+        return export(message["export"], library, store)
+    except InvalidRequest as error:
+        return {"errors": [(one.field, one.detail) for one in error.every]}
+    except JobFailure as error:
+        log.warning("request failed", kind=error.kind, exc_info=error)
+        return OUT_OF_MEMORY if out_of_memory(error) else {"trouble": f"{error.kind}: {error.detail}"}
+    except (Exception, SystemExit) as error:  # an extension's code may end the process it is run in
+        outage = outage_of(error)
+        if outage is not None:
+            log.warning("request met an outage", resource=outage.resource, error=str(error))
+            return {"trouble": outage.detail}
+        if out_of_memory(error):
+            return OUT_OF_MEMORY
+        log.error("request failed", exc_info=error)
+        return {"trouble": "internal: the service's log says why"}
+
+
+def export(message: dict[str, Any], library: Library, store: ArtifactStore) -> dict[str, Any]:
+    """Makes what a message asks for: {"what": BUNDLE, "before" or "after", "job": id, "artifacts": {name: sha256},
+    "out": path} or {"what": ASSET, "mesh": name, "out": path}. Writes the file `out` and answers {}, or
+    {"refused": sentence}.
+    """
+    files = {name: partial(_read, store, sha256) for name, sha256 in message.get("artifacts", {}).items()}
+    try:
+        with Path(message["out"]).open("r+b") as out:  # it makes no file if the client has gone, and with it this one
+            if message["what"] == ASSET:
+                out.write(asset_glb(message["mesh"], library))
+            elif message["what"] == BUNDLE:
+                with zipped(out, f"scene-attack-{message['job'][:8]}") as write:
+                    write_bundle(files, library, write, message["job"])
+            else:
+                out.write(read_finished(files, library).glb(message["what"]))
+    except InvalidRequest as error:
+        return {"refused": f"{error.field}: {error.detail}"}
+    except JobFailure as error:
+        return OUT_OF_MEMORY if out_of_memory(error) else {"refused": error.detail}
+    except (FileNotFoundError, Damaged) as error:
+        return {"refused": f"a file of the job is gone from the artifact store: {error}"}
+    return {}
+
+
+def _read(store: ArtifactStore, sha256: str) -> bytes:
+    with store.open(sha256) as file:
+        return file.read()
+
+
+def main() -> None:
+    """Loads network and OpenGL once, reports that it is ready, then answers requests until its parent ends."""
+    configure("preflight")
+    give_way(CHECKING)
+    values = Settings()
+    connection = connect()
+    inbox = requests(connection)
+    warm_up(values)
+    library, store = Library(values.cache_dir, values.files), ArtifactStore(values.files)
+    reply(connection, {"ready": True})
+    for message in inbox:
+        reply(connection, answer(message, library, store))
+
+
+if __name__ == "__main__":
+    main()
