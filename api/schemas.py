@@ -150,7 +150,7 @@ def _fields(job: "Job | ListedJob") -> dict:  # type: ignore[type-arg]
         "question": job.question,
         "checked": job.checked,
         "errors": job.errors or [],
-        "warnings": job.warnings or [],
+        "warnings": job.warnings,
         "outcome": job.outcome or None,
         "failure": failure,
     }

@@ -166,7 +166,7 @@ def page(job: Job, events: Iterable[Event], artifacts: Sequence[Artifact], best:
         attempt=job.attempt,
         failure_detail=job.failure_detail,
         errors=job.errors or [],
-        warnings=job.warnings or [],
+        warnings=job.warnings,
         result=with_outcome(job.result),
         subsets=rows,
         attribution=shares | {"parts": [names[part] for part in shares["parts"]]}

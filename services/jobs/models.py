@@ -85,8 +85,8 @@ class Job(Base):
     """Who sent the job or its campaign: the owner of the key, "" for a service without keys."""
 
     priority: Mapped[Priority] = mapped_column(default=Priority.NORMAL, server_default="normal")
-    needs: Mapped[str | None] = mapped_column(Text)
-    """What a worker must have to run it (services.jobs.placement.Needs.text); None in records of version 0.1."""
+    needs: Mapped[str] = mapped_column(Text)
+    """What a worker must have to run it (services.jobs.placement.Needs.text)."""
     waiting: Mapped[str | None] = mapped_column(Text)
     """Why none of the live workers takes the queued job; None if one of them can."""
 
@@ -140,8 +140,8 @@ class Job(Base):
     """Whether the scene was rendered and the network asked before the job was accepted, or by a worker since."""
     errors: Mapped[list[dict[str, Any]] | None]
     """The invalid fields of a rejected job, each as {"field", "detail"}."""
-    warnings: Mapped[list[Any] | None]
-    """What the sender was warned of (services.pipeline.warning.JobWarning); None in records of version 0.1."""
+    warnings: Mapped[list[Any]]
+    """What the sender was warned of (services.pipeline.warning.JobWarning)."""
     phase: Mapped[str | None] = mapped_column(String(32))
     step: Mapped[int | None]
     steps: Mapped[int | None]

@@ -28,14 +28,14 @@ class Needs:
     memory: int = 0
 
     @classmethod
-    def read(cls, text: str | None) -> Self:
-        """The needs of a `text`; None is that of a job that any worker may run. Raises ValueError for another text."""
+    def read(cls, text: str) -> Self:
+        """The needs of a `text`. Raises ValueError if it is that of none."""
         try:
-            targets, device, memory = json.loads(text or "[[], null, 0]")
+            targets, device, memory = json.loads(text)
             if not _is_names(targets) or device not in (None, "cpu", "cuda") or type(memory) is not int:
                 raise ValueError("a value of another kind")
         except (TypeError, ValueError, RecursionError) as error:
-            raise ValueError(f"these are no needs of a job: {(text or '')[:100]!r}") from error
+            raise ValueError(f"these are no needs of a job: {text[:100]!r}") from error
         return cls(tuple(targets), device, memory)
 
     @property

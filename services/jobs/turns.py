@@ -10,7 +10,7 @@ from sqlalchemy.orm import aliased
 
 from services.jobs.attempts import Attempts
 from services.jobs.models import Job, State
-from services.jobs.placement import ANY_WORKER, Abilities, Needs, Priority
+from services.jobs.placement import Abilities, Needs, Priority
 from services.jobs.transactions import not_held
 from services.jobs.utc_time import place
 
@@ -80,9 +80,9 @@ class Turns(Attempts):
         with self._read() as session:
             priority = session.scalar(select(Job.priority).where(Job.id == job_id))
             queued = (Job.state == State.QUEUED, Job.priority == priority, not_held())
-            needs = session.scalars(select(func.coalesce(Job.needs, ANY_WORKER.text)).where(*queued).distinct()).all()
+            needs = session.scalars(select(Job.needs).where(*queued).distinct()).all()
             mine = [text for text in needs if abilities.lacks(Needs.read(text)) is None]
-            possible = (*queued, func.coalesce(Job.needs, ANY_WORKER.text).in_(mine))
+            possible = (*queued, Job.needs.in_(mine))
             owners = select(Job.owner).where(*possible).group_by(Job.owner, Job.priority)
             owners = owners.order_by(last.scalar_subquery().nulls_first(), func.min(Job.queued_at)).limit(1)
             jobs = select(Job.id).where(*possible, Job.owner == owners.scalar_subquery())
