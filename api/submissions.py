@@ -13,7 +13,6 @@ from starlette.concurrency import run_in_threadpool
 from api.schemas import JobView
 from services.access.caller import Caller
 from services.access.quotas import Quotas
-from services.errors import InvalidRequest
 from services.jobs.models import Artifact, Job, JobKind
 from services.jobs.placement import Demand, Needs
 from services.jobs.queue import Queue
@@ -80,10 +79,7 @@ class Submissions:
             request = attack = parse(job.spec)
             file = checkpoint
         check_names(attack, self.names(caller))
-        try:
-            needs = Needs.read(job.needs)
-        except ValueError as error:
-            raise InvalidRequest("job", str(error)) from error
+        needs = Needs.read(job.needs)
         demand = Demand(job.priority, needs.device, needs.memory)
         return self._submit(request, None, caller, demand, None, file=file, retry_of=job.id)
 
@@ -112,13 +108,12 @@ class Submissions:
 
     def _ring(self, job: Job) -> None:
         try:
-            self.queue.send(job.id, job.attempt, job.priority, Needs.read(job.needs))
+            self.queue.ring(job.priority)
         except RedisError as error:
-            # The job is recorded; the supervisor sends it when Redis answers again.
+            # The job is recorded; the supervisor rings for it when Redis answers again.
             log.warning("queue out of reach, job waits in the record", job=job.id, error=str(error))
-            return
-        self.repository.sent(job.id, job.attempt)
-        log.info("job queued", job=job.id)
+        else:
+            log.info("job queued", job=job.id)
 
 
 def _answer(job: Job) -> dict[str, Any]:

@@ -45,7 +45,7 @@ from benchmarks.postgresql import Server
 from benchmarks.report import RESULTS, save
 from services.jobs.database import connect, migrate
 from services.jobs.models import State
-from services.jobs.placement import Abilities
+from services.jobs.placement import Abilities, Priority
 from services.jobs.repository import Repository
 from services.pipeline.spec import parse
 from services.settings import Settings
@@ -354,7 +354,7 @@ def _operations(settings: Settings, count: int) -> dict[str, float]:
         _create(repository, mixed(4)[0] | {"seed": number})
     for number in range(QUEUED, QUEUED + count):
         job_id = timed("submission", partial(_create, repository, mixed(4)[0] | {"seed": number}))
-        timed("turn", partial(repository.turn, job_id, ABILITIES))
+        timed("turn", partial(repository.next_job, Priority.NORMAL, ABILITIES))
         attempt = timed("lease", partial(repository.lease, job_id, "benchmark", 60.0))
         assert attempt is not None
         timed("progress", partial(repository.progress, attempt, "attacking", 1, 9, [ROW]))

@@ -18,7 +18,7 @@ from services.jobs.database import migrate
 from services.jobs.housekeeping import Housekeeping
 from services.jobs.queue import Queue
 from services.jobs.queue import connect as connect_redis
-from services.jobs.reconciler import Reconciler
+from services.jobs.reconciler import reconcile
 from services.jobs.repository import Repository
 from services.logs import configure, logger
 from services.process import use
@@ -74,12 +74,12 @@ def _worker(index: int, values: Settings, repository: Repository) -> Program:
 
 def housekeeping(values: Settings, engine: Engine) -> Callable[[], None]:
     """Returns the function that a supervisor calls once a second. It takes lapsed leases back, moves campaigns on,
-    sends queued jobs that are not on the queue, and removes what nothing needs any more.
+    rings for queued jobs, and removes what nothing needs any more.
 
     Several supervisors may do so at once; each step is a transaction that changes a job at most once.
     """
     repository = Repository(engine)
-    reconciler = Reconciler(repository, Queue(connect_redis(values.redis_url)))
+    queue = Queue(connect_redis(values.redis_url))
     feeder = Feeder(engine, values.max_campaign_queued)
     store = ArtifactStore(values.files)
     meshes = values.cache_dir / "meshes", values.cache_bytes
@@ -93,7 +93,7 @@ def housekeeping(values: Settings, engine: Engine) -> Callable[[], None]:
             for job_id in repository.take_back(values.max_attempts):
                 log.warning("job taken back, its lease had lapsed", job=job_id)
             feeder.tick()
-            reconciler.look()
+            reconcile(repository, queue)
             house.tidy()
         except (SQLAlchemyError, RedisError, OSError) as error:
             if not failing:  # once, or an outage would fill the log

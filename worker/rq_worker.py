@@ -1,4 +1,4 @@
-"""The RQ worker: it takes job ids off the queue and runs the jobs one by one, without forking.
+"""The RQ worker: when a bell wakes it, it runs the job that the record names next, without forking.
 
 The supervisor starts and restarts it with `python -m worker.rq_worker NAME`.
 """
@@ -13,14 +13,15 @@ from redis import Redis
 from redis.exceptions import RedisError
 from rq import SimpleWorker
 from rq.exceptions import StopRequested
-from rq.job import Job as Message
+from rq.job import Job as Bell
 from rq.utils import now
 from rq.worker_registration import clean_worker_registry
 
-from services.jobs import queue, watchdog
+from services.jobs import watchdog
 from services.jobs.child import ChildDied
 from services.jobs.database import connect as connect_database
-from services.jobs.placement import ANY_WORKER, Priority
+from services.jobs.placement import Priority
+from services.jobs.queue import ANSWER_SECONDS, HEARTBEAT_SECONDS, Queue, connect, priority_of, queue_name
 from services.jobs.repository import Repository
 from services.logs import configure, logger
 from services.settings import Settings
@@ -30,7 +31,7 @@ log = logger(__name__)
 
 
 class JobWorker(SimpleWorker):  # type: ignore[misc]
-    """RQ's worker, with heartbeats during jobs and a quick stop. It calls the runner, and nothing that a message names:
+    """RQ's worker, with heartbeats during jobs and a quick stop. It calls the runner, and nothing that a bell names:
     neither its function nor its callbacks, and it neither retries it nor sends webhooks.
     """
 
@@ -38,51 +39,33 @@ class JobWorker(SimpleWorker):  # type: ignore[misc]
     log_job_description = False
 
     def __init__(self, runner: Runner, connection: Redis, **options: Any) -> None:
-        self._messages = queue.Queue(connection)
-        # Its queues are found at the first heartbeat. Redis is not asked before RQ has set how long answers may take.
-        mine = [queue.queue_name(Priority.NORMAL, ANY_WORKER)]
+        self._queue = Queue(connection)
+        names = [queue_name(priority) for priority in Priority]
         # RQ listens for worker_ttl - 15 seconds at a time and sends a heartbeat in between.
-        ttl = 15 + queue.HEARTBEAT_SECONDS
-        super().__init__(mine, connection=connection, worker_ttl=ttl, serializer="json", **options)
+        ttl = 15 + HEARTBEAT_SECONDS
+        super().__init__(names, connection=connection, worker_ttl=ttl, serializer="json", **options)
         self._runner = runner
         self._beaten = 0.0
 
     @property
     def connection_timeout(self) -> int:
         """Longest time in seconds for which the worker waits for Redis: less than a lease lasts. RQ's is 15."""
-        return queue.HEARTBEAT_SECONDS + queue.ANSWER_SECONDS
+        return HEARTBEAT_SECONDS + ANSWER_SECONDS
 
     def heartbeat(self, timeout: int | None = None, pipeline: Any = None) -> None:
         """Sends RQ's heartbeat, and records that this worker is alive."""
         watchdog.alive()
         super().heartbeat(timeout, pipeline)
-        self._messages.alive(self.name, self._runner.abilities)
-        self._listen()
-
-    def _listen(self) -> None:
-        """Listens to all queues whose jobs this worker can run. There may be new ones since the last wait."""
-        known = set(self.queue_names())
-        mine = self._messages.for_worker(self._runner.abilities)
-        if known != set(mine):
-            self.queues = [rq.Queue(name, connection=self.connection, serializer="json") for name in mine]
-            self._ordered_queues = list(self.queues)
-
-    def reorder_queues(self, reference_queue: rq.Queue) -> None:
-        """Puts the queue of the last message behind the others of its priority, so that they take turns."""
-
-        def place(one: rq.Queue) -> tuple[int, bool]:
-            return list(Priority).index(queue.priority_of(one.name)), one == reference_queue
-
-        self._ordered_queues.sort(key=place)
+        self._queue.alive(self.name, self._runner.abilities)
 
     def register_death(self) -> None:
         """Records that this worker has ended."""
         watchdog.alive()
         super().register_death()
-        self._messages.gone(self.name)
+        self._queue.gone(self.name)
 
     def _beat(self) -> None:
-        if time.monotonic() - self._beaten < queue.HEARTBEAT_SECONDS:
+        if time.monotonic() - self._beaten < HEARTBEAT_SECONDS:
             return
         self._beaten = time.monotonic()
         try:
@@ -90,23 +73,19 @@ class JobWorker(SimpleWorker):  # type: ignore[misc]
         except RedisError as error:
             log.warning("Redis is out of reach, the job goes on", error=str(error))
 
-    def execute_job(self, job: Message, queue_: Any) -> None:  # noqa: ARG002 - RQ's signature
-        """Runs the job whose id is in a message. A message that names anything else is refused."""
-        self._messages.forget(job.id)  # what becomes of its job is in the record
-        job_id = queue.job_id_of(job)
-        if job_id is None:
-            log.error("message refused: it is none of the service's", message=repr(job.id[:100]))
-            return
-        self._runner.run(job_id, self._beat)
+    def execute_job(self, job: Bell, queue: rq.Queue) -> None:
+        """Runs the next job of the priority of `queue`, if there is one. Whatever else the bell says is not read."""
+        self._queue.answered(job.id)
+        self._runner.run(priority_of(queue.name), self._beat)
 
     def run_maintenance_tasks(self) -> None:
-        """Forgets workers that have died. RQ would also fail the messages they left, and call their callbacks."""
+        """Forgets workers that have died. RQ would also fail the bells they left, and call their callbacks."""
         for one in self.queues:
             clean_worker_registry(one)
         self.last_cleaned_at = now()
 
     def dequeue_job_and_maintain_ttl(self, timeout: int | None, max_idle_time: int | None = None) -> Any:
-        """Takes a message only when the job process is warm, so that no leased job waits for the process to start, and
+        """Answers a bell only when the job process is warm, so that no leased job waits for the process to start, and
         when the database and the data directory are there.
         """
         self._runner.ensure_ready()
@@ -132,7 +111,7 @@ def _work(runner: Runner, name: str, redis_url: str) -> None:
     """
     watchdog.alive()
     try:
-        JobWorker(runner, name=name, connection=queue.connect(redis_url)).work(logging_level="WARNING")
+        JobWorker(runner, name=name, connection=connect(redis_url)).work(logging_level="WARNING")
     except RedisError as error:
         log.warning("Redis is out of reach", error=str(error))
 

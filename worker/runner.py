@@ -13,7 +13,7 @@ from services.jobs import watchdog
 from services.jobs.artifacts import ArtifactStore
 from services.jobs.attempts import Attempt, Standing
 from services.jobs.child import Child, ChildDied, OutOfMemory
-from services.jobs.placement import NOTHING, Abilities
+from services.jobs.placement import NOTHING, Abilities, Priority
 from services.jobs.repository import Repository
 from services.jobs.storage import Storage
 from services.logs import logger
@@ -31,7 +31,7 @@ that the attack has found, which takes seconds."""
 RETRY_SECONDS = 1.0
 """Time between two tries to reach what is away."""
 TURNS = 3
-"""Tries to lease the job whose turn it is: another worker may be quicker."""
+"""Tries to lease the next job: another worker may be quicker."""
 MAX_JOBS = 200
 """Number of jobs after which a job process is replaced."""
 MAX_GROWTH = 2 * 2**30
@@ -100,22 +100,20 @@ class Runner:
         assert self._child is not None
         return self._jobs >= MAX_JOBS or self._child.memory() - self._memory > MAX_GROWTH
 
-    def run(self, job_id: str, beat: Callable[[], None]) -> None:
-        """Leases and runs a job until it ends, fails, is cancelled, or is queued again because the worker stops.
+    def run(self, priority: Priority, beat: Callable[[], None]) -> None:
+        """Leases and runs the next job of a priority until it ends, fails, is cancelled, or is queued again because the
+        worker stops. Does nothing if no such job is queued that this worker can run.
 
-        The job is the one whose turn it is, of those with the priority of `job_id`. Does nothing if none of them that
-        this worker can run is queued any more.
         Calls `beat` about once a second. Raises ChildDied if no job process can be started. If the database does not
-        answer, the record sends the job again: it is queued, or its lease lapses.
+        answer, the supervisor rings again: the job is queued, or its lease lapses.
         """
         self.ensure_ready()
         try:
-            attempt = self._lease(job_id)
+            attempt = self._lease(priority)
         except SQLAlchemyError as error:
-            log.warning("job not taken, the database does not answer", job=job_id, error=str(error))
+            log.warning("no job taken, the database does not answer", error=str(error))
             return
         if attempt is None:
-            log.info("no such job is queued, message dropped", job=job_id)
             return
         job_id = attempt.job_id
         log.info("job taken", job=job_id, attempt=attempt.number)
@@ -136,12 +134,12 @@ class Runner:
             self.close()  # nobody would watch the job, and its answer would be taken for that of the next one
             raise
 
-    def _lease(self, job_id: str) -> Attempt | None:
+    def _lease(self, priority: Priority) -> Attempt | None:
         for _ in range(TURNS):
-            turn = self._repository.turn(job_id, self._abilities)
-            if turn is None:
+            job_id = self._repository.next_job(priority, self._abilities)
+            if job_id is None:
                 return None
-            attempt = self._repository.lease(turn, self._owner, self._settings.lease_seconds)
+            attempt = self._repository.lease(job_id, self._owner, self._settings.lease_seconds)
             if attempt is not None:
                 return attempt
         return None

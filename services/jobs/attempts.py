@@ -49,7 +49,7 @@ class Attempts(Transactions):
 
     def lease(self, job_id: str, owner: str, seconds: float) -> Attempt | None:
         """Leases a queued job to `owner` for `seconds`. Returns None if the job is not queued any more, e.g. because
-        its id was delivered twice, or if its campaign is paused.
+        another worker was quicker, or if its campaign is paused.
         """
         with self._write() as session:
             job = self._move(
@@ -207,7 +207,7 @@ class Attempts(Transactions):
             if free["lost"] >= max_attempts:
                 self._move(session, attempt.job_id, State.FAILED, fence, **free, **reason)
                 return
-        self._move(session, attempt.job_id, State.QUEUED, fence, **free, sent_at=None, phase_at=None)
+        self._move(session, attempt.job_id, State.QUEUED, fence, **free, phase_at=None)
 
 
 def _reached(step: int, queries: int) -> dict[str, Any]:

@@ -14,7 +14,6 @@ _UNLISTED = [
     "note",
     "needs",
     "digest",
-    "sent_at",
     "phase_at",
     "lease_owner",
     "lease_until",

@@ -1,4 +1,4 @@
-"""The tables of the record. The database holds the state of every job; Redis carries their ids only."""
+"""The tables of the record. The database holds the state of every job; Redis only wakes workers."""
 
 from datetime import datetime
 from enum import StrEnum
@@ -61,7 +61,6 @@ class Job(Base):
     __table_args__ = (
         Index("jobs_by_state", "state", "created_at", "id"),
         Index("jobs_by_turn", "state", "campaign_id", "kind"),
-        Index("jobs_by_sending", "state", "sent_at"),
         Index("jobs_by_age", "created_at", "id"),
         Index("jobs_by_owner", "owner", "created_at", "id"),
         Index("jobs_by_start", "owner", "priority", "running_at"),
@@ -125,8 +124,6 @@ class Job(Base):
     rejected_at: Mapped[datetime | None]
     cancelled_at: Mapped[datetime | None]
 
-    sent_at: Mapped[datetime | None]
-    """The time at which the id was last put on the queue since the job entered the state queued; None before that."""
     attempt: Mapped[int] = mapped_column(default=0)
     """Number of times that a worker leased the job. Writes carry it and change nothing if it has increased since."""
     lost: Mapped[int] = mapped_column(default=0)

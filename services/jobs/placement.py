@@ -1,4 +1,4 @@
-"""Which worker may run which job, and whose turn it is. A job needs networks, and may ask for a device and for memory;
+"""Which worker may run which job, and why jobs wait. A job needs networks, and may ask for a device and for memory;
 a worker announces what it has, and takes only jobs whose needs it meets.
 """
 
@@ -29,18 +29,13 @@ class Needs:
 
     @classmethod
     def read(cls, text: str) -> Self:
-        """The needs of a `text`. Raises ValueError if it is that of none."""
-        try:
-            targets, device, memory = json.loads(text)
-            if not _is_names(targets) or device not in (None, "cpu", "cuda") or type(memory) is not int:
-                raise ValueError("a value of another kind")
-        except (TypeError, ValueError, RecursionError) as error:
-            raise ValueError(f"these are no needs of a job: {text[:100]!r}") from error
+        """The needs with this `text`."""
+        targets, device, memory = json.loads(text)
         return cls(tuple(targets), device, memory)
 
     @property
     def text(self) -> str:
-        """The needs in words of their own: equal needs have equal texts. It is part of the name of a queue."""
+        """The needs as the record has them: equal needs have equal texts."""
         return json.dumps([self.targets, self.device, self.memory])
 
 

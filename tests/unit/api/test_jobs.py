@@ -9,6 +9,7 @@ from httpx import Client
 from api.state import Services
 from api.warm_pool import TooSlow
 from services.jobs.models import Job
+from services.jobs.placement import Priority
 from tests.processes import command_line
 from tests.unit.api.conftest import SPHERE
 from tests.unit.jobs.records import attacks
@@ -37,9 +38,11 @@ def test_a_job_is_accepted_and_echoes_the_whole_spec(client: Client) -> None:
     assert got.json() == job
 
 
-def test_its_id_waits_on_the_queue(client: Client, services: Services) -> None:
-    job = submit(client)
-    assert f"{job['id']}-0" in services.queue.waiting()
+def test_a_bell_rings_for_it(client: Client, services: Services) -> None:
+    bells = services.queue.bells(Priority.HIGH)
+    answer = client.post("/v1/jobs?priority=high", json=SPHERE)
+    assert answer.status_code == 202
+    assert services.queue.bells(Priority.HIGH) == bells + 1
 
 
 def test_a_key_gets_the_first_answer_and_no_second_job(client: Client, services: Services) -> None:

@@ -2,11 +2,13 @@
 
 from typing import Any
 
-from sqlalchemy import Engine
+from sqlalchemy import Engine, select
+from sqlalchemy.orm import Session
 
 from services.jobs.campaigns import Campaigns, Feeder, request_digest
-from services.jobs.models import Campaign, CampaignState, Job
+from services.jobs.models import Campaign, CampaignState, Job, State
 from services.jobs.repository import Repository
+from services.jobs.transactions import not_held
 from services.pipeline.campaign_plan import identity, views
 from services.pipeline.campaign_spec import CampaignSpec, parse
 from services.pipeline.outcome import outcome
@@ -33,6 +35,7 @@ class Stage:
     """A record with a feeder, and a worker without a renderer."""
 
     def __init__(self, engine: Engine, repository: Repository) -> None:
+        self.engine = engine
         self.repository = repository
         self.campaigns = Campaigns(engine)
         self.feeder = Feeder(engine, QUEUED)
@@ -49,8 +52,10 @@ class Stage:
         return found
 
     def queued(self) -> list[Job]:
-        found = [self.repository.work(one.job_id) for one in self.repository.queued()]
-        return [job for job in found if job is not None]
+        """The queued jobs that may run, oldest first."""
+        queued = select(Job).where(Job.state == State.QUEUED, not_held()).order_by(Job.created_at, Job.id)
+        with Session(self.engine) as session:
+            return list(session.scalars(queued))
 
     def work(self, job: Job, right: bool = True) -> None:
         """Runs one job as a worker would."""

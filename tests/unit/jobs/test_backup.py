@@ -126,7 +126,7 @@ def test_a_service_starts_on_the_copy(
     migrate(engine, restored)
     there = Repository(engine)
     assert there.take_back(5) == [running.id]
-    assert {waiting.job_id for waiting in there.queued()} == {queued.id, running.id}
+    assert {job.id for job in attacks(there, "state:queued")} == {queued.id, running.id}
     [artifact] = there.artifacts(done)
     with ArtifactStore(restored.files).open(artifact.sha256) as file:
         assert file.read() == b"done"

@@ -1,3 +1,5 @@
+"""Bells, signs of life, and the supervisor's look at the queue and the record."""
+
 import asyncio
 import json
 import zlib
@@ -5,20 +7,21 @@ from collections.abc import Iterator
 from typing import Any, cast
 
 import pytest
-from rq.job import Job as Message
+from rq.job import Job as Bell
 
 from api.submissions import Submissions
 from services.access.caller import KEYLESS
 from services.access.quotas import Quotas
-from services.jobs import reconciler
-from services.jobs.placement import NO_DEMAND
-from services.jobs.queue import HEARTBEAT_SECONDS, TASK, Queue, connect
-from services.jobs.reconciler import SETTLE_SECONDS, Reconciler
+from services.jobs.placement import NO_DEMAND, Abilities, Priority
+from services.jobs.queue import HEARTBEAT_SECONDS, Queue, connect
+from services.jobs.reconciler import reconcile
 from services.jobs.repository import Repository
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import SPEC, add, start
 
 pytestmark = pytest.mark.slow
+
+ABLE = Abilities("cpu", frozenset({"efficientnet-lite0"}), 2**34)
 
 
 @pytest.fixture
@@ -29,121 +32,84 @@ def queue(redis_url: str) -> Iterator[Queue]:
     redis.close()
 
 
-def lost(queue: Queue) -> None:
-    """What Redis looks like after it was restarted."""
-    queue.redis.flushall()
+@pytest.fixture
+def workers(queue: Queue) -> Queue:
+    """The queue with two live workers."""
+    queue.alive("a", ABLE)
+    queue.alive("b", ABLE)
+    return queue
 
 
-def taken_and_dropped(queue: Queue) -> None:
-    """What Redis looks like after a worker took the message and died: its list is empty, its hash is there."""
-    assert queue.redis.delete(*queue.redis.scan_iter("rq:queue:*")) == 1
+def bells(queue: Queue) -> list[int]:
+    """The number of bells of each priority."""
+    return [queue.bells(priority) for priority in Priority]
 
 
-def test_a_message_is_a_name_and_an_id_in_json(queue: Queue) -> None:
-    queue.send("abc", 0)
-    (message_id,) = queue.waiting()
-    message = Message.fetch(message_id, connection=queue.redis, serializer="json")
-    assert (message.func_name, message.args, message.kwargs) == (TASK, ["abc"], {})
-    data = queue.redis.hget(message.key, "data")
+def test_a_bell_is_a_name_in_json_and_no_more(queue: Queue) -> None:
+    queue.ring(Priority.HIGH)
+    [key] = queue.redis.scan_iter("rq:job:*")
+    bell = Bell.fetch(key.decode().removeprefix("rq:job:"), connection=queue.redis, serializer="json")
+    assert (bell.func_name, bell.args, bell.kwargs) == ("ring", [], {})
+    data = queue.redis.hget(bell.key, "data")
     assert isinstance(data, bytes)
-    assert json.loads(zlib.decompress(data)) == ["run_job", None, ["abc"], {}]
+    assert json.loads(zlib.decompress(data)) == ["ring", None, [], {}]
 
 
-def test_a_job_is_sent_once_however_often_it_is_tried(repository: Repository, queue: Queue) -> None:
-    job = add(repository)
-    queue.send(job.id, 0)
-    queue.send(job.id, 0)
-    Reconciler(repository, queue).look()
-    assert repository.unsent(1) == [], "its sender died before it had recorded that it was sent"
-    (name,) = queue.redis.scan_iter("rq:queue:*")
-    assert queue.redis.llen(name) == 1
-
-
-def test_what_was_recorded_but_never_sent_is_sent(repository: Repository, queue: Queue) -> None:
-    first, second = add(repository), add(repository)
-    assert Reconciler(repository, queue).look() == 2
-    assert queue.waiting() == {f"{first.id}-0", f"{second.id}-0"}
-    assert Reconciler(repository, queue).look() == 0
-
-
-@pytest.mark.parametrize("accident", [lost, taken_and_dropped])
-def test_what_redis_lost_is_sent_again(repository: Repository, queue: Queue, clock: Clock, accident) -> None:  # type: ignore[no-untyped-def]
-    job = add(repository)
-    assert Reconciler(repository, queue).look() == 1
-    accident(queue)
-    clock.advance(SETTLE_SECONDS + 1)
-    assert Reconciler(repository, queue).look() == 1
-    assert queue.waiting() == {f"{job.id}-0"}
-
-
-def test_a_look_is_at_few_jobs_and_all_get_their_turn(
-    repository: Repository, queue: Queue, clock: Clock, monkeypatch: pytest.MonkeyPatch
+def test_the_supervisor_rings_for_every_worker_where_a_job_waits_that_one_can_run(
+    repository: Repository, workers: Queue
 ) -> None:
-    monkeypatch.setattr(reconciler, "AT_ONCE", 3)
-    jobs = [add(repository) for _ in range(8)]  # all of one time, so that their ids order them
-    steady = Reconciler(repository, queue)
-    first = [steady.look() for _ in range(4)]
-    assert max(first) <= 2 * 3
-    assert sum(first) == 8
-    lost(queue)
-    clock.advance(SETTLE_SECONDS + 1)
-    newest = add(repository)
-    sent = [steady.look() for _ in range(4)]
-    assert max(sent) <= 2 * 3
-    assert sum(sent) == 9
-    assert queue.waiting() == {f"{job.id}-0" for job in [*jobs, newest]}
-
-
-def test_every_reason_to_wait_is_found_in_turn(
-    repository: Repository, queue: Queue, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(reconciler, "AT_ONCE", 3)
-    jobs = [add(repository) for _ in range(8)]
-    for job in jobs:
-        repository.sent(job.id, 0)
-    steady = Reconciler(repository, queue)
-    for _ in range(3):
-        steady.look()
-    assert {found.why for found in repository.queued()} == {"no worker is running"}
-
-
-def test_a_message_just_taken_is_not_sent_again(repository: Repository, queue: Queue) -> None:
     add(repository)
-    Reconciler(repository, queue).look()
-    taken_and_dropped(queue)
-    assert Reconciler(repository, queue).look() == 0
+    add(repository)
+    reconcile(repository, workers)
+    assert bells(workers) == [0, 2, 0]
+    reconcile(repository, workers)
+    assert bells(workers) == [0, 2, 0], "the bells have not been answered yet"
+    workers.redis.flushall()  # Redis loses them, and does not know the workers until their next signs of life
+    reconcile(repository, workers)
+    assert bells(workers) == [0, 0, 0]
+    workers.alive("a", ABLE)
+    reconcile(repository, workers)
+    assert bells(workers) == [0, 1, 0]
 
 
-def test_a_clock_that_is_put_back_holds_no_job_up(repository: Repository, queue: Queue, clock: Clock) -> None:
-    job = add(repository)
-    Reconciler(repository, queue).look()
-    lost(queue)
+def test_nobody_rings_for_jobs_that_run_or_have_ended_or_that_no_worker_can_run(
+    repository: Repository, queue: Queue
+) -> None:
+    queue.alive("a", Abilities("cpu", frozenset(), 2**34))
+    first, second = add(repository), add(repository)
+    reconcile(repository, queue)
+    assert bells(queue) == [0, 0, 0]
+    queue.alive("a", ABLE)
+    start(repository, first)
+    repository.cancelled(start(repository, second))
+    reconcile(repository, queue)
+    assert bells(queue) == [0, 0, 0]
+
+
+def test_the_supervisor_rings_for_a_job_that_is_given_back(repository: Repository, workers: Queue) -> None:
+    attempt = start(repository, add(repository))
+    reconcile(repository, workers)
+    assert bells(workers) == [0, 0, 0]
+    repository.give_back(attempt)
+    reconcile(repository, workers)
+    assert bells(workers) == [0, 2, 0]
+
+
+def test_a_clock_that_is_put_back_holds_no_job_up(repository: Repository, workers: Queue, clock: Clock) -> None:
+    add(repository)
     clock.advance(-3600)
-    assert Reconciler(repository, queue).look() == 1
-    assert queue.waiting() == {f"{job.id}-0"}
+    reconcile(repository, workers)
+    assert bells(workers) == [0, 2, 0]
 
 
-def test_only_queued_jobs_are_sent(repository: Repository, queue: Queue) -> None:
-    start(repository, add(repository))
-    repository.request_cancel(add(repository).id)
-    assert Reconciler(repository, queue).look() == 0
-
-
-def test_a_job_given_back_is_sent_for_its_next_attempt(repository: Repository, queue: Queue) -> None:
-    job = add(repository)
-    Reconciler(repository, queue).look()
-    repository.give_back(start(repository, job))
-    assert Reconciler(repository, queue).look() == 1
-    assert f"{job.id}-1" in queue.waiting()
-
-
-def test_a_job_is_taken_while_redis_is_away(repository: Repository, queue: Queue, tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_a_job_is_taken_while_redis_is_away(repository: Repository, workers: Queue, tmp_path) -> None:  # type: ignore[no-untyped-def]
     nowhere = Queue(connect(f"unix://{tmp_path}/none.sock"))
     quotas = Quotas(cast(Any, None), 10, 10, 10)
     submissions = Submissions(repository, nowhere, quotas, cast(Any, None), 10)
     job = asyncio.run(submissions.submit(SPEC, None, KEYLESS, NO_DEMAND, None))
-    assert Reconciler(repository, queue).look() == 1
-    assert queue.waiting() == {f"{job.id}-0"}
+    reconcile(repository, workers)
+    assert bells(workers) == [0, 2, 0]
+    assert repository.next_job(Priority.NORMAL, ABLE) == job.id
 
 
 def test_signs_of_life_are_counted_and_do_not_last(queue: Queue) -> None:

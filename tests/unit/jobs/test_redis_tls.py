@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from redis import exceptions
 
+from services.jobs.placement import Priority
 from services.jobs.queue import Queue, connect
 from tests import redis_over_tcp
 from tests.redis_over_tcp import QUOTED
@@ -72,8 +73,8 @@ def tls_port(port: int, certificate: Path) -> Iterator[int]:
 def test_a_queue_with_a_password_over_tls(tls_port: int, certificate: Path) -> None:
     with connect(f"rediss://:{QUOTED}@localhost:{tls_port}/0?ssl_ca_certs={certificate}") as redis:
         queue = Queue(redis)
-        queue.send("a" * 32, 0)
-        assert queue.waiting() == {"a" * 32 + "-0"}
+        queue.ring()
+        assert queue.bells(Priority.NORMAL) == 1
 
 
 def test_a_certificate_that_nobody_trusts_is_refused(tls_port: int) -> None:
@@ -92,4 +93,4 @@ def test_a_certificate_of_another_host_is_refused(tls_port: int, certificate: Pa
 
 def test_without_the_password_nothing_is_sent(port: int) -> None:
     with connect(f"redis://127.0.0.1:{port}/0") as redis, pytest.raises(exceptions.AuthenticationError):
-        Queue(redis).send("a" * 32, 0)
+        Queue(redis).ring()

@@ -1,4 +1,4 @@
-"""The worker's messages, taken from a real Redis, with a runner that only notes what it was asked to run."""
+"""The worker's bells, taken from a real Redis, with a runner that only notes what it was asked to run."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -9,24 +9,23 @@ import rq
 from redis import Redis
 from rq import Callback, Retry
 
-from services.jobs.placement import ANY_WORKER, NOTHING, Abilities, Needs, Priority
-from services.jobs.queue import TASK, Queue, connect, queue_name
+from services.jobs.placement import NOTHING, Abilities, Priority
+from services.jobs.queue import Queue, connect, queue_name
 from services.settings import Settings
 from worker.rq_worker import JobWorker
 from worker.runner import Runner
 
 pytestmark = pytest.mark.slow
 
-ID = "0123456789abcdef" * 2
-NAME = queue_name(Priority.NORMAL, ANY_WORKER)
+NAME = queue_name(Priority.NORMAL)
 
 
 class Noting(Runner):
-    """Notes the ids."""
+    """Notes the priorities."""
 
     def __init__(self) -> None:
         super().__init__(Settings(), None, "w")  # type: ignore[arg-type]
-        self.seen: list[str] = []
+        self.seen: list[Priority] = []
 
     def ensure_ready(self) -> None:
         pass
@@ -34,9 +33,9 @@ class Noting(Runner):
     def usable(self) -> bool:
         return True
 
-    def run(self, job_id: str, beat: Callable[[], None]) -> None:
+    def run(self, priority: Priority, beat: Callable[[], None]) -> None:
         beat()
-        self.seen.append(job_id)
+        self.seen.append(priority)
 
 
 @pytest.fixture
@@ -57,47 +56,30 @@ def worker(redis: Redis, runner: Noting) -> JobWorker:
 
 
 def work(worker: JobWorker) -> None:
-    """Takes one message off the queue."""
+    """Answers one bell."""
     worker.execute_job(*worker.dequeue_job_and_maintain_ttl(1))
 
 
-def test_a_message_runs_its_job_and_leaves_nothing_in_redis(redis: Redis, worker: JobWorker, runner: Noting) -> None:
+def test_a_bell_asks_for_a_job_and_leaves_nothing_in_redis(redis: Redis, worker: JobWorker, runner: Noting) -> None:
     queue = Queue(redis)
-    queue.send(ID, 0)
+    queue.ring(times=2)
     work(worker)
-    assert runner.seen == [ID]
+    assert runner.seen == [Priority.NORMAL]
     assert queue.live_workers() == 1
-    assert list(redis.scan_iter("rq:job:*")) == list(redis.scan_iter("rq:queue:*")) == []
-    queue.send(ID, 0)  # the same message may come again
     work(worker)
-    assert runner.seen == [ID, ID]
+    assert list(redis.scan_iter("rq:job:*")) == list(redis.scan_iter("rq:queue:*")) == []
+    assert runner.seen == [Priority.NORMAL] * 2
 
 
-@pytest.mark.parametrize(
-    ("function", "arguments", "named"),
-    [
-        ("os.mkdir", ["FOLDER"], {}),
-        (TASK, [ID, ID], {}),
-        (TASK, [], {"job_id": ID}),
-        (TASK, ["../../etc/passwd"], {}),
-        (TASK, [ID + "0"], {}),
-        (TASK, [7], {}),
-    ],
-)
-def test_a_planted_message_runs_nothing(
-    redis: Redis,
-    worker: JobWorker,
-    runner: Noting,
-    tmp_path: Path,
-    function: str,
-    arguments: list[Any],
-    named: dict[str, Any],
+@pytest.mark.parametrize(("function", "arguments"), [("os.mkdir", ["FOLDER"]), ("ring", [{"a": 1}]), ("", [])])
+def test_nothing_that_a_planted_message_names_is_run(
+    redis: Redis, worker: JobWorker, runner: Noting, tmp_path: Path, function: str, arguments: list[Any]
 ) -> None:
     folder = tmp_path / "made"
     said = [str(folder) if argument == "FOLDER" else argument for argument in arguments]
-    rq.Queue(NAME, connection=redis, serializer="json").enqueue_call(function, args=said, kwargs=named)
+    rq.Queue(NAME, connection=redis, serializer="json").enqueue_call(function, args=said)
     work(worker)
-    assert runner.seen == []
+    assert runner.seen == [Priority.NORMAL]  # it has rung, no more
     assert not folder.exists()
     assert list(redis.scan_iter("rq:job:*")) == []
 
@@ -107,14 +89,12 @@ def test_callbacks_retries_and_dependents_of_a_message_are_not_run(
 ) -> None:
     planted = Callback("tests.unit.worker.test_rq_worker.explode")
     queue = rq.Queue(NAME, connection=redis, serializer="json")
-    first = queue.enqueue_call(
-        TASK, args=[ID], retry=Retry(3), on_success=planted, on_failure=planted, on_stopped=planted
-    )
+    first = queue.enqueue_call("ring", retry=Retry(3), on_success=planted, on_failure=planted, on_stopped=planted)
     queue.enqueue_call("os.getpid", depends_on=first)
     work(worker)
-    assert runner.seen == [ID]
+    assert runner.seen == [Priority.NORMAL]
     worker.run_maintenance_tasks()
-    assert Queue(redis).waiting() == set()
+    assert Queue(redis).bells(Priority.NORMAL) == 0
 
 
 def test_maintenance_leaves_a_planted_message_alone(
@@ -124,7 +104,7 @@ def test_maintenance_leaves_a_planted_message_alone(
     ran: list[object] = []
     monkeypatch.setitem(globals(), "explode", lambda *said: ran.append(said))
     queue = rq.Queue(NAME, connection=redis, serializer="json")
-    message = queue.enqueue_call(TASK, args=[ID], on_failure=Callback("tests.unit.worker.test_rq_worker.explode"))
+    message = queue.enqueue_call("ring", on_failure=Callback("tests.unit.worker.test_rq_worker.explode"))
     redis.zadd(queue.started_job_registry.key, {f"{message.id}:run": 1})
     worker.run_maintenance_tasks()
     assert ran == []
@@ -134,21 +114,13 @@ def explode(*_: object) -> None:
     raise AssertionError("a callback was called")
 
 
-def test_messages_of_a_higher_priority_come_first_and_queues_of_one_take_turns(
-    redis: Redis, worker: JobWorker, runner: Noting
-) -> None:
+def test_bells_of_a_higher_priority_are_answered_first(redis: Redis, worker: JobWorker, runner: Noting) -> None:
     queue = Queue(redis)
-    ids = [digit * 32 for digit in "abcdef"]
-    places = [
-        (Priority.LOW, ANY_WORKER),
-        *[(Priority.NORMAL, ANY_WORKER)] * 2,
-        *[(Priority.NORMAL, Needs((), "cpu"))] * 2,
-    ]
-    for job_id, (priority, needs) in zip(ids, [*places, (Priority.HIGH, ANY_WORKER)], strict=True):
-        queue.send(job_id, 0, priority, needs)
-    for _ in ids:
+    for priority in (Priority.LOW, Priority.NORMAL, Priority.LOW, Priority.HIGH, Priority.NORMAL):
+        queue.ring(priority)
+    for _ in range(5):
         work(worker)
-    assert [seen[0] for seen in runner.seen] == ["f", "d", "b", "e", "c", "a"]
+    assert runner.seen == [Priority.HIGH, *[Priority.NORMAL] * 2, *[Priority.LOW] * 2]
 
 
 def test_a_worker_announces_what_it_has(redis: Redis, worker: JobWorker) -> None:

@@ -14,6 +14,7 @@ from services.jobs.attempts import Attempt, Standing
 from services.jobs.child import Child
 from services.jobs.database import connect, migrate
 from services.jobs.models import Job, State
+from services.jobs.placement import Priority
 from services.jobs.repository import Repository
 from services.settings import Settings
 from tests.unit.jobs.records import add, start
@@ -48,7 +49,7 @@ class Stage:
         """Runs a new job, and returns what the record then has of it."""
         self.script(does)
         job = add(self.repository)
-        self.runner.run(job.id, beat)
+        self.runner.run(Priority.NORMAL, beat)
         return self.found(job)
 
     def found(self, job: Job) -> Job:
@@ -124,7 +125,7 @@ def test_a_process_that_does_not_stop_when_its_job_is_cancelled_is_killed(
     monkeypatch.setattr(runner, "STOP_SECONDS", 0.0)
     stage.script("hang")
     job = add(stage.repository)
-    stage.runner.run(job.id, lambda: stage.repository.request_cancel(job.id))
+    stage.runner.run(Priority.NORMAL, lambda: stage.repository.request_cancel(job.id))
     assert stage.found(job).state is State.CANCELLED
     assert stage.ended(0)
 
@@ -142,7 +143,7 @@ def test_a_process_whose_job_was_taken_back_is_killed_and_the_job_left_alone(
             stage.repository.take_back(3, owner="w")
             others.append(start(stage.repository, job, "other"))
 
-    stage.runner.run(job.id, take)
+    stage.runner.run(Priority.NORMAL, take)
     assert (stage.found(job).state, stage.found(job).lease_owner) == (State.RUNNING, "other")
     assert stage.ended(0)
 
@@ -157,7 +158,7 @@ def test_the_lease_is_renewed(stage: Stage) -> None:
         if len(until) == 3:
             stage.runner.request_stop()
 
-    stage.runner.run(job.id, look)
+    stage.runner.run(Priority.NORMAL, look)
     assert until == sorted(set(until))
 
 
@@ -170,10 +171,10 @@ def test_an_outage_counts_only_if_it_cannot_be_seen(
     assert (job.state, job.lost) == (State.QUEUED, lost)
 
 
-def test_the_job_whose_turn_it_is_runs(stage: Stage) -> None:
+def test_the_next_job_runs(stage: Stage) -> None:
     stage.script("answer")
     first, second = add(stage.repository), add(stage.repository)
-    stage.runner.run(second.id, lambda: None)
+    stage.runner.run(Priority.NORMAL, lambda: None)
     assert (stage.found(first).state, stage.found(second).state) == (State.RUNNING, State.QUEUED)
 
 
@@ -217,9 +218,11 @@ def test_a_database_that_does_not_answer_is_left_to_the_record(make: Callable[..
     job = add(stage.repository)
     with closing(sqlite3.connect(tmp_path / "jobs.sqlite", isolation_level=None)) as other:
         other.execute("BEGIN IMMEDIATE")
-        stage.runner.run(job.id, lambda: None)
-        assert stage.found(job).state is State.QUEUED  # its id will be sent again
+        stage.runner.run(Priority.NORMAL, lambda: None)
+        assert stage.found(job).state is State.QUEUED  # the supervisor will ring again
         other.execute("ROLLBACK")
-        stage.runner.run(job.id, lambda: other.execute("BEGIN IMMEDIATE") if not other.in_transaction else None)
+        stage.runner.run(
+            Priority.NORMAL, lambda: other.execute("BEGIN IMMEDIATE") if not other.in_transaction else None
+        )
         assert stage.found(job).state is State.RUNNING  # until its lease lapses
     assert stage.ended(0)

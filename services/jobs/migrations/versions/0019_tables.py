@@ -87,7 +87,6 @@ def upgrade() -> None:
         sa.Column("failed_at", sa.DateTime()),
         sa.Column("rejected_at", sa.DateTime()),
         sa.Column("cancelled_at", sa.DateTime()),
-        sa.Column("sent_at", sa.DateTime()),
         sa.Column("attempt", sa.Integer(), nullable=False),
         sa.Column("lost", sa.Integer(), nullable=False),
         sa.Column("furthest", sa.BigInteger(), nullable=False, server_default=sa.text("0")),
@@ -137,7 +136,6 @@ def upgrade() -> None:
     )
     op.create_index("jobs_by_owner", "jobs", ["owner", "created_at", "id"])
     op.create_index("jobs_by_retry", "jobs", ["retry_of"])
-    op.create_index("jobs_by_sending", "jobs", ["state", "sent_at"])
     op.create_index("jobs_by_start", "jobs", ["owner", "priority", "running_at"])
     op.create_index("jobs_by_state", "jobs", ["state", "created_at", "id"])
     op.create_index("jobs_by_turn", "jobs", ["state", "campaign_id", "kind"])
