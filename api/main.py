@@ -63,20 +63,16 @@ from services.device import check_device
 from services.errors import InvalidRequest
 from services.jobs import watchdog
 from services.jobs.artifacts import ArtifactStore
-from services.jobs.asset_record import AssetRecords
 from services.jobs.asset_removal import DeletedAssets
-from services.jobs.campaigns import Campaigns, CampaignService
+from services.jobs.campaigns import CampaignService
 from services.jobs.database import check_database, migrate
 from services.jobs.database import connect as connect_database
-from services.jobs.figures import Figures
 from services.jobs.housekeeping import Housekeeping
-from services.jobs.lists import JobLists
 from services.jobs.memory_limit import WARM_PROCESSES
 from services.jobs.queue import Queue
 from services.jobs.queue import connect as connect_redis
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from services.jobs.storage import Storage
-from services.jobs.target_record import TargetRecords
 from services.logs import configure, logger
 from services.names import Names
 from services.pipeline.extensions import log_extensions, set_up
@@ -115,7 +111,7 @@ def create_app(values: Settings) -> FastAPI:
         migration = asyncio.create_task(_migrate(engine, values))
         tasks = [asyncio.create_task(_show_life()), migration]
         await asyncio.wait([migration], timeout=MIGRATION_SECONDS)
-        repository, owned, keys = Repository(engine), OwnedAssets(engine), AccessKeys(engine)
+        record, owned, keys = Record(engine), OwnedAssets(engine), AccessKeys(engine)
         redis = connect_redis(values.redis_url)
         queue = Queue(redis)
         pool = WarmPool([WarmProcess(values) for _ in range(WARM_PROCESSES)])
@@ -123,8 +119,7 @@ def create_app(values: Settings) -> FastAPI:
         library = Library(values.cache_dir, values.files)
         uploads = MeshUploads(library, values)
         uploads.start()
-        watcher, lists = Watcher(repository, keys), JobLists(engine)
-        list_watcher = ListWatcher(lists, keys)
+        watcher, list_watcher = Watcher(record, keys), ListWatcher(record.lists, keys)
         store = ArtifactStore(values.files)
         quotas = Quotas(owned, values.owner_queued, values.owner_campaigns, values.owner_upload_bytes)
 
@@ -136,28 +131,25 @@ def create_app(values: Settings) -> FastAPI:
             sessions=Sessions(engine),
             assets=owned,
             quotas=quotas,
-            repository=repository,
+            record=record,
             reading=Reading(engine),
-            lists=lists,
             queue=queue,
-            submissions=Submissions(repository, queue, quotas, names, values.max_queued),
+            submissions=Submissions(record, queue, quotas, names, values.max_queued),
             store=store,
             library=library,
             uploads=uploads,
             pool=pool,
             checks=Checks(pool, names, values),
             exporter=Exporter(pool),
-            campaigns=CampaignService(Campaigns(engine), queue),
-            asset_records=AssetRecords(engine),
-            target_records=TargetRecords(engine),
+            campaigns=CampaignService(record.campaigns, queue),
             watcher=watcher,
             list_watcher=list_watcher,
             storage=Storage(values.data_dir, store),
-            housekeeping=Housekeeping(engine, store, values.data_dir),
-            deleted_assets=DeletedAssets(engine, library),
+            housekeeping=Housekeeping(record, store, values.data_dir),
+            deleted_assets=DeletedAssets(record.database, library),
             max_campaign_jobs=values.max_campaign_jobs,
         )
-        service_metrics = ServiceMetrics(Figures(engine), queue, watcher.streams)
+        service_metrics = ServiceMetrics(record.figures, queue, watcher.streams)
         metrics.registry.register(service_metrics)
         try:
             yield

@@ -23,8 +23,8 @@ from api.schemas import BadField
 from api.warm_pool import Unavailable
 from services.errors import InUse, InvalidRequest, QuotaExceeded, without_folders
 from services.jobs.artifacts import Damaged
+from services.jobs.jobs import KeyReused, QueueFull
 from services.jobs.outages import outage_of
-from services.jobs.repository import KeyReused, QueueFull
 from services.json_text import json_mistake
 from services.logs import logger
 from services.pipeline.campaign_spec import CampaignSpec

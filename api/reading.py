@@ -6,7 +6,7 @@ from typing import ParamSpec, TypeVar
 from sqlalchemy import Engine
 from starlette.concurrency import run_in_threadpool
 
-from services.jobs.transactions import READS_SQLITE
+from services.jobs.database import READS_SQLITE
 
 P = ParamSpec("P")
 T = TypeVar("T")

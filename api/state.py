@@ -19,16 +19,13 @@ from services.access.keys import AccessKeys
 from services.access.quotas import Quotas
 from services.access.sessions import Sessions
 from services.jobs.artifacts import ArtifactStore
-from services.jobs.asset_record import AssetRecords
 from services.jobs.asset_removal import DeletedAssets
 from services.jobs.campaigns import CampaignService
 from services.jobs.housekeeping import Housekeeping
-from services.jobs.lists import JobLists
 from services.jobs.models import Job
 from services.jobs.queue import Queue
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from services.jobs.storage import Storage
-from services.jobs.target_record import TargetRecords
 from services.names import Names
 from services.pipeline.names_known import names_in
 from services.scenes.library import Library
@@ -44,9 +41,8 @@ class Services:
     sessions: Sessions
     assets: OwnedAssets
     quotas: Quotas
-    repository: Repository
+    record: Record
     reading: Reading
-    lists: JobLists
     queue: Queue
     submissions: Submissions
     store: ArtifactStore
@@ -56,8 +52,6 @@ class Services:
     uploads: MeshUploads
     exporter: Exporter
     campaigns: CampaignService
-    asset_records: AssetRecords
-    target_records: TargetRecords
     watcher: Watcher
     list_watcher: ListWatcher
     storage: Storage
@@ -78,7 +72,7 @@ ServicesDependency = Annotated[Services, Depends(services)]
 
 async def known_job(job_id: str, services: ServicesDependency, caller: CallerDependency) -> Job:
     """The job with the id in the path, without request and result. Answers 404 if there is none for the caller."""
-    job = caller.visible(await services.reading(services.repository.line, job_id))
+    job = caller.visible(await services.reading(services.record.jobs.line, job_id))
     if job is None:
         raise no_such("job")
     return job

@@ -13,10 +13,11 @@ from starlette.concurrency import run_in_threadpool
 from api.schemas import JobView
 from services.access.caller import Caller
 from services.access.quotas import Quotas
+from services.jobs.jobs import Key
 from services.jobs.models import Artifact, Job, JobKind
 from services.jobs.placement import Demand, Needs
 from services.jobs.queue import Queue
-from services.jobs.repository import Key, Repository
+from services.jobs.record import Record
 from services.logs import logger
 from services.names import Names
 from services.pipeline.checked import Checked
@@ -36,7 +37,7 @@ def key_of(value: str | None, request: JobSpec | RerenderingSpec, caller: Caller
 class Submissions:
     """Turns requests into queued jobs, of which at most `max_queued` may be queued."""
 
-    repository: Repository
+    record: Record
     queue: Queue
     quotas: Quotas
     names: Callable[[Caller], Names]
@@ -45,7 +46,7 @@ class Submissions:
 
     async def earlier(self, key: Key | None) -> JobView | None:
         """The answer to the first request with a key; None for a new key. Raises KeyReused for another request."""
-        answer = None if key is None else await run_in_threadpool(self.repository.first_answer, key)
+        answer = None if key is None else await run_in_threadpool(self.record.jobs.first_answer, key)
         return None if answer is None else JobView.model_validate(answer)
 
     async def submit(
@@ -74,7 +75,7 @@ class Submissions:
         request: JobSpec | RerenderingSpec
         if job.kind is JobKind.RERENDERING:
             request = RerenderingSpec.model_validate(job.spec)
-            attack, file = request.attack(), self.repository.artifact(job.id, IMAGE)
+            attack, file = request.attack(), self.record.jobs.artifact(job.id, IMAGE)
         else:
             request = attack = parse(job.spec)
             file = checkpoint
@@ -99,9 +100,9 @@ class Submissions:
         about |= {"owner_queued": self.quotas.queued_of(caller.owner)}
         given = (request, self.max_queued, key, _answer, warnings)
         try:
-            job, answer = self.repository.create(*given, **about)
+            job, answer = self.record.jobs.create(*given, **about)
         except IntegrityError:  # another process recorded the same key at the same moment
-            job, answer = self.repository.create(*given, **about)
+            job, answer = self.record.jobs.create(*given, **about)
         if job is not None:
             self._ring(job)
         return JobView.model_validate(answer)

@@ -15,8 +15,9 @@ from starlette.concurrency import run_in_threadpool
 
 from api.stream_keys import StreamKeys
 from services.access.keys import AccessKeys
+from services.jobs.jobs import News
 from services.jobs.models import Event, Job
-from services.jobs.repository import News, Repository
+from services.jobs.record import Record
 from services.logs import logger
 
 POLL_SECONDS = 0.2
@@ -66,8 +67,8 @@ class Watcher:
     while there are any.
     """
 
-    def __init__(self, repository: Repository, keys: AccessKeys) -> None:
-        self._repository = repository
+    def __init__(self, record: Record, keys: AccessKeys) -> None:
+        self._record = record
         self._keys = StreamKeys(keys)
         self._followed: dict[str, _Followed] = {}
         self._task: asyncio.Task[None] | None = None
@@ -94,7 +95,7 @@ class Watcher:
                     continue
                 found = followed.after(after)
                 if found is None:
-                    found = await run_in_threadpool(self._repository.events, job.id, after, READ)
+                    found = await run_in_threadpool(self._record.jobs.events, job.id, after, READ)
                     if not found:
                         return  # the job was deleted
                 for event in found:
@@ -103,10 +104,10 @@ class Watcher:
 
     async def ended_within(self, job_id: str, seconds: float) -> Job | None:
         """Waits for the end of a job, and returns it with its result; None if it takes more than `seconds`."""
-        queued = await run_in_threadpool(self._repository.line, job_id)
+        queued = await run_in_threadpool(self._record.jobs.line, job_id)
         if queued is None or not await self._ends(queued, seconds):
             return None
-        return await run_in_threadpool(partial(self._repository.get, job_id, with_result=True))
+        return await run_in_threadpool(partial(self._record.jobs.get, job_id, with_result=True))
 
     async def _ends(self, job: Job, seconds: float) -> bool:
         if job.state.terminal:
@@ -144,7 +145,7 @@ class Watcher:
                     followed.wake()
             seen = {job_id: followed.last for job_id, followed in self._followed.items() if not followed.ended}
             try:
-                news = await run_in_threadpool(self._repository.news, seen)
+                news = await run_in_threadpool(self._record.jobs.news, seen)
             except SQLAlchemyError as error:
                 log.warning("events not read, the streams wait", error=str(error))
             else:

@@ -46,7 +46,7 @@ from benchmarks.report import RESULTS, save
 from services.jobs.database import connect, migrate
 from services.jobs.models import State
 from services.jobs.placement import Abilities, Priority
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from services.pipeline.spec import parse
 from services.settings import Settings
 
@@ -93,18 +93,18 @@ def start(count: int, _seconds: float) -> dict[str, Any]:
     kinds = mixed(16)
     by_kind: list[list[float]] = [[] for _ in kinds]
     memory: dict[str, list[float]] = {module: [] for module in MODULES}
-    repository: Repository | None = None
+    record: Record | None = None
     with _served(workers=1) as (service, client):
         for number in range(COLD + count):
             sent = time.time()
             job_id = client.submit(kinds[number % len(kinds)] | {"seed": number}, f"start-{number}")
             _until(client, job_id, _has_ended)
-            repository = repository or Repository(connect(service.settings))  # which the service has created by now
+            record = record or Record(connect(service.settings))  # which the service has created by now
             for module, sizes in memory.items():
                 sizes.append(_mebibytes(service, module))
             if number < COLD:
                 continue
-            moments = _moments(repository, job_id) | {"": sent}
+            moments = _moments(record, job_id) | {"": sent}
             for name, before in zip(stages, ("", "queued", "running", "loading"), strict=False):
                 stages[name].append(moments[name] - moments[before])
             stages["all"].append(moments["attack"] - sent)
@@ -246,13 +246,13 @@ def workers(count: int, _seconds: float) -> dict[str, Any]:
     seconds: dict[int, list[float]] = {1: [], 2: []}
     for number in (1, 2, 1, 2):
         with _served(workers=number) as (service, client):
-            repository = Repository(connect(service.settings))
+            record = Record(connect(service.settings))
             for cold in range(COLD * number):
                 _until(client, client.submit(mixed(4)[cold % 6], f"cold-{cold}"), _has_ended)
-            ids = [_create(repository, request | {"seed": k}) for k, request in enumerate(requests(count, 160))]
+            ids = [_create(record, request | {"seed": k}) for k, request in enumerate(requests(count, 160))]
             for job_id in ids:
                 _until(client, job_id, _has_ended, pause=0.5)  # seldom, to leave the processor to the workers
-            jobs = [job for job_id in ids if (job := repository.line(job_id)) is not None]
+            jobs = [job for job_id in ids if (job := record.jobs.line(job_id)) is not None]
             first, last = (
                 min(job.times[State.RUNNING] for job in jobs),
                 max(job.times[State.SUCCEEDED] for job in jobs),
@@ -326,10 +326,10 @@ def _until(client: Client, job_id: str, met: Callable[[dict[str, Any]], bool], p
         time.sleep(pause)
 
 
-def _moments(repository: Repository, job_id: str) -> dict[str, float]:
+def _moments(record: Record, job_id: str) -> dict[str, float]:
     """The times (POSIX) at which a job came to each of the stages."""
     moments: dict[str, float] = {}
-    for event in repository.events(job_id, 0):
+    for event in record.jobs.events(job_id, 0):
         at, rows = event.created_at.timestamp(), event.data.get("rows")
         if rows:
             moments.setdefault("attack", at - rows[-1]["seconds"])
@@ -341,7 +341,7 @@ def _operations(settings: Settings, count: int) -> dict[str, float]:
     """Milliseconds of each operation on the record, through one connection."""
     engine = connect(settings)
     migrate(engine, settings)
-    repository = Repository(engine)
+    record = Record(engine)
     seconds: dict[str, list[float]] = {}
 
     def timed(name: str, operation: Callable[[], T]) -> T:
@@ -351,24 +351,24 @@ def _operations(settings: Settings, count: int) -> dict[str, float]:
         return result
 
     for number in range(QUEUED):
-        _create(repository, mixed(4)[0] | {"seed": number})
+        _create(record, mixed(4)[0] | {"seed": number})
     for number in range(QUEUED, QUEUED + count):
-        job_id = timed("submission", partial(_create, repository, mixed(4)[0] | {"seed": number}))
-        timed("turn", partial(repository.next_job, Priority.NORMAL, ABILITIES))
-        attempt = timed("lease", partial(repository.lease, job_id, "benchmark", 60.0))
+        job_id = timed("submission", partial(_create, record, mixed(4)[0] | {"seed": number}))
+        timed("turn", partial(record.scheduler.next_job, Priority.NORMAL, ABILITIES))
+        attempt = timed("lease", partial(record.leases.lease, job_id, "benchmark", 60.0))
         assert attempt is not None
-        timed("progress", partial(repository.progress, attempt, "attacking", 1, 9, [ROW]))
-        timed("read of the standing", partial(repository.standing, attempt))
-        timed("renewal", partial(repository.renew, attempt, 60.0))
+        timed("progress", partial(record.leases.progress, attempt, "attacking", 1, 9, [ROW]))
+        timed("read of the standing", partial(record.leases.standing, attempt))
+        timed("renewal", partial(record.leases.renew, attempt, 60.0))
         outcome = {"fooled": True, "steps": 1, "queries": 2, "p": 0.004}
-        timed("result", partial(repository.succeed, attempt, {"rows": [ROW]}, outcome, []))
+        timed("result", partial(record.leases.succeed, attempt, {"rows": [ROW]}, outcome, []))
     engine.dispose()
     return {name: round(1000 * median(some), 2) for name, some in seconds.items()}
 
 
-def _create(repository: Repository, request: dict[str, Any]) -> str:
+def _create(record: Record, request: dict[str, Any]) -> str:
     """Writes a job into the record, so that nothing else of a service is busy."""
-    job, _ = repository.create(parse(request), 10**6, None, lambda _: {})
+    job, _ = record.jobs.create(parse(request), 10**6, None, lambda _: {})
     assert job is not None
     return job.id
 

@@ -17,15 +17,15 @@ from services.analysis.images import png
 from services.device import device
 from services.errors import Cancelled, InvalidRequest, JobFailure, out_of_memory, summary
 from services.jobs.artifacts import ArtifactStore, Damaged
-from services.jobs.attempts import Attempt, Standing
 from services.jobs.child import connect, reply, requests
 from services.jobs.cpu_share import give_way
 from services.jobs.database import connect as connect_database
+from services.jobs.leases import Attempt, Standing
 from services.jobs.memory_limit import memory_limit, more_than
 from services.jobs.models import Job, JobKind
 from services.jobs.outages import outage_of
 from services.jobs.placement import Abilities
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from services.jobs.storage import Storage
 from services.jobs.warm_up import warm_up
 from services.jobs.working_files import WorkingFiles
@@ -60,12 +60,12 @@ class Reporter:
 
     def __init__(
         self,
-        repository: Repository,
+        record: Record,
         attempt: Attempt,
         clock: Callable[[], float] = time.monotonic,
         seconds: float = inf,
     ) -> None:
-        self._repository = repository
+        self._record = record
         self._ends_at = clock() + seconds
         self._seconds = seconds
         self._attempt = attempt
@@ -83,7 +83,7 @@ class Reporter:
         if progress.phase == self._phase and now - self._reported_at < REPORT_SECONDS:
             return
         self._phase, self._reported_at = progress.phase, now
-        self._repository.progress(self._attempt, progress.phase, progress.step, progress.steps, self._rows)
+        self._record.leases.progress(self._attempt, progress.phase, progress.step, progress.steps, self._rows)
         self._rows = []
 
     def stop(self) -> bool:
@@ -94,7 +94,7 @@ class Reporter:
             raise JobFailure("timeout", detail)
         if not self._stop and now - self._checked_at >= POLL_SECONDS:
             self._checked_at = now
-            self._stop = self._repository.standing(self._attempt) is not Standing.GO_ON
+            self._stop = self._record.leases.standing(self._attempt) is not Standing.GO_ON
         return self._stop
 
 
@@ -111,22 +111,22 @@ class Jobs:
     """The record, the files, the library and the working files, which the process keeps between jobs."""
 
     def __init__(self, settings: Settings) -> None:
-        self._repository = Repository(connect_database(settings))
+        self._record = Record(connect_database(settings))
         self._library = Library(settings.cache_dir, settings.files)
         self._working_files = WorkingFiles(settings.data_dir, settings.files)
         store = ArtifactStore(settings.files)
         storage = Storage(settings.data_dir, store)
-        self._kept = KeptFiles(self._repository, store, self._working_files, self._library, storage)
+        self._kept = KeptFiles(self._record, store, self._working_files, self._library, storage)
         self._memory = memory_limit(settings)
         self._seconds = settings.job_seconds - min(KEEPING_SECONDS, KEEPING_SHARE * settings.job_seconds)
 
     def run(self, attempt: Attempt) -> None:
         """Runs one attempt and records its outcome. Raises the errors of outages, and nothing is recorded."""
-        repository = self._repository
-        job = repository.work(attempt.job_id)
+        record = self._record
+        job = record.jobs.work(attempt.job_id)
         if job is None:
             return
-        reporter = Reporter(repository, attempt, seconds=self._seconds)
+        reporter = Reporter(record, attempt, seconds=self._seconds)
         try:
             if job.kind is JobKind.SELECTION:
                 self._select(attempt, job, reporter)
@@ -135,24 +135,24 @@ class Jobs:
             else:
                 self._attack(attempt, job, reporter)
         except Cancelled:
-            wanted = repository.standing(attempt) is Standing.CANCEL  # and it was not taken back
-            repository.cancelled(attempt, self._kept.left(attempt, job) if wanted else ())
+            wanted = record.leases.standing(attempt) is Standing.CANCEL  # and it was not taken back
+            record.leases.cancelled(attempt, self._kept.left(attempt, job) if wanted else ())
         except (Exception, SystemExit) as error:  # an extension's code may end the process it is run in
             if outage_of(error) is not None:
                 raise
             failure = classify(error, self._memory)
             log.warning("job failed", kind=failure.kind, exc_info=error)
-            repository.fail(attempt, failure.kind, failure.detail, self._kept.left(attempt, job))
-        self._working_files.forget(repository, attempt.job_id)
+            record.leases.fail(attempt, failure.kind, failure.detail, self._kept.left(attempt, job))
+        self._working_files.forget(record, attempt.job_id)
 
     def _attack(self, attempt: Attempt, job: Job, reporter: Reporter) -> None:
-        repository, unchecked = self._repository, not job.checked
+        record, unchecked = self._record, not job.checked
 
         def checked(spec: JobSpec, warnings: Sequence[JobWarning]) -> None:
             nonlocal unchecked
             if unchecked:
                 unchecked = False
-                repository.checked(attempt, spec.model_dump(mode="json"), digest(spec), warnings)
+                record.leases.checked(attempt, spec.model_dump(mode="json"), digest(spec), warnings)
 
         try:
             self._execute(attempt, job, reporter, checked)
@@ -160,7 +160,7 @@ class Jobs:
             if not unchecked:
                 raise
             log.info("job rejected", error=str(error))
-            repository.reject(attempt, error)
+            record.leases.reject(attempt, error)
 
     def _execute(
         self,
@@ -205,14 +205,14 @@ class Jobs:
             if job.checked:
                 raise
             log.info("job rejected", error=str(error))
-            self._repository.reject(attempt, error)
+            self._record.leases.reject(attempt, error)
             return
         rendering = png(rendered)
         found = RerenderingView(rerendering=rerendering, png=base64.b64encode(rendering).decode())
         with self._working_files.attempt_directory(attempt) as out:
             (out / RENDERING).write_bytes(rendering)
             files = self._kept.stored(attempt, out)
-            self._repository.succeed(attempt, finite(found.model_dump(mode="json")), {}, files)
+            self._record.leases.succeed(attempt, finite(found.model_dump(mode="json")), {}, files)
 
     def _select(self, attempt: Attempt, job: Job, reporter: Reporter) -> None:
         """Finds the first answers to some views of a campaign."""
@@ -220,12 +220,12 @@ class Jobs:
         answers = []
         for answer in first_answers(asked, self._library, reporter.stop):
             answers.append(finite(answer.model_dump(mode="json")))
-            self._repository.progress(attempt, "selecting", len(answers), len(asked), [])
-        self._repository.succeed(attempt, {"answers": answers}, {}, [])
+            self._record.leases.progress(attempt, "selecting", len(answers), len(asked), [])
+        self._record.leases.succeed(attempt, {"answers": answers}, {}, [])
 
     def _keep(self, attempt: Attempt, result: Result, out: Path) -> None:
         record = finite(result.model_dump(mode="json"))
-        self._repository.succeed(attempt, record, outcome(result), self._kept.stored(attempt, out))
+        self._record.leases.succeed(attempt, record, outcome(result), self._kept.stored(attempt, out))
 
 
 def classify(error: BaseException, memory: int) -> JobFailure:

@@ -5,9 +5,9 @@ from pathlib import Path
 
 from services import atomic_write
 from services.jobs.artifacts import ArtifactStore, Damaged, media_type
-from services.jobs.attempts import Attempt
+from services.jobs.leases import Attempt
 from services.jobs.models import Artifact, Job, JobKind
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from services.jobs.storage import Storage
 from services.jobs.working_files import WorkingFiles
 from services.logs import logger
@@ -24,13 +24,13 @@ class KeptFiles:
 
     def __init__(
         self,
-        repository: Repository,
+        record: Record,
         store: ArtifactStore,
         working_files: WorkingFiles,
         library: Library,
         storage: Storage,
     ) -> None:
-        self._repository = repository
+        self._record = record
         self._store = store
         self._working_files = working_files
         self._library = library
@@ -49,7 +49,7 @@ class KeptFiles:
 
     def given(self, attempt: Attempt, name: str) -> bytes | None:
         """The bytes of a file that the job began with, or None. Raises FileNotFoundError and Damaged."""
-        artifact = self._repository.artifact(attempt.job_id, name)
+        artifact = self._record.jobs.artifact(attempt.job_id, name)
         if artifact is None:
             return None
         with self._store.open(artifact.sha256) as file:

@@ -6,7 +6,6 @@ import sys
 from collections.abc import Callable
 
 from redis.exceptions import RedisError
-from sqlalchemy import Engine
 from sqlalchemy.exc import SQLAlchemyError
 
 from services.device import check_device
@@ -19,7 +18,7 @@ from services.jobs.housekeeping import Housekeeping
 from services.jobs.queue import Queue
 from services.jobs.queue import connect as connect_redis
 from services.jobs.reconciler import reconcile
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from services.logs import configure, logger
 from services.process import use
 from services.scenes.library import Library
@@ -40,17 +39,17 @@ def run(values: Settings) -> int:
     connect_redis(values.redis_url).close()  # refuses a URL that cannot be, before anything is made
     engine = connect_database(values)
     migrate(engine, values)
-    repository = Repository(engine)
-    Supervisor(workers(values, repository), housekeeping(values, engine)).run()
+    record = Record(engine)
+    Supervisor(workers(values, record), housekeeping(values, record)).run()
     return 0
 
 
-def workers(values: Settings, repository: Repository) -> list[Program]:
+def workers(values: Settings, record: Record) -> list[Program]:
     """The worker programs, as many as the settings say."""
-    return [_worker(index, values, repository) for index in range(values.workers)]
+    return [_worker(index, values, record) for index in range(values.workers)]
 
 
-def _worker(index: int, values: Settings, repository: Repository) -> Program:
+def _worker(index: int, values: Settings, record: Record) -> Program:
     # Each start has a new name, so that a lease under an earlier name is known to be a dead worker's.
     name = ""
 
@@ -61,7 +60,7 @@ def _worker(index: int, values: Settings, repository: Repository) -> Program:
 
     def ended() -> None:
         try:
-            lost = repository.take_back(values.max_attempts, owner=name)
+            lost = record.leases.take_back(values.max_attempts, owner=name)
         except SQLAlchemyError as error:
             log.warning("jobs of a dead worker not taken back yet", error=str(error))
         else:
@@ -72,28 +71,27 @@ def _worker(index: int, values: Settings, repository: Repository) -> Program:
     return Program(f"worker-{index}", command, values.environ(), ended=ended, silent_seconds=silent)
 
 
-def housekeeping(values: Settings, engine: Engine) -> Callable[[], None]:
+def housekeeping(values: Settings, record: Record) -> Callable[[], None]:
     """Returns the function that a supervisor calls once a second. It takes lapsed leases back, moves campaigns on,
     rings for queued jobs, and removes what nothing needs any more.
 
     Several supervisors may do so at once; each step is a transaction that changes a job at most once.
     """
-    repository = Repository(engine)
     queue = Queue(connect_redis(values.redis_url))
-    feeder = Feeder(engine, values.max_campaign_queued)
+    feeder = Feeder(record.database, values.max_campaign_queued)
     store = ArtifactStore(values.files)
     meshes = values.cache_dir / "meshes", values.cache_bytes
-    deleted = DeletedAssets(engine, Library(values.cache_dir, values.files))
-    house = Housekeeping(engine, store, values.data_dir, values.retention_days, meshes, deleted, values.files)
+    deleted = DeletedAssets(record.database, Library(values.cache_dir, values.files))
+    house = Housekeeping(record, store, values.data_dir, values.retention_days, meshes, deleted, values.files)
     failing = False
 
     def tick() -> None:
         nonlocal failing
         try:
-            for job_id in repository.take_back(values.max_attempts):
+            for job_id in record.leases.take_back(values.max_attempts):
                 log.warning("job taken back, its lease had lapsed", job=job_id)
             feeder.tick()
-            reconcile(repository, queue)
+            reconcile(record, queue)
             house.tidy()
         except (SQLAlchemyError, RedisError, OSError) as error:
             if not failing:  # once, or an outage would fill the log

@@ -22,7 +22,7 @@ from services.jobs.child import ChildDied
 from services.jobs.database import connect as connect_database
 from services.jobs.placement import Priority
 from services.jobs.queue import ANSWER_SECONDS, HEARTBEAT_SECONDS, Queue, connect, priority_of, queue_name
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from services.logs import configure, logger
 from services.settings import Settings
 from worker.runner import RETRY_SECONDS, Runner
@@ -121,7 +121,7 @@ def main() -> None:
     configure("worker")
     values = Settings()
     name = sys.argv[1]
-    runner = Runner(values, Repository(connect_database(values)), name)
+    runner = Runner(values, Record(connect_database(values)), name)
     assert values.redis_url is not None
     try:
         for life in count():

@@ -11,10 +11,10 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from services.jobs import watchdog
 from services.jobs.artifacts import ArtifactStore
-from services.jobs.attempts import Attempt, Standing
 from services.jobs.child import Child, ChildDied, OutOfMemory
+from services.jobs.leases import Attempt, Standing
 from services.jobs.placement import NOTHING, Abilities, Priority
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from services.jobs.storage import Storage
 from services.logs import logger
 from services.settings import Settings
@@ -43,9 +43,9 @@ log = logger(__name__)
 class Runner:
     """Runs jobs for the worker `owner`, under whose name the jobs are leased."""
 
-    def __init__(self, settings: Settings, repository: Repository, owner: str) -> None:
+    def __init__(self, settings: Settings, record: Record, owner: str) -> None:
         self._settings = settings
-        self._repository = repository
+        self._record = record
         self._owner = owner
         self._storage = Storage(settings.data_dir, ArtifactStore(settings.files))
         self._child: Child | None = None
@@ -124,11 +124,11 @@ class Runner:
             self.close()
             log.warning("attempt lost with its job process", job=job_id, attempt=attempt.number)
             with suppress(SQLAlchemyError):
-                self._repository.lose(attempt, self._settings.max_attempts)
+                self._record.leases.lose(attempt, self._settings.max_attempts)
         except OutOfMemory as error:
             log.warning("job process ended, it has too much memory", job=job_id, attempt=attempt.number)
             with suppress(SQLAlchemyError):  # before the process has ended: freeing gigabytes may outlast the lease
-                self._repository.fail(attempt, "out-of-memory", f"the job needed {error}")
+                self._record.leases.fail(attempt, "out-of-memory", f"the job needed {error}")
             self.close()
         except BaseException:
             self.close()  # nobody would watch the job, and its answer would be taken for that of the next one
@@ -136,10 +136,10 @@ class Runner:
 
     def _lease(self, priority: Priority) -> Attempt | None:
         for _ in range(TURNS):
-            job_id = self._repository.next_job(priority, self._abilities)
+            job_id = self._record.scheduler.next_job(priority, self._abilities)
             if job_id is None:
                 return None
-            attempt = self._repository.lease(job_id, self._owner, self._settings.lease_seconds)
+            attempt = self._record.leases.lease(job_id, self._owner, self._settings.lease_seconds)
             if attempt is not None:
                 return attempt
         return None
@@ -155,19 +155,20 @@ class Runner:
             watchdog.alive()
             if self._stopping:
                 self.close()
-                self._repository.give_back(attempt)
+                self._record.leases.give_back(attempt)
                 log.info("job given back", job=attempt.job_id)
                 return
             if now - started > self._settings.job_seconds:
                 self.close()
-                self._repository.fail(attempt, "timeout", f"it ran longer than {self._settings.job_seconds:g} seconds")
+                why = f"it ran longer than {self._settings.job_seconds:g} seconds"
+                self._record.leases.fail(attempt, "timeout", why)
                 return
             if child.still_seconds() > self._settings.stall_seconds:
                 log.warning("job process hangs", job=attempt.job_id, attempt=attempt.number, pid=child.pid)
                 raise ChildDied
             if stop_requested_at is not None and now - stop_requested_at > STOP_SECONDS:
                 self.close()
-                self._repository.cancelled(attempt)  # changes nothing if the attempt was lost
+                self._record.leases.cancelled(attempt)  # changes nothing if the attempt was lost
                 return
             if now - renewed < min(1.0, self._settings.lease_seconds / 4):
                 continue
@@ -182,7 +183,7 @@ class Runner:
     def usable(self) -> bool:
         """Whether the database and the store answer and the data directory can be written, as every job needs."""
         try:
-            self._repository.ping()
+            self._record.database.ping()
         except SQLAlchemyError:
             return False
         return self._storage.usable()
@@ -194,9 +195,9 @@ class Runner:
             watchdog.alive()
             try:
                 if unseen:
-                    self._repository.lose(attempt, self._settings.max_attempts, f"it met an outage ({outage})")
+                    self._record.leases.lose(attempt, self._settings.max_attempts, f"it met an outage ({outage})")
                 else:
-                    self._repository.give_back(attempt)
+                    self._record.leases.give_back(attempt)
             except SQLAlchemyError:
                 time.sleep(RETRY_SECONDS)
             else:
@@ -205,7 +206,7 @@ class Runner:
 
     def _renew(self, attempt: Attempt) -> Standing:
         try:
-            return self._repository.renew(attempt, self._settings.lease_seconds)
+            return self._record.leases.renew(attempt, self._settings.lease_seconds)
         except SQLAlchemyError as error:
             # The lease has not lapsed yet. If the database stays unreachable, another supervisor takes the job back.
             log.warning("lease not renewed", job=attempt.job_id, error=str(error))

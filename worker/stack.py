@@ -13,7 +13,7 @@ from services.errors import InvalidRequest
 from services.jobs.database import connect as connect_database
 from services.jobs.database import migrate
 from services.jobs.queue import connect as connect_redis
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from services.logs import configure, logger
 from services.process import use
 from services.settings import Settings
@@ -48,7 +48,7 @@ def serve(values: Settings) -> int:
 
 
 def _run(values: Settings, engine: Engine, lock: ServiceLock) -> None:
-    repository = Repository(engine)
+    record = Record(engine)
     remove_abandoned()
     redis = EmbeddedRedis() if values.redis_url is None else None
     try:
@@ -59,8 +59,8 @@ def _run(values: Settings, engine: Engine, lock: ServiceLock) -> None:
             url = values.redis_url if redis is None else redis.url
             values = values.model_copy(update={"port": port, "redis_url": url})
             programs = [] if redis is None else [redis.program()]
-            programs += [_api(values, listener), *workers(values, repository)]
-            tidy = housekeeping(values, engine)
+            programs += [_api(values, listener), *workers(values, record)]
+            tidy = housekeeping(values, record)
             address = f"http://{_reachable(values.host)}:{port}"
             lock.tell(address)
             announce = _Announcement(address)

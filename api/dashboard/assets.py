@@ -89,7 +89,7 @@ def grid(
     ]
     begin = (page - 1) * PAGE
     entries = found[begin : begin + PAGE]
-    answers = services.asset_records.first_answers([entry.name for entry in entries], caller.only)
+    answers = services.record.uploads.first_answers([entry.name for entry in entries], caller.only)
     pages = {"newer": page - 1 if page > 1 else None, "older": page + 1 if begin + PAGE < len(found) else None}
     return html(
         "assets.html",
@@ -136,8 +136,8 @@ async def asset_scene(
 def one_asset(asset: str, services: ServicesDependency, caller: CallerDependency) -> Response:
     """The page of one asset."""
     entry = _entry(services, caller, asset)
-    jobs = services.asset_records.jobs(entry.name, JOBS, caller.only)
-    answers = services.asset_records.first_answers([entry.name], caller.only).get(entry.name, [])
+    jobs = services.record.uploads.jobs(entry.name, JOBS, caller.only)
+    answers = services.record.uploads.first_answers([entry.name], caller.only).get(entry.name, [])
     views = [View(job, degrees(job.spec["scene"]["camera"]["azimuth"])) for job in jobs]
     shown = Shown(entry, picture(entry), answers)
     return html("asset.html", caller=caller, one=shown, views=sorted(views, key=lambda v: v.azimuth))

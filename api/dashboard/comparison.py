@@ -92,7 +92,7 @@ def compare(
     ids = named(jobs, job, "jobs, as in /compare?jobs=a,b")
     compared = []
     for letter, job_id in zip(LETTERS, ids, strict=False):
-        found = caller.visible(services.repository.get(job_id, with_result=True))
+        found = caller.visible(services.record.jobs.get(job_id, with_result=True))
         if found is None:
             raise no_such(f"job as {job_id}")
         compared.append(_compared_job(services, found, letter))
@@ -151,8 +151,8 @@ def _page(
 
 
 def _compared_job(services: Services, job: Job, letter: str) -> ComparedJob:
-    trace = trace_of(job, all_events(services.repository, job.id))
-    images = {one.name for one in services.repository.artifacts(job.id) if one.media_type == "image/png"}
+    trace = trace_of(job, all_events(services.record, job.id))
+    images = {one.name for one in services.record.jobs.artifacts(job.id) if one.media_type == "image/png"}
     about = (job.title or job.name or "", f"/jobs/{job.id}", job.state, job.spec)
     return ComparedJob(letter, *about, job, with_outcome(job.outcome), trace, images)
 

@@ -54,14 +54,14 @@ def edit(
         changes = JobEdit.model_validate(said)
     except ValidationError as error:
         raise InvalidFields(invalid_fields(error.errors(include_url=False), JobEdit.model_json_schema())) from error
-    services.lists.edit(job.id, changes.changes())
+    services.record.lists.edit(job.id, changes.changes())
     return _to(f"/jobs/{job.id}")
 
 
 @router.post("/jobs/{job_id}/retry")
 def again(job: KnownJob, services: ServicesDependency, caller: CallerDependency) -> Response:
     """Queues the job's request again, and goes to the new job's page."""
-    found = services.repository.get(job.id)
+    found = services.record.jobs.get(job.id)
     if found is None:
         raise no_such("job")
     return _to(f"/jobs/{services.submissions.retry(caller, found).id}")

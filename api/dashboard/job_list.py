@@ -19,10 +19,10 @@ from services.access.caller import Caller
 from services.attacks.verdict import with_outcome
 from services.errors import InUse, InvalidRequest, QuotaExceeded
 from services.jobs.job_query import EXAMPLE, LONGEST, parse_query
+from services.jobs.jobs import QueueFull
 from services.jobs.listed_job import ListedJob
 from services.jobs.lists import ListTotals
 from services.jobs.models import State
-from services.jobs.repository import QueueFull
 
 PAGE = 50
 """Number of jobs on one page of the list."""
@@ -135,18 +135,18 @@ def act(
 
 
 def _act(services: Services, caller: Caller, action: str, job_id: str, tag: str) -> None:
-    found = None if "\0" in job_id else caller.visible(services.repository.get(job_id))
+    found = None if "\0" in job_id else caller.visible(services.record.jobs.get(job_id))
     if found is None:
         raise InUse("there is no such job")
     if action == "cancel":
-        services.repository.request_cancel(job_id)
+        services.record.jobs.request_cancel(job_id)
     elif action == "delete":
         services.housekeeping.delete(job_id)
     elif action == "tag":
         tags = {*(found.tags or []), tag}
         if len(tags) > MOST_TAGS:
             raise InUse(f"it has {MOST_TAGS} tags already, and may have no more")
-        services.lists.edit(job_id, {"tags": tags})
+        services.record.lists.edit(job_id, {"tags": tags})
     else:
         services.submissions.retry(caller, found)
 
@@ -170,15 +170,15 @@ def shown(
     """The list, or with status 422 an empty one that says where the query cannot be read."""
     about: dict[str, Any] = {"q": q, "sort": sort, "cursor": cursor, "caller": caller, "refused": refused or []}
     about |= {"columns": COLUMNS, "address": address, "example": EXAMPLE}
-    strip = Strip.of(services.lists.totals((), caller.only))
+    strip = Strip.of(services.record.lists.totals((), caller.only))
     try:
         terms, place = parse_query(q), read_cursor(cursor, sort)
     except InvalidRequest as error:
         none: dict[str, Any] = {"lines": [], "totals": None, "older": None, "newer": None}
         return html(template, 422, strip=strip, error=error.detail, **none, **about)
-    page = services.lists.page(terms, PAGE, sort=sort, after=place.after, before=place.before, owner=caller.only)
+    page = services.record.lists.page(terms, PAGE, sort=sort, after=place.after, before=place.before, owner=caller.only)
     older = write_cursor(sort, page.last, backwards=False) if page.last and page.more_after else None
     newer = write_cursor(sort, page.first, backwards=True) if page.first and page.more_before else None
     lines: list[tuple[ListedJob, Any]] = [(job, with_outcome(job.outcome)) for job in page.jobs]
-    totals = services.lists.totals(terms, caller.only) if terms else strip.totals
+    totals = services.record.lists.totals(terms, caller.only) if terms else strip.totals
     return html(template, strip=strip, error=None, lines=lines, totals=totals, older=older, newer=newer, **about)

@@ -46,7 +46,7 @@ async def page(
 
 def _form(services: Services, caller: Caller, origin: str | None, mesh: str | None) -> Response:
     if origin is not None:
-        job = caller.visible(services.repository.get(origin))
+        job = caller.visible(services.record.jobs.get(origin))
         if job is None:
             raise no_such("job")
         return _page(caller, _written(job.spec), origin=origin)

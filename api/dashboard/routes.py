@@ -42,9 +42,9 @@ def job_part(job_id: str, services: ServicesDependency, caller: CallerDependency
 @router.post("/jobs/{job_id}/cancel")
 def cancel(job_id: str, services: ServicesDependency, caller: CallerDependency) -> Response:
     """Cancels a job, as the button on its page asks, and redirects to the page."""
-    if caller.visible(services.repository.line(job_id)) is None:
+    if caller.visible(services.record.jobs.line(job_id)) is None:
         raise no_such("job")
-    services.repository.request_cancel(job_id)
+    services.record.jobs.request_cancel(job_id)
     return RedirectResponse(f"/jobs/{job_id}", 303, HEADERS)
 
 
@@ -67,15 +67,15 @@ def static(path: str) -> Response:
 
 
 def _job(part: str, job_id: str, services: Services, caller: Caller, request: Request) -> Response:
-    found = caller.visible(services.repository.get(job_id, with_result=True))
+    found = caller.visible(services.record.jobs.get(job_id, with_result=True))
     if found is None:
         raise no_such("job")
     if found.kind is JobKind.RERENDERING:
         return html(f"{part}rerendering.html", caller=caller, job=found)
-    events = all_events(services.repository, job_id)
-    artifacts = services.repository.artifacts(job_id)
+    events = all_events(services.record, job_id)
+    artifacts = services.record.jobs.artifacts(job_id)
     page = views.page(found, events, artifacts, _best_so_far(services, artifacts))
-    said = about(found, services.lists.retries(job_id, caller.only), page.went_on)
+    said = about(found, services.record.lists.retries(job_id, caller.only), page.went_on)
     sent_again = commands(found.spec, str(request.base_url).rstrip("/"), with_key=bool(caller.key))
     return html(f"{part}job.html", caller=caller, page=page, about=said, commands=sent_again)
 

@@ -24,7 +24,7 @@ class Card:
 @router.get("/targets")
 def targets(services: ServicesDependency, caller: CallerDependency) -> Response:
     """A card for each network."""
-    records = services.target_records.all(caller.only)
+    records = services.record.targets.all(caller.only)
     cards = [Card(info, records.get(info.name, TargetRecord())) for info in available()]
     gone = sorted(set(records) - {card.info.name for card in cards})
     others = [(name, records[name]) for name in gone]

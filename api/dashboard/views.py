@@ -13,15 +13,15 @@ from api.dashboard.questions import Question, SceneObject, objects, questions
 from services.attacks.verdict import judge, with_outcome
 from services.jobs.listed_job import ListedJob
 from services.jobs.models import Artifact, Event, Job, State
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from services.pipeline.names import group_words, question_names
 from services.pipeline.result import CHECKPOINT
 
 
-def all_events(repository: Repository, job_id: str) -> Iterator[Event]:
+def all_events(record: Record, job_id: str) -> Iterator[Event]:
     """Every event of a job, in order."""
     after = 0
-    while page := repository.events(job_id, after):
+    while page := record.jobs.events(job_id, after):
         yield from page
         after = page[-1].number
 

@@ -43,7 +43,7 @@ class VerifiedFile(FileResponse):
 @router.get("/{job_id}/artifacts")
 def list_artifacts(job: KnownJob, services: ServicesDependency) -> ArtifactList:
     """Lists the files of a job; of one that has not ended the list is empty but for a checkpoint to go on from."""
-    return ArtifactList(items=[ArtifactView.of(artifact) for artifact in services.repository.artifacts(job.id)])
+    return ArtifactList(items=[ArtifactView.of(artifact) for artifact in services.record.jobs.artifacts(job.id)])
 
 
 @router.head(
@@ -57,7 +57,7 @@ def download_artifact(
 
     Its ETag is the hash of its bytes, it never changes, and Range requests return parts of it.
     """
-    artifact = services.repository.artifact(job.id, name)
+    artifact = services.record.jobs.artifact(job.id, name)
     if artifact is None:
         raise no_such("artifact")
     headers = {

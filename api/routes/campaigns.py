@@ -23,9 +23,9 @@ from api.schemas import (
 from api.state import Services, ServicesDependency, no_such
 from services.analysis.campaign_text import cases_to_csv, to_csv, to_latex
 from services.jobs.campaigns import request_digest
+from services.jobs.jobs import Key
 from services.jobs.models import Campaign, CampaignState
 from services.jobs.placement import Demand, Priority
-from services.jobs.repository import Key
 from services.pipeline.campaign_plan import CampaignResult
 from services.pipeline.campaign_spec import CampaignSpec
 

@@ -30,10 +30,10 @@ def continued(job: Job, services: Services, caller: Caller) -> JobView:
     """Queues the job that goes on from another's checkpoint. Raises HTTPException as above."""
     if job.state not in (State.CANCELLED, State.FAILED):
         raise HTTPException(409, f"the job is {job.state.value}; one that was cancelled or failed can be continued")
-    checkpoint = services.repository.artifact(job.id, CHECKPOINT)
+    checkpoint = services.record.jobs.artifact(job.id, CHECKPOINT)
     if checkpoint is None:
         raise HTTPException(409, "the job ended before its first checkpoint; send its request again")
-    first = services.repository.get(job.id)
+    first = services.record.jobs.get(job.id)
     if first is None:
         raise no_such("job")
     return services.submissions.retry(caller, first, checkpoint)

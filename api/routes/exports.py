@@ -70,7 +70,7 @@ async def _made(
     headers: dict[str, str],
     if_none_match: str | None,
 ) -> Response:
-    found = await run_in_threadpool(services.repository.artifacts, job.id)
+    found = await run_in_threadpool(services.record.jobs.artifacts, job.id)
     artifacts = {one.name: one.sha256 for one in found}
     if RESULT not in artifacts:
         how = "has not ended" if not job.state.terminal else f"ended as {job.state.value}"

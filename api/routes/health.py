@@ -31,7 +31,7 @@ def get_readiness(services: ServicesDependency, response: Response, caller: Know
     database = redis = True
     workers = 0
     try:
-        services.repository.ping()
+        services.record.database.ping()
     except SQLAlchemyError:
         database = False
     try:

@@ -80,7 +80,7 @@ def _file(lines: Iterator[str], media_type: str, name: str) -> StreamingResponse
 def _jobs(services: Services, caller: Caller, terms: list[Term], sort: str) -> Iterator[dict[str, Any]]:
     after = None
     while True:
-        page = services.lists.page(terms, AT_ONCE, sort=sort, after=after, owner=caller.only)
+        page = services.record.lists.page(terms, AT_ONCE, sort=sort, after=after, owner=caller.only)
         yield from map(_flat, page.jobs)
         if not page.more_after:
             return

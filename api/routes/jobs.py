@@ -129,7 +129,7 @@ async def list_jobs(
 
     def read() -> str:
         about: dict[str, Any] = {"sort": sort, "after": place.after, "before": place.before, "owner": caller.only}
-        shown = services.lists.page(terms, limit, **about)
+        shown = services.record.lists.page(terms, limit, **about)
         after = write_cursor(sort, shown.last, backwards=False) if shown.last and shown.more_after else None
         before = write_cursor(sort, shown.first, backwards=True) if shown.first and shown.more_before else None
         items = [JobSummary.listed(job) for job in shown.jobs]
@@ -145,11 +145,11 @@ async def get_job(job_id: str, services: ServicesDependency, caller: CallerDepen
     """Returns one job, with its result once it succeeded."""
 
     def read() -> str | None:
-        found = services.repository.get(job_id, with_result=True)
+        found = services.record.jobs.get(job_id, with_result=True)
         return None if found is None else JobView.of(found, with_result=True).model_dump_json()
 
     # No dependency reads the job before: clients ask for this more often than for anything else.
-    job = caller.visible(await services.reading(services.repository.get, job_id))
+    job = caller.visible(await services.reading(services.record.jobs.get, job_id))
     if job is None:
         raise no_such("job")
     if job.state is not State.SUCCEEDED:
@@ -174,8 +174,8 @@ def edit_job(
     services: ServicesDependency,
 ) -> JobView:
     """Changes what people have said about a job: its title, tags and note. It changes no result."""
-    services.lists.edit(job.id, changes.changes())
-    edited = services.repository.get(job.id)
+    services.record.lists.edit(job.id, changes.changes())
+    edited = services.record.jobs.get(job.id)
     if edited is None:
         raise no_such("job")
     return JobView.of(edited)
@@ -184,7 +184,7 @@ def edit_job(
 @router.post("/{job_id}/retry", status_code=202)
 def retry_job(job: KnownJob, services: ServicesDependency, caller: CallerDependency, response: Response) -> JobView:
     """Queues the job's request again: a new job, whose `retry_of` is this one. A worker checks it before it runs."""
-    first = services.repository.get(job.id)
+    first = services.record.jobs.get(job.id)
     if first is None:
         raise no_such("job")
     queued = services.submissions.retry(caller, first)
@@ -204,7 +204,7 @@ def cancel_job(job: KnownJob, services: ServicesDependency) -> JobView:
 
     A job that has ended stays as it is. A repeated request has no further effect.
     """
-    asked = services.storage.even_if_full(lambda: services.repository.request_cancel(job.id))
+    asked = services.storage.even_if_full(lambda: services.record.jobs.request_cancel(job.id))
     if asked is None:
         raise no_such("job")
     return JobView.of(asked)

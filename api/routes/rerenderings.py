@@ -65,8 +65,8 @@ def _read(body: RerenderingBody, services: Services, caller: Caller) -> tuple[by
     """The image's bytes, and the job's request."""
     given: dict[str, object] = {"target": {}}
     if body.image.job is not None:
-        job = caller.visible(services.repository.get(body.image.job))
-        artifact = None if job is None else services.repository.artifact(job.id, body.image.artifact)
+        job = caller.visible(services.record.jobs.get(body.image.job))
+        artifact = None if job is None else services.record.jobs.artifact(job.id, body.image.artifact)
         if job is None or artifact is None:
             raise InvalidRequest("image.job", "there is no such job, or it has no file of this name")
         try:

@@ -10,10 +10,10 @@ from benchmarks.chaos.client import Client, differences
 from benchmarks.chaos.faults import Fault
 from benchmarks.chaos.recovery import gaps, recovery
 from services.jobs.models import Job, JobKind
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 
 
-def counts(client: Client, repository: Repository, ids: list[str], undisturbed: list[dict[str, str]]) -> dict[str, Any]:
+def counts(client: Client, record: Record, ids: list[str], undisturbed: list[dict[str, str]]) -> dict[str, Any]:
     """What became of the submitted jobs `ids`, which are of the kinds of `undisturbed` in turn. "ok" is whether every
     one has one result, with the files of its kind, and there is no other job.
     """
@@ -28,14 +28,14 @@ def counts(client: Client, repository: Repository, ids: list[str], undisturbed: 
         attempts[str(job["attempt"])] += 1
         if job["failure"] is not None:
             failures[job["failure"]["kind"]] += 1
-        ends = [event for event in repository.events(job_id, 0, limit=10**6) if event.data.get("state") == "succeeded"]
+        ends = [event for event in record.jobs.events(job_id, 0, limit=10**6) if event.data.get("state") == "succeeded"]
         results += len(ends)
         if job["state"] == "succeeded":
             said = _differences(client.files(job_id), undisturbed[number % len(undisturbed)])
             identical += not said
             if said:
                 different.append({"kind": number % len(undisturbed), "attempts": job["attempt"], "differences": said})
-    recorded = _recorded(repository)
+    recorded = _recorded(record)
     wanted = len(ids) + len(undisturbed)
     return {
         "ok": len(set(ids)) == len(ids) == identical == results and recorded == wanted,
@@ -61,11 +61,11 @@ def _differences(found: dict[str, str], wanted: dict[str, str]) -> list[str]:
     return said
 
 
-def _recorded(repository: Repository) -> int:
-    with repository._read() as session:  # noqa: SLF001 - the service has no use for it
+def _recorded(record: Record) -> int:
+    with record._read() as session:  # noqa: SLF001 - the service has no use for it
         return session.scalar(select(func.count()).select_from(Job).where(Job.kind == JobKind.ATTACK)) or 0
 
 
-def recoveries(repository: Repository, ids: list[str], faults: list[Fault]) -> dict[str, Any]:
+def recoveries(record: Record, ids: list[str], faults: list[Fault]) -> dict[str, Any]:
     """How long the jobs stood still after faults of each kind, and from where they went on."""
-    return recovery([gap for job_id in ids for gap in gaps(repository.events(job_id, 0, limit=10**6))], faults)
+    return recovery([gap for job_id in ids for gap in gaps(record.jobs.events(job_id, 0, limit=10**6))], faults)

@@ -23,7 +23,7 @@ from benchmarks.chaos.jobs import mixed, requests
 from benchmarks.chaos.service import Service
 from services.jobs.database import connect
 from services.jobs.models import Job, State
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from services.settings import Settings
 
 AHEAD = 3
@@ -86,8 +86,8 @@ def _run(load: Load, service: Service, database: Database, client: Client, engin
     sender.join(load.patience)
     _until(load, lambda: _ended(engine) - known >= load.jobs, engine)
     seconds = time.monotonic() - began
-    repository = Repository(engine)
-    return counts(client, repository, ids, undisturbed) | {
+    record = Record(engine)
+    return counts(client, record, ids, undisturbed) | {
         "database": database.name,
         "backend": client.job(ids[0])["result"]["provenance"]["backend"],
         "seconds": round(seconds, 1),
@@ -95,7 +95,7 @@ def _run(load: Load, service: Service, database: Database, client: Client, engin
         "faults": dict(sorted(Counter(f"{fault.kind} {fault.target}" for fault in faults).items())),
         "faults that met no process": missed,
         "refused or broken requests": dict(client.errors),
-        "recovery": recoveries(repository, ids, faults),
+        "recovery": recoveries(record, ids, faults),
     }
 
 

@@ -7,28 +7,31 @@ while nobody has the mesh.
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from sqlalchemy import delete, func, select, update
+from sqlalchemy import Engine, delete, func, select, update
 
 from services.access.caller import Caller
 from services.access.models import OwnedAsset
 from services.jobs.asset_models import Asset
 from services.jobs.asset_uses import check_unused, hold
-from services.jobs.transactions import Transactions
+from services.jobs.database import Clock, Database, now
 
 
-class OwnedAssets(Transactions):
+class OwnedAssets:
     """Adds, finds and deletes the uploads of owners."""
+
+    def __init__(self, engine: Engine, clock: Clock | None = None) -> None:
+        self._database = Database(engine, clock)
 
     def add(self, owner: str, name: str, size: int, title: str | None = None) -> bool:
         """Records that an owner uploads the mesh of this name, of `size` bytes. Returns False if it had done so."""
-        with self._write() as session:
+        with self._database.write() as session:
             if hold(session, [name], to_change=True):
                 session.execute(update(Asset).where(Asset.name == name).values(deleted_at=None))
             if title is not None:
                 session.execute(update(Asset).where(Asset.name == name).values(title=title))
             if session.get(OwnedAsset, (owner, name)) is not None:
                 return False
-            session.add(OwnedAsset(owner=owner, name=name, size=size, created_at=self._now(session)))
+            session.add(OwnedAsset(owner=owner, name=name, size=size, created_at=now(session)))
             return True
 
     @contextmanager
@@ -39,7 +42,7 @@ class OwnedAssets(Transactions):
             yield
         except BaseException:
             if is_new:
-                with self._write() as session:
+                with self._database.write() as session:
                     session.execute(delete(OwnedAsset).where(OwnedAsset.owner == owner, OwnedAsset.name == name))
             raise
 
@@ -49,7 +52,7 @@ class OwnedAssets(Transactions):
         Raises InUse if a job or campaign of the owner refers to the mesh; of others, only if no owner is left.
         """
         owner = caller.only
-        with self._write() as session:
+        with self._database.write() as session:
             if owner is not None and session.get(OwnedAsset, (owner, name)) is None:
                 return False
             if hold(session, [name], to_change=True):
@@ -62,12 +65,12 @@ class OwnedAssets(Transactions):
             gone = (OwnedAsset.name == name,) if owner is None else (OwnedAsset.name == name, OwnedAsset.owner == owner)
             session.execute(delete(OwnedAsset).where(*gone))
             if is_last:
-                session.execute(update(Asset).where(Asset.name == name).values(deleted_at=self._now(session)))
+                session.execute(update(Asset).where(Asset.name == name).values(deleted_at=now(session)))
             return True
 
     def used(self, owner: str) -> int:
         """The bytes that an owner has uploaded."""
-        with self._read() as session:
+        with self._database.read() as session:
             return session.scalar(select(func.sum(OwnedAsset.size)).where(OwnedAsset.owner == owner)) or 0
 
     def visible(self, caller: Caller) -> Callable[[str], bool]:
@@ -75,7 +78,7 @@ class OwnedAssets(Transactions):
         Administrators see all that were not deleted.
         """
         only = caller.only
-        with self._read() as session:
+        with self._database.read() as session:
             if only is None:
                 deleted = frozenset(session.scalars(select(Asset.name).where(Asset.deleted_at.is_not(None))))
                 return lambda name: name not in deleted

@@ -12,7 +12,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from services.access.caller import Scope
 from services.access.models import AccessKey
-from services.jobs.transactions import Transactions
+from services.jobs.database import Clock, Database, now
 
 LONGEST = 100
 """A text of more characters is no key, and is not looked up."""
@@ -21,16 +21,16 @@ USE_SECONDS = 60.0
 _ANY = select(AccessKey.prefix).limit(1)
 
 
-class AccessKeys(Transactions):
+class AccessKeys:
     """Makes, lists, revokes and finds keys."""
 
     def __init__(
         self,
         engine: Engine,
-        clock: Callable[[], datetime] | None = None,
+        clock: Clock | None = None,
         elapsed: Callable[[], float] = time.monotonic,
     ) -> None:
-        super().__init__(engine, clock)
+        self._database = Database(engine, clock)
         self._elapsed = elapsed
         self._recorded: dict[str, float] = {}
 
@@ -40,53 +40,53 @@ class AccessKeys(Transactions):
         """Makes a key, which expires after `seconds` if they are given. Returns it and its text, which is not kept."""
         prefix = f"sa_{secrets.token_hex(5)}"
         text = f"{prefix}_{secrets.token_urlsafe(32)}"
-        with self._write() as session:
-            now = self._now(session)
+        with self._database.write() as session:
+            at = now(session)
             key = AccessKey(
                 prefix=prefix,
                 digest=_digest(text),
                 name=name,
                 owner=owner,
                 scopes=sorted(scope.value for scope in scopes),
-                created_at=now,
-                expires_at=None if seconds is None else now + timedelta(seconds=seconds),
+                created_at=at,
+                expires_at=None if seconds is None else at + timedelta(seconds=seconds),
             )
             session.add(key)
             return key, text
 
     def all(self) -> list[AccessKey]:
         """Every key ever made, oldest first."""
-        with self._read() as session:
+        with self._database.read() as session:
             return list(session.scalars(select(AccessKey).order_by(AccessKey.created_at, AccessKey.prefix)))
 
     def exist(self) -> bool:
         """Whether a key was ever made. One that is revoked counts, so that revoking the last one opens nothing."""
-        with self._read() as session:
+        with self._database.read() as session:
             # By the connection, which makes no object of it: every request to a service without keys asks this.
             return session.connection().scalar(_ANY) is not None
 
     def revoke(self, prefix: str) -> AccessKey | None:
         """Ends a key for good and returns it, or None if there is none of this prefix. Repeating it changes nothing."""
-        with self._write() as session:
+        with self._database.write() as session:
             key = session.get(AccessKey, prefix)
             if key is not None and key.revoked_at is None:
-                key.revoked_at = self._now(session)
+                key.revoked_at = now(session)
             return key
 
     def find(self, text: str) -> AccessKey | None:
         """The key with this text; None if it is unknown, revoked or expired."""
         if len(text) > LONGEST:
             return None
-        with self._read() as session:
+        with self._database.read() as session:
             key = session.scalars(select(AccessKey).where(AccessKey.digest == _digest(text))).one_or_none()
-            now = self._now(session)
-        return key if key is not None and _is_valid(key, now) else None
+            at = now(session)
+        return key if key is not None and _is_valid(key, at) else None
 
     def of_prefix(self, prefix: str) -> AccessKey | None:
         """The key of a session, by its prefix; None if it is revoked or expired."""
-        with self._read() as session:
-            key, now = session.get(AccessKey, prefix), self._now(session)
-        return key if key is not None and _is_valid(key, now) else None
+        with self._database.read() as session:
+            key, at = session.get(AccessKey, prefix), now(session)
+        return key if key is not None and _is_valid(key, at) else None
 
     def use_is_due(self, prefix: str) -> bool:
         """Whether the use of a key should be recorded: this process has not done so within `USE_SECONDS`."""
@@ -95,16 +95,16 @@ class AccessKeys(Transactions):
     def record_use(self, prefix: str) -> None:
         """Records that a key is used now. A failure is no error: a disk that is full refuses no reader."""
         self._recorded[prefix] = self._elapsed()
-        with suppress(SQLAlchemyError), self._write() as session:
+        with suppress(SQLAlchemyError), self._database.write() as session:
             change = update(AccessKey).where(AccessKey.prefix == prefix)
-            session.execute(change.values(last_used_at=self._now(session)))
+            session.execute(change.values(last_used_at=now(session)))
 
     def ended(self, prefixes: Collection[str]) -> set[str]:
         """Those of some keys, by their prefixes, that are revoked, expired or unknown. The prefix "" is that of callers
         without a key, and ends with the first key.
         """
-        with self._read() as session:
-            in_time = or_(AccessKey.expires_at.is_(None), AccessKey.expires_at > self._now(session))
+        with self._database.read() as session:
+            in_time = or_(AccessKey.expires_at.is_(None), AccessKey.expires_at > now(session))
             valid = select(AccessKey.prefix).where(
                 AccessKey.prefix.in_(prefixes), AccessKey.revoked_at.is_(None), in_time
             )
@@ -114,8 +114,8 @@ class AccessKeys(Transactions):
         return ended
 
 
-def _is_valid(key: AccessKey, now: datetime) -> bool:
-    return key.revoked_at is None and (key.expires_at is None or key.expires_at > now)
+def _is_valid(key: AccessKey, at: datetime) -> bool:
+    return key.revoked_at is None and (key.expires_at is None or key.expires_at > at)
 
 
 def _digest(text: str) -> str:

@@ -9,8 +9,8 @@ from sqlalchemy.orm import Session, defer
 from sqlalchemy.sql.elements import ColumnElement
 
 from services.jobs.asset_uses import titles, uploads_among
+from services.jobs.database import Database
 from services.jobs.models import Job, JobKind, State
-from services.jobs.transactions import Transactions
 from services.pipeline.names import scene_name
 
 _MESH = Job.spec[("scene", "objects", 0, "mesh")].as_string()
@@ -27,15 +27,18 @@ class FirstAnswer:
     jobs: int
 
 
-class AssetRecords(Transactions):
+class AssetRecords:
     """Reads the record by mesh."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
 
     def first_answers(self, meshes: Collection[str], owner: str | None) -> dict[str, list[FirstAnswer]]:
         """The first answers to each of these meshes in jobs of the owner (None: of any owner) that ran to their end,
         those of most jobs first. Meshes without an answer are left out, and so are jobs with questions.
         """
         found: dict[str, list[FirstAnswer]] = defaultdict(list)
-        with self._read() as session:
+        with self._database.read() as session:
             # The answers are columns of a subquery, as PostgreSQL does not group by an expression with a parameter.
             answers = (
                 select(
@@ -58,7 +61,7 @@ class AssetRecords(Transactions):
         """At most `limit` jobs of the owner (None: of any owner) that ran to their end and show this mesh alone, newest
         first, without their results.
         """
-        with self._read() as session:
+        with self._database.read() as session:
             query = select(Job).where(*_alone(session, [mesh], owner)).options(defer(Job.result))
             return list(session.scalars(query.order_by(Job.created_at.desc(), Job.id.desc()).limit(limit)))
 

@@ -16,18 +16,19 @@ from typing import Any
 from uuid import uuid4
 
 from redis.exceptions import RedisError
-from sqlalchemy import Engine, func, select, tuple_, update
+from sqlalchemy import func, select, tuple_, update
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session, defer, undefer
 
 from services.analysis.campaign_table import Case, CaseRow, Curves, mean_curves, table, time_left
 from services.errors import QuotaExceeded
 from services.jobs.asset_uses import check_held, refer_from_campaign, titles, uploads_among
+from services.jobs.database import Database, now
+from services.jobs.jobs import Key, KeyReused, add_job
+from services.jobs.leases import change_state, not_paused
 from services.jobs.models import Campaign, CampaignJob, CampaignState, Job, JobKind, State
 from services.jobs.placement import CAMPAIGNS, Demand
 from services.jobs.queue import Queue
-from services.jobs.repository import Key, KeyReused
-from services.jobs.transactions import Transactions, not_held
 from services.jobs.utc_time import place
 from services.logs import logger
 from services.pipeline.campaign_check import check_meshes, meshes_of
@@ -78,8 +79,11 @@ class Progress:
     running: int
 
 
-class Campaigns(Transactions):
+class Campaigns:
     """The record of campaigns, as clients see and change it."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
 
     def create(
         self,
@@ -97,7 +101,7 @@ class Campaigns(Transactions):
         ended, InvalidRequest if a mesh of the request was deleted, and IntegrityError if another process records the
         same key at the same moment.
         """
-        with self._write(durable=True) as session:
+        with self._database.write(durable=True) as session:
             given = None if key is None else Key(key, digest, owner)
             if given is not None and (first := _first(session, given)) is not None:
                 return first
@@ -113,7 +117,7 @@ class Campaigns(Transactions):
                 name=spec.name,
                 state=CampaignState.SELECTING,
                 spec=spec.model_dump(mode="json"),
-                created_at=self._now(session),
+                created_at=now(session),
                 view_count=view_count,
                 key=None if given is None else given.stored,
                 owner=owner,
@@ -127,13 +131,13 @@ class Campaigns(Transactions):
 
     def of_key(self, key: Key) -> Campaign | None:
         """The campaign of the first request with this key, or None for a new key. Raises KeyReused."""
-        with self._read() as session:
+        with self._database.read() as session:
             return _first(session, key)
 
     def get(self, campaign_id: str, *, whole: bool = False) -> Campaign | None:
         """A campaign, or None if the id is unknown; `whole` reads its spec and its views, too."""
         options = [undefer(Campaign.spec), undefer(Campaign.views)] if whole else []
-        with self._read() as session:
+        with self._database.read() as session:
             return session.get(Campaign, campaign_id, options=options)
 
     def page(
@@ -149,19 +153,19 @@ class Campaigns(Transactions):
             query = query.where(Campaign.owner == owner)
         if before is not None:
             query = query.where(tuple_(Campaign.created_at, Campaign.id) < place(before))
-        with self._read() as session:
+        with self._database.read() as session:
             return list(session.scalars(query))
 
     def pause(self, campaign_id: str) -> Campaign | None:
         """Holds the campaign's queued jobs back; running jobs go on to their end. Returns it, or None if unknown."""
         active = (CampaignState.SELECTING, CampaignState.RUNNING)
-        with self._write() as session:
-            self._set(session, campaign_id, active, state=CampaignState.PAUSED, paused_at=self._now(session))
+        with self._database.write() as session:
+            self._set(session, campaign_id, active, state=CampaignState.PAUSED, paused_at=now(session))
             return session.get(Campaign, campaign_id)
 
     def resume(self, campaign_id: str) -> Campaign | None:
         """Lets the jobs of a paused campaign go on. Returns the campaign, or None if the id is unknown."""
-        with self._write() as session:
+        with self._database.write() as session:
             campaign = session.get(Campaign, campaign_id, with_for_update=True)
             if campaign is not None and campaign.state is CampaignState.PAUSED:
                 campaign.state = CampaignState.SELECTING if campaign.selected_at is None else CampaignState.RUNNING
@@ -173,19 +177,19 @@ class Campaigns(Transactions):
 
         Returns the campaign, or None if the id is unknown.
         """
-        with self._write() as session:
+        with self._database.write() as session:
             if self._set(
                 session,
                 campaign_id,
                 _OPEN,
                 state=CampaignState.CANCELLED,
-                ended_at=self._now(session),
+                ended_at=now(session),
                 paused_at=None,
             ):
                 own = (Job.campaign_id == campaign_id, Job.state.in_((State.QUEUED, State.RUNNING)))
                 for job_id in session.scalars(select(Job.id).where(*own).order_by(Job.id).with_for_update()).all():
-                    if self._move(session, job_id, State.CANCELLED, [Job.state == State.QUEUED]) is None:
-                        self._move(session, job_id, State.CANCELLING, [Job.state == State.RUNNING])
+                    if change_state(session, job_id, State.CANCELLED, [Job.state == State.QUEUED]) is None:
+                        change_state(session, job_id, State.CANCELLING, [Job.state == State.RUNNING])
             return session.get(Campaign, campaign_id)
 
     def _set(self, session: Session, campaign_id: str, states: Sequence[CampaignState], **values: Any) -> bool:
@@ -200,7 +204,7 @@ class Campaigns(Transactions):
     def progress(self, campaign_ids: Sequence[str]) -> dict[str, Progress]:
         """How far each of these campaigns is."""
         own = Job.campaign_id.in_(campaign_ids)
-        with self._read() as session:
+        with self._database.read() as session:
             answered = session.execute(
                 select(Job.campaign_id, func.sum(Job.step))
                 .where(own, Job.kind == JobKind.SELECTION)
@@ -230,7 +234,7 @@ class Campaigns(Transactions):
     def cases(self, campaign_id: str) -> tuple[list[tuple[str, str]], list[Case]]:
         """(target, attack) of every planned job, and the cases of those that have ended, both in their order."""
         columns = select(CampaignJob.target, CampaignJob.attack, CampaignJob.ended, CampaignJob.case)
-        with self._read() as session:
+        with self._database.read() as session:
             rows = session.execute(
                 columns.where(CampaignJob.campaign_id == campaign_id).order_by(CampaignJob.number)
             ).all()
@@ -240,7 +244,7 @@ class Campaigns(Transactions):
         """Target, attack and curves of every job that ran to its end on a view whose first answer was right."""
         own = (CampaignJob.campaign_id == campaign_id, CampaignJob.ended, CampaignJob.right)
         columns = select(CampaignJob.target, CampaignJob.attack, CampaignJob.curves).where(*own)
-        with self._read() as session:
+        with self._database.read() as session:
             rows = session.execute(columns.order_by(CampaignJob.number)).all()
         return [(row.target, row.attack, Curves.model_validate(row.curves)) for row in rows if row.curves is not None]
 
@@ -254,7 +258,7 @@ class Campaigns(Transactions):
             .limit(limit)
             .options(defer(Job.spec))
         )
-        with self._read() as session:
+        with self._database.read() as session:
             return [(planned, job) for planned, job in session.execute(query)]
 
     def ended(self, campaign_id: str) -> list[EndedJob]:
@@ -270,7 +274,7 @@ class Campaigns(Transactions):
             .where(CampaignJob.campaign_id == campaign_id, CampaignJob.ended)
             .order_by(CampaignJob.number)
         )
-        with self._read() as session:
+        with self._database.read() as session:
             rows = session.execute(query).all()
         return [EndedJob(row.number, row.view, row.seed, row.job_id, Case.model_validate(row.case)) for row in rows]
 
@@ -286,7 +290,7 @@ class Campaigns(Transactions):
             .order_by(CampaignJob.number)
             .limit(limit)
         )
-        with self._read() as session:
+        with self._database.read() as session:
             rows = session.execute(query).all()
         return [(row.target, row.attack, row.attribution) for row in rows if row.attribution]
 
@@ -392,11 +396,11 @@ AT_ONCE = 50
 log = logger(__name__)
 
 
-class Feeder(Transactions):
+class Feeder:
     """Moves campaigns on. At most `max_queued` jobs of all campaigns together are queued at a time."""
 
-    def __init__(self, engine: Engine, max_queued: int) -> None:
-        super().__init__(engine)
+    def __init__(self, database: Database, max_queued: int) -> None:
+        self._database = database
         self._max_queued = max_queued
         self._served: str | None = None
         """The campaign that had the last turn."""
@@ -406,7 +410,7 @@ class Feeder(Transactions):
         """Reads the jobs that have ended, plans the jobs of selected campaigns, and queues the next jobs of each."""
         while self._read_ended() == AT_ONCE:
             pass
-        with self._read() as session:
+        with self._database.read() as session:
             active = list(
                 session.execute(
                     select(Campaign.id, Campaign.state)
@@ -435,13 +439,13 @@ class Feeder(Transactions):
                 waiting.append(self._served)
 
     def _queued(self) -> int:
-        own = (Job.state == State.QUEUED, Job.campaign_id.is_not(None), not_held())
-        with self._read() as session:
+        own = (Job.state == State.QUEUED, Job.campaign_id.is_not(None), not_paused())
+        with self._database.read() as session:
             return session.scalar(select(func.count()).select_from(Job).where(*own)) or 0
 
     def _queue_one(self, campaign_id: str) -> bool:
         """Queues the next job of a campaign. Returns whether there may be another one after it."""
-        with self._write() as session:
+        with self._database.write() as session:
             # held until the job is there, so that another supervisor does not queue the same one
             state = session.scalar(select(Campaign.state).where(Campaign.id == campaign_id).with_for_update())
             if state is CampaignState.SELECTING:
@@ -461,21 +465,19 @@ class Feeder(Transactions):
             return False
         asked = [{"number": view.number, "probe": view.probe.model_dump(mode="json")} for view in chunk]
         owner, demand = _sender(session, campaign_id)
-        self._add_job(
-            session, {"views": asked}, kind=JobKind.SELECTION, campaign_id=campaign_id, owner=owner, demand=demand
-        )
+        add_job(session, {"views": asked}, kind=JobKind.SELECTION, campaign_id=campaign_id, owner=owner, demand=demand)
         return begun + CHUNK < len(found)
 
     def _expand(self, campaign_id: str) -> None:
         if campaign_id not in self._expanded:
-            with self._read() as session:
+            with self._database.read() as session:
                 spec = session.scalars(select(Campaign.spec).where(Campaign.id == campaign_id)).one()
             campaign = CampaignSpec.model_validate(spec)
             self._expanded[campaign_id] = campaign, views(campaign)
 
     def _fail(self, campaign_id: str, why: str) -> None:
-        with self._write() as session:
-            values = {"state": CampaignState.FAILED, "ended_at": self._now(session), "failure": why}
+        with self._database.write() as session:
+            values = {"state": CampaignState.FAILED, "ended_at": now(session), "failure": why}
             active = (Campaign.id == campaign_id, Campaign.state.in_((CampaignState.SELECTING, CampaignState.RUNNING)))
             if session.scalar(update(Campaign).where(*active).values(values).returning(Campaign.id)) is None:
                 return  # paused, or ended meanwhile
@@ -484,7 +486,7 @@ class Feeder(Transactions):
     def _plan(self, campaign_id: str) -> None:
         """Chooses the views and plans the jobs, once all selection jobs have ended."""
         campaign, found = self._expanded[campaign_id]
-        with self._read() as session:
+        with self._database.read() as session:
             own = (Job.campaign_id == campaign_id, Job.kind == JobKind.SELECTION)
             asked = list(session.scalars(select(Job).where(*own).options(undefer(Job.result))))
             named = titles(session, meshes_in(found))
@@ -508,10 +510,10 @@ class Feeder(Transactions):
             }
             for number, job in enumerate(planned)
         ]
-        with self._write() as session:
+        with self._database.write() as session:
             values: dict[str, Any] = {
                 "state": CampaignState.RUNNING,
-                "selected_at": self._now(session),
+                "selected_at": now(session),
                 "views": [view.model_dump(mode="json") for view in chosen],
             }
             selecting = (Campaign.id == campaign_id, Campaign.state == CampaignState.SELECTING)
@@ -544,7 +546,7 @@ class Feeder(Transactions):
             earlier = _earlier(session, one, owner) if campaign.reuse else None
             if earlier is None:
                 seed = int(one.spec["seed"])
-                job = self._add_job(
+                job = add_job(
                     session,
                     one.spec,
                     seed=seed,
@@ -568,7 +570,7 @@ class Feeder(Transactions):
             .options(undefer(Job.result))
             .with_for_update(of=CampaignJob, skip_locked=True)
         )
-        with self._write() as session:
+        with self._database.write() as session:
             rows = session.execute(query).all()
             for planned, job in rows:
                 planned.ended = True
@@ -592,9 +594,9 @@ class Feeder(Transactions):
     def _finish(self, campaign_id: str) -> None:
         """Ends a campaign whose jobs have all ended."""
         left = select(CampaignJob.number).where(CampaignJob.campaign_id == campaign_id, ~CampaignJob.ended).exists()
-        with self._write() as session:
+        with self._database.write() as session:
             done = (Campaign.id == campaign_id, Campaign.state == CampaignState.RUNNING, ~left)
-            values = {"state": CampaignState.FINISHED, "ended_at": self._now(session)}
+            values = {"state": CampaignState.FINISHED, "ended_at": now(session)}
             if session.scalar(update(Campaign).where(*done).values(values).returning(Campaign.id)) is not None:
                 log.info("campaign finished", campaign=campaign_id)
 

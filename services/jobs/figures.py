@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 from sqlalchemy import func, select
 
+from services.jobs.database import Database, now
+from services.jobs.leases import not_paused
 from services.jobs.models import Campaign, Job, State, Total
 from services.jobs.totals import STAGE_BOUNDS
-from services.jobs.transactions import Transactions, not_held
 
 _ENDED = [state for state in State if state.terminal]
 
@@ -37,17 +38,20 @@ class ServiceFigures:
     stages: dict[str, StageTimes]
 
 
-class Figures(Transactions):
+class Figures:
     """Reads the figures from the record."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
 
     def read(self) -> ServiceFigures:
         """The figures now. Raises SQLAlchemyError if the database does not answer."""
-        with self._read() as session:
+        with self._database.read() as session:
             if session.get_bind().dialect.name == "postgresql":  # so that all is read of one moment; SQLite does so
                 session.connection(execution_options={"isolation_level": "REPEATABLE READ"})
             jobs = session.execute(select(Job.kind, Job.state, func.count()).group_by(Job.kind, Job.state)).all()
             campaigns = session.execute(select(Campaign.state, func.count()).group_by(Campaign.state)).all()
-            waiting = select(func.count(), func.min(Job.queued_at)).where(Job.state == State.QUEUED, not_held())
+            waiting = select(func.count(), func.min(Job.queued_at)).where(Job.state == State.QUEUED, not_paused())
             queued, oldest = session.execute(waiting).one()
             totals: dict[str, dict[str, float]] = defaultdict(dict)
             for total in session.scalars(select(Total).order_by(Total.name, Total.label)):
@@ -55,12 +59,12 @@ class Figures(Transactions):
             active = select(func.sum(Job.steps_done), func.sum(Job.queries_done)).where(Job.state.not_in(_ENDED))
             for name, under_way in zip(("steps", "queries"), session.execute(active).one(), strict=True):
                 totals[name][""] = totals[name].get("", 0) + int(under_way or 0)
-            now = self._now(session)
+            at = now(session)
         return ServiceFigures(
             jobs={(kind.value, state.value): n for kind, state, n in jobs},
             campaigns={state.value: n for state, n in campaigns},
             queued=queued,
-            oldest_seconds=0.0 if oldest is None else max((now - oldest).total_seconds(), 0.0),
+            oldest_seconds=0.0 if oldest is None else max((at - oldest).total_seconds(), 0.0),
             totals=dict(totals),
             stages=_stages(totals),
         )

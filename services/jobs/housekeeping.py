@@ -5,12 +5,9 @@ from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
-from sqlalchemy import Engine
-
 from services.jobs.artifacts import ArtifactStore
 from services.jobs.asset_removal import DeletedAssets
-from services.jobs.deletion import Deletions
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from services.jobs.storage import Storage
 from services.jobs.working_files import WorkingFiles
 from services.scenes.store import limit
@@ -31,7 +28,7 @@ class Housekeeping:
 
     def __init__(
         self,
-        engine: Engine,
+        record: Record,
         store: ArtifactStore,
         data_dir: Path,
         retention_days: float | None = None,
@@ -39,8 +36,7 @@ class Housekeeping:
         assets: DeletedAssets | None = None,
         place: Path | str | None = None,
     ) -> None:
-        self._repository = Repository(engine)
-        self._deletions = Deletions(engine)
+        self._record = record
         self._store = store
         self._working_files = WorkingFiles(data_dir, place)
         self._data_dir = data_dir
@@ -52,7 +48,7 @@ class Housekeeping:
 
     def delete(self, job_id: str) -> None:
         """Deletes a job, and the files that only it has named for an hour; younger ones go later. Raises InUse."""
-        self._remove(self._deletions.delete(job_id))
+        self._remove(self._record.jobs.delete(job_id))
 
     def tidy(self) -> None:
         """Does what is due. Raises SQLAlchemyError and OSError; what is left is done the next time."""
@@ -60,21 +56,21 @@ class Housekeeping:
         now = time.monotonic()
         if now - self._swept >= SWEEP_SECONDS:
             self._swept = now
-            self._working_files.sweep(self._repository)
+            self._working_files.sweep(self._record)
             if self._meshes is not None:
                 limit(*self._meshes)
             if self._retention_days is not None:
-                self._remove(self._deletions.expire(self._retention_days))
+                self._remove(self._record.jobs.expire(self._retention_days))
         if now - self._searched >= SEARCH_SECONDS:
             self._searched = now
             self._remove(self._store.names())
             if self._assets is not None:
                 self._assets.remove_all()
-            self._working_files.forget_copies(self._repository)
+            self._working_files.forget_copies(self._record)
             remove_unfinished(self._data_dir)
 
     def _remove(self, hashes: Iterable[str]) -> None:
-        for sha256 in self._deletions.unnamed(set(hashes)):
+        for sha256 in self._record.jobs.unnamed(set(hashes)):
             self._store.remove(sha256, GRACE_SECONDS)
 
 

@@ -14,10 +14,11 @@ from sqlalchemy import ColumnElement, Float, Select, and_, case, func, literal, 
 from sqlalchemy import delete as deletion
 from sqlalchemy.orm import InstrumentedAttribute
 
+from services.jobs.database import Database
 from services.jobs.job_query import Term
+from services.jobs.leases import lock
 from services.jobs.listed_job import LISTED, ListedJob, listed_jobs
 from services.jobs.models import Job, JobKind, JobTag, State
-from services.jobs.transactions import Transactions
 from services.jobs.utc_time import UtcTime
 
 SORTS: dict[str, Any] = {
@@ -95,8 +96,11 @@ class ListTotals:
     seconds: float
 
 
-class JobLists(Transactions):
+class JobLists:
     """Reads lists of jobs, and writes what people say about them. Terms of the field `kind` show re-renderings, too."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
 
     def page(
         self,
@@ -122,7 +126,7 @@ class JobLists(Transactions):
         if place is not None:
             query = query.where(_beyond(column, place, descending=descending, backwards=backwards))
         query = query.order_by(*_order(column, descending=descending, backwards=backwards)).limit(limit + 1)
-        with self._read() as session:
+        with self._database.read() as session:
             found = session.execute(query).all()
             more, found = len(found) > limit, list(found[:limit])
             if backwards:
@@ -150,7 +154,7 @@ class JobLists(Transactions):
         decided, verified = func.count(Job.verdict), func.sum(case((Job.verified.is_(True), 1), else_=0))
         sums = (func.count(), verified, decided, func.sum(Job.queries), func.sum(Job.seconds))
         query = self._matching(select(Job.state, *sums), terms, owner).group_by(Job.state)
-        with self._read() as session:
+        with self._database.read() as session:
             rows = session.execute(query).all()
         return ListTotals(
             jobs=sum(row[1] for row in rows),
@@ -169,7 +173,7 @@ class JobLists(Transactions):
         listed = Job.kind != JobKind.SELECTION
         open_jobs = select(Job.owner, func.count(), func.sum(Job.events), func.max(Job.created_at))
         newest = select(Job.owner, Job.id).where(listed).order_by(Job.created_at.desc(), Job.id.desc()).limit(RECENT)
-        with self._read() as session:
+        with self._database.read() as session:
             rows = session.execute(open_jobs.where(Job.state.in_(OPEN), listed).group_by(Job.owner)).all()
             last: dict[str, str] = {}
             for owner, job_id in session.execute(newest):
@@ -182,8 +186,8 @@ class JobLists(Transactions):
         values = dict(changes)
         if "tags" in values:
             values["tags"] = sorted(set(values["tags"]))
-        with self._write() as session:
-            self._lock(session, job_id)
+        with self._database.write() as session:
+            lock(session, job_id)
             changed = update(Job).where(Job.id == job_id).values(values).returning(Job.id)
             if values and session.scalar(changed) is not None and "tags" in values:
                 session.execute(deletion(JobTag).where(JobTag.job_id == job_id))
@@ -192,7 +196,7 @@ class JobLists(Transactions):
     def retries(self, job_id: str, owner: str | None = None) -> list[str]:
         """The ids of the jobs that repeat a job, the first one first. If `owner` is given, only the owner's."""
         query = select(Job.id).where(Job.retry_of == job_id).order_by(Job.created_at, Job.id)
-        with self._read() as session:
+        with self._database.read() as session:
             return list(session.scalars(query if owner is None else query.where(Job.owner == owner)))
 
     def _matching(self, query: Select[*tuple[Any, ...]], terms: Collection[Term], owner: str | None) -> Any:

@@ -129,7 +129,7 @@ class Job(Base):
     lost: Mapped[int] = mapped_column(default=0)
     """Number of attempts in a row that ended with their process before they got further than those before."""
     furthest: Mapped[int] = mapped_column(BigInteger, default=0, server_default=text("0"))
-    """How far lost attempts got (services.jobs.attempts.distance)."""
+    """How far lost attempts got (services.jobs.leases.distance)."""
     lease_owner: Mapped[str | None] = mapped_column(String(100))
     lease_until: Mapped[datetime | None]
 
@@ -210,7 +210,7 @@ class Total(Base):
 class IdempotencyKey(Base):
     """A client's key for one submission, with the digest of the request and the first answer to it.
 
-    `key` is that of the owner "", or SHA-256 of an owner and its key (`services.jobs.repository.Key.stored`).
+    `key` is that of the owner "", or SHA-256 of an owner and its key (`services.jobs.record.Key.stored`).
     """
 
     __tablename__ = "idempotency_keys"

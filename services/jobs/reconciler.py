@@ -2,20 +2,20 @@
 
 from services.jobs.placement import Priority, why_waiting
 from services.jobs.queue import Queue
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 
 
-def reconcile(repository: Repository, queue: Queue) -> None:
+def reconcile(record: Record, queue: Queue) -> None:
     """Records why queued jobs wait, and rings where a live worker can run one of them. Raises RedisError.
 
     There are then as many bells as workers: one that cannot run the job may answer first, and drops its bell.
     """
     workers = queue.workers()
     wanted: set[Priority] = set()
-    for waiting in repository.waiting():
+    for waiting in record.scheduler.waiting():
         why = why_waiting(waiting.needs, workers)
         if why != waiting.why:
-            repository.explain(waiting, why)
+            record.scheduler.explain(waiting, why)
         if why is None:
             wanted.add(waiting.priority)
     for priority in wanted:

@@ -6,8 +6,8 @@ from sqlalchemy import func, select
 
 from services.analysis.campaign_table import Rate
 from services.attacks.verdict import SUCCESS
+from services.jobs.database import Database
 from services.jobs.models import Job, JobKind, State
-from services.jobs.transactions import Transactions
 
 
 @dataclass(frozen=True)
@@ -30,8 +30,11 @@ class TargetRecord:
         return Rate.of_cases(self.successes, self.right_before)
 
 
-class TargetRecords(Transactions):
+class TargetRecords:
     """Reads the record by network."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
 
     def all(self, owner: str | None) -> dict[str, TargetRecord]:
         """The record of each network that a job of the owner names (None: of any owner), by the network's name."""
@@ -49,7 +52,7 @@ class TargetRecords(Transactions):
             .subquery()
         )
         found: dict[str, TargetRecord] = {}
-        with self._read() as session:
+        with self._database.read() as session:
             query = select(*answers.columns, func.count().label("jobs")).group_by(*answers.columns)
             for row in session.execute(query).all():
                 one = found.get(row.target, TargetRecord())

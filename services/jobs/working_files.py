@@ -8,9 +8,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from services.jobs.attempts import Attempt
 from services.jobs.checkpoint_copies import CheckpointCopies
-from services.jobs.repository import Repository
+from services.jobs.leases import Attempt
+from services.jobs.record import Record
 
 
 class WorkingFiles:
@@ -50,30 +50,30 @@ class WorkingFiles:
         finally:
             shutil.rmtree(out, ignore_errors=True)
 
-    def forget(self, repository: Repository, job_id: str) -> None:
+    def forget(self, record: Record, job_id: str) -> None:
         """Removes a job's checkpoint if the job has ended."""
-        job = repository.get(job_id)
+        job = record.jobs.get(job_id)
         if job is None or job.state.terminal:
             for file in self._checkpoints.glob(f"{job_id}*"):
                 file.unlink(missing_ok=True)
             if self._copies is not None:
                 self._copies.forget(job_id)
 
-    def forget_copies(self, repository: Repository) -> None:
+    def forget_copies(self, record: Record) -> None:
         """Removes the copies of checkpoints of jobs that have ended. Raises OSError if the store does not answer."""
         if self._copies is None:
             return
         for job_id in self._copies.job_ids():
-            job = repository.get(job_id)
+            job = record.jobs.get(job_id)
             if job is None or job.state.terminal:
                 self._copies.remove(job_id)
 
-    def sweep(self, repository: Repository) -> None:
+    def sweep(self, record: Record) -> None:
         """Removes the files that killed processes left behind of attempts and jobs that have ended."""
         for out in self._running.glob("*-*"):
             job_id, _, number = out.name.rpartition("-")
-            job = repository.get(job_id)
+            job = record.jobs.get(job_id)
             if job is None or job.state.terminal or job.attempt != int(number):
                 shutil.rmtree(out, ignore_errors=True)
         for file in list(self._checkpoints.glob("*")):
-            self.forget(repository, file.name.partition(".")[0])
+            self.forget(record, file.name.partition(".")[0])

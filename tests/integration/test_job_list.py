@@ -89,10 +89,10 @@ def test_ticks_and_focus_survive_live_changes(page: Page, services: Services) ->
     row.get_by_role("checkbox").check()
     row.locator(".c-name a").first.focus()
     page.evaluate("window.kept = document.activeElement")
-    attempt = services.repository.lease(str(page.locator("#rows tr").first.get_attribute("data-id")), "test", 600)
+    attempt = services.record.leases.lease(str(page.locator("#rows tr").first.get_attribute("data-id")), "test", 600)
     assert attempt is not None
     expect(page.locator("#rows tr").first).to_have_attribute("data-id", job)  # the leased one is queued no more
-    assert services.repository.lease(job, "test", 600) is not None
+    assert services.record.leases.lease(job, "test", 600) is not None
     page.locator(".strip dd").first.filter(has_text="2").wait_for()
     expect(
         page.locator(f'tr[data-id="{job}"] input')

@@ -12,10 +12,9 @@ from services.access.caller import KEYLESS, Caller, Scope
 from services.blobs import blobs
 from services.errors import InUse, InvalidRequest
 from services.jobs.asset_removal import REQUEST_SECONDS, DeletedAssets
-from services.jobs.campaigns import Campaigns
-from services.jobs.deletion import Deletions
+from services.jobs.database import Database
 from services.jobs.models import Job
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from services.pipeline.campaign_spec import CampaignSpec
 from services.pipeline.campaign_spec import parse as parse_campaign
 from services.pipeline.spec import JobSpec, parse
@@ -41,7 +40,7 @@ def campaign_with(mesh: str) -> CampaignSpec:
 
 
 def add_job(engine: Engine, owner: str, mesh: str = MESH) -> Job:
-    job, _ = Repository(engine).create(job_with(mesh), 1000, None, lambda _: {}, owner=owner)
+    job, _ = Record(engine).jobs.create(job_with(mesh), 1000, None, lambda _: {}, owner=owner)
     assert job is not None
     return job
 
@@ -72,18 +71,18 @@ def test_an_administrator_deletes_the_uploads_of_all(assets: OwnedAssets, caller
 def test_a_mesh_is_not_deleted_while_a_job_refers_to_it(assets: OwnedAssets, engine: Engine) -> None:
     assets.add("alice", MESH, 60)
     job = add_job(engine, "alice")
-    Repository(engine).request_cancel(job.id)
+    Record(engine).jobs.request_cancel(job.id)
     for caller in (ALICE, ROOT):
         with pytest.raises(InUse, match=job.id):
             assets.delete(caller, MESH)
     assert assets.used("alice") == 60
-    Deletions(engine).delete(job.id)
+    Record(engine).jobs.delete(job.id)
     assert assets.delete(ALICE, MESH)
 
 
 def test_a_mesh_is_not_deleted_while_a_campaign_refers_to_it(assets: OwnedAssets, engine: Engine) -> None:
     assets.add("alice", MESH, 60)
-    campaign = Campaigns(engine).create(campaign_with(MESH), 1, "00", None, "alice")
+    campaign = Record(engine).campaigns.create(campaign_with(MESH), 1, "00", None, "alice")
     with pytest.raises(InUse, match=campaign.id):
         assets.delete(ALICE, MESH)
 
@@ -106,14 +105,14 @@ def test_a_deleted_mesh_is_refused_by_the_name_of_its_field(assets: OwnedAssets,
         add_job(engine, "alice")
     assert error.value.field == "scene.objects.1.mesh"
     with pytest.raises(InvalidRequest, match="any more") as error:
-        Campaigns(engine).create(campaign_with(MESH), 1, "00", None, "alice")
+        Record(engine).campaigns.create(campaign_with(MESH), 1, "00", None, "alice")
     assert error.value.field == "grids.0.scenes.meshes.1"
     lit = parse({"scene": {"objects": [{"mesh": "primitive/sphere"}], "lights": {"environment": {"map": MESH}}}})
     with pytest.raises(InvalidRequest) as error:
-        Repository(engine).create(lit, 1000, None, lambda _: {}, owner="alice")
+        Record(engine).jobs.create(lit, 1000, None, lambda _: {}, owner="alice")
     assert error.value.field == "scene.lights.environment.map"
-    assert attacks(Repository(engine)) == []
-    assert Campaigns(engine).page(None, 9, None) == []
+    assert attacks(Record(engine)) == []
+    assert Record(engine).campaigns.page(None, 9, None) == []
 
 
 def test_lists_show_the_name_that_an_upload_was_given(assets: OwnedAssets, engine: Engine) -> None:
@@ -121,11 +120,11 @@ def test_lists_show_the_name_that_an_upload_was_given(assets: OwnedAssets, engin
     before = add_job(engine, "alice")
     assert before.scene == "sphere, Chair"
     assert not assets.add("alice", MESH, 60)
-    repository = Repository(engine)
-    attempt = repository.lease(before.id, "worker", 20)
+    record = Record(engine)
+    attempt = record.leases.lease(before.id, "worker", 20)
     assert attempt is not None
-    repository.checked(attempt, job_with(MESH).model_dump(mode="json"), "00", ())
-    line = repository.line(before.id)
+    record.leases.checked(attempt, job_with(MESH).model_dump(mode="json"), "00", ())
+    line = record.jobs.line(before.id)
     assert line is not None
     assert (line.name, line.scene) == ("sphere, Chair", "sphere, Chair")
     other = f"sha256:{'0b' * 32}"
@@ -216,7 +215,7 @@ def test_the_files_go_when_no_owner_is_left(
     library = Library(tmp_path / "cache", place)
     name = library.add_mesh(TETRAHEDRON, "off").name
     library.mesh(name)
-    removal = DeletedAssets(engine, library, clock)
+    removal = DeletedAssets(Database(engine, clock), library)
     for owner in ("alice", "bob"):
         assets.add(owner, name, 60)
     for caller, is_left in ((ALICE, True), (BOB, False)):
@@ -238,7 +237,7 @@ def test_files_that_were_left_are_removed_later_and_the_deletion_is_forgotten(
 ) -> None:
     library = Library(tmp_path / "cache", tmp_path / "data")
     name = library.add_mesh(TETRAHEDRON, "off").name
-    removal = DeletedAssets(engine, library, clock)
+    removal = DeletedAssets(Database(engine, clock), library)
     assets.add("alice", name, 60)
     assert assets.delete(ALICE, name)  # and the process dies
     removal.remove_all()

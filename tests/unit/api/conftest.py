@@ -100,14 +100,14 @@ def services(app: FastAPI, client: httpx.Client) -> Services:  # noqa: ARG001 - 
 @pytest.fixture
 def finished(services: Services, tmp_path: Path) -> str:
     """A job with one artifact, run by hand through the record."""
-    job, _ = services.repository.create(parse(SPHERE), 1000, None, lambda _: {})
+    job, _ = services.record.jobs.create(parse(SPHERE), 1000, None, lambda _: {})
     assert job is not None
     job_id = job.id
     (tmp_path / "original.png").write_bytes(b"0123456789")
     stored = services.store.put(tmp_path / "original.png")
-    attempt = services.repository.lease(job_id, "test", 60)
+    attempt = services.record.leases.lease(job_id, "test", 60)
     assert attempt is not None
-    services.repository.progress(attempt, "attacking", 1, 2, [{"step": 1}])
+    services.record.leases.progress(attempt, "attacking", 1, 2, [{"step": 1}])
     file = Artifact(job_id=job_id, name="original.png", sha256=stored.sha256, media_type="image/png", size=stored.size)
-    services.repository.succeed(attempt, {}, OUTCOME.model_dump(), [file])
+    services.record.leases.succeed(attempt, {}, OUTCOME.model_dump(), [file])
     return job_id

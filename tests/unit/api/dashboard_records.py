@@ -11,12 +11,11 @@ from api import dashboard
 from api.authentication import caller
 from api.state import Services
 from services.access.caller import KEYLESS
-from services.jobs.attempts import Attempt
 from services.jobs.campaigns import CampaignService
 from services.jobs.database import connect, migrate
-from services.jobs.lists import JobLists
+from services.jobs.leases import Attempt
 from services.jobs.models import Artifact, Job
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from services.pipeline.outcome import outcome
 from services.pipeline.result import Result
 from services.pipeline.spec import JobSpec, parse
@@ -165,41 +164,41 @@ def result(spec: JobSpec = SPEC, **changed: Any) -> dict[str, Any]:
     return Result.model_validate(values).model_dump(mode="json")
 
 
-def add(repository: Repository, spec: JobSpec = SPEC, warnings: Sequence[JobWarning] = ()) -> Job:
+def add(record: Record, spec: JobSpec = SPEC, warnings: Sequence[JobWarning] = ()) -> Job:
     """A queued job."""
-    job, _ = repository.create(spec, 1000, None, lambda _: {}, warnings)
+    job, _ = record.jobs.create(spec, 1000, None, lambda _: {}, warnings)
     assert job is not None
     return job
 
 
-def start(repository: Repository, job: Job) -> Attempt:
+def start(record: Record, job: Job) -> Attempt:
     """The job, running."""
-    attempt = repository.lease(job.id, "worker", 20)
+    attempt = record.leases.lease(job.id, "worker", 20)
     assert attempt is not None
     return attempt
 
 
-def succeed(repository: Repository, job: Job, found: dict[str, Any]) -> None:
+def succeed(record: Record, job: Job, found: dict[str, Any]) -> None:
     """The job, ended with this result and its images."""
-    attempt = start(repository, job)
+    attempt = start(record, job)
     artifacts = [
         Artifact(job_id=job.id, name=name, sha256="ab" * 32, media_type="image/png", size=12345)
         for name in ("original.png", "attacked.png", "perturbation.png")
     ]
-    assert repository.succeed(attempt, found, outcome(Result.model_validate(found)), artifacts)
+    assert record.leases.succeed(attempt, found, outcome(Result.model_validate(found)), artifacts)
 
 
 @contextmanager
-def record(folder: Path) -> Iterator[Repository]:
+def open_record(folder: Path) -> Iterator[Record]:
     """An empty record in a folder."""
     settings = Settings(data=folder)
     engine = connect(settings)
     migrate(engine, settings)
-    yield Repository(engine)
+    yield Record(engine)
     engine.dispose()
 
 
-def app(repository: Repository, campaigns: CampaignService | None = None) -> FastAPI:
+def app(record: Record, campaigns: CampaignService | None = None) -> FastAPI:
     """The dashboard alone, on this record. It uses nothing else of the services."""
     made = FastAPI()
     made.include_router(dashboard.router)
@@ -210,8 +209,7 @@ def app(repository: Repository, campaigns: CampaignService | None = None) -> Fas
         sessions=none,
         assets=none,
         quotas=none,
-        repository=repository,
-        lists=JobLists(repository._reads),  # noqa: SLF001 - the record's database
+        record=record,
         queue=none,
         submissions=none,
         store=none,
@@ -222,8 +220,6 @@ def app(repository: Repository, campaigns: CampaignService | None = None) -> Fas
         exporter=none,
         reading=none,
         campaigns=cast(Any, campaigns),
-        asset_records=none,
-        target_records=none,
         watcher=none,
         list_watcher=none,
         storage=none,

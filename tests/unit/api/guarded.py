@@ -58,7 +58,7 @@ class Guarded:
 
     def untouched(self) -> bool:
         """Whether alice's job, campaign and upload are as they were."""
-        job = self.services.repository.line(self.job)
+        job = self.services.record.jobs.line(self.job)
         campaign = self.services.campaigns.record.get(self.campaign)
         assert job is not None
         assert campaign is not None
@@ -71,7 +71,7 @@ def guarding(app: FastAPI, client: httpx.Client) -> Iterator[Guarded]:
     """Makes keys for an app that is served, and what alice has, which nobody may touch."""
     services = app.state.services
     assert isinstance(services, Services)
-    job, _ = services.repository.create(
+    job, _ = services.record.jobs.create(
         parse({"scene": SPHERE, "attack": ATTACK}), 9, None, lambda _: {}, owner="alice"
     )
     assert job is not None

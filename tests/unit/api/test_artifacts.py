@@ -68,7 +68,7 @@ def test_a_part_beyond_the_end_is_a_problem(client: Client, finished: str) -> No
 
 
 def test_other_bytes_than_were_stored_are_never_sent(client: Client, services: Services, finished: str) -> None:
-    (artifact,) = services.repository.artifacts(finished)
+    (artifact,) = services.record.jobs.artifacts(finished)
     path = client.get(f"/v1/jobs/{finished}/artifacts/original.png").url.path
     with services.store.open(artifact.sha256) as file:
         stored = Path(str(file.name))

@@ -35,7 +35,7 @@ def request_with(mesh: str) -> dict[str, Any]:
 def test_a_mesh_is_deleted_once_nothing_refers_to_it(guarded: Guarded) -> None:
     before = guarded.services.assets.used("alice")
     name = upload(guarded, "alice").json()["name"]
-    job, _ = guarded.services.repository.create(parse(request_with(name)), 9, None, lambda _: {}, owner="alice")
+    job, _ = guarded.services.record.jobs.create(parse(request_with(name)), 9, None, lambda _: {}, owner="alice")
     assert job is not None
     path = f"/v1/jobs/{job.id}"
     for caller in ("alice", "admin"):
@@ -186,7 +186,7 @@ def test_an_uploaded_map_lights_a_request_of_its_owner_alone(guarded: Guarded) -
     refused = guarded.client.post("/v1/jobs", json=body, headers=guarded.headers["bob"])
     assert refused.status_code == 422
     assert refused.json()["errors"][0]["field"] == "scene.lights.environment.map"
-    job, _ = guarded.services.repository.create(parse(body), 9, None, lambda _: {}, owner="alice")
+    job, _ = guarded.services.record.jobs.create(parse(body), 9, None, lambda _: {}, owner="alice")
     assert job is not None
     held = delete(guarded, "alice", entry["name"])
     assert held.status_code == 409, held.text

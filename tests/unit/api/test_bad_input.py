@@ -17,7 +17,7 @@ pytestmark = pytest.mark.slow
 
 
 def count(services: Services) -> int:
-    return len(attacks(services.repository))
+    return len(attacks(services.record))
 
 
 def refused(client: Client, services: Services, body: str) -> list[dict[str, str]]:

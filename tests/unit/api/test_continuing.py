@@ -11,16 +11,16 @@ from tests.unit.api.conftest import SPHERE
 
 def cancelled(services: Services, *names: str) -> Job:
     """A job that was cancelled while it ran, with these files."""
-    job, _ = services.repository.create(parse(SPHERE), 1000, None, lambda _: {})
+    job, _ = services.record.jobs.create(parse(SPHERE), 1000, None, lambda _: {})
     assert job is not None
-    attempt = services.repository.lease(job.id, "test", 60)
+    attempt = services.record.leases.lease(job.id, "test", 60)
     assert attempt is not None
-    services.repository.request_cancel(job.id)
+    services.record.jobs.request_cancel(job.id)
     files = [
         Artifact(job_id=job.id, name=name, sha256="ab" * 32, media_type="application/octet-stream", size=3)
         for name in names
     ]
-    assert services.repository.cancelled(attempt, files)
+    assert services.record.leases.cancelled(attempt, files)
     return job
 
 
@@ -67,14 +67,14 @@ def test_a_job_without_a_result_is_compared_by_what_it_has(client: Client, servi
     row = {"queries": 4, "seconds": 0.1, "advantage": 1.5, "perceptibility": 0.25, "distance": 0.5, "loss": 0.99995}
     jobs = []
     for _ in range(2):
-        job, _ = services.repository.create(parse(SPHERE), 1000, None, lambda _: {})
+        job, _ = services.record.jobs.create(parse(SPHERE), 1000, None, lambda _: {})
         assert job is not None
-        attempt = services.repository.lease(job.id, "test", 60)
+        attempt = services.record.leases.lease(job.id, "test", 60)
         assert attempt is not None
-        services.repository.progress(attempt, "attacking", 1, 2, [row | {"step": step} for step in (0, 1)])
-        services.repository.request_cancel(job.id)
+        services.record.leases.progress(attempt, "attacking", 1, 2, [row | {"step": step} for step in (0, 1)])
+        services.record.jobs.request_cancel(job.id)
         files = [Artifact(job_id=job.id, name="attacked.png", sha256="ab" * 32, media_type="image/png", size=3)]
-        services.repository.cancelled(attempt, files)
+        services.record.leases.cancelled(attempt, files)
         jobs.append(job.id)
     page = client.get(f"/compare?jobs={jobs[0]},{jobs[1]}").text
     assert f"/v1/jobs/{jobs[1]}/artifacts/attacked.png" in page

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from services.pipeline.result import Result
-from tests.unit.api.dashboard_records import ATTRIBUTION, add, record, result, succeed
+from tests.unit.api.dashboard_records import ATTRIBUTION, add, open_record, result, succeed
 from tests.unit.api.test_dashboard_pages import Tags, get
 
 pytestmark = pytest.mark.anyio
@@ -19,8 +19,8 @@ def anyio_backend() -> str:
 
 
 @pytest.fixture
-def repository(tmp_path: Path) -> Iterator[Repository]:
-    with record(tmp_path) as empty:
+def record(tmp_path: Path) -> Iterator[Record]:
+    with open_record(tmp_path) as empty:
         yield empty
 
 
@@ -96,10 +96,10 @@ ANALYSES = {
 }
 
 
-async def test_job_page_shows_the_analyses_that_were_asked_for(repository: Repository) -> None:
-    job = add(repository)
-    succeed(repository, job, result(analyses=ANALYSES))
-    text = Tags((await get(repository, f"/jobs/{job.id}")).text).text
+async def test_job_page_shows_the_analyses_that_were_asked_for(record: Record) -> None:
+    job = add(record)
+    succeed(record, job, result(analyses=ANALYSES))
+    text = Tags((await get(record, f"/jobs/{job.id}")).text).text
     for words in (
         "Shapley values of the coordinates, means over 12 random orders",
         "normals -2.500 ± 0.125",
@@ -117,8 +117,8 @@ async def test_job_page_shows_the_analyses_that_were_asked_for(repository: Repos
         assert words in text, words
 
 
-async def test_job_page_shows_the_range_and_the_surrogates_queries(repository: Repository) -> None:
-    job = add(repository)
+async def test_job_page_shows_the_range_and_the_surrogates_queries(record: Record) -> None:
+    job = add(record)
     over = {
         "variations": 100,
         "right": 80,
@@ -130,8 +130,8 @@ async def test_job_page_shows_the_range_and_the_surrogates_queries(repository: R
     }
     whole = result(expectation=over, surrogate_queries=1234)
     whole["provenance"] |= {"surrogate_sha256": "5" * 64}
-    succeed(repository, job, Result.model_validate(whole).model_dump(mode="json"))
-    text = Tags((await get(repository, f"/jobs/{job.id}")).text).text
+    succeed(record, job, Result.model_validate(whole).model_dump(mode="json"))
+    text = Tags((await get(record, f"/jobs/{job.id}")).text).text
     for words in (
         "and 1,234 queries of the surrogate",
         "Of 100 fresh variations of the scene the network has 80 right without the perturbation; with it, it is fooled "
@@ -142,8 +142,8 @@ async def test_job_page_shows_the_range_and_the_surrogates_queries(repository: R
         assert words in text, words
 
 
-async def test_a_result_of_version_0_1_is_shown_with_the_p_that_it_has(repository: Repository) -> None:
-    job = add(repository)
+async def test_a_result_of_version_0_1_is_shown_with_the_p_that_it_has(record: Record) -> None:
+    job = add(record)
     old = result()
     for name in ("float_perceptibility", "attribution", "analyses"):
         del old[name]
@@ -151,8 +151,8 @@ async def test_a_result_of_version_0_1_is_shown_with_the_p_that_it_has(repositor
         del subset["float_perceptibility"], subset["goal_log_odds"]
     again = Result.model_validate(old)
     assert again.float_perceptibility is again.attribution is again.analyses.minimal is None
-    succeed(repository, job, old)
-    text = Tags((await get(repository, f"/jobs/{job.id}")).text).text
+    succeed(record, job, old)
+    text = Tags((await get(record, f"/jobs/{job.id}")).text).text
     assert "p = 12.30 as saved × 10⁻³" in text
     assert "surface normals + illumination upright 60.0 % 31.0 % 8.00 as saved fooled" in text
     assert "Shapley" not in text

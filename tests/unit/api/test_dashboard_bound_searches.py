@@ -7,9 +7,9 @@ import httpx
 import pytest
 from httpx import ASGITransport
 
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from services.pipeline.spec import parse
-from tests.unit.api.dashboard_records import add, app, record, result, succeed
+from tests.unit.api.dashboard_records import add, app, open_record, result, succeed
 from tests.unit.api.test_dashboard_pages import Tags
 
 SPEC = parse(
@@ -28,8 +28,8 @@ WORDS = "within ε, p used 11.70 of 50.00 ×10⁻³"
 
 
 @pytest.fixture
-def repository(tmp_path: Path) -> Iterator[Repository]:
-    with record(tmp_path) as made:
+def record(tmp_path: Path) -> Iterator[Record]:
+    with open_record(tmp_path) as made:
         yield made
 
 
@@ -41,16 +41,16 @@ def anyio_backend() -> str:
 @pytest.mark.anyio
 @pytest.mark.parametrize("at_epsilon", [AT_EPSILON, {}], ids=["bound", "free"])
 async def test_lists_pages_and_comparisons_say_what_bound_a_search_that_held(
-    repository: Repository, at_epsilon: dict[str, object]
+    record: Record, at_epsilon: dict[str, object]
 ) -> None:
     ids = []
     for stopped in ("steps", "queries"):
-        job = add(repository, SPEC)
+        job = add(record, SPEC)
         held = {"outcome": "held", "fooled": False, "verified": False, "stopped": stopped, "at_epsilon": at_epsilon}
-        succeed(repository, job, result(SPEC, **held))
+        succeed(record, job, result(SPEC, **held))
         ids.append(job.id)
     pages = {}
-    async with httpx.AsyncClient(transport=ASGITransport(app(repository)), base_url="http://dashboard") as client:
+    async with httpx.AsyncClient(transport=ASGITransport(app(record)), base_url="http://dashboard") as client:
         for path in ("/", f"/jobs/{ids[0]}", f"/compare?jobs={','.join(ids)}"):
             answer = await client.get(path)
             assert answer.status_code == 200, answer.text

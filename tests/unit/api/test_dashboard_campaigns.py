@@ -11,7 +11,7 @@ from services.jobs.campaigns import CampaignService
 from services.jobs.database import connect, migrate
 from services.jobs.queue import Queue
 from services.jobs.queue import connect as connect_redis
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from services.settings import Settings
 from tests.unit.api.dashboard_records import app
 from tests.unit.api.test_dashboard_pages import Tags
@@ -30,13 +30,13 @@ def stage(tmp_path: Path) -> Iterator[Stage]:
     settings = Settings(data=tmp_path)
     engine = connect(settings)
     migrate(engine, settings)
-    yield Stage(engine, Repository(engine))
+    yield Stage(engine, Record(engine))
     engine.dispose()
 
 
 async def get(stage: Stage, path: str) -> Tags:
     redis = Queue(connect_redis("redis://127.0.0.1:1"))  # out of reach, which pages survive
-    made = app(stage.repository, CampaignService(stage.campaigns, redis))
+    made = app(stage.record, CampaignService(stage.campaigns, redis))
     async with httpx.AsyncClient(transport=ASGITransport(made), base_url="http://dashboard") as client:
         answer = await client.get(path)
     assert answer.status_code == 200, answer.text

@@ -9,12 +9,12 @@ import pytest
 from httpx import ASGITransport
 
 from services.errors import InvalidRequest
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from services.pipeline.outcome import outcome as line_of
 from services.pipeline.result import Result
 from services.pipeline.spec import parse
 from services.pipeline.warning import JobWarning
-from tests.unit.api.dashboard_records import SPEC, add, app, record, result, row, start, succeed
+from tests.unit.api.dashboard_records import SPEC, add, app, open_record, result, row, start, succeed
 from tests.unit.jobs.records import attacks
 
 HOSTILE = "<script>alert(1)</script>\"'&"
@@ -44,13 +44,13 @@ class Tags(HTMLParser):
 
 
 @pytest.fixture
-def repository(tmp_path: Path) -> Iterator[Repository]:
-    with record(tmp_path) as made:
+def record(tmp_path: Path) -> Iterator[Record]:
+    with open_record(tmp_path) as made:
         yield made
 
 
-async def get(repository: Repository, path: str) -> httpx.Response:
-    async with httpx.AsyncClient(transport=ASGITransport(app(repository)), base_url="http://dashboard") as client:
+async def get(record: Record, path: str) -> httpx.Response:
+    async with httpx.AsyncClient(transport=ASGITransport(app(record)), base_url="http://dashboard") as client:
         return await client.get(path)
 
 
@@ -62,19 +62,19 @@ def anyio_backend() -> str:
 pytestmark = [pytest.mark.slow, pytest.mark.anyio]
 
 
-async def test_an_empty_list_says_how_to_begin(repository: Repository) -> None:
-    page = await get(repository, "/")
+async def test_an_empty_list_says_how_to_begin(record: Record) -> None:
+    page = await get(record, "/")
     assert page.status_code == 200
     assert "scene-attack submit" in page.text
 
 
-async def test_list_shows_state_and_outcome_newest_first(repository: Repository) -> None:
-    succeed(repository, add(repository), result())
-    repository.fail(start(repository, add(repository)), "timeout", "3600 seconds")
-    add(repository)
-    tags = Tags((await get(repository, "/")).text)
+async def test_list_shows_state_and_outcome_newest_first(record: Record) -> None:
+    succeed(record, add(record), result())
+    record.leases.fail(start(record, add(record)), "timeout", "3600 seconds")
+    add(record)
+    tags = Tags((await get(record, "/")).text)
     assert [a["href"] for a in tags.all("a") if (a["href"] or "").startswith("/jobs/")] == [
-        f"/jobs/{job.id}" for job in attacks(repository)
+        f"/jobs/{job.id}" for job in attacks(record)
     ]
     badges = [a["class"] for a in tags.all("span") if (a.get("class") or "").startswith("badge state")]
     assert badges == ["badge state-queued", "badge state-failed", "badge state-succeeded"]
@@ -85,27 +85,27 @@ async def test_list_shows_state_and_outcome_newest_first(repository: Repository)
     assert tags.text.count("torch combined fgsm against efficientnet-lite0") == 3
 
 
-async def test_list_is_paged_and_filtered(repository: Repository) -> None:
+async def test_list_is_paged_and_filtered(record: Record) -> None:
     for _ in range(51):
-        add(repository)
-    repository.fail(start(repository, add(repository)), "internal", "x")
-    first = Tags((await get(repository, "/")).text)
+        add(record)
+    record.leases.fail(start(record, add(record)), "internal", "x")
+    first = Tags((await get(record, "/")).text)
     rows = [a for a in first.all("a") if (a["href"] or "").startswith("/jobs/")]
     older = next(a["href"] for a in first.all("a") if "cursor=" in (a["href"] or ""))
     assert older is not None
-    second = Tags((await get(repository, older)).text)
+    second = Tags((await get(record, older)).text)
     rest = [a for a in second.all("a") if (a["href"] or "").startswith("/jobs/")]
     assert len(rows) == 50
     assert len(rest) == 2
     assert not {a["href"] for a in rows} & {a["href"] for a in rest}
-    failed = Tags((await get(repository, "/?q=state:failed")).text)
+    failed = Tags((await get(record, "/?q=state:failed")).text)
     assert len([a for a in failed.all("a") if (a["href"] or "").startswith("/jobs/")]) == 1
 
 
-async def test_job_page_tells_the_whole_result(repository: Repository) -> None:
-    job = add(repository)
-    succeed(repository, job, result())
-    tags = Tags((await get(repository, f"/jobs/{job.id}")).text)
+async def test_job_page_tells_the_whole_result(record: Record) -> None:
+    job = add(record)
+    succeed(record, job, result())
+    tags = Tags((await get(record, f"/jobs/{job.id}")).text)
     images = [a["src"] for a in tags.all("img") if "artifacts" in (a["src"] or "")]
     assert images == [f"/v1/jobs/{job.id}/artifacts/{name}.png" for name in ("original", "attacked", "perturbation")]
     for words in (
@@ -142,10 +142,10 @@ async def test_job_page_tells_the_whole_result(repository: Repository) -> None:
     assert "5 12 1.2 upright 55.0 % 0.06221 -2 15.00 10" in tags.text  # the table behind the curves
 
 
-async def test_fooled_but_not_verified_is_not_called_an_adversary(repository: Repository) -> None:
-    job = add(repository)
-    succeed(repository, job, result(outcome="held", verified=False, stopped="steps"))
-    text = Tags((await get(repository, f"/jobs/{job.id}")).text).text
+async def test_fooled_but_not_verified_is_not_called_an_adversary(record: Record) -> None:
+    job = add(record)
+    succeed(record, job, result(outcome="held", verified=False, stopped="steps"))
+    text = Tags((await get(record, f"/jobs/{job.id}")).text).text
     assert "rendered afresh does not fool it" in text
     assert "not verified" in text
 
@@ -160,12 +160,12 @@ async def test_fooled_but_not_verified_is_not_called_an_adversary(repository: Re
         ("held", "The network held: it says upright (55.0 %) where it said grand piano (77.0 %), which is not"),
     ],
 )
-async def test_each_outcome_has_its_badge_and_its_sentence(repository: Repository, outcome: str, sentence: str) -> None:
-    job = add(repository)
+async def test_each_outcome_has_its_badge_and_its_sentence(record: Record, outcome: str, sentence: str) -> None:
+    job = add(record)
     met = outcome != "held"
-    succeed(repository, job, result(outcome=outcome, fooled=met, verified=met, truth=["harp"]))
-    paths = (f"/jobs/{job.id}", "/", f"/compare?job={job.id}&job={add(repository).id}")
-    page, listed, compared = [Tags((await get(repository, path)).text) for path in paths]
+    succeed(record, job, result(outcome=outcome, fooled=met, verified=met, truth=["harp"]))
+    paths = (f"/jobs/{job.id}", "/", f"/compare?job={job.id}&job={add(record).id}")
+    page, listed, compared = [Tags((await get(record, path)).text) for path in paths]
     assert f"Fooled, verified {int(outcome == 'fooled')} of 1" in listed.text
     for tags in (page, listed, compared):
         classes = [a.get("class") for a in tags.all("span")]
@@ -175,32 +175,32 @@ async def test_each_outcome_has_its_badge_and_its_sentence(repository: Repositor
     assert ("Right is harp. Perceptibility p" in page.text) == met
 
 
-async def test_a_result_without_an_outcome_is_not_shown_as_a_success(repository: Repository) -> None:
+async def test_a_result_without_an_outcome_is_not_shown_as_a_success(record: Record) -> None:
     """As earlier versions stored it, in the result and beside it."""
     found = result()
     new = ("outcome", "truth", "right_before", "labels_to_leave", "warnings")
-    job = add(repository)
-    attempt = start(repository, job)
+    job = add(record)
+    attempt = start(record, job)
     stored = {name: value for name, value in found.items() if name not in new}
     line = {name: value for name, value in line_of(Result.model_validate(found)).items() if name not in new}
-    assert repository.succeed(attempt, stored, line, [])
+    assert record.leases.succeed(attempt, stored, line, [])
     for path in ("/", f"/jobs/{job.id}"):
-        classes = [a.get("class") for a in Tags((await get(repository, path)).text).all("span")]
+        classes = [a.get("class") for a in Tags((await get(record, path)).text).all("span")]
         assert "badge changed" in classes
         assert "badge fooled" not in classes
 
 
-async def test_the_job_s_page_has_its_warnings(repository: Repository) -> None:
+async def test_the_job_s_page_has_its_warnings(record: Record) -> None:
     warning = JobWarning(code="already-wrong", field="goal.truth", text="it says <harp>, not 'upright'")
-    job = add(repository, warnings=[warning])
-    assert "goal.truth it says <harp>, not 'upright'" in Tags((await get(repository, f"/jobs/{job.id}")).text).text
+    job = add(record, warnings=[warning])
+    assert "goal.truth it says <harp>, not 'upright'" in Tags((await get(record, f"/jobs/{job.id}")).text).text
 
 
-async def test_running_job_shows_the_trace_so_far_and_listens(repository: Repository) -> None:
-    job = add(repository)
-    attempt = start(repository, job)
-    repository.progress(attempt, "attacking", 2, 120, [row(0), row(1), row(2)])
-    tags = Tags((await get(repository, f"/jobs/{job.id}")).text)
+async def test_running_job_shows_the_trace_so_far_and_listens(record: Record) -> None:
+    job = add(record)
+    attempt = start(record, job)
+    record.leases.progress(attempt, "attacking", 2, 120, [row(0), row(1), row(2)])
+    tags = Tags((await get(record, f"/jobs/{job.id}")).text)
     assert "Attacking, step 2 of at most 120." in tags.text
     assert "after 6 queries" in tags.text
     assert len(tags.all("svg")) == 12
@@ -208,47 +208,47 @@ async def test_running_job_shows_the_trace_so_far_and_listens(repository: Reposi
     assert any(a.get("action") == f"/jobs/{job.id}/cancel" for a in tags.all("form"))
 
 
-async def test_a_job_that_is_being_prepared_names_no_step(repository: Repository) -> None:
+async def test_a_job_that_is_being_prepared_names_no_step(record: Record) -> None:
     """Measuring the noise before ZOO's first step takes seconds, in which "step 0" looked like a job that hangs."""
-    job = add(repository)
-    repository.progress(start(repository, job), "loading", 0, 120, [])
-    text = Tags((await get(repository, f"/jobs/{job.id}")).text).text
+    job = add(record)
+    record.leases.progress(start(record, job), "loading", 0, 120, [])
+    text = Tags((await get(record, f"/jobs/{job.id}")).text).text
     assert "Preparing the scene, its plan and the attack." in text
     assert "step 0" not in text
 
 
-async def test_failed_job_says_why_in_plain_words(repository: Repository) -> None:
-    job = add(repository)
-    repository.fail(start(repository, job), "worker-lost", "its process died 3 times")
-    tags = Tags((await get(repository, f"/jobs/{job.id}")).text)
+async def test_failed_job_says_why_in_plain_words(record: Record) -> None:
+    job = add(record)
+    record.leases.fail(start(record, job), "worker-lost", "its process died 3 times")
+    tags = Tags((await get(record, f"/jobs/{job.id}")).text)
     assert "The process running the job died more often than it may be restarted." in tags.text
     assert "its process died 3 times" in tags.text
     assert not [form for form in tags.all("form") if str(form["action"]).endswith("/cancel")]
 
 
-async def test_a_rejected_job_names_its_bad_fields(repository: Repository) -> None:
-    job = add(repository)
-    repository.reject(start(repository, job), InvalidRequest("goal.reach", "there is no label 'tensch'"))
-    tags = Tags((await get(repository, f"/jobs/{job.id}")).text)
+async def test_a_rejected_job_names_its_bad_fields(record: Record) -> None:
+    job = add(record)
+    record.leases.reject(start(record, job), InvalidRequest("goal.reach", "there is no label 'tensch'"))
+    tags = Tags((await get(record, f"/jobs/{job.id}")).text)
     assert "Why it was rejected" in tags.text
     assert "goal.reach" in tags.text
     assert "there is no label 'tensch'" in tags.text
     assert not [form for form in tags.all("form") if str(form["action"]).endswith("/cancel")]
 
 
-async def test_cancel_button_cancels(repository: Repository) -> None:
-    job = add(repository)
-    async with httpx.AsyncClient(transport=ASGITransport(app(repository)), base_url="http://dashboard") as client:
+async def test_cancel_button_cancels(record: Record) -> None:
+    job = add(record)
+    async with httpx.AsyncClient(transport=ASGITransport(app(record)), base_url="http://dashboard") as client:
         answer = await client.post(f"/jobs/{job.id}/cancel")
         assert answer.status_code == 303
         assert answer.headers["location"] == f"/jobs/{job.id}"
         assert (await client.post("/jobs/unknown/cancel")).status_code == 404
-    found = repository.get(job.id)
+    found = record.jobs.get(job.id)
     assert found is not None
     assert found.state == "cancelled"
 
 
-async def test_whatever_a_job_says_is_text_and_never_markup(repository: Repository) -> None:
+async def test_whatever_a_job_says_is_text_and_never_markup(record: Record) -> None:
     spec = SPEC.model_copy(
         update={
             "scene": SPEC.scene.model_copy(
@@ -256,28 +256,28 @@ async def test_whatever_a_job_says_is_text_and_never_markup(repository: Reposito
             )
         }
     )
-    job = add(repository, spec)
+    job = add(record, spec)
     found = result(spec, leave=HOSTILE)
     found["attacked"]["label"] = found["attacked"]["top"][0][0] = found["subsets"][0]["label"] = HOSTILE
     found["provenance"]["credits"] = [HOSTILE]
     found["settings"] = {HOSTILE: HOSTILE}
-    succeed(repository, job, found)
-    failed = add(repository, spec)
-    repository.fail(start(repository, failed), "internal", HOSTILE)
+    succeed(record, job, found)
+    failed = add(record, spec)
+    record.leases.fail(start(record, failed), "internal", HOSTILE)
     for path in ("/", f"/jobs/{job.id}", f"/jobs/{failed.id}"):
-        tags = Tags((await get(repository, path)).text)
+        tags = Tags((await get(record, path)).text)
         assert [a.get("src") for a in tags.all("script")] == [a["src"] for a in tags.all("script")]
         assert all((a["src"] or "").startswith("/static/") for a in tags.all("script"))
         assert "alert(1)" in tags.text
 
 
-async def test_pages_keep_their_own_content_policy(repository: Repository) -> None:
+async def test_pages_keep_their_own_content_policy(record: Record) -> None:
     """Nothing inline that the policy would block, nothing from elsewhere, and what a screen reader needs is there."""
-    job, targeted = add(repository), add(repository, parse(SPEC.model_dump() | {"goal": {"reach": "harp"}}))
-    succeed(repository, job, result())
-    repository.progress(start(repository, targeted), "attacking", 0, 120, [row(0)])
+    job, targeted = add(record), add(record, parse(SPEC.model_dump() | {"goal": {"reach": "harp"}}))
+    succeed(record, job, result())
+    record.leases.progress(start(record, targeted), "attacking", 0, 120, [row(0)])
     for path in ("/", f"/jobs/{job.id}", f"/jobs/{targeted.id}"):
-        page = await get(repository, path)
+        page = await get(record, path)
         assert "default-src 'none'" in page.headers["content-security-policy"]
         tags = Tags(page.text)
         for tag, attributes in tags.found:
@@ -292,11 +292,11 @@ async def test_pages_keep_their_own_content_policy(repository: Repository) -> No
         assert not tags.all("style")
 
 
-async def test_static_files_are_kept_only_under_their_version(repository: Repository) -> None:
-    page = await get(repository, "/")
+async def test_static_files_are_kept_only_under_their_version(record: Record) -> None:
+    page = await get(record, "/")
     style = next(a["href"] for a in Tags(page.text).all("link") if a["rel"] == "stylesheet")
     assert style is not None
-    assert "immutable" in (await get(repository, style)).headers["cache-control"]
-    assert (await get(repository, "/static/style.css")).headers["cache-control"] == "no-cache"
-    assert (await get(repository, f"/static/{'0' * 12}/style.css")).status_code == 404
-    assert (await get(repository, "/static/..%2froutes.py")).status_code == 404
+    assert "immutable" in (await get(record, style)).headers["cache-control"]
+    assert (await get(record, "/static/style.css")).headers["cache-control"] == "no-cache"
+    assert (await get(record, f"/static/{'0' * 12}/style.css")).status_code == 404
+    assert (await get(record, "/static/..%2froutes.py")).status_code == 404

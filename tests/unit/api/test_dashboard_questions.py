@@ -12,7 +12,7 @@ from httpx import ASGITransport
 
 from api.dashboard.questions import Chain, questions
 from services.jobs.models import Artifact
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from services.pipeline.execute import execute
 from services.pipeline.outcome import outcome
 from services.pipeline.result import Result
@@ -20,7 +20,7 @@ from services.pipeline.spec import JobSpec, parse
 from services.scenes.clevr.description import describe
 from services.scenes.clevr.generator import generate
 from services.targets import registry
-from tests.unit.api.dashboard_records import add, app, record, start
+from tests.unit.api.dashboard_records import add, app, open_record, start
 from tests.unit.api.test_dashboard_pages import HOSTILE, Tags
 from tests.unit.jobs.small import LIBRARY
 from tests.unit.targets.iep.seeded import INFO, program, target
@@ -71,31 +71,31 @@ def result(made: tuple[dict[str, Any], Path]) -> dict[str, Any]:
 
 
 @pytest.fixture
-def repository(tmp_path: Path) -> Iterator[Repository]:
-    with record(tmp_path) as found:
+def record(tmp_path: Path) -> Iterator[Record]:
+    with open_record(tmp_path) as found:
         yield found
 
 
-async def pages(repository: Repository, folder: Path, result: dict[str, Any]) -> tuple[str, Tags, Tags]:
+async def pages(record: Record, folder: Path, result: dict[str, Any]) -> tuple[str, Tags, Tags]:
     """The job's id, its page and the list, for a job that ended with this result."""
-    job = add(repository, JobSpec.model_validate(result["spec"]))
+    job = add(record, JobSpec.model_validate(result["spec"]))
     files = [
         Artifact(job_id=job.id, name=file.name, sha256="ab" * 32, media_type="image/png", size=file.stat().st_size)
         for file in sorted(folder.iterdir())
     ]
     line = outcome(Result.model_validate(result))
-    assert repository.succeed(start(repository, job), result, line, files)
-    async with httpx.AsyncClient(transport=ASGITransport(app(repository)), base_url="http://dashboard") as client:
+    assert record.leases.succeed(start(record, job), result, line, files)
+    async with httpx.AsyncClient(transport=ASGITransport(app(record)), base_url="http://dashboard") as client:
         page, listed = await client.get(f"/jobs/{job.id}"), await client.get("/")
     assert page.status_code == listed.status_code == 200
     return job.id, Tags(page.text), Tags(listed.text)
 
 
 async def test_the_page_has_the_question_its_answers_and_its_program(
-    repository: Repository, made: tuple[dict[str, Any], Path]
+    record: Record, made: tuple[dict[str, Any], Path]
 ) -> None:
     result, folder = made
-    job_id, page, listed = await pages(repository, folder, result)
+    job_id, page, listed = await pages(record, folder, result)
     [found] = result["questions"]
     name = "A program of 10 functions that asks for a number"
     for tags in (page, listed):
@@ -132,12 +132,12 @@ async def test_the_page_has_the_question_its_answers_and_its_program(
 
 
 async def test_the_function_that_changed_first_and_the_one_that_changed_most_are_marked(
-    repository: Repository, made: tuple[dict[str, Any], Path], result: dict[str, Any]
+    record: Record, made: tuple[dict[str, Any], Path], result: dict[str, Any]
 ) -> None:
     changes = {0: (0.4, 0.1), 1: (0.9, 0.49), 2: (2.1, 0.98), 4: (3.25, 0.97)}
     for one in result["questions"][0]["attention"]:
         one["change"], one["cell_change"] = changes.get(one["node"], (0.0, 0.0))
-    _, page, _ = await pages(repository, made[1], result)
+    _, page, _ = await pages(record, made[1], result)
     assert "first at function 2, those that are cylinders , by 2.10, and most at function 4" in page.text
     assert "changed by 2.10 0.98 at a cell first changed 3 the only one" in page.text
     assert "changed by 3.25 0.97 at a cell changed most" in page.text
@@ -148,17 +148,17 @@ async def test_the_function_that_changed_first_and_the_one_that_changed_most_are
     assert page.text.count("first changed") == page.text.count("changed most") == 1
     for one in result["questions"][0]["attention"]:
         one["change"] = one["cell_change"] = 0.0
-    _, page, _ = await pages(repository, made[1], result)
+    _, page, _ = await pages(record, made[1], result)
     assert "No function’s attention changed." in page.text
     assert "changed most" not in page.text
 
 
 async def test_an_answer_outside_the_question_s_kind_is_flagged(
-    repository: Repository, made: tuple[dict[str, Any], Path], result: dict[str, Any]
+    record: Record, made: tuple[dict[str, Any], Path], result: dict[str, Any]
 ) -> None:
     result["questions"][0] |= {"after_of_kind": False, "before_of_kind": True, "right_after": None}
     result["questions"][0]["after"]["label"] = "no"
-    _, page, _ = await pages(repository, made[1], result)
+    _, page, _ = await pages(record, made[1], result)
     assert "The question asks for a number, and no is not that." in page.text
     assert page.text.count("asked for a number") == 2  # in the table of answers, and at the program's end
     assert "none: ill-posed in the attacked scene" in page.text
@@ -166,7 +166,7 @@ async def test_an_answer_outside_the_question_s_kind_is_flagged(
 
 
 async def test_several_questions_have_their_own_answers(
-    repository: Repository, made: tuple[dict[str, Any], Path], result: dict[str, Any]
+    record: Record, made: tuple[dict[str, Any], Path], result: dict[str, Any]
 ) -> None:
     other = copy.deepcopy(result["questions"][0]) | {"question": "How many things are there?", "outcome": "held"}
     other["before"]["label"], other["after"]["label"] = "3", HOSTILE
@@ -174,7 +174,7 @@ async def test_several_questions_have_their_own_answers(
     result["questions"].append(other)
     result["spec"]["target"] = {"name": INFO.name, "question": None, "questions": [CALLS, other["question"]]}
     result["original"]["label"] = "an answer stays"
-    _, page, listed = await pages(repository, made[1], result)
+    _, page, listed = await pages(record, made[1], result)
     assert "2 questions about one image" in listed.text
     assert f"3 → {HOSTILE}" in listed.text
     assert "it answers 1 wrongly under attack" in page.text
@@ -188,7 +188,7 @@ async def test_several_questions_have_their_own_answers(
 
 
 async def test_objects_have_their_effects_and_the_search_its_limits(
-    repository: Repository, made: tuple[dict[str, Any], Path], result: dict[str, Any]
+    record: Record, made: tuple[dict[str, Any], Path], result: dict[str, Any]
 ) -> None:
     shares = {"effect": -1.0, "shapley": [-0.75, -0.25], "interactions": None, "standard_error": None}
     result["analyses"]["coordinates"] = {
@@ -201,7 +201,7 @@ async def test_objects_have_their_effects_and_the_search_its_limits(
     }
     limit = {"part": "image", "what": "coordinates", "kept": 8, "of": 12, "why": "objects stay upright", "error": 0.0}
     result["plan"]["items"].append(limit)
-    _, page, _ = await pages(repository, made[1], result)
+    _, page, _ = await pages(record, made[1], result)
     assert "2 large blue metal cylinder -0.750 3 large red rubber sphere Limits of the search" in page.text
     assert "pixels 8 12 objects stay upright What changed" in page.text
 

@@ -2,24 +2,24 @@
 
 import pytest
 
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from tests.unit.api.dashboard_records import add, start
-from tests.unit.api.test_dashboard_pages import Tags, anyio_backend, get, repository
+from tests.unit.api.test_dashboard_pages import Tags, anyio_backend, get, record
 
-__all__ = ["anyio_backend", "repository"]
+__all__ = ["anyio_backend", "record"]
 pytestmark = pytest.mark.anyio
 
 
-async def test_a_job_that_no_worker_can_run_says_why(repository: Repository) -> None:
+async def test_a_job_that_no_worker_can_run_says_why(record: Record) -> None:
     why = "no worker that is running has the network <x>"
-    job, other = add(repository), add(repository)
-    repository.explain([job.id], why)
-    assert Tags((await get(repository, "/")).text).text.count(why) == 1
-    tags = Tags((await get(repository, f"/jobs/{job.id}")).text)
+    job, other = add(record), add(record)
+    record.scheduler.explain([job.id], why)
+    assert Tags((await get(record, "/")).text).text.count(why) == 1
+    tags = Tags((await get(record, f"/jobs/{job.id}")).text)
     assert f"Waiting for a worker: {why}." in tags.text
     assert any(a.get("data-poll") for a in tags.all("div")), "no event tells of a reason that has gone"
-    assert "Waiting for a worker." in Tags((await get(repository, f"/jobs/{other.id}")).text).text
-    start(repository, job)
-    tags = Tags((await get(repository, f"/jobs/{job.id}")).text)
+    assert "Waiting for a worker." in Tags((await get(record, f"/jobs/{other.id}")).text).text
+    start(record, job)
+    tags = Tags((await get(record, f"/jobs/{job.id}")).text)
     assert why not in tags.text
     assert not any(a.get("data-poll") for a in tags.all("div"))

@@ -174,21 +174,21 @@ def test_no_place_on_the_server_is_told(
 
 
 def _finished(services: Services) -> str:
-    job, _ = services.repository.create(parse(SPHERE), 1000, None, lambda _: {})
+    job, _ = services.record.jobs.create(parse(SPHERE), 1000, None, lambda _: {})
     assert job is not None
-    attempt = services.repository.lease(job.id, "test", 60)
+    attempt = services.record.leases.lease(job.id, "test", 60)
     assert attempt is not None
     file = Artifact(job_id=job.id, name="original.png", sha256="0" * 64, media_type="image/png", size=1)
-    services.repository.succeed(attempt, {}, OUTCOME.model_dump(), [file])
+    services.record.leases.succeed(attempt, {}, OUTCOME.model_dump(), [file])
     return job.id
 
 
 def test_a_failure_is_recorded_without_folders(client: Client, services: Services, tmp_path: Path) -> None:
-    job, _ = services.repository.create(parse(SPHERE), 1000, None, lambda _: {})
+    job, _ = services.record.jobs.create(parse(SPHERE), 1000, None, lambda _: {})
     assert job is not None
-    attempt = services.repository.lease(job.id, "test", 60)
+    attempt = services.record.leases.lease(job.id, "test", 60)
     assert attempt is not None
-    services.repository.fail(attempt, "internal", f"OSError: cannot read '{tmp_path}/mesh.obj'")
+    services.record.leases.fail(attempt, "internal", f"OSError: cannot read '{tmp_path}/mesh.obj'")
     assert client.get(f"/v1/jobs/{job.id}").json()["failure"]["detail"] == "OSError: cannot read 'mesh.obj'"
     with client.stream("GET", f"/v1/jobs/{job.id}/events") as events:
         assert str(tmp_path) not in events.read().decode()

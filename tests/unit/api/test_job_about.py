@@ -14,7 +14,7 @@ HTML = {"accept": "text/html"}
 
 @pytest.fixture
 def queued(services: Services) -> str:
-    job, _ = services.repository.create(parse(SPHERE), 1000, None, lambda _: {})
+    job, _ = services.record.jobs.create(parse(SPHERE), 1000, None, lambda _: {})
     assert isinstance(job, Job)
     return job.id
 

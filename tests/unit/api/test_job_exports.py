@@ -8,7 +8,7 @@ from api.state import Services
 
 
 def test_a_list_as_csv_and_json(client: httpx.Client, services: Services, finished: str) -> None:
-    services.lists.edit(finished, {"title": "=cmd()", "tags": ["b", "a"]})
+    services.record.lists.edit(finished, {"title": "=cmd()", "tags": ["b", "a"]})
     answer = client.get("/v1/jobs.csv", params={"q": f"id:{finished}"})
     assert answer.headers["content-disposition"] == 'attachment; filename="jobs.csv"'
     [row] = csv.DictReader(io.StringIO(answer.text))
@@ -24,7 +24,7 @@ def test_a_list_as_csv_and_json(client: httpx.Client, services: Services, finish
 def test_no_title_and_no_tags_are_a_formula(
     client: httpx.Client, services: Services, finished: str, begin: str
 ) -> None:
-    services.lists.edit(finished, {"title": f"{begin}cmd()", "tags": [f"{begin.strip()}cmd()"]})
+    services.record.lists.edit(finished, {"title": f"{begin}cmd()", "tags": [f"{begin.strip()}cmd()"]})
     table = client.get("/v1/jobs.csv", params={"job": finished}).text
     [row] = csv.DictReader(io.StringIO(table, newline=""))
     assert (row["title"], row["tags"]) == (f"'{begin}cmd()", f"'{begin.strip()}cmd()")

@@ -9,10 +9,9 @@ from httpx import ASGITransport
 
 from api.dashboard.comparison import differences
 from services.errors import InvalidRequest
-from services.jobs.lists import JobLists
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from services.pipeline.spec import parse
-from tests.unit.api.dashboard_records import SPEC, add, app, record, result, start, succeed
+from tests.unit.api.dashboard_records import SPEC, add, app, open_record, result, start, succeed
 from tests.unit.api.test_dashboard_pages import Tags
 
 pytestmark = [pytest.mark.slow, pytest.mark.anyio]
@@ -25,13 +24,13 @@ def anyio_backend() -> str:
 
 
 @pytest.fixture
-def repository(tmp_path: Path) -> Iterator[Repository]:
-    with record(tmp_path) as made:
+def record(tmp_path: Path) -> Iterator[Record]:
+    with open_record(tmp_path) as made:
         yield made
 
 
-async def send(repository: Repository, path: str, form: dict[str, str] | None = None) -> httpx.Response:
-    async with httpx.AsyncClient(transport=ASGITransport(app(repository)), base_url="http://dashboard") as client:
+async def send(record: Record, path: str, form: dict[str, str] | None = None) -> httpx.Response:
+    async with httpx.AsyncClient(transport=ASGITransport(app(record)), base_url="http://dashboard") as client:
         return await client.get(path) if form is None else await client.post(path, data=form)
 
 
@@ -40,100 +39,98 @@ def rows(page: httpx.Response) -> list[str]:
     return [row["data-id"] or "" for row in found if row.get("data-id") not in (None, "head")]
 
 
-async def test_the_strip_and_the_totals(repository: Repository) -> None:
-    succeed(repository, add(repository), result())
-    start(repository, add(repository))
-    add(repository)
-    add(repository, parse({"scene": {"objects": [{"mesh": "primitive/cube"}]}}))
-    text = Tags((await send(repository, "/?q=scene:piano")).text).text
+async def test_the_strip_and_the_totals(record: Record) -> None:
+    succeed(record, add(record), result())
+    start(record, add(record))
+    add(record)
+    add(record, parse({"scene": {"objects": [{"mesh": "primitive/cube"}]}}))
+    text = Tags((await send(record, "/?q=scene:piano")).text).text
     assert "Running 1 Queued 2 Time left about 3.8 s Fooled, verified 1 of 1" in text
     assert "3 jobs that meet the query; fooled and verified 1 of 1; 1,234 queries; 1.2 s of run time" in text
 
 
-async def test_a_query_that_cannot_be_read_says_where(repository: Repository) -> None:
-    add(repository)
-    page = await send(repository, "/?q=rendrer:torch")
+async def test_a_query_that_cannot_be_read_says_where(record: Record) -> None:
+    add(record)
+    page = await send(record, "/?q=rendrer:torch")
     assert page.status_code == 422
     assert "at character 1: there is no field 'rendrer'" in Tags(page.text).text
     assert rows(page) == []
 
 
-async def test_headings_sort_both_ways(repository: Repository) -> None:
-    low, high = add(repository), add(repository)
+async def test_headings_sort_both_ways(record: Record) -> None:
+    low, high = add(record), add(record)
     for job, p in ((high, 0.02), (low, 0.01)):
-        succeed(repository, job, result(float_perceptibility=p))
-    page = await send(repository, "/")
+        succeed(record, job, result(float_perceptibility=p))
+    page = await send(record, "/")
     assert "/?sort=p" in {a["href"] for a in Tags(page.text).all("a")}
-    page = await send(repository, "/?sort=p")
+    page = await send(record, "/?sort=p")
     assert rows(page) == [low.id, high.id]
     assert "/?sort=-p" in {a["href"] for a in Tags(page.text).all("a")}
     assert [th.get("aria-sort") for th in Tags(page.text).all("th") if th.get("aria-sort")] == ["ascending"]
-    assert rows(await send(repository, "/?sort=-p")) == [high.id, low.id]
+    assert rows(await send(record, "/?sort=-p")) == [high.id, low.id]
 
 
-async def test_what_people_write_is_text(repository: Repository) -> None:
-    job = add(repository)
-    JobLists(repository._reads).edit(job.id, {"title": HOSTILE, "tags": ["<b>"]})  # noqa: SLF001 - its database
-    page = await send(repository, "/?q=" + "%22%3E%3Cscript%3E%22")
+async def test_what_people_write_is_text(record: Record) -> None:
+    job = add(record)
+    record.lists.edit(job.id, {"title": HOSTILE, "tags": ["<b>"]})
+    page = await send(record, "/?q=" + "%22%3E%3Cscript%3E%22")
     assert "<script>alert" not in page.text
-    page = await send(repository, "/")
+    page = await send(record, "/")
     assert "<script>alert" not in page.text
     assert HOSTILE in Tags(page.text).text
 
 
-async def test_ticked_jobs_are_cancelled_and_tagged(repository: Repository) -> None:
-    first, second = add(repository), add(repository)
-    done = await send(
-        repository, "/jobs/selected", {"job": first.id, "action": "cancel", "q": "state:queued", "sort": "p"}
-    )
+async def test_ticked_jobs_are_cancelled_and_tagged(record: Record) -> None:
+    first, second = add(record), add(record)
+    done = await send(record, "/jobs/selected", {"job": first.id, "action": "cancel", "q": "state:queued", "sort": "p"})
     assert (done.status_code, done.headers["location"]) == (303, "/?q=state%3Aqueued&sort=p")
-    assert rows(await send(repository, done.headers["location"])) == [second.id]
-    await send(repository, "/jobs/selected", {"job": second.id, "action": "tag", "tag": "mine"})
-    assert rows(await send(repository, "/?q=tag:mine")) == [second.id]
-    refused = await send(repository, "/jobs/selected", {"job": "unknown", "action": "cancel"})
+    assert rows(await send(record, done.headers["location"])) == [second.id]
+    await send(record, "/jobs/selected", {"job": second.id, "action": "tag", "tag": "mine"})
+    assert rows(await send(record, "/?q=tag:mine")) == [second.id]
+    refused = await send(record, "/jobs/selected", {"job": "unknown", "action": "cancel"})
     assert "there is no such job" in Tags(refused.text).text
-    refused = await send(repository, "/jobs/selected", {"job": second.id, "action": "tag", "tag": "a b"})
+    refused = await send(record, "/jobs/selected", {"job": second.id, "action": "tag", "tag": "a b"})
     assert "a tag has 1 to 50 characters" in Tags(refused.text).text
-    assert "no job is ticked" in Tags((await send(repository, "/jobs/selected", {"action": "cancel"})).text).text
+    assert "no job is ticked" in Tags((await send(record, "/jobs/selected", {"action": "cancel"})).text).text
 
 
 @pytest.mark.parametrize("tag", ["a\0", "\x1b[31m", "\x9b31m"])
-async def test_a_tag_has_no_control_characters(repository: Repository, tag: str) -> None:
-    job = add(repository)
-    refused = await send(repository, "/jobs/selected", {"job": job.id, "action": "tag", "tag": tag})
+async def test_a_tag_has_no_control_characters(record: Record, tag: str) -> None:
+    job = add(record)
+    refused = await send(record, "/jobs/selected", {"job": job.id, "action": "tag", "tag": tag})
     assert "a tag has 1 to 50 characters" in Tags(refused.text).text
-    found = repository.get(job.id)
+    found = record.jobs.get(job.id)
     assert found is not None
     assert not found.tags
 
 
-async def test_a_new_tag_takes_the_place_of_none(repository: Repository) -> None:
-    job, tags = add(repository), [f"t{number:02}" for number in range(20)]
-    JobLists(repository._reads).edit(job.id, {"tags": tags})  # noqa: SLF001 - its database
+async def test_a_new_tag_takes_the_place_of_none(record: Record) -> None:
+    job, tags = add(record), [f"t{number:02}" for number in range(20)]
+    record.lists.edit(job.id, {"tags": tags})
     for tag, status in (("t05", 303), ("z", 200)):
-        done = await send(repository, "/jobs/selected", {"job": job.id, "action": "tag", "tag": tag})
+        done = await send(record, "/jobs/selected", {"job": job.id, "action": "tag", "tag": tag})
         assert done.status_code == status
-        found = repository.get(job.id)
+        found = record.jobs.get(job.id)
         assert found is not None
         assert found.tags == tags
     assert "it has 20 tags already" in Tags(done.text).text
 
 
-async def test_a_comparison_shows_what_differs_and_both_curves(repository: Repository) -> None:
-    one, other = add(repository), add(repository, SPEC.model_copy(update={"seed": 8}))
-    succeed(repository, one, result())
-    succeed(repository, other, result(float_perceptibility=0.02))
-    page = await send(repository, f"/compare?jobs={one.id},{other.id}")
+async def test_a_comparison_shows_what_differs_and_both_curves(record: Record) -> None:
+    one, other = add(record), add(record, SPEC.model_copy(update={"seed": 8}))
+    succeed(record, one, result())
+    succeed(record, other, result(float_perceptibility=0.02))
+    page = await send(record, f"/compare?jobs={one.id},{other.id}")
     tags = Tags(page.text)
     assert "Field A grand-piano B grand-piano seed 7 8" in tags.text
     assert len(tags.all("svg")) == 4
     assert len([path for path in tags.all("path") if "curve" in (path["class"] or "")]) == 8
     assert len(tags.all("img")) - 1 == 6
-    by_form = await send(repository, f"/compare?job={one.id}&job={other.id}&q=&sort=p&against=step")
+    by_form = await send(record, f"/compare?job={one.id}&job={other.id}&q=&sort=p&against=step")
     assert by_form.status_code == 200
     with pytest.raises(InvalidRequest, match="jobs: name 2 to 8 jobs"):
-        await send(repository, f"/compare?jobs={one.id}")
-    assert (await send(repository, f"/compare?jobs={one.id},unknown")).status_code == 404
+        await send(record, f"/compare?jobs={one.id}")
+    assert (await send(record, f"/compare?jobs={one.id},unknown")).status_code == 404
 
 
 async def test_differences_are_by_field() -> None:

@@ -16,9 +16,9 @@ def three(services: Services) -> list[str]:
     """Three queued jobs with a tag of their own."""
     jobs = []
     for seed in range(3):
-        job, _ = services.repository.create(parse(SPHERE | {"seed": seed}), 1000, None, lambda _: {})
+        job, _ = services.record.jobs.create(parse(SPHERE | {"seed": seed}), 1000, None, lambda _: {})
         assert isinstance(job, Job)
-        services.lists.edit(job.id, {"tags": [f"three-{id(jobs)}"]})
+        services.record.lists.edit(job.id, {"tags": [f"three-{id(jobs)}"]})
         jobs.append(job.id)
     return jobs
 
@@ -82,6 +82,6 @@ def test_a_retry_is_a_new_job_of_the_same_request(client: httpx.Client, services
     assert answer.headers["location"] == f"/v1/jobs/{job['id']}"
     assert (job["retry_of"], job["state"], job["checked"]) == (three[1], "queued", False)
     assert job["spec"] == client.get(f"/v1/jobs/{three[1]}").json()["spec"]
-    assert services.lists.retries(three[1]) == [job["id"]]
+    assert services.record.lists.retries(three[1]) == [job["id"]]
     assert client.post("/v1/jobs/unknown/retry").status_code == 404
     assert client.patch("/v1/jobs/unknown", json={}).status_code == 404

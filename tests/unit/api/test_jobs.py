@@ -47,14 +47,14 @@ def test_a_bell_rings_for_it(client: Client, services: Services) -> None:
 
 def test_a_key_gets_the_first_answer_and_no_second_job(client: Client, services: Services) -> None:
     first = submit(client, **{"Idempotency-Key": "one"})
-    services.repository.request_cancel(str(first["id"]))
-    before = len(attacks(services.repository))
+    services.record.jobs.request_cancel(str(first["id"]))
+    before = len(attacks(services.record))
     assert submit(client, **{"Idempotency-Key": "one"}) == first
     # The same request, written out: what it says counts, not how.
     spelled = SPHERE | {"seed": 0}
     answer = client.post("/v1/jobs", json=spelled, headers={"Idempotency-Key": "one"})
     assert answer.json() == first
-    assert len(attacks(services.repository)) == before
+    assert len(attacks(services.record)) == before
 
 
 def test_a_key_with_another_request_is_refused(client: Client) -> None:
@@ -216,7 +216,7 @@ def test_a_job_with_a_result_is_not_read_in_the_event_loop(
     client: Client, services: Services, finished: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its trace may have a hundred thousand rows; the event loop would answer nobody for seconds."""
-    without_result, in_loop = services.repository.get, []
+    without_result, in_loop = services.record.jobs.get, []
 
     def get(job_id: str, *, with_result: bool = False) -> Job | None:
         if not with_result:
@@ -227,6 +227,6 @@ def test_a_job_with_a_result_is_not_read_in_the_event_loop(
             in_loop.append(False)
         return None
 
-    monkeypatch.setattr(services.repository, "get", get)
+    monkeypatch.setattr(services.record.jobs, "get", get)
     assert client.get(f"/v1/jobs/{finished}").status_code == 404
     assert in_loop == [False]

@@ -6,6 +6,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from sqlalchemy import create_engine
 
 from api.metrics import ServiceMetrics
+from services.jobs.database import Database
 from services.jobs.figures import Figures
 from services.jobs.queue import Queue, connect
 
@@ -70,8 +71,7 @@ def test_a_version_that_is_none_gets_the_format_of_all(client: Client, version: 
 
 
 def test_metrics_say_what_is_away() -> None:
-    away = ServiceMetrics(
-        Figures(create_engine("sqlite:////no/such/folder/jobs.sqlite")), Queue(connect("redis://127.0.0.1:1")), int
-    )
+    nowhere = Database(create_engine("sqlite:////no/such/folder/jobs.sqlite"))
+    away = ServiceMetrics(Figures(nowhere), Queue(connect("redis://127.0.0.1:1")), int)
     [up] = [metric for metric in away.collect() if metric.name == "scene_attack_up"]
     assert {sample.labels["part"]: sample.value for sample in up.samples} == {"database": 0, "redis": 0}

@@ -34,7 +34,7 @@ def test_a_mesh_may_be_named_in_the_address(client: Client) -> None:
 
 def test_a_job_is_cloned(client: Client, services: Services) -> None:
     spec = parse(SPHERE | {"seed": 7})
-    job, _ = services.repository.create(spec, 1000, None, lambda _: {})
+    job, _ = services.record.jobs.create(spec, 1000, None, lambda _: {})
     assert job is not None
     page = client.get("/new", headers=HTML, params={"from": job.id}).text
     assert parse(request_on(page)) == spec
@@ -50,7 +50,7 @@ def test_the_form_queues_a_job_and_leads_to_its_page(client: Client, services: S
     assert answer.status_code == 303, answer.text
     found = re.fullmatch(r"/jobs/(\w+)", answer.headers["location"])
     assert found is not None
-    job = services.repository.get(found[1])
+    job = services.record.jobs.get(found[1])
     assert job is not None
     assert JobSpec.model_validate(job.spec).attack.steps == 1
 
@@ -68,12 +68,12 @@ def test_the_form_queues_a_job_and_leads_to_its_page(client: Client, services: S
 def test_a_wrong_request_is_shown_again_with_its_errors(
     client: Client, services: Services, text: str, said: str
 ) -> None:
-    before = len(attacks(services.repository))
+    before = len(attacks(services.record))
     answer = client.post("/new", data={"spec": text}, headers=HTML)
     assert answer.status_code == 422
     assert said in answer.text
     assert unescape(answer.text[answer.text.index("<textarea") :]).count(text) == 1
-    assert len(attacks(services.repository)) == before
+    assert len(attacks(services.record)) == before
 
 
 def test_the_script_gets_every_name_that_a_field_may_have(client: Client) -> None:

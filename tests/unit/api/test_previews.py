@@ -23,7 +23,7 @@ BODY: dict[str, Any] = {"scene": SPHERE, "attack": {"steps": 3}, "seed": 5}
 
 
 def test_it_shows_what_a_job_begins_with_and_queues_nothing(client: Client, services: Services) -> None:
-    before = attacks(services.repository)
+    before = attacks(services.record)
     answer = client.post(PATH, json=BODY)
     assert answer.status_code == 200, answer.text
     found = answer.json()
@@ -36,7 +36,7 @@ def test_it_shows_what_a_job_begins_with_and_queues_nothing(client: Client, serv
     assert found["spec"]["seed"] == 5
     assert (found["plan"], found["cost"]) == (None, None)
     assert found["warnings"]
-    assert [job.id for job in attacks(services.repository)] == [job.id for job in before]
+    assert [job.id for job in attacks(services.record)] == [job.id for job in before]
 
 
 def test_the_plan_and_its_cost_are_made_on_demand(client: Client) -> None:

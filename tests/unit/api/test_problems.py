@@ -55,7 +55,7 @@ def test_a_mistake_of_the_service_tells_nothing_of_its_insides(
     def broken(*_: object) -> None:
         raise RuntimeError("password is 1234")
 
-    monkeypatch.setattr(type(services.lists), "page", broken)
+    monkeypatch.setattr(type(services.record.lists), "page", broken)
     answer = client.get("/v1/jobs")
     assert answer.status_code == 500
     assert answer.headers["content-type"] == "application/problem+json"

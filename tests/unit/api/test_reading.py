@@ -7,7 +7,7 @@ import pytest
 from sqlalchemy import Engine, create_engine
 
 from api.reading import Reading
-from services.jobs.transactions import READS_SQLITE
+from services.jobs.database import READS_SQLITE
 
 pytestmark = [pytest.mark.slow, pytest.mark.anyio]
 SQLITE = create_engine("sqlite://")

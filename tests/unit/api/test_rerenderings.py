@@ -42,7 +42,7 @@ def in_base64(image: torch.Tensor) -> str:
 def ended(client: Client, services: Services, settings: Settings, answer: Response) -> dict[str, Any]:
     """The job of a submission, once a worker's code has run it."""
     assert answer.status_code == 202, answer.text
-    attempt = services.repository.lease(answer.json()["id"], "test", 60)
+    attempt = services.record.leases.lease(answer.json()["id"], "test", 60)
     assert attempt is not None
     Jobs(settings).run(attempt)
     job: dict[str, Any] = client.get(answer.headers["location"]).json()
@@ -92,7 +92,7 @@ def test_a_job_that_is_cancelled_stops_its_fit(
 ) -> None:
     body = {"image": {"data": in_base64(noisy)}, "scene": SPHERE, "fit": {"steps": 10_000}}  # minutes
     job = client.post("/v1/rerenderings", json=body).json()
-    attempt = services.repository.lease(job["id"], "test", 60)
+    attempt = services.record.leases.lease(job["id"], "test", 60)
     assert attempt is not None
 
     def cancel() -> None:
@@ -111,14 +111,14 @@ def test_a_job_that_is_cancelled_stops_its_fit(
 def test_a_file_of_a_job_brings_its_scene(
     client: Client, services: Services, settings: Settings, noisy: torch.Tensor, tmp_path: Path
 ) -> None:
-    job, _ = services.repository.create(spec(), 1000, None, lambda _: {})
+    job, _ = services.record.jobs.create(spec(), 1000, None, lambda _: {})
     assert job is not None
     save_png(noisy, tmp_path / "attacked.png")
     stored = services.store.put(tmp_path / "attacked.png")
-    attempt = services.repository.lease(job.id, "test", 60)
+    attempt = services.record.leases.lease(job.id, "test", 60)
     assert attempt is not None
     file = Artifact(job_id=job.id, name="attacked.png", sha256=stored.sha256, media_type="image/png", size=stored.size)
-    assert services.repository.succeed(attempt, {}, {}, [file])
+    assert services.record.leases.succeed(attempt, {}, {}, [file])
     answer = client.post("/v1/rerenderings", json={"image": {"job": job.id}, "fit": {"steps": 1}})
     assert len(ended(client, services, settings, answer)["result"]["rerendering"]["losses"]) == 2
 

@@ -14,7 +14,7 @@ from services.access.caller import Scope
 from services.access.keys import AccessKeys
 from services.jobs.database import connect, migrate
 from services.jobs.models import Job
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from services.settings import Settings
 from tests.unit.jobs.records import add, start
 
@@ -34,20 +34,20 @@ def engine(tmp_path: Path) -> Iterator[Engine]:
 
 
 @pytest.fixture
-def repository(engine: Engine, monkeypatch: pytest.MonkeyPatch) -> Repository:
+def record(engine: Engine, monkeypatch: pytest.MonkeyPatch) -> Record:
     monkeypatch.setattr(module, "POLL_SECONDS", 0.001)
     monkeypatch.setattr(module, "KEPT", KEPT)
-    return Repository(engine)
+    return Record(engine)
 
 
-def line(repository: Repository, job: Job) -> Job:
-    found = repository.line(job.id)
+def line(record: Record, job: Job) -> Job:
+    found = record.jobs.line(job.id)
     assert found is not None
     return found
 
 
-def watching(repository: Repository, engine: Engine) -> Watcher:
-    return Watcher(repository, AccessKeys(engine))
+def watching(record: Record, engine: Engine) -> Watcher:
+    return Watcher(record, AccessKeys(engine))
 
 
 async def numbers(watcher: Watcher, job: Job, after: int = 0) -> AsyncIterator[int]:
@@ -68,42 +68,42 @@ def run(test: Callable[[], Awaitable[None]]) -> None:
     asyncio.run(whole())
 
 
-def test_streams_get_every_event_once_and_in_order_whenever_they_begin(repository: Repository, engine: Engine) -> None:
-    job = add(repository)
+def test_streams_get_every_event_once_and_in_order_whenever_they_begin(record: Record, engine: Engine) -> None:
+    job = add(record)
 
     async def test() -> None:
-        watcher = watching(repository, engine)
-        early = [asyncio.create_task(collect(watcher, line(repository, job))) for _ in range(3)]
-        attempt = start(repository, job)
+        watcher = watching(record, engine)
+        early = [asyncio.create_task(collect(watcher, line(record, job))) for _ in range(3)]
+        attempt = start(record, job)
         for step in range(2 * KEPT):
-            repository.progress(attempt, "attacking", step, 9, [])
+            record.leases.progress(attempt, "attacking", step, 9, [])
             if step == KEPT:
-                late = asyncio.create_task(collect(watcher, line(repository, job)))
-                resumed = asyncio.create_task(collect(watcher, line(repository, job), 10))
+                late = asyncio.create_task(collect(watcher, line(record, job)))
+                resumed = asyncio.create_task(collect(watcher, line(record, job), 10))
             await asyncio.sleep(0)
-        repository.fail(attempt, "internal", "")
+        record.leases.fail(attempt, "internal", "")
         everything = list(range(1, 2 * KEPT + 4))
         for stream in (*early, late):
             assert await stream == everything
         assert await resumed == everything[10:]
-        assert await collect(watcher, line(repository, job), 5) == everything[5:]
+        assert await collect(watcher, line(record, job), 5) == everything[5:]
         watcher.close()
 
     run(test)
 
 
-def test_a_slow_stream_that_fell_behind_reads_the_record(repository: Repository, engine: Engine) -> None:
-    job = add(repository)
+def test_a_slow_stream_that_fell_behind_reads_the_record(record: Record, engine: Engine) -> None:
+    job = add(record)
 
     async def test() -> None:
-        watcher = watching(repository, engine)
-        slow = numbers(watcher, line(repository, job))
+        watcher = watching(record, engine)
+        slow = numbers(watcher, line(record, job))
         assert await anext(slow) == 1
-        fast = asyncio.create_task(collect(watcher, line(repository, job)))
-        attempt = start(repository, job)
+        fast = asyncio.create_task(collect(watcher, line(record, job)))
+        attempt = start(record, job)
         for step in range(3 * KEPT):
-            repository.progress(attempt, "attacking", step, 9, [])
-        repository.fail(attempt, "internal", "")
+            record.leases.progress(attempt, "attacking", step, 9, [])
+        record.leases.fail(attempt, "internal", "")
         everything = list(range(1, 3 * KEPT + 4))
         assert await fast == everything
         assert [number async for number in slow] == everything[1:]
@@ -112,17 +112,17 @@ def test_a_slow_stream_that_fell_behind_reads_the_record(repository: Repository,
     run(test)
 
 
-def test_many_streams_cost_as_many_reads_as_one(repository: Repository, engine: Engine) -> None:
-    jobs = [add(repository) for _ in range(20)]
-    lines = [line(repository, job) for job in jobs]
+def test_many_streams_cost_as_many_reads_as_one(record: Record, engine: Engine) -> None:
+    jobs = [add(record) for _ in range(20)]
+    lines = [line(record, job) for job in jobs]
     reads = []
 
     async def test() -> None:
-        watcher = watching(repository, engine)
+        watcher = watching(record, engine)
         streams = [asyncio.create_task(collect(watcher, one, one.events)) for one in lines for _ in range(25)]
         await asyncio.sleep(0)
         for job in jobs:
-            repository.request_cancel(job.id)
+            record.jobs.request_cancel(job.id)
         event.listen(engine, "before_cursor_execute", lambda *said: reads.append(said[2]))
         assert await asyncio.gather(*streams) == [[2]] * 500
         watcher.close()
@@ -131,12 +131,12 @@ def test_many_streams_cost_as_many_reads_as_one(repository: Repository, engine: 
     assert 20 <= len(reads) < 100
 
 
-def test_a_stream_of_a_deleted_job_ends(repository: Repository, engine: Engine) -> None:
-    job = add(repository)
+def test_a_stream_of_a_deleted_job_ends(record: Record, engine: Engine) -> None:
+    job = add(record)
 
     async def test() -> None:
-        watcher = watching(repository, engine)
-        stream = numbers(watcher, line(repository, job))
+        watcher = watching(record, engine)
+        stream = numbers(watcher, line(record, job))
         assert await anext(stream) == 1
         with engine.execution_options(writes=True).begin() as connection:
             connection.exec_driver_sql("DELETE FROM jobs")
@@ -148,7 +148,7 @@ def test_a_stream_of_a_deleted_job_ends(repository: Repository, engine: Engine) 
 
 @pytest.mark.parametrize("has_key", [True, False])
 def test_a_stream_ends_with_its_key_and_others_go_on(
-    repository: Repository, engine: Engine, monkeypatch: pytest.MonkeyPatch, has_key: bool
+    record: Record, engine: Engine, monkeypatch: pytest.MonkeyPatch, has_key: bool
 ) -> None:
     monkeypatch.setattr("api.stream_keys.KEY_SECONDS", 0.0)
     keys = AccessKeys(engine)
@@ -156,13 +156,13 @@ def test_a_stream_ends_with_its_key_and_others_go_on(
     reads = []
 
     async def test() -> None:
-        watcher = watching(repository, engine)
+        watcher = watching(record, engine)
 
         async def follow(job: Job, key: str | None) -> list[int]:
-            async with aclosing(watcher.events(line(repository, job), 0, key)) as events:
+            async with aclosing(watcher.events(line(record, job), 0, key)) as events:
                 return [one.number async for one in events]
 
-        job = add(repository)
+        job = add(record)
         event.listen(engine, "before_cursor_execute", lambda *said: reads.append("access_keys" in said[2]))
         ending = [asyncio.create_task(follow(job, prefixes[0])) for _ in range(100)]
         others = [asyncio.create_task(follow(job, None)), asyncio.create_task(follow(job, prefixes[1]))]
@@ -174,7 +174,7 @@ def test_a_stream_ends_with_its_key_and_others_go_on(
         assert await asyncio.gather(*ending) == [[1]] * 100
         if has_key:
             assert not any(other.done() for other in others)
-        repository.request_cancel(job.id)
+        record.jobs.request_cancel(job.id)
         assert await others[0] == [1, 2]
         assert await others[1] == ([1, 2] if has_key else [1])
         watcher.close()
@@ -183,16 +183,16 @@ def test_a_stream_ends_with_its_key_and_others_go_on(
     assert sum(reads) < 100  # not one for each stream
 
 
-def test_waiting_for_the_end_of_a_job_stops_in_time(repository: Repository, engine: Engine) -> None:
-    job = add(repository)
+def test_waiting_for_the_end_of_a_job_stops_in_time(record: Record, engine: Engine) -> None:
+    job = add(record)
 
     async def test() -> None:
-        watcher = watching(repository, engine)
-        assert not await watcher.until_over(line(repository, job), 0)
-        over = asyncio.create_task(watcher.until_over(line(repository, job), LONG))
-        repository.request_cancel(job.id)
+        watcher = watching(record, engine)
+        assert not await watcher.until_over(line(record, job), 0)
+        over = asyncio.create_task(watcher.until_over(line(record, job), LONG))
+        record.jobs.request_cancel(job.id)
         assert await over
-        assert await watcher.until_over(line(repository, job), 0)
+        assert await watcher.until_over(line(record, job), 0)
         watcher.close()
 
     run(test)

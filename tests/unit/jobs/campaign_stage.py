@@ -6,9 +6,10 @@ from sqlalchemy import Engine, select
 from sqlalchemy.orm import Session
 
 from services.jobs.campaigns import Campaigns, Feeder, request_digest
+from services.jobs.database import Database
+from services.jobs.leases import not_paused
 from services.jobs.models import Campaign, CampaignState, Job, State
-from services.jobs.repository import Repository
-from services.jobs.transactions import not_held
+from services.jobs.record import Record
 from services.pipeline.campaign_plan import identity, views
 from services.pipeline.campaign_spec import CampaignSpec, parse
 from services.pipeline.outcome import outcome
@@ -34,11 +35,11 @@ def spec(count: int = 4, seed: int = 0, **values: Any) -> CampaignSpec:
 class Stage:
     """A record with a feeder, and a worker without a renderer."""
 
-    def __init__(self, engine: Engine, repository: Repository) -> None:
+    def __init__(self, engine: Engine, record: Record) -> None:
         self.engine = engine
-        self.repository = repository
-        self.campaigns = Campaigns(engine)
-        self.feeder = Feeder(engine, QUEUED)
+        self.record = record
+        self.campaigns = Campaigns(Database(engine))
+        self.feeder = Feeder(Database(engine), QUEUED)
 
     def begin(self, campaign: CampaignSpec, owner: str = "") -> str:
         return self.campaigns.create(campaign, len(views(campaign)), request_digest(campaign), None, owner).id
@@ -53,21 +54,21 @@ class Stage:
 
     def queued(self) -> list[Job]:
         """The queued jobs that may run, oldest first."""
-        queued = select(Job).where(Job.state == State.QUEUED, not_held()).order_by(Job.created_at, Job.id)
+        queued = select(Job).where(Job.state == State.QUEUED, not_paused()).order_by(Job.created_at, Job.id)
         with Session(self.engine) as session:
             return list(session.scalars(queued))
 
     def work(self, job: Job, right: bool = True) -> None:
         """Runs one job as a worker would."""
-        attempt = self.repository.lease(job.id, "w", 20)
+        attempt = self.record.leases.lease(job.id, "w", 20)
         assert attempt is not None
         if "views" in job.spec:
             answers = [self.answer(one, right) for one in job.spec["views"]]
-            self.repository.progress(attempt, "selecting", len(answers), len(answers), [])
-            self.repository.succeed(attempt, {"answers": answers}, {}, [])
+            self.record.leases.progress(attempt, "selecting", len(answers), len(answers), [])
+            self.record.leases.succeed(attempt, {"answers": answers}, {}, [])
         else:
             made = self.result(parse_job(job.spec))
-            self.repository.succeed(attempt, made, outcome(Result.model_validate(made)), [])
+            self.record.leases.succeed(attempt, made, outcome(Result.model_validate(made)), [])
 
     @staticmethod
     def result(job: JobSpec, **changed: Any) -> dict[str, Any]:

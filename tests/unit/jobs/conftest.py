@@ -6,7 +6,7 @@ import pytest
 from sqlalchemy import Engine
 
 from services.jobs.database import connect, migrate
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from services.settings import Settings
 
 
@@ -46,5 +46,5 @@ def engine(database: Settings) -> Iterator[Engine]:
 
 
 @pytest.fixture
-def repository(engine: Engine, clock: Clock) -> Repository:
-    return Repository(engine, clock)
+def record(engine: Engine, clock: Clock) -> Record:
+    return Record(engine, clock)

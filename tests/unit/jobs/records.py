@@ -2,32 +2,30 @@
 
 from typing import Any
 
-from services.jobs.attempts import Attempt
 from services.jobs.job_query import parse_query
+from services.jobs.leases import Attempt
 from services.jobs.listed_job import ListedJob
-from services.jobs.lists import JobLists
 from services.jobs.models import Artifact, Job, State
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from services.pipeline.spec import JobSpec, parse
 
 SPEC = parse({"scene": {"objects": [{"mesh": "primitive/sphere"}]}, "seed": 7})
 OUTCOME = {"fooled": True, "verified": False}
 
 
-def add(repository: Repository, spec: JobSpec = SPEC, *, checked: bool = True) -> Job:
-    job, _ = repository.create(spec, 1000, None, lambda job: {"id": job.id}, checked=checked)
+def add(record: Record, spec: JobSpec = SPEC, *, checked: bool = True) -> Job:
+    job, _ = record.jobs.create(spec, 1000, None, lambda job: {"id": job.id}, checked=checked)
     assert job is not None
     return job
 
 
-def attacks(repository: Repository, query: str = "", owner: str | None = None) -> list[ListedJob]:
+def attacks(record: Record, query: str = "", owner: str | None = None) -> list[ListedJob]:
     """The attacks in the record that meet a query, newest first."""
-    lists = JobLists(repository._reads)  # noqa: SLF001 - the same record
-    return list(lists.page(parse_query(query), 10_000, owner=owner).jobs)
+    return list(record.lists.page(parse_query(query), 10_000, owner=owner).jobs)
 
 
-def start(repository: Repository, job: Job, owner: str = "w", seconds: float = 20) -> Attempt:
-    attempt = repository.lease(job.id, owner, seconds)
+def start(record: Record, job: Job, owner: str = "w", seconds: float = 20) -> Attempt:
+    attempt = record.leases.lease(job.id, owner, seconds)
     assert attempt is not None
     return attempt
 
@@ -36,16 +34,16 @@ def artifact(job: Job, name: str = "result.json") -> Artifact:
     return Artifact(job_id=job.id, name=name, sha256="ab" * 32, media_type="application/json", size=3)
 
 
-def row(repository: Repository, job: Job) -> dict[str, Any]:
+def row(record: Record, job: Job) -> dict[str, Any]:
     """Everything the record has of a job, to compare."""
-    found = repository.get(job.id, with_result=True)
+    found = record.jobs.get(job.id, with_result=True)
     assert found is not None
     values = {column.name: getattr(found, column.name) for column in Job.__table__.columns}
-    events = [(event.number, event.kind, event.data) for event in repository.events(job.id, 0)]
-    return values | {"events": events, "artifacts": [a.name for a in repository.artifacts(job.id)]}
+    events = [(event.number, event.kind, event.data) for event in record.jobs.events(job.id, 0)]
+    return values | {"events": events, "artifacts": [a.name for a in record.jobs.artifacts(job.id)]}
 
 
-def state(repository: Repository, job_id: str) -> State:
-    job = repository.get(job_id)
+def state(record: Record, job_id: str) -> State:
+    job = record.jobs.get(job_id)
     assert job is not None
     return job.state

@@ -6,7 +6,8 @@ from sqlalchemy import Engine
 
 from services.access.assets import OwnedAssets
 from services.jobs.asset_record import AssetRecords, FirstAnswer
-from services.jobs.repository import Repository
+from services.jobs.database import Database
+from services.jobs.record import Record
 from services.pipeline.outcome import outcome
 from services.pipeline.result import Result
 from services.pipeline.spec import parse
@@ -15,29 +16,29 @@ from tests.unit.api.dashboard_records import SPEC, result
 LITE = "efficientnet-lite0"
 
 
-def ended(repository: Repository, *meshes: str, label: str = "grand piano", **changed: Any) -> str:
+def ended(record: Record, *meshes: str, label: str = "grand piano", **changed: Any) -> str:
     """A job on these meshes that ran to its end; the network called the original image `label`."""
     scene = {"objects": [{"mesh": mesh} for mesh in meshes]}
     spec = parse({"scene": scene, "attack": {"renderer": "torch"}, "goal": {"leave": "grand piano"}})
-    job, _ = repository.create(spec, 99, None, lambda _: {}, owner=changed.pop("owner", ""))
+    job, _ = record.jobs.create(spec, 99, None, lambda _: {}, owner=changed.pop("owner", ""))
     assert job is not None
-    attempt = repository.lease(job.id, "test", 60)
+    attempt = record.leases.lease(job.id, "test", 60)
     assert attempt is not None
     found = result(**changed)
     found["original"]["label"] = label
-    repository.succeed(attempt, found, outcome(Result.model_validate(found)), [])
+    record.leases.succeed(attempt, found, outcome(Result.model_validate(found)), [])
     return job.id
 
 
-def test_answers_are_those_to_scenes_of_the_mesh_alone(repository: Repository, engine: Engine) -> None:
-    ended(repository, "primitive/cone")
-    ended(repository, "primitive/cone")
-    ended(repository, "primitive/cone", label="lampshade", right_before=None)
-    ended(repository, "furniture/cone", label="traffic cone")  # the same short name
-    ended(repository, "primitive/cone", "primitive/cube", label="crate")
-    ended(repository, "primitive/cone", label="bell", owner="other")
-    repository.create(SPEC, 99, None, lambda _: {})  # not ended
-    records = AssetRecords(engine)
+def test_answers_are_those_to_scenes_of_the_mesh_alone(record: Record, engine: Engine) -> None:
+    ended(record, "primitive/cone")
+    ended(record, "primitive/cone")
+    ended(record, "primitive/cone", label="lampshade", right_before=None)
+    ended(record, "furniture/cone", label="traffic cone")  # the same short name
+    ended(record, "primitive/cone", "primitive/cube", label="crate")
+    ended(record, "primitive/cone", label="bell", owner="other")
+    record.jobs.create(SPEC, 99, None, lambda _: {})  # not ended
+    records = AssetRecords(Database(engine))
     found = records.first_answers(["primitive/cone", "primitive/cube", "furniture/cone"], "")
     assert found == {
         "primitive/cone": [FirstAnswer(LITE, "grand piano", True, 2), FirstAnswer(LITE, "lampshade", None, 1)],
@@ -46,24 +47,22 @@ def test_answers_are_those_to_scenes_of_the_mesh_alone(repository: Repository, e
     assert {one.label for one in records.first_answers(["primitive/cone"], None)["primitive/cone"]} >= {"bell"}
 
 
-def test_the_jobs_on_a_mesh_are_listed_newest_first(repository: Repository, engine: Engine, clock: Any) -> None:
+def test_the_jobs_on_a_mesh_are_listed_newest_first(record: Record, engine: Engine, clock: Any) -> None:
     ids = []
     for _ in range(3):
-        ids.append(ended(repository, "primitive/cone"))
+        ids.append(ended(record, "primitive/cone"))
         clock.advance(1)
-    ended(repository, "furniture/cone")
-    found = AssetRecords(engine).jobs("primitive/cone", 2, "")
+    ended(record, "furniture/cone")
+    found = AssetRecords(Database(engine)).jobs("primitive/cone", 2, "")
     assert [job.id for job in found] == ids[:0:-1]
     assert found[0].spec["scene"]["objects"][0]["mesh"] == "primitive/cone"
 
 
-def test_jobs_on_an_upload_are_found_by_its_title_and_from_before_it_had_one(
-    repository: Repository, engine: Engine
-) -> None:
+def test_jobs_on_an_upload_are_found_by_its_title_and_from_before_it_had_one(record: Record, engine: Engine) -> None:
     upload = f"sha256:{'0a' * 32}"
-    ids = {ended(repository, upload)}
+    ids = {ended(record, upload)}
     OwnedAssets(engine).add("", upload, 60, "Chair")
-    ids.add(ended(repository, upload))
-    records = AssetRecords(engine)
+    ids.add(ended(record, upload))
+    records = AssetRecords(Database(engine))
     assert {job.id for job in records.jobs(upload, 9, "")} == ids
     assert records.first_answers([upload], "") == {upload: [FirstAnswer(LITE, "grand piano", True, 2)]}

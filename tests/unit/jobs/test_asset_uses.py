@@ -6,7 +6,7 @@ from sqlalchemy import Engine, select
 from sqlalchemy.orm import Session
 
 from services.jobs.asset_models import JobAsset
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from services.pipeline.spec import parse
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import add
@@ -16,7 +16,7 @@ SCENE: dict[str, Any] = {"objects": [{"mesh": FIRST}, {"mesh": "primitive/sphere
 
 
 def test_a_job_refers_to_the_uploads_of_its_scene_and_not_to_its_words(engine: Engine, clock: Clock) -> None:
-    job = add(Repository(engine, clock), parse({"scene": SCENE}))
-    add(Repository(engine, clock), parse({"scene": {"objects": [{"mesh": "primitive/sphere"}]}}))
+    job = add(Record(engine, clock), parse({"scene": SCENE}))
+    add(Record(engine, clock), parse({"scene": {"objects": [{"mesh": "primitive/sphere"}]}}))
     with Session(engine) as session:
         assert session.execute(select(JobAsset.job_id, JobAsset.name)).all() == [(job.id, FIRST)]

@@ -17,7 +17,7 @@ from services.jobs.artifacts import ArtifactStore
 from services.jobs.backup import PARTS, back_up
 from services.jobs.database import connect, migrate
 from services.jobs.models import Artifact, State
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from services.settings import Settings
 from tests.unit.jobs.records import OUTCOME, add, attacks, start
 
@@ -34,20 +34,20 @@ def service(request: pytest.FixtureRequest, database: Settings) -> Settings:
 
 
 @pytest.fixture
-def repository(service: Settings) -> Iterator[Repository]:
+def record(service: Settings) -> Iterator[Record]:
     engine = connect(service)
-    yield Repository(engine)
+    yield Record(engine)
     engine.dispose()
 
 
-def finish(service: Settings, repository: Repository, text: str) -> str:
+def finish(service: Settings, record: Record, text: str) -> str:
     """Records a finished job with a file that has this text, and returns the job's id."""
     store, file = ArtifactStore(service.files), service.data_dir / "file.txt"
     file.write_text(text)
     stored = store.put(file)
-    job = add(repository)
+    job = add(record)
     named = Artifact(job_id=job.id, name="file.txt", sha256=stored.sha256, media_type="text/plain", size=stored.size)
-    assert repository.succeed(start(repository, job), {}, OUTCOME, [named])
+    assert record.leases.succeed(start(record, job), {}, OUTCOME, [named])
     return job.id
 
 
@@ -75,15 +75,15 @@ def restore(request: pytest.FixtureRequest) -> Restore:
 
 
 def test_a_copy_made_while_jobs_end_has_every_file_it_names(
-    service: Settings, repository: Repository, restore: Restore, tmp_path: Path
+    service: Settings, record: Record, restore: Restore, tmp_path: Path
 ) -> None:
-    finish(service, repository, "first")
+    finish(service, record, "first")
     copied, begun = threading.Event(), threading.Event()
     written: list[str] = []
 
     def work() -> None:
         while not copied.is_set():
-            written.append(finish(service, repository, f"while it is copied {len(written)}"))
+            written.append(finish(service, record, f"while it is copied {len(written)}"))
             begun.set()
 
     worker = threading.Thread(target=work)
@@ -97,23 +97,21 @@ def test_a_copy_made_while_jobs_end_has_every_file_it_names(
     assert 2 <= made.jobs <= 1 + len(written)
     assert made.files >= made.jobs - 1, "one may have been running"
     engine = connect(restore(service, tmp_path / "copy"))
-    there = Repository(engine)
+    there = Record(engine)
     listed = attacks(there)
     assert len(listed) == made.jobs
     ended = [job for job in listed if job.state is State.SUCCEEDED]
     assert len(ended) >= made.jobs - 1
     for job in ended:
-        [artifact] = there.artifacts(job.id)
+        [artifact] = there.jobs.artifacts(job.id)
         assert (tmp_path / "copy" / "artifacts" / artifact.sha256[:2] / artifact.sha256).is_file()
     engine.dispose()
 
 
-def test_a_service_starts_on_the_copy(
-    service: Settings, repository: Repository, restore: Restore, tmp_path: Path
-) -> None:
-    done = finish(service, repository, "done")
-    queued, running = add(repository), add(repository)
-    start(repository, running, seconds=-1)
+def test_a_service_starts_on_the_copy(service: Settings, record: Record, restore: Restore, tmp_path: Path) -> None:
+    done = finish(service, record, "done")
+    queued, running = add(record), add(record)
+    start(record, running, seconds=-1)
     blobs(service.files, "assets").write("mesh", b"mesh")
     blobs(service.files, "checkpoints").write(running.id, b"of a running job")
     (tmp_path / "artifacts" / "half.part").parent.mkdir(exist_ok=True)
@@ -124,10 +122,10 @@ def test_a_service_starts_on_the_copy(
     restored = restore(service, tmp_path / "copy")
     engine = connect(restored)
     migrate(engine, restored)
-    there = Repository(engine)
-    assert there.take_back(5) == [running.id]
+    there = Record(engine)
+    assert there.leases.take_back(5) == [running.id]
     assert {job.id for job in attacks(there, "state:queued")} == {queued.id, running.id}
-    [artifact] = there.artifacts(done)
+    [artifact] = there.jobs.artifacts(done)
     with ArtifactStore(restored.files).open(artifact.sha256) as file:
         assert file.read() == b"done"
     with blobs(restored.files, "assets").open("mesh") as file:
@@ -136,11 +134,9 @@ def test_a_service_starts_on_the_copy(
 
 
 @pytest.mark.parametrize("how", ["missing", "damaged"])
-def test_a_copy_that_lacks_an_artifact_is_none(
-    service: Settings, repository: Repository, tmp_path: Path, how: str
-) -> None:
-    job_id = finish(service, repository, "lost")
-    [artifact] = repository.artifacts(job_id)
+def test_a_copy_that_lacks_an_artifact_is_none(service: Settings, record: Record, tmp_path: Path, how: str) -> None:
+    job_id = finish(service, record, "lost")
+    [artifact] = record.jobs.artifacts(job_id)
     name = f"{artifact.sha256[:2]}/{artifact.sha256}"
     if how == "missing":
         blobs(service.files, "artifacts").delete(name)

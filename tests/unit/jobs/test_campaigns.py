@@ -8,8 +8,10 @@ from sqlalchemy import Engine, update
 
 from services.errors import QuotaExceeded
 from services.jobs.campaigns import CHUNK, Feeder, request_digest
+from services.jobs.database import Database
+from services.jobs.jobs import Key, KeyReused
 from services.jobs.models import Campaign, CampaignState, State
-from services.jobs.repository import Key, KeyReused, Repository
+from services.jobs.record import Record
 from services.pipeline.campaign_spec import CampaignSpec
 from services.pipeline.outcome import outcome
 from services.pipeline.result import Result
@@ -22,8 +24,8 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture
-def stage(engine: Engine, repository: Repository) -> Stage:
-    return Stage(engine, repository)
+def stage(engine: Engine, record: Record) -> Stage:
+    return Stage(engine, record)
 
 
 def test_an_owner_has_no_more_open_campaigns_than_it_may(stage: Stage) -> None:
@@ -61,8 +63,8 @@ def test_a_campaign_is_selected_run_and_finished(stage: Stage) -> None:
     assert all(case.success and case.right and case.run_seconds == 0.0 for case in cases)
     assert len(stage.campaigns.curves(campaign)) == CHUNK + 1
     # selection jobs are in no list
-    assert len(attacks(stage.repository)) == CHUNK + 1
-    assert {job.campaign_id for job in attacks(stage.repository, f"campaign:{campaign}")} == {campaign}
+    assert len(attacks(stage.record)) == CHUNK + 1
+    assert {job.campaign_id for job in attacks(stage.record, f"campaign:{campaign}")} == {campaign}
     stage.feeder.tick()
     assert stage.state(campaign) is CampaignState.FINISHED
 
@@ -76,7 +78,7 @@ def test_never_more_than_a_few_jobs_are_queued_and_campaigns_take_turns(stage: S
         queued = stage.queued()
         assert len(queued) == QUEUED
         assert {job.campaign_id for job in queued} == {first, second}
-        single = add(stage.repository)
+        single = add(stage.record)
         assert stage.queued()[-1].id == single.id  # behind QUEUED jobs at most
         stage.work(single)
         for job in queued:
@@ -101,9 +103,9 @@ def test_the_views_of_a_failed_selection_are_refused_with_its_reason(stage: Stag
     campaign = stage.begin(spec(CHUNK + 1))
     stage.feeder.tick()
     bad, good = stage.queued()
-    attempt = stage.repository.lease(bad.id, "w", 20)
+    attempt = stage.record.leases.lease(bad.id, "w", 20)
     assert attempt is not None
-    stage.repository.fail(attempt, "worker-lost", "its process died 3 times")
+    stage.record.leases.fail(attempt, "worker-lost", "its process died 3 times")
     stage.work(good)
     stage.feeder.tick()
     found = stage.campaign(campaign).views or []
@@ -116,21 +118,21 @@ def test_a_paused_campaign_holds_its_queued_jobs_back(stage: Stage, engine: Engi
     stage.selected(campaign)
     stage.feeder.tick()
     running, *held = stage.queued()
-    attempt = stage.repository.lease(running.id, "w", 20)
+    attempt = stage.record.leases.lease(running.id, "w", 20)
     assert attempt is not None
     paused = stage.campaigns.pause(campaign)
     assert paused is not None
     assert paused.state is CampaignState.PAUSED
     assert stage.queued() == []
-    assert stage.repository.lease(held[0].id, "w", 20) is None
+    assert stage.record.leases.lease(held[0].id, "w", 20) is None
     # another supervisor, after a restart, holds them back too; what ran to its end is counted
     made = stage.result(parse_job(running.spec))
-    stage.repository.succeed(attempt, made, outcome(Result.model_validate(made)), [])
-    restarted = Feeder(engine, QUEUED)
+    stage.record.leases.succeed(attempt, made, outcome(Result.model_validate(made)), [])
+    restarted = Feeder(Database(engine), QUEUED)
     restarted.tick()
     assert stage.queued() == []
     assert stage.campaigns.progress([campaign])[campaign].ended == 1
-    single = add(stage.repository)
+    single = add(stage.record)
     assert [job.id for job in stage.queued()] == [single.id]
     stage.campaigns.resume(campaign)
     assert {job.id for job in held} < {job.id for job in stage.queued()}
@@ -155,12 +157,12 @@ def test_a_cancelled_campaign_cancels_its_jobs(stage: Stage) -> None:
     stage.selected(campaign)
     stage.feeder.tick()
     running, *queued = stage.queued()
-    attempt = stage.repository.lease(running.id, "w", 20)
+    attempt = stage.record.leases.lease(running.id, "w", 20)
     assert attempt is not None
     stage.campaigns.cancel(campaign)
-    states = [stage.repository.get(job.id) for job in [running, *queued]]
+    states = [stage.record.jobs.get(job.id) for job in [running, *queued]]
     assert [job.state for job in states if job] == [State.CANCELLING, State.CANCELLED, State.CANCELLED]
-    stage.repository.cancelled(attempt)
+    stage.record.leases.cancelled(attempt)
     stage.feeder.tick()
     assert stage.queued() == []
     assert [case.state for case in stage.campaigns.cases(campaign)[1]] == ["cancelled"] * 3
@@ -174,24 +176,24 @@ def test_a_cancelled_campaign_cancels_its_jobs(stage: Stage) -> None:
 def test_an_earlier_result_of_the_same_request_is_taken(stage: Stage) -> None:
     first = stage.begin(spec(3))
     stage.finish(first)
-    count = len(attacks(stage.repository))
+    count = len(attacks(stage.record))
     again = stage.begin(spec(4, name="again"))
     stage.finish(again)
-    assert len(attacks(stage.repository)) == count + 1
+    assert len(attacks(stage.record)) == count + 1
     assert [case.reused for case in stage.campaigns.cases(again)[1]] == [True] * 3 + [False]
     other = stage.begin(spec(3, name="afresh", reuse=False))
     stage.finish(other)
-    assert len(attacks(stage.repository)) == count + 4
+    assert len(attacks(stage.record)) == count + 4
 
 
 def test_another_owners_result_is_not_taken(stage: Stage) -> None:
     stage.finish(stage.begin(spec(2), "alice"))
-    count = len(attacks(stage.repository, owner="bob"))
+    count = len(attacks(stage.record, owner="bob"))
     for owner, reused in (("bob", False), ("", False), ("alice", True)):
         again = stage.begin(spec(2), owner)
         stage.finish(again)
         assert [case.reused for case in stage.campaigns.cases(again)[1]] == [reused] * 2
-    assert len(attacks(stage.repository, owner="bob")) == count + 2  # jobs belong to whom the campaign does
+    assert len(attacks(stage.record, owner="bob")) == count + 2  # jobs belong to whom the campaign does
 
 
 @pytest.mark.parametrize("part", ["weights_sha256", "backend", "scene_sha256", "versions"])
@@ -246,7 +248,7 @@ def test_unknown_campaigns_are_none(stage: Stage) -> None:
 
 def test_with_one_place_on_the_queue_campaigns_take_turns(engine: Engine, stage: Stage) -> None:
     both = [stage.begin(spec(3)), stage.begin(spec(3, seed=1))]
-    stage.feeder = Feeder(engine, 1)
+    stage.feeder = Feeder(Database(engine), 1)
     served = []
     while not all(stage.state(one).terminal for one in both):
         stage.feeder.tick()

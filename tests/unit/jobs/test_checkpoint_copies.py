@@ -12,9 +12,9 @@ from safetensors.torch import save_file
 
 from services.blobs import Blobs, blobs
 from services.jobs import checkpoint_copies
-from services.jobs.attempts import Attempt
 from services.jobs.checkpoint_copies import CheckpointCopies
-from services.jobs.repository import Repository
+from services.jobs.leases import Attempt
+from services.jobs.record import Record
 from services.jobs.working_files import WorkingFiles
 from tests.unit.jobs.records import add, start
 
@@ -128,26 +128,26 @@ def test_a_store_that_does_not_answer_stops_no_attack(tmp_path: Path, monkeypatc
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_copy_goes_with_its_job(repository: Repository, url: str, store: Blobs, tmp_path: Path) -> None:
+def test_a_copy_goes_with_its_job(record: Record, url: str, store: Blobs, tmp_path: Path) -> None:
     first, second = WorkingFiles(tmp_path / "a", url), WorkingFiles(tmp_path / "b", url)
-    job, others = add(repository), [add(repository), add(repository)]
-    attempt = start(repository, job)
+    job, others = add(record), [add(record), add(record)]
+    attempt = start(record, job)
     with first.checkpoint(attempt) as path:
         data = save(path, 3)
         until(lambda: store.exists(job.id))
     for other in others:
         copied(url, path, other.id)
-    repository.lose(attempt, 3)
-    attempt = start(repository, job)
+    record.leases.lose(attempt, 3)
+    attempt = start(record, job)
     with second.checkpoint(attempt) as path:
         assert path.read_bytes() == data
-    second.forget(repository, job.id)
+    second.forget(record, job.id)
     assert job.id in store.names(), "the job has not ended"
-    repository.fail(attempt, "internal", "because")
-    second.forget(repository, job.id)
+    record.leases.fail(attempt, "internal", "because")
+    second.forget(record, job.id)
     assert store.names() == sorted(other.id for other in others)
-    repository.request_cancel(others[0].id)
-    second.forget_copies(repository)
+    record.jobs.request_cancel(others[0].id)
+    second.forget_copies(record)
     assert store.names() == [others[1].id]
 
 

@@ -9,10 +9,11 @@ from sqlalchemy.orm import Session
 
 from services.errors import InUse
 from services.jobs.artifacts import ArtifactStore
-from services.jobs.deletion import Deletions
+from services.jobs.database import Database
 from services.jobs.housekeeping import GRACE_SECONDS, Housekeeping, remove_unfinished
+from services.jobs.jobs import Jobs
 from services.jobs.models import Artifact, Campaign, CampaignJob, CampaignState, Job
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import OUTCOME, add, attacks, start
 
@@ -27,8 +28,8 @@ def store(tmp_path: Path) -> ArtifactStore:
 
 
 @pytest.fixture
-def deletions(engine: Engine, clock: Clock) -> Deletions:
-    return Deletions(engine, clock)
+def deletions(engine: Engine, clock: Clock) -> Jobs:
+    return Jobs(Database(engine, clock))
 
 
 def put(store: ArtifactStore, folder: Path, data: bytes, *, old: bool = True) -> str:
@@ -46,25 +47,25 @@ def path(folder: Path, sha256: str) -> Path:
     return folder / "artifacts" / sha256[:2] / sha256
 
 
-def finish(repository: Repository, job: Job, *hashes: str) -> None:
+def finish(record: Record, job: Job, *hashes: str) -> None:
     files = [
         Artifact(job_id=job.id, name=f"{n}.png", sha256=sha256, media_type="image/png", size=1)
         for n, sha256 in enumerate(hashes)
     ]
-    assert repository.succeed(start(repository, job), {}, OUTCOME, files)
+    assert record.leases.succeed(start(record, job), {}, OUTCOME, files)
 
 
 def test_a_job_goes_with_its_files_and_not_with_those_of_others(
-    repository: Repository, engine: Engine, store: ArtifactStore, tmp_path: Path
+    record: Record, engine: Engine, store: ArtifactStore, tmp_path: Path
 ) -> None:
-    first, second = add(repository), add(repository)
+    first, second = add(record), add(record)
     shared, own = put(store, tmp_path, b"shared"), put(store, tmp_path, b"own")
-    finish(repository, first, shared, own)
-    finish(repository, second, shared)
-    house = Housekeeping(engine, store, tmp_path)
+    finish(record, first, shared, own)
+    finish(record, second, shared)
+    house = Housekeeping(Record(engine), store, tmp_path)
     house.delete(first.id)
-    assert repository.get(first.id) is None
-    assert repository.events(first.id, 0) == []
+    assert record.jobs.get(first.id) is None
+    assert record.jobs.events(first.id, 0) == []
     assert store.names() == [shared]
     house.delete(first.id)  # again: nothing happens
     house.delete(second.id)
@@ -72,47 +73,47 @@ def test_a_job_goes_with_its_files_and_not_with_those_of_others(
 
 
 def test_a_file_that_was_put_just_now_stays(
-    repository: Repository, engine: Engine, store: ArtifactStore, tmp_path: Path
+    record: Record, engine: Engine, store: ArtifactStore, tmp_path: Path
 ) -> None:
-    job = add(repository)
+    job = add(record)
     young = put(store, tmp_path, b"young", old=False)
-    finish(repository, job, young)
+    finish(record, job, young)
     old = put(store, tmp_path, b"old")
     put(store, tmp_path, b"old", old=False)  # another job is about to name it
-    house = Housekeeping(engine, store, tmp_path)
+    house = Housekeeping(Record(engine), store, tmp_path)
     house.delete(job.id)
     house.tidy()
     assert set(store.names()) == {young, old}
 
 
 def test_a_search_finds_files_that_no_job_names_and_half_written_ones(
-    repository: Repository, engine: Engine, store: ArtifactStore, tmp_path: Path
+    record: Record, engine: Engine, store: ArtifactStore, tmp_path: Path
 ) -> None:
-    job = add(repository)
+    job = add(record)
     named, unnamed = put(store, tmp_path, b"named"), put(store, tmp_path, b"unnamed")
-    finish(repository, job, named)
+    finish(record, job, named)
     parts = [path(tmp_path, unnamed).with_suffix(".00.part"), path(tmp_path, named).with_suffix(".11.part")]
     for part in parts:
         part.write_bytes(b"half")
     os.utime(parts[0], (0, 0))
-    Housekeeping(engine, store, tmp_path).tidy()
+    Housekeeping(Record(engine), store, tmp_path).tidy()
     assert store.names() == [named]
     assert [part.exists() for part in parts] == [False, True]
     remove_unfinished(tmp_path / "there is no such folder")
 
 
-def test_a_job_in_use_is_not_deleted(repository: Repository, engine: Engine, deletions: Deletions) -> None:
-    job = add(repository)
+def test_a_job_in_use_is_not_deleted(record: Record, engine: Engine, deletions: Jobs) -> None:
+    job = add(record)
     with pytest.raises(InUse, match="queued"):
         deletions.delete(job.id)
-    attempt = start(repository, job)
+    attempt = start(record, job)
     with pytest.raises(InUse, match="running"):
         deletions.delete(job.id)
-    repository.fail(attempt, "internal", "because")
+    record.leases.fail(attempt, "internal", "because")
     refer(engine, job)
     with pytest.raises(InUse, match="the campaign c refers"):
         deletions.delete(job.id)
-    assert repository.get(job.id) is not None
+    assert record.jobs.get(job.id) is not None
     assert deletions.delete("no such job") == []
 
 
@@ -140,19 +141,19 @@ def refer(engine: Engine, job: Job, *, ended: bool = False) -> None:
 
 @pytest.mark.parametrize("ended", [False, True])
 def test_what_is_older_than_the_operator_keeps_goes(
-    repository: Repository, engine: Engine, deletions: Deletions, clock: Clock, ended: bool
+    record: Record, engine: Engine, deletions: Jobs, clock: Clock, ended: bool
 ) -> None:
-    old, of_campaign, running = add(repository), add(repository), add(repository)
-    finish(repository, old, "aa" * 32)
-    finish(repository, of_campaign, "bb" * 32)
+    old, of_campaign, running = add(record), add(record), add(record)
+    finish(record, old, "aa" * 32)
+    finish(record, of_campaign, "bb" * 32)
     refer(engine, of_campaign, ended=ended)
-    start(repository, running, seconds=100 * DAY)
+    start(record, running, seconds=100 * DAY)
     clock.advance(2 * DAY)
-    young = add(repository)
-    finish(repository, young, "cc" * 32)
+    young = add(record)
+    finish(record, young, "cc" * 32)
     assert deletions.expire(3) == []
     gone = {"aa" * 32, "bb" * 32} if ended else {"aa" * 32}
     assert set(deletions.expire(1)) == gone
     kept = {running.id, young.id} | (set() if ended else {of_campaign.id})
-    assert {job.id for job in attacks(repository)} == kept
+    assert {job.id for job in attacks(record)} == kept
     assert deletions.unnamed(["aa" * 32, "cc" * 32]) == {"aa" * 32}

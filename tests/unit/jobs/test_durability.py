@@ -6,7 +6,7 @@ import pytest
 from sqlalchemy import Connection, event
 
 from services.jobs.database import connect, migrate
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from services.settings import Settings
 from tests.unit.jobs.records import add, start
 
@@ -22,17 +22,17 @@ def settings(tmp_path: Path) -> Settings:
 def test_a_submission_waits_for_the_disk_and_progress_does_not(settings: Settings) -> None:
     engine = connect(settings)
     migrate(engine, settings)
-    repository = Repository(engine)
+    record = Record(engine)
     levels: list[int] = []
 
     def note(connection: Connection) -> None:
         levels.append(int(connection.exec_driver_sql("PRAGMA synchronous").scalar_one()))
 
     event.listen(engine, "commit", note)
-    job = add(repository)
+    job = add(record)
     assert levels == [FULL]
-    attempt = start(repository, job)
+    attempt = start(record, job)
     levels.clear()
-    repository.progress(attempt, "attacking", 1, 9, [])
+    record.leases.progress(attempt, "attacking", 1, 9, [])
     assert levels == [NORMAL]
     engine.dispose()

@@ -1,16 +1,17 @@
 import pytest
 from sqlalchemy import Engine
 
+from services.jobs.database import Database
 from services.jobs.figures import Figures
 from services.jobs.models import State
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import SPEC, add, start
 
 
 @pytest.fixture
 def figures(engine: Engine, clock: Clock) -> Figures:
-    return Figures(engine, clock)
+    return Figures(Database(engine, clock))
 
 
 def rows(*queries: int) -> list[dict[str, int]]:
@@ -22,14 +23,14 @@ def test_an_empty_record(figures: Figures) -> None:
     assert (found.jobs, found.queued, found.oldest_seconds, found.stages) == ({}, 0, 0.0, {})
 
 
-def test_the_queue_and_the_states(repository: Repository, figures: Figures, clock: Clock) -> None:
-    first = add(repository)
+def test_the_queue_and_the_states(record: Record, figures: Figures, clock: Clock) -> None:
+    first = add(record)
     clock.advance(5)
-    add(repository)
+    add(record)
     clock.advance(2)
     found = figures.read()
     assert (found.queued, found.oldest_seconds) == (2, 7.0)
-    start(repository, first)
+    start(record, first)
     found = figures.read()
     assert (found.queued, found.oldest_seconds) == (1, 2.0)
     assert found.jobs == {("attack", "queued"): 1, ("attack", "running"): 1}
@@ -37,17 +38,17 @@ def test_the_queue_and_the_states(repository: Repository, figures: Figures, cloc
 
 
 def test_steps_and_queries_never_fall_and_repeated_ones_count_once(
-    repository: Repository, figures: Figures, engine: Engine
+    record: Record, figures: Figures, engine: Engine
 ) -> None:
-    job = add(repository)
-    attempt = start(repository, job)
-    repository.progress(attempt, "attacking", 2, 9, rows(2, 3, 4))
+    job = add(record)
+    attempt = start(record, job)
+    record.leases.progress(attempt, "attacking", 2, 9, rows(2, 3, 4))
     assert figures.read().totals["steps"] == {"": 2}
-    repository.lose(attempt, 3)
-    attempt = start(repository, job)
-    repository.progress(attempt, "attacking", 1, 9, rows(2, 3))
+    record.leases.lose(attempt, 3)
+    attempt = start(record, job)
+    record.leases.progress(attempt, "attacking", 1, 9, rows(2, 3))
     assert figures.read().totals["queries"] == {"": 4}
-    repository.succeed(attempt, {}, {"steps": 5, "queries": 12}, [])
+    record.leases.succeed(attempt, {}, {"steps": 5, "queries": 12}, [])
     with engine.execution_options(writes=True).begin() as connection:
         connection.exec_driver_sql("DELETE FROM jobs")
     found = figures.read()
@@ -56,23 +57,23 @@ def test_steps_and_queries_never_fall_and_repeated_ones_count_once(
     assert found.totals["ended"] == {"attack succeeded": 1}
 
 
-def test_failures_by_kind(repository: Repository, figures: Figures) -> None:
+def test_failures_by_kind(record: Record, figures: Figures) -> None:
     for kind in ("timeout", "internal", "timeout"):
-        repository.fail(start(repository, add(repository)), kind, "")
-    repository.request_cancel(add(repository).id)
+        record.leases.fail(start(record, add(record)), kind, "")
+    record.jobs.request_cancel(add(record).id)
     totals = figures.read().totals
     assert totals["failures"] == {"internal": 1, "timeout": 2}
     assert totals["ended"] == {f"attack {State.CANCELLED.value}": 1, f"attack {State.FAILED.value}": 3}
 
 
-def test_the_time_of_each_stage(repository: Repository, figures: Figures, clock: Clock) -> None:
-    job = add(repository)
+def test_the_time_of_each_stage(record: Record, figures: Figures, clock: Clock) -> None:
+    job = add(record)
     clock.advance(20)
-    attempt = start(repository, job)
+    attempt = start(record, job)
     for phase, seconds in (("loading", 2.0), ("attacking", 4.0), ("attacking", 5.0), ("analysing", 0.05)):
-        repository.progress(attempt, phase, 0, 9, [])
+        record.leases.progress(attempt, phase, 0, 9, [])
         clock.advance(seconds)
-    repository.succeed(attempt, {}, {}, [])
+    record.leases.succeed(attempt, {}, {}, [])
     stages = figures.read().stages
     assert {stage: times.seconds for stage, times in stages.items()} == pytest.approx(
         {"waiting": 20, "loading": 2, "attacking": 9, "analysing": 0.05}
@@ -82,22 +83,20 @@ def test_the_time_of_each_stage(repository: Repository, figures: Figures, clock:
     assert dict(stages["attacking"].up_to) == below | above
 
 
-def test_the_wait_between_two_attempts_is_no_time_of_a_phase(
-    repository: Repository, figures: Figures, clock: Clock
-) -> None:
-    job = add(repository)
+def test_the_wait_between_two_attempts_is_no_time_of_a_phase(record: Record, figures: Figures, clock: Clock) -> None:
+    job = add(record)
     clock.advance(1)
-    attempt = start(repository, job)
-    repository.progress(attempt, "attacking", 0, 9, [])
+    attempt = start(record, job)
+    record.leases.progress(attempt, "attacking", 0, 9, [])
     clock.advance(2)
-    repository.give_back(attempt)
+    record.leases.give_back(attempt)
     clock.advance(1000)
-    repository.request_cancel(job.id)
+    record.jobs.request_cancel(job.id)
     assert {stage: times.seconds for stage, times in figures.read().stages.items()} == {"waiting": 1}
 
 
-def test_nothing_is_counted_of_a_transaction_that_is_undone(repository: Repository, figures: Figures) -> None:
-    add(repository)
+def test_nothing_is_counted_of_a_transaction_that_is_undone(record: Record, figures: Figures) -> None:
+    add(record)
     with pytest.raises(KeyError):
-        repository.create(SPEC, 9, None, lambda _: {}["none"])
+        record.jobs.create(SPEC, 9, None, lambda _: {}["none"])
     assert figures.read().totals["submitted"] == {"attack": 1}

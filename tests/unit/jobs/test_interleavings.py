@@ -9,10 +9,8 @@ import pytest
 from sqlalchemy import Engine, event, select, text, update
 from sqlalchemy.exc import OperationalError
 
-from services.jobs.deletion import Deletions
-from services.jobs.figures import Figures
 from services.jobs.models import Campaign, CampaignState, Job
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from tests.unit.jobs.campaign_stage import Stage, spec
 from tests.unit.jobs.records import OUTCOME, add, start
 from tests.unit.jobs.test_several_supervisors import POSTGRESQL
@@ -39,34 +37,34 @@ def meanwhile(engine: Engine, before: str, action: Callable[[], Any]) -> Iterato
 
 
 @POSTGRESQL
-def test_a_job_that_is_deleted_while_its_events_are_read_has_ended(engine: Engine, repository: Repository) -> None:
-    job = add(repository)
-    assert repository.succeed(start(repository, job), {}, OUTCOME, [])
-    with meanwhile(engine, "FROM events", lambda: Deletions(engine).delete(job.id)):
-        news = repository.news({job.id: 1})
+def test_a_job_that_is_deleted_while_its_events_are_read_has_ended(engine: Engine, record: Record) -> None:
+    job = add(record)
+    assert record.leases.succeed(start(record, job), {}, OUTCOME, [])
+    with meanwhile(engine, "FROM events", lambda: Record(engine).jobs.delete(job.id)):
+        news = record.jobs.news({job.id: 1})
     assert news[job.id].events == []
     assert news[job.id].ended
 
 
 @POSTGRESQL
-def test_counters_do_not_fall_when_a_job_ends_while_they_are_read(engine: Engine, repository: Repository) -> None:
-    job = add(repository)
-    attempt = start(repository, job)
-    repository.progress(attempt, "attacking", 3, 9, [{"step": 3, "queries": 7}])
-    before = Figures(engine).read()
+def test_counters_do_not_fall_when_a_job_ends_while_they_are_read(engine: Engine, record: Record) -> None:
+    job = add(record)
+    attempt = start(record, job)
+    record.leases.progress(attempt, "attacking", 3, 9, [{"step": 3, "queries": 7}])
+    before = Record(engine).figures.read()
 
     def end() -> None:
-        repository.succeed(attempt, {}, OUTCOME | {"steps": 3, "queries": 7}, [])
+        record.leases.succeed(attempt, {}, OUTCOME | {"steps": 3, "queries": 7}, [])
 
     with meanwhile(engine, "sum(jobs.steps_done)", end):
-        during = Figures(engine).read()
-    after = Figures(engine).read()
+        during = Record(engine).figures.read()
+    after = Record(engine).figures.read()
     assert before.totals["steps"][""] <= during.totals["steps"][""] <= after.totals["steps"][""]
     assert sum(during.jobs.values()) == 1
 
 
-def test_a_campaign_that_is_cancelled_meanwhile_does_not_fail(engine: Engine, repository: Repository) -> None:
-    stage = Stage(engine, repository)
+def test_a_campaign_that_is_cancelled_meanwhile_does_not_fail(engine: Engine, record: Record) -> None:
+    stage = Stage(engine, record)
     campaign = stage.begin(spec())
     with engine.execution_options(writes=True).begin() as connection:
         connection.execute(update(Campaign).values(spec={"name": "of another version"}))
@@ -75,8 +73,8 @@ def test_a_campaign_that_is_cancelled_meanwhile_does_not_fail(engine: Engine, re
     assert stage.campaign(campaign).state is CampaignState.CANCELLED
 
 
-def test_a_campaign_that_is_cancelled_meanwhile_is_not_planned(engine: Engine, repository: Repository) -> None:
-    stage = Stage(engine, repository)
+def test_a_campaign_that_is_cancelled_meanwhile_is_not_planned(engine: Engine, record: Record) -> None:
+    stage = Stage(engine, record)
     campaign = stage.begin(spec())
     stage.feeder.tick()
     for job in stage.queued():
@@ -88,10 +86,10 @@ def test_a_campaign_that_is_cancelled_meanwhile_is_not_planned(engine: Engine, r
 
 
 @pytest.mark.parametrize("end", ["progress", "succeed", "request_cancel"])
-def test_the_time_of_an_event_is_that_of_its_turn_to_write(engine: Engine, repository: Repository, end: str) -> None:
+def test_the_time_of_an_event_is_that_of_its_turn_to_write(engine: Engine, record: Record, end: str) -> None:
     """Read before a write has its lock, it would be earlier than that of the event before."""
-    job = add(repository)
-    attempt = start(repository, job)
+    job = add(record)
+    attempt = start(record, job)
     locked: list[bool] = []
 
     def clock() -> datetime:
@@ -112,11 +110,11 @@ def test_the_time_of_an_event_is_that_of_its_turn_to_write(engine: Engine, repos
                 other.invalidate()
         return datetime.now(UTC)
 
-    late = Repository(engine, clock)
+    late = Record(engine, clock)
     {
-        "progress": lambda: late.progress(attempt, "attacking", 1, 9, []),
-        "succeed": lambda: late.succeed(attempt, {}, OUTCOME, []),
-        "request_cancel": lambda: late.request_cancel(job.id),
+        "progress": lambda: late.leases.progress(attempt, "attacking", 1, 9, []),
+        "succeed": lambda: late.leases.succeed(attempt, {}, OUTCOME, []),
+        "request_cancel": lambda: late.jobs.request_cancel(job.id),
     }[end]()
     assert locked
     assert all(locked)

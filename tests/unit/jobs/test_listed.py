@@ -3,7 +3,7 @@ from typing import Any
 import pytest
 
 from services.jobs.listed import LONGEST, listed
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from tests.unit.jobs.records import SPEC, add, attacks
 
 ASKED: dict[str, Any] = SPEC.model_dump(mode="json") | {
@@ -30,9 +30,9 @@ def test_a_scene_of_many_meshes_is_cut() -> None:
     assert scene.endswith("…")
 
 
-def test_lists_read_neither_request_nor_result(repository: Repository) -> None:
-    add(repository)
-    [job] = attacks(repository)
+def test_lists_read_neither_request_nor_result(record: Record) -> None:
+    add(record)
+    [job] = attacks(record)
     assert (job.name, job.seed) == ("sphere", 7)
     for column in ("spec", "result"):
         with pytest.raises(AttributeError):

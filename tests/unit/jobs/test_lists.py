@@ -6,10 +6,11 @@ from typing import Any
 import pytest
 from sqlalchemy import Engine, text
 
+from services.jobs.database import Database
 from services.jobs.job_query import parse_query
 from services.jobs.lists import SORTS, JobLists
 from services.jobs.models import State
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from services.pipeline.spec import parse
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import add, start
@@ -21,21 +22,21 @@ VERDICTS = ("fooled", "held", "still-wrong")
 
 @pytest.fixture
 def lists(engine: Engine, clock: Clock) -> JobLists:
-    return JobLists(engine, clock)
+    return JobLists(Database(engine, clock))
 
 
 @pytest.fixture
-def jobs(repository: Repository, clock: Clock) -> list[str]:
+def jobs(record: Record, clock: Clock) -> list[str]:
     """Eleven jobs: every third one queued, the others ended; some with equal values, some submitted at one moment."""
     made = []
     for n in range(11):
         scene = {"objects": [{"mesh": ("primitive/sphere", "furniture/grand-piano")[n % 2]}]}
-        job = add(repository, parse({"scene": scene, "attack": {"renderer": ("image", "torch")[n % 2]}, "seed": n}))
+        job = add(record, parse({"scene": scene, "attack": {"renderer": ("image", "torch")[n % 2]}, "seed": n}))
         clock.advance(n % 2)
         if n % 3:
-            attempt = start(repository, job)
+            attempt = start(record, job)
             found = {"outcome": VERDICTS[n % 3], "fooled": True, "verified": True, "perceptibility": (n % 4) / 1000}
-            repository.succeed(attempt, {}, found | {"steps": n, "queries": n % 5, "seconds": n / 2}, [])
+            record.leases.succeed(attempt, {}, found | {"steps": n, "queries": n % 5, "seconds": n / 2}, [])
         made.append(job.id)
     return made
 
@@ -116,13 +117,13 @@ def test_ids_and_owners(lists: JobLists, jobs: list[str]) -> None:
 
 
 def test_a_job_that_begins_and_ends_between_two_looks_changes_its_owner_s_mark(
-    lists: JobLists, repository: Repository, clock: Clock
+    lists: JobLists, record: Record, clock: Clock
 ) -> None:
-    add(repository, parse({"scene": {"objects": [{"mesh": "primitive/cube"}]}}))
+    add(record, parse({"scene": {"objects": [{"mesh": "primitive/cube"}]}}))
     before = lists.marks()
     clock.advance(1)
-    attempt = start(repository, add(repository, parse({"scene": {"objects": [{"mesh": "primitive/sphere"}]}})))
-    repository.succeed(attempt, {}, {}, [])
+    attempt = start(record, add(record, parse({"scene": {"objects": [{"mesh": "primitive/sphere"}]}})))
+    record.leases.succeed(attempt, {}, {}, [])
     assert lists.marks() != before
     assert lists.marks() == lists.marks()
 
@@ -135,26 +136,24 @@ def test_totals_are_sums_over_the_list(lists: JobLists, jobs: list[str]) -> None
     assert (found.queries, found.seconds) == (sum(n % 5 for n in ended), sum(ended) / 2)
 
 
-def test_only_a_success_is_verified(lists: JobLists, repository: Repository) -> None:
+def test_only_a_success_is_verified(lists: JobLists, record: Record) -> None:
     ids = []
     for verdict in VERDICTS:
-        job = add(repository)
-        repository.succeed(
-            start(repository, job), {}, {"outcome": verdict, "verified": True, "perceptibility": 0.1}, []
-        )
+        job = add(record)
+        record.leases.succeed(start(record, job), {}, {"outcome": verdict, "verified": True, "perceptibility": 0.1}, [])
         ids.append(job.id)
     assert listed(lists, "verified") == ids[:1]
     assert lists.totals(()).verified == 1
 
 
-def test_what_people_say_is_kept_and_found(lists: JobLists, repository: Repository, jobs: list[str]) -> None:
+def test_what_people_say_is_kept_and_found(lists: JobLists, record: Record, jobs: list[str]) -> None:
     lists.edit(jobs[2], {"title": "Überraschung 100%", "tags": ["b", "a", "b"], "note": "look at the lamp"})
     lists.edit(jobs[5], {"tags": ["a"]})
     assert listed(lists, "tag:a") == [jobs[5], jobs[2]]
     assert listed(lists, "tag:a -tag:b") == [jobs[5]]
     assert listed(lists, "noted") == listed(lists, "name:100%") == listed(lists, "raschung") == [jobs[2]]
     lists.edit(jobs[2], {"tags": []})
-    edited = repository.get(jobs[2])
+    edited = record.jobs.get(jobs[2])
     assert edited is not None
     assert (edited.title, edited.tags, edited.note) == ("Überraschung 100%", [], "look at the lamp")
     assert listed(lists, "tag:b") == []
@@ -162,8 +161,8 @@ def test_what_people_say_is_kept_and_found(lists: JobLists, repository: Reposito
     assert listed(lists, "tag:a") == [jobs[5]]
 
 
-def test_the_longest_texts_fit_into_the_index(lists: JobLists, repository: Repository, engine: Engine) -> None:
-    job = add(repository)
+def test_the_longest_texts_fit_into_the_index(lists: JobLists, record: Record, engine: Engine) -> None:
+    job = add(record)
     lists.edit(job.id, {"title": "𝒳" * 100})
     with engine.begin() as connection:
         connection.execute(

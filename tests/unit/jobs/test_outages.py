@@ -19,7 +19,7 @@ from services import atomic_write
 from services.jobs.artifacts import ArtifactStore
 from services.jobs.database import be_patient, connect, migrate
 from services.jobs.outages import Outage, outage_of
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from services.jobs.storage import Storage
 from services.settings import Settings
 from tests.postgresql import free_port
@@ -60,9 +60,9 @@ def fill(folder: Path) -> Path:
     return file
 
 
-def add_many(repository: Repository) -> None:
+def add_many(record: Record) -> None:
     for _ in range(1000):
-        add(repository)
+        add(record)
 
 
 def test_a_full_disk_is_named_and_leaves_nothing_half_written(disk: Path) -> None:
@@ -90,15 +90,15 @@ def test_a_job_is_not_recorded_on_a_full_disk_and_is_afterwards(disk: Path) -> N
     settings = Settings(data=disk)
     engine = connect(settings)
     migrate(engine, settings)
-    repository = Repository(engine)
-    kept = add(repository)
+    record = Record(engine)
+    kept = add(record)
     file = fill(disk)
     with pytest.raises(SQLAlchemyError) as caught:
-        add_many(repository)  # what the database has allocated is used up first
+        add_many(record)  # what the database has allocated is used up first
     assert outage_of(caught.value) == FULL
-    assert repository.get(kept.id) is not None
+    assert record.jobs.get(kept.id) is not None
     file.unlink()
-    add(repository)
+    add(record)
     engine.dispose()
 
 
@@ -112,7 +112,7 @@ def test_a_read_only_disk_is_named(disk: Path) -> None:
         atomic_write.write(disk / "file", b"new")
     assert outage_of(caught.value) == Outage("storage", "the data directory is read-only")
     with pytest.raises(SQLAlchemyError) as failed:
-        add(Repository(engine))
+        add(Record(engine))
     assert outage_of(failed.value) == AWAY  # it cannot open its log
     assert not Storage(disk).usable()
     engine.dispose()
@@ -122,11 +122,11 @@ def test_a_locked_database_and_one_that_has_gone_do_not_answer(tmp_path: Path) -
     settings = Settings(data=tmp_path, stall_seconds=0.04)
     engine = connect(settings)
     migrate(engine, settings)
-    repository = Repository(engine)
+    record = Record(engine)
     other = sqlite3.connect(tmp_path / "jobs.sqlite")
     other.execute("BEGIN IMMEDIATE")
     with pytest.raises(SQLAlchemyError) as locked:
-        add(repository)
+        add(record)
     assert outage_of(locked.value) == AWAY
     other.rollback()
     other.close()
@@ -134,21 +134,21 @@ def test_a_locked_database_and_one_that_has_gone_do_not_answer(tmp_path: Path) -
     for path in tmp_path.glob("jobs.sqlite*"):
         path.rename(tmp_path / f"away-{path.name}")
     with pytest.raises(SQLAlchemyError) as gone:
-        repository.ping()
+        record.database.ping()
     assert outage_of(gone.value) == AWAY
     assert not (tmp_path / "jobs.sqlite").exists()  # an empty one in its place would hide that it has gone
     for path in tmp_path.glob("away-*"):
         path.rename(tmp_path / path.name.removeprefix("away-"))
-    repository.ping()
+    record.database.ping()
     engine.dispose()
 
 
 @pytest.mark.parametrize("database", ["postgresql"], indirect=True)
-def test_a_database_that_was_made_read_only_is_named(engine: Engine, repository: Repository) -> None:
+def test_a_database_that_was_made_read_only_is_named(engine: Engine, record: Record) -> None:
     """A standby, or a server whose disk is nearly full. Its driver does not call this an operational error."""
     event.listen(engine, "begin", lambda connection: connection.exec_driver_sql("SET TRANSACTION READ ONLY"))
     with pytest.raises(SQLAlchemyError) as caught:
-        add(repository)
+        add(record)
     assert outage_of(caught.value) == Outage("database", "the database is read-only")
 
 
@@ -175,7 +175,7 @@ def test_a_postgresql_that_says_nothing_does_not_answer(hasty: Engine) -> None:
     with pytest.raises(SQLAlchemyError) as silent, hasty.connect() as connection:
         connection.execute(text("SELECT pg_sleep(600)"))
     assert outage_of(silent.value) == AWAY
-    Repository(hasty).ping()  # on another connection, which does not take the late answer for its own
+    Record(hasty).database.ping()  # on another connection, which does not take the late answer for its own
 
 
 def test_a_command_waits_as_long_as_postgresql_takes(hasty: Engine) -> None:
@@ -188,31 +188,31 @@ def test_a_command_waits_as_long_as_postgresql_takes(hasty: Engine) -> None:
 
 
 def test_a_postgresql_whose_lock_another_holds_does_not_answer(hasty: Engine, postgresql_url: str) -> None:
-    repository = Repository(hasty)
-    job = add(repository)
+    record = Record(hasty)
+    job = add(record)
     with psycopg.connect(postgresql_url) as other:
         other.execute("SELECT id FROM jobs FOR UPDATE")
         with pytest.raises(SQLAlchemyError) as locked:
-            repository.request_cancel(job.id)
+            record.jobs.request_cancel(job.id)
         assert outage_of(locked.value) == AWAY
-    assert repository.request_cancel(job.id) is not None
+    assert record.jobs.request_cancel(job.id) is not None
 
 
 def test_a_process_that_stands_still_in_a_transaction_loses_its_locks(hasty: Engine) -> None:
-    repository = Repository(hasty)
-    job = add(repository)
+    record = Record(hasty)
+    job = add(record)
     with hasty.connect() as still:
         still.execute(text("SELECT id FROM jobs FOR UPDATE"))
-        while still_locked(repository, job.id):
+        while still_locked(record, job.id):
             pass
         with pytest.raises(SQLAlchemyError) as ended:
             still.execute(text("SELECT 1"))
     assert outage_of(ended.value) == AWAY
 
 
-def still_locked(repository: Repository, job_id: str) -> bool:
+def still_locked(record: Record, job_id: str) -> bool:
     try:
-        repository.request_cancel(job_id)
+        record.jobs.request_cancel(job_id)
     except SQLAlchemyError:
         return True
     return False

@@ -1,32 +1,33 @@
 from sqlalchemy import Engine
 
+from services.jobs.database import Database
 from services.jobs.lists import JobLists
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import add, attacks, start
 
 
-def test_pages_show_each_job_once_while_others_are_added(repository: Repository, engine: Engine, clock: Clock) -> None:
+def test_pages_show_each_job_once_while_others_are_added(record: Record, engine: Engine, clock: Clock) -> None:
     first = []
     for n in range(7):
-        first.append(add(repository).id)
+        first.append(add(record).id)
         clock.advance(n % 2)  # some at the same moment
     seen: list[str] = []
-    lists = JobLists(engine)
+    lists = JobLists(Database(engine))
     page = lists.page((), 2)
     while page.jobs:
         seen += [job.id for job in page.jobs]
         page = lists.page((), 2, after=page.last)
         clock.advance(1)
-        add(repository)
+        add(record)
     assert sorted(seen) == sorted(first)
 
 
-def test_pages_are_newest_first_and_by_state(repository: Repository, clock: Clock) -> None:
+def test_pages_are_newest_first_and_by_state(record: Record, clock: Clock) -> None:
     jobs = []
     for _ in range(3):
-        jobs.append(add(repository))
+        jobs.append(add(record))
         clock.advance(1)
-    start(repository, jobs[1])
-    assert [job.id for job in attacks(repository)] == [job.id for job in reversed(jobs)]
-    assert [job.id for job in attacks(repository, "state:running")] == [jobs[1].id]
+    start(record, jobs[1])
+    assert [job.id for job in attacks(record)] == [job.id for job in reversed(jobs)]
+    assert [job.id for job in attacks(record, "state:running")] == [jobs[1].id]

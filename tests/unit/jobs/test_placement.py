@@ -4,12 +4,12 @@ from collections.abc import Iterator
 
 import pytest
 
-from services.jobs.attempts import Attempt
+from services.jobs.leases import Attempt
 from services.jobs.models import Job
 from services.jobs.placement import ANY_WORKER, Abilities, Demand, Needs, Priority, targets_of, why_waiting
 from services.jobs.queue import NAME, Queue, connect
 from services.jobs.reconciler import reconcile
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from services.pipeline.spec import parse
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import SPEC
@@ -25,12 +25,13 @@ def queue(redis_url: str) -> Iterator[Queue]:
     redis = connect(redis_url)
     redis.flushall()
     yield Queue(redis)
+    redis.flushall()
     redis.close()
 
 
-def add(repository: Repository, owner: str = "", **asked: object) -> Job:
+def add(record: Record, owner: str = "", **asked: object) -> Job:
     demand = Demand(**asked)  # type: ignore[arg-type]
-    job, _ = repository.create(SPEC, 1000, None, lambda _: {}, owner=owner, demand=demand)
+    job, _ = record.jobs.create(SPEC, 1000, None, lambda _: {}, owner=owner, demand=demand)
     assert job is not None
     return job
 
@@ -70,12 +71,12 @@ def test_a_job_needs_its_network_its_surrogate_and_those_of_the_transfer() -> No
     assert targets_of({"views": [{"probe": spec}]}) == targets_of(spec)
 
 
-def test_a_job_that_no_live_worker_can_run_says_why(repository: Repository, queue: Queue) -> None:
-    job, cuda = add(repository), add(repository, device="cuda")
+def test_a_job_that_no_live_worker_can_run_says_why(record: Record, queue: Queue) -> None:
+    job, cuda = add(record), add(record, device="cuda")
 
     def waiting() -> list[str | None]:
-        reconcile(repository, queue)
-        return [found.waiting for found in map(repository.get, (job.id, cuda.id)) if found is not None]
+        reconcile(record, queue)
+        return [found.waiting for found in map(record.jobs.get, (job.id, cuda.id)) if found is not None]
 
     assert waiting() == ["no worker is running"] * 2
     queue.alive("one", CPU)
@@ -84,8 +85,8 @@ def test_a_job_that_no_live_worker_can_run_says_why(repository: Repository, queu
     assert waiting() == [None, None]
     queue.gone("two")
     assert waiting()[1] is not None
-    assert repository.lease(cuda.id, "w", 20) is not None
-    found = repository.get(cuda.id)
+    assert record.leases.lease(cuda.id, "w", 20) is not None
+    found = record.jobs.get(cuda.id)
     assert found is not None
     assert found.waiting is None
 
@@ -97,55 +98,53 @@ def test_reasons_of_several_workers_are_said_together() -> None:
     )
 
 
-def take(repository: Repository, clock: Clock, abilities: Abilities = CPU, priority: Priority = Priority.NORMAL) -> str:
+def take(record: Record, clock: Clock, abilities: Abilities = CPU, priority: Priority = Priority.NORMAL) -> str:
     """Leases the next job of a priority, as a worker that a bell has woken, and ends it."""
     clock.advance(1)
-    job_id = repository.next_job(priority, abilities)
+    job_id = record.scheduler.next_job(priority, abilities)
     assert job_id is not None
-    attempt = repository.lease(job_id, "w", 20)
+    attempt = record.leases.lease(job_id, "w", 20)
     assert isinstance(attempt, Attempt)
-    repository.fail(attempt, "internal", "because")
+    record.leases.fail(attempt, "internal", "because")
     return job_id
 
 
-def test_owners_take_turns_whatever_order_they_came_in(repository: Repository, clock: Clock) -> None:
+def test_owners_take_turns_whatever_order_they_came_in(record: Record, clock: Clock) -> None:
     many, few = [], []
     for jobs, owner in [(many, "many")] * 4 + [(few, "few")] * 2:
-        jobs.append(add(repository, owner).id)
+        jobs.append(add(record, owner).id)
         clock.advance(1)
-    order = [take(repository, clock) for _ in range(6)]
+    order = [take(record, clock) for _ in range(6)]
     assert order == [many[0], few[0], many[1], few[1], many[2], many[3]]
 
 
-def test_a_job_that_was_interrupted_goes_before_new_ones(repository: Repository, clock: Clock) -> None:
-    new = add(repository, "a")
+def test_a_job_that_was_interrupted_goes_before_new_ones(record: Record, clock: Clock) -> None:
+    new = add(record, "a")
     clock.advance(1)
-    interrupted = add(repository, "a")
-    attempt = repository.lease(interrupted.id, "w", 20)
+    interrupted = add(record, "a")
+    attempt = record.leases.lease(interrupted.id, "w", 20)
     assert attempt is not None
-    assert repository.next_job(Priority.NORMAL, CPU) == new.id
-    repository.lose(attempt, 5)
-    assert repository.next_job(Priority.NORMAL, CPU) == interrupted.id
+    assert record.scheduler.next_job(Priority.NORMAL, CPU) == new.id
+    record.leases.lose(attempt, 5)
+    assert record.scheduler.next_job(Priority.NORMAL, CPU) == interrupted.id
 
 
-def test_an_owner_has_no_more_turns_by_asking_for_something_else_each_time(
-    repository: Repository, clock: Clock
-) -> None:
+def test_an_owner_has_no_more_turns_by_asking_for_something_else_each_time(record: Record, clock: Clock) -> None:
     many, few = [], []
     for jobs, owner, memory in [(many, "many", k) for k in range(1, 5)] + [(few, "few", 0)] * 2:
-        jobs.append(add(repository, owner, memory=memory).id)
+        jobs.append(add(record, owner, memory=memory).id)
         clock.advance(1)
-    order = [take(repository, clock) for _ in range(6)]
+    order = [take(record, clock) for _ in range(6)]
     assert order == [many[0], few[0], many[1], few[1], many[2], many[3]]
 
 
-def test_the_next_job_is_one_of_the_priority_that_the_worker_can_run(repository: Repository, clock: Clock) -> None:
-    cuda = add(repository, "c", device="cuda").id
+def test_the_next_job_is_one_of_the_priority_that_the_worker_can_run(record: Record, clock: Clock) -> None:
+    cuda = add(record, "c", device="cuda").id
     clock.advance(1)
-    normal, high = add(repository, "a").id, add(repository, "b", priority=Priority.HIGH).id
+    normal, high = add(record, "a").id, add(record, "b", priority=Priority.HIGH).id
     card = Abilities("cuda", frozenset({LITE}), 2**34)
-    assert repository.next_job(Priority.NORMAL, CPU) == normal
-    assert repository.next_job(Priority.LOW, card) is None
-    order = [take(repository, clock, CPU, Priority.HIGH), take(repository, clock, card), take(repository, clock, card)]
+    assert record.scheduler.next_job(Priority.NORMAL, CPU) == normal
+    assert record.scheduler.next_job(Priority.LOW, card) is None
+    order = [take(record, clock, CPU, Priority.HIGH), take(record, clock, card), take(record, clock, card)]
     assert order == [high, cuda, normal]
-    assert repository.next_job(Priority.NORMAL, card) is None  # nothing is queued: the bell rang for nothing
+    assert record.scheduler.next_job(Priority.NORMAL, card) is None  # nothing is queued: the bell rang for nothing

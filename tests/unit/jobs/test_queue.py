@@ -15,7 +15,7 @@ from services.access.quotas import Quotas
 from services.jobs.placement import NO_DEMAND, Abilities, Priority
 from services.jobs.queue import HEARTBEAT_SECONDS, Queue, connect
 from services.jobs.reconciler import reconcile
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import SPEC, add, start
 
@@ -29,6 +29,7 @@ def queue(redis_url: str) -> Iterator[Queue]:
     redis = connect(redis_url)
     redis.flushall()
     yield Queue(redis)
+    redis.flushall()
     redis.close()
 
 
@@ -56,60 +57,58 @@ def test_a_bell_is_a_name_in_json_and_no_more(queue: Queue) -> None:
 
 
 def test_the_supervisor_rings_for_every_worker_where_a_job_waits_that_one_can_run(
-    repository: Repository, workers: Queue
+    record: Record, workers: Queue
 ) -> None:
-    add(repository)
-    add(repository)
-    reconcile(repository, workers)
+    add(record)
+    add(record)
+    reconcile(record, workers)
     assert bells(workers) == [0, 2, 0]
-    reconcile(repository, workers)
+    reconcile(record, workers)
     assert bells(workers) == [0, 2, 0], "the bells have not been answered yet"
     workers.redis.flushall()  # Redis loses them, and does not know the workers until their next signs of life
-    reconcile(repository, workers)
+    reconcile(record, workers)
     assert bells(workers) == [0, 0, 0]
     workers.alive("a", ABLE)
-    reconcile(repository, workers)
+    reconcile(record, workers)
     assert bells(workers) == [0, 1, 0]
 
 
-def test_nobody_rings_for_jobs_that_run_or_have_ended_or_that_no_worker_can_run(
-    repository: Repository, queue: Queue
-) -> None:
+def test_nobody_rings_for_jobs_that_run_or_have_ended_or_that_no_worker_can_run(record: Record, queue: Queue) -> None:
     queue.alive("a", Abilities("cpu", frozenset(), 2**34))
-    first, second = add(repository), add(repository)
-    reconcile(repository, queue)
+    first, second = add(record), add(record)
+    reconcile(record, queue)
     assert bells(queue) == [0, 0, 0]
     queue.alive("a", ABLE)
-    start(repository, first)
-    repository.cancelled(start(repository, second))
-    reconcile(repository, queue)
+    start(record, first)
+    record.leases.cancelled(start(record, second))
+    reconcile(record, queue)
     assert bells(queue) == [0, 0, 0]
 
 
-def test_the_supervisor_rings_for_a_job_that_is_given_back(repository: Repository, workers: Queue) -> None:
-    attempt = start(repository, add(repository))
-    reconcile(repository, workers)
+def test_the_supervisor_rings_for_a_job_that_is_given_back(record: Record, workers: Queue) -> None:
+    attempt = start(record, add(record))
+    reconcile(record, workers)
     assert bells(workers) == [0, 0, 0]
-    repository.give_back(attempt)
-    reconcile(repository, workers)
+    record.leases.give_back(attempt)
+    reconcile(record, workers)
     assert bells(workers) == [0, 2, 0]
 
 
-def test_a_clock_that_is_put_back_holds_no_job_up(repository: Repository, workers: Queue, clock: Clock) -> None:
-    add(repository)
+def test_a_clock_that_is_put_back_holds_no_job_up(record: Record, workers: Queue, clock: Clock) -> None:
+    add(record)
     clock.advance(-3600)
-    reconcile(repository, workers)
+    reconcile(record, workers)
     assert bells(workers) == [0, 2, 0]
 
 
-def test_a_job_is_taken_while_redis_is_away(repository: Repository, workers: Queue, tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_a_job_is_taken_while_redis_is_away(record: Record, workers: Queue, tmp_path) -> None:  # type: ignore[no-untyped-def]
     nowhere = Queue(connect(f"unix://{tmp_path}/none.sock"))
     quotas = Quotas(cast(Any, None), 10, 10, 10)
-    submissions = Submissions(repository, nowhere, quotas, cast(Any, None), 10)
+    submissions = Submissions(record, nowhere, quotas, cast(Any, None), 10)
     job = asyncio.run(submissions.submit(SPEC, None, KEYLESS, NO_DEMAND, None))
-    reconcile(repository, workers)
+    reconcile(record, workers)
     assert bells(workers) == [0, 2, 0]
-    assert repository.next_job(Priority.NORMAL, ABLE) == job.id
+    assert record.scheduler.next_job(Priority.NORMAL, ABLE) == job.id
 
 
 def test_signs_of_life_are_counted_and_do_not_last(queue: Queue) -> None:

@@ -12,76 +12,75 @@ from api.submissions import Submissions
 from services.access.caller import KEYLESS
 from services.access.quotas import Quotas
 from services.errors import QuotaExceeded
-from services.jobs.attempts import Attempt, Standing
+from services.jobs.jobs import Key, KeyReused, QueueFull
+from services.jobs.leases import Attempt, Standing
 from services.jobs.models import Job, State
 from services.jobs.placement import NO_DEMAND
 from services.jobs.queue import Queue, connect
-from services.jobs.repository import Key, KeyReused, QueueFull, Repository
+from services.jobs.record import Record
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import OUTCOME, SPEC, add, artifact, attacks, row, start, state
 
 pytestmark = pytest.mark.slow
 
 
-def test_a_new_job_is_queued_with_its_whole_spec(repository: Repository, clock: Clock) -> None:
-    job = repository.get(add(repository).id)
+def test_a_new_job_is_queued_with_its_whole_spec(record: Record, clock: Clock) -> None:
+    job = record.jobs.get(add(record).id)
     assert job is not None
     assert (job.state, job.attempt, job.seed, job.events) == (State.QUEUED, 0, 7, 1)
     assert job.times == {"queued": clock.now}
     assert job.spec == SPEC.model_dump(mode="json")
 
 
-def test_a_job_is_leased_once(repository: Repository) -> None:
-    job = add(repository)
-    assert repository.lease(job.id, "a", 20) == Attempt(job.id, 1)
-    assert repository.lease(job.id, "b", 20) is None
+def test_a_job_is_leased_once(record: Record) -> None:
+    job = add(record)
+    assert record.leases.lease(job.id, "a", 20) == Attempt(job.id, 1)
+    assert record.leases.lease(job.id, "b", 20) is None
 
 
-def test_a_new_attempt_has_come_nowhere_yet(repository: Repository) -> None:
-    job = add(repository)
-    attempt = start(repository, job)
-    repository.progress(attempt, "attacking", 3, 9, [])
-    repository.lose(attempt, 3)
-    start(repository, job)
-    found = row(repository, job)
+def test_a_new_attempt_has_come_nowhere_yet(record: Record) -> None:
+    job = add(record)
+    attempt = start(record, job)
+    record.leases.progress(attempt, "attacking", 3, 9, [])
+    record.leases.lose(attempt, 3)
+    start(record, job)
+    found = row(record, job)
     assert (found["phase"], found["step"], found["steps"], found["phase_at"]) == (None, None, None, None)
 
 
-def test_with_a_dead_workers_jobs_those_whose_lease_has_lapsed_are_taken_back(
-    repository: Repository, clock: Clock
-) -> None:
-    jobs = [add(repository) for _ in range(3)]
+def test_with_a_dead_workers_jobs_those_whose_lease_has_lapsed_are_taken_back(record: Record, clock: Clock) -> None:
+    jobs = [add(record) for _ in range(3)]
     for job, owner, seconds in zip(jobs, ("dead", "lapsed", "alive"), (60, 5, 60), strict=True):
-        start(repository, job, owner, seconds)
+        start(record, job, owner, seconds)
     clock.advance(6)
-    assert set(repository.take_back(3, owner="dead")) == {jobs[0].id, jobs[1].id}
+    assert set(record.leases.take_back(3, owner="dead")) == {jobs[0].id, jobs[1].id}
 
 
-def test_an_attempt_that_gets_less_far_does_not_lower_the_mark(repository: Repository) -> None:
-    job, lost = add(repository), []
+def test_an_attempt_that_gets_less_far_does_not_lower_the_mark(record: Record) -> None:
+    job, lost = add(record), []
     for step in (5, 2, 5):
-        attempt = start(repository, job)
-        repository.progress(attempt, "attacking", step, 9, [])
-        repository.lose(attempt, 9)
-        lost.append(row(repository, job)["lost"])
+        attempt = start(record, job)
+        record.leases.progress(attempt, "attacking", step, 9, [])
+        record.leases.lose(attempt, 9)
+        lost.append(row(record, job)["lost"])
     assert lost == [0, 1, 2]
 
 
-def test_eight_workers_get_one_lease(repository: Repository) -> None:
-    job = add(repository)
+def test_eight_workers_get_one_lease(record: Record) -> None:
+    job = add(record)
     with ThreadPoolExecutor(8) as pool:
-        leases = list(pool.map(lambda n: repository.lease(job.id, f"w{n}", 20), range(8)))
+        leases = list(pool.map(lambda n: record.leases.lease(job.id, f"w{n}", 20), range(8)))
     assert sum(lease is not None for lease in leases) == 1
 
 
-def test_success_records_result_artifacts_times_and_events(repository: Repository, clock: Clock) -> None:
-    job = add(repository)
+def test_success_records_result_artifacts_times_and_events(record: Record, clock: Clock) -> None:
+    job = add(record)
     clock.advance(1)
-    attempt = start(repository, job)
-    assert repository.progress(attempt, "attacking", 3, 120, [{"step": 3}])
+    attempt = start(record, job)
+    assert record.leases.progress(attempt, "attacking", 3, 120, [{"step": 3}])
     clock.advance(1)
-    assert repository.succeed(attempt, {"spec": {}}, OUTCOME, [artifact(job)])
-    found = row(repository, job)
+    assert record.leases.succeed(attempt, {"spec": {}}, OUTCOME, [artifact(job)])
+    found = row(record, job)
     assert (found["state"], found["result"], found["outcome"]) == (State.SUCCEEDED, {"spec": {}}, OUTCOME)
     assert (found["step"], found["steps"], found["lease_owner"]) == (3, 120, None)
     assert found["artifacts"] == ["result.json"]
@@ -97,161 +96,159 @@ def test_success_records_result_artifacts_times_and_events(repository: Repositor
 
 @pytest.mark.parametrize("write", ["progress", "succeed", "fail", "cancelled", "give_back", "lose", "renew"])
 @pytest.mark.parametrize("since", ["taken back", "taken again", "over"])
-def test_a_late_write_of_an_old_attempt_changes_nothing(
-    repository: Repository, clock: Clock, write: str, since: str
-) -> None:
-    job = add(repository)
-    old = start(repository, job)
+def test_a_late_write_of_an_old_attempt_changes_nothing(record: Record, clock: Clock, write: str, since: str) -> None:
+    job = add(record)
+    old = start(record, job)
     clock.advance(21)
-    repository.take_back(max_attempts=3)
+    record.leases.take_back(max_attempts=3)
     if since != "taken back":
-        new = start(repository, job)
+        new = start(record, job)
         if since == "over":
-            repository.fail(new, "internal", "because")
-    before = row(repository, job)
+            record.leases.fail(new, "internal", "because")
+    before = row(record, job)
     writes = {
-        "progress": lambda: repository.progress(old, "attacking", 1, 2, []),
-        "succeed": lambda: repository.succeed(old, {}, OUTCOME, [artifact(job)]),
-        "fail": lambda: repository.fail(old, "internal", "late"),
-        "cancelled": lambda: repository.cancelled(old),
-        "give_back": lambda: repository.give_back(old),
-        "lose": lambda: repository.lose(old, 3),
-        "renew": lambda: repository.renew(old, 1000) is not Standing.LOST,
+        "progress": lambda: record.leases.progress(old, "attacking", 1, 2, []),
+        "succeed": lambda: record.leases.succeed(old, {}, OUTCOME, [artifact(job)]),
+        "fail": lambda: record.leases.fail(old, "internal", "late"),
+        "cancelled": lambda: record.leases.cancelled(old),
+        "give_back": lambda: record.leases.give_back(old),
+        "lose": lambda: record.leases.lose(old, 3),
+        "renew": lambda: record.leases.renew(old, 1000) is not Standing.LOST,
     }
     assert not writes[write]()
-    assert row(repository, job) == before
-    assert repository.standing(old) is Standing.LOST
+    assert row(record, job) == before
+    assert record.leases.standing(old) is Standing.LOST
 
 
-def test_a_result_and_its_artifacts_are_recorded_together_or_not_at_all(repository: Repository) -> None:
-    job = add(repository)
-    attempt = start(repository, job)
-    before = row(repository, job)
+def test_a_result_and_its_artifacts_are_recorded_together_or_not_at_all(record: Record) -> None:
+    job = add(record)
+    attempt = start(record, job)
+    before = row(record, job)
     with pytest.raises((StatementError, ValueError), match="JSON compliant"):
-        repository.succeed(attempt, {"loss": nan}, OUTCOME, [artifact(job)])
-    assert row(repository, job) == before
+        record.leases.succeed(attempt, {"loss": nan}, OUTCOME, [artifact(job)])
+    assert row(record, job) == before
 
 
-def test_a_lease_lapses_unless_it_is_renewed(repository: Repository, clock: Clock) -> None:
-    job = add(repository)
-    attempt = start(repository, job, seconds=20)
+def test_a_lease_lapses_unless_it_is_renewed(record: Record, clock: Clock) -> None:
+    job = add(record)
+    attempt = start(record, job, seconds=20)
     clock.advance(15)
-    assert repository.renew(attempt, 20) is Standing.GO_ON
+    assert record.leases.renew(attempt, 20) is Standing.GO_ON
     clock.advance(15)
-    assert repository.take_back(max_attempts=3) == []
+    assert record.leases.take_back(max_attempts=3) == []
     clock.advance(6)
-    assert repository.take_back(max_attempts=3) == [job.id]
-    found = repository.get(job.id)
+    assert record.leases.take_back(max_attempts=3) == [job.id]
+    found = record.jobs.get(job.id)
     assert found is not None
     assert (found.state, found.lost) == (State.QUEUED, 1)
-    assert start(repository, job).number == 2
+    assert start(record, job).number == 2
 
 
-def test_the_leases_of_a_dead_worker_are_taken_back_at_once(repository: Repository) -> None:
-    dead, alive = add(repository), add(repository)
-    start(repository, dead, owner="dead")
-    start(repository, alive, owner="alive")
-    assert repository.take_back(max_attempts=3, owner="dead") == [dead.id]
-    assert state(repository, alive.id) is State.RUNNING
+def test_the_leases_of_a_dead_worker_are_taken_back_at_once(record: Record) -> None:
+    dead, alive = add(record), add(record)
+    start(record, dead, owner="dead")
+    start(record, alive, owner="alive")
+    assert record.leases.take_back(max_attempts=3, owner="dead") == [dead.id]
+    assert state(record, alive.id) is State.RUNNING
 
 
-def test_a_job_that_loses_its_process_too_often_fails(repository: Repository) -> None:
-    job = add(repository)
+def test_a_job_that_loses_its_process_too_often_fails(record: Record) -> None:
+    job = add(record)
     for _ in range(2):
-        repository.lose(start(repository, job), max_attempts=3)
-        assert state(repository, job.id) is State.QUEUED
-    repository.lose(start(repository, job), max_attempts=3)
-    found = repository.get(job.id)
+        record.leases.lose(start(record, job), max_attempts=3)
+        assert state(record, job.id) is State.QUEUED
+    record.leases.lose(start(record, job), max_attempts=3)
+    found = record.jobs.get(job.id)
     assert found is not None
     assert (found.state, found.failure_kind, found.lost) == (State.FAILED, "worker-lost", 3)
-    assert repository.events(job.id, 0)[-1].data["failure"]["kind"] == "worker-lost"
+    assert record.jobs.events(job.id, 0)[-1].data["failure"]["kind"] == "worker-lost"
 
 
-def test_an_attempt_that_got_further_does_not_count(repository: Repository) -> None:
-    job = add(repository)
+def test_an_attempt_that_got_further_does_not_count(record: Record) -> None:
+    job = add(record)
     ways = [("loading", 0), ("attacking", 3), ("attacking", 4), ("analysing", 0), ("analysing", 2)]
     losses = []
     for phase, step in ways:
-        attempt = start(repository, job)
-        repository.progress(attempt, phase, step, 9, [])
-        repository.lose(attempt, max_attempts=2)
-        found = repository.get(job.id)
+        attempt = start(record, job)
+        record.leases.progress(attempt, phase, step, 9, [])
+        record.leases.lose(attempt, max_attempts=2)
+        found = record.jobs.get(job.id)
         assert found is not None
         losses.append(found.lost)
     assert losses == [1, 0, 0, 0, 0]
     for expected in (State.QUEUED, State.FAILED):  # it dies twice where it was, having been further back
-        attempt = start(repository, job)
-        repository.progress(attempt, "attacking", 8, 9, [])
-        repository.progress(attempt, "analysing", 2, 9, [])
-        repository.lose(attempt, max_attempts=2)
-        assert state(repository, job.id) is expected
+        attempt = start(record, job)
+        record.leases.progress(attempt, "attacking", 8, 9, [])
+        record.leases.progress(attempt, "analysing", 2, 9, [])
+        record.leases.lose(attempt, max_attempts=2)
+        assert state(record, job.id) is expected
 
 
-def test_a_job_given_back_is_not_counted_as_lost(repository: Repository) -> None:
-    job = add(repository)
+def test_a_job_given_back_is_not_counted_as_lost(record: Record) -> None:
+    job = add(record)
     for _ in range(5):
-        repository.give_back(start(repository, job))
-    found = repository.get(job.id)
+        record.leases.give_back(start(record, job))
+    found = record.jobs.get(job.id)
     assert found is not None
     assert (found.state, found.attempt, found.lost) == (State.QUEUED, 5, 0)
 
 
 @pytest.mark.parametrize("end", ["give_back", "lose", "take_back"])
-def test_a_job_that_was_to_stop_is_not_started_again(repository: Repository, clock: Clock, end: str) -> None:
-    job = add(repository)
-    attempt = start(repository, job)
-    repository.request_cancel(job.id)
+def test_a_job_that_was_to_stop_is_not_started_again(record: Record, clock: Clock, end: str) -> None:
+    job = add(record)
+    attempt = start(record, job)
+    record.jobs.request_cancel(job.id)
     clock.advance(21)
     {
-        "give_back": lambda: repository.give_back(attempt),
-        "lose": lambda: repository.lose(attempt, 3),
-        "take_back": lambda: repository.take_back(3),
+        "give_back": lambda: record.leases.give_back(attempt),
+        "lose": lambda: record.leases.lose(attempt, 3),
+        "take_back": lambda: record.leases.take_back(3),
     }[end]()
-    assert state(repository, job.id) is State.CANCELLED
+    assert state(record, job.id) is State.CANCELLED
 
 
-def test_cancel_asks_once_and_changes_nothing_afterwards(repository: Repository, clock: Clock) -> None:
-    queued, running, over = add(repository), add(repository), add(repository)
-    attempt = start(repository, running)
-    repository.fail(start(repository, over), "internal", "because")
+def test_cancel_asks_once_and_changes_nothing_afterwards(record: Record, clock: Clock) -> None:
+    queued, running, over = add(record), add(record), add(record)
+    attempt = start(record, running)
+    record.leases.fail(start(record, over), "internal", "because")
     for job, after in ((queued, State.CANCELLED), (running, State.CANCELLING), (over, State.FAILED)):
-        first = repository.request_cancel(job.id)
+        first = record.jobs.request_cancel(job.id)
         clock.advance(1)
-        again = repository.request_cancel(job.id)
+        again = record.jobs.request_cancel(job.id)
         assert first is not None
         assert again is not None
         assert (first.state, first.times, first.events) == (again.state, again.times, again.events)
         assert again.state is after
-    assert repository.standing(attempt) is Standing.CANCEL
-    assert repository.cancelled(attempt)
-    assert state(repository, running.id) is State.CANCELLED
-    assert repository.request_cancel("no such job") is None
+    assert record.leases.standing(attempt) is Standing.CANCEL
+    assert record.leases.cancelled(attempt)
+    assert state(record, running.id) is State.CANCELLED
+    assert record.jobs.request_cancel("no such job") is None
 
 
-def test_events_of_concurrent_writers_are_numbered_without_gaps(repository: Repository) -> None:
-    job = add(repository)
-    attempt = start(repository, job)
+def test_events_of_concurrent_writers_are_numbered_without_gaps(record: Record) -> None:
+    job = add(record)
+    attempt = start(record, job)
     with ThreadPoolExecutor(4) as pool:
-        list(pool.map(lambda n: repository.progress(attempt, "attacking", n, 40, []), range(40)))
-    assert [event.number for event in repository.events(job.id, 0)] == list(range(1, 43))
-    assert [event.number for event in repository.events(job.id, 40)] == [41, 42]
+        list(pool.map(lambda n: record.leases.progress(attempt, "attacking", n, 40, []), range(40)))
+    assert [event.number for event in record.jobs.events(job.id, 0)] == list(range(1, 43))
+    assert [event.number for event in record.jobs.events(job.id, 40)] == [41, 42]
 
 
-def test_pages_and_keys_are_those_of_an_owner(repository: Repository) -> None:
+def test_pages_and_keys_are_those_of_an_owner(record: Record) -> None:
     def create(owner: str, digest: str) -> tuple[Job | None, dict[str, str]]:
-        return repository.create(SPEC, 9, Key("k", digest[:64], owner), lambda job: {"id": job.id}, owner=owner)
+        return record.jobs.create(SPEC, 9, Key("k", digest[:64], owner), lambda job: {"id": job.id}, owner=owner)
 
     made = {owner: create(owner, f"of {owner}")[1]["id"] for owner in ("", "alice", "bob", "x" * 100)}
     assert len(set(made.values())) == 4
     for owner, job_id in made.items():
         assert create(owner, f"of {owner}") == (None, {"id": job_id})
-        assert [job.id for job in attacks(repository, owner=owner)] == [job_id]
-    assert len(attacks(repository)) == 4
+        assert [job.id for job in attacks(record, owner=owner)] == [job_id]
+    assert len(attacks(record)) == 4
 
 
-def test_an_owner_has_no_more_queued_jobs_than_it_may(repository: Repository) -> None:
+def test_an_owner_has_no_more_queued_jobs_than_it_may(record: Record) -> None:
     def create(owner: str, most: int | None = 2) -> Job:
-        job, _ = repository.create(SPEC, 100, None, lambda _: {}, owner=owner, owner_queued=most)
+        job, _ = record.jobs.create(SPEC, 100, None, lambda _: {}, owner=owner, owner_queued=most)
         assert job is not None
         return job
 
@@ -260,34 +257,34 @@ def test_an_owner_has_no_more_queued_jobs_than_it_may(repository: Repository) ->
         create("alice")
     create("bob")
     create("alice", None)
-    start(repository, first)
+    start(record, first)
     with pytest.raises(QuotaExceeded):
         create("alice")
-    repository.request_cancel(attacks(repository, "state:queued", owner="alice")[0].id)
+    record.jobs.request_cancel(attacks(record, "state:queued", owner="alice")[0].id)
     create("alice")
 
 
-def test_a_key_makes_one_job_however_often_it_comes(repository: Repository, tmp_path: Path) -> None:
+def test_a_key_makes_one_job_however_often_it_comes(record: Record, tmp_path: Path) -> None:
     key = Key("k", "same")
     nowhere = Queue(connect(f"unix://{tmp_path}/none.sock"))
-    submissions = Submissions(repository, nowhere, Quotas(cast(Any, None), 10, 10, 10), cast(Any, None), 1000)
+    submissions = Submissions(record, nowhere, Quotas(cast(Any, None), 10, 10, 10), cast(Any, None), 1000)
 
     async def submitted() -> list[JobView]:
         return await asyncio.gather(*(submissions.submit(SPEC, None, KEYLESS, NO_DEMAND, key) for _ in range(8)))
 
     assert len({job.id for job in asyncio.run(submitted())}) == 1
-    assert len(attacks(repository)) == 1
+    assert len(attacks(record)) == 1
     with pytest.raises(KeyReused):
-        repository.create(SPEC, 1000, Key("k", "other"), lambda job: {"id": job.id})
+        record.jobs.create(SPEC, 1000, Key("k", "other"), lambda job: {"id": job.id})
     with pytest.raises(KeyReused):
-        repository.first_answer(Key("k", "other"))
+        record.jobs.first_answer(Key("k", "other"))
 
 
-def test_a_full_queue_takes_no_more(repository: Repository) -> None:
-    started = add(repository)
-    repository.create(SPEC, 2, None, lambda _: {})
+def test_a_full_queue_takes_no_more(record: Record) -> None:
+    started = add(record)
+    record.jobs.create(SPEC, 2, None, lambda _: {})
     with pytest.raises(QueueFull):
-        repository.create(SPEC, 2, None, lambda _: {})
-    start(repository, started)
-    repository.create(SPEC, 2, None, lambda _: {})
-    assert len(attacks(repository)) == 3
+        record.jobs.create(SPEC, 2, None, lambda _: {})
+    start(record, started)
+    record.jobs.create(SPEC, 2, None, lambda _: {})
+    assert len(attacks(record)) == 3

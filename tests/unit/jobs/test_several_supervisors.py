@@ -9,10 +9,11 @@ import pytest
 from sqlalchemy import Engine, text
 from sqlalchemy.orm import Session
 
-from services.jobs import transactions
+from services.jobs import database as database_module
+from services.jobs import leases
 from services.jobs.campaigns import CHUNK, Feeder
 from services.jobs.models import Job, State
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from tests.unit.jobs.campaign_stage import Stage, spec
 from tests.unit.jobs.records import add, attacks, start
 
@@ -30,45 +31,46 @@ def waits_for_a_lock(engine: Engine) -> bool:
         return bool(connection.scalar(waiting))
 
 
-class CancelledMeanwhile(Repository):
-    """A record in which a client cancels a job at the moment at which it is queued again."""
-
-    def _move(self, session: Session, job_id: str, to: State, *rest: Any, **values: Any) -> Job | None:
-        if to is State.QUEUED:
-            other = Repository(self._reads)
-            self.cancelling = threading.Thread(target=other.request_cancel, args=(job_id,))
-            self.cancelling.start()
-            while self.cancelling.is_alive() and not waits_for_a_lock(self._reads):
-                pass
-        return super()._move(session, job_id, to, *rest, **values)
-
-
 @POSTGRESQL
-def test_a_cancel_that_comes_while_a_job_is_queued_again_is_not_lost(engine: Engine) -> None:
-    repository = CancelledMeanwhile(engine)
-    job = add(repository)
-    repository.give_back(start(repository, job))
-    repository.cancelling.join()
-    found = repository.get(job.id)
+def test_a_cancel_that_comes_while_a_job_is_queued_again_is_not_lost(
+    engine: Engine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record = Record(engine)
+    job = add(record)
+    attempt = start(record, job)
+    cancelling = threading.Thread(target=record.jobs.request_cancel, args=(job.id,))
+    change_state = leases.change_state
+
+    def cancel_meanwhile(session: Session, job_id: str, to: State, *rest: Any, **values: Any) -> Job | None:
+        if to is State.QUEUED:
+            cancelling.start()
+            while cancelling.is_alive() and not waits_for_a_lock(engine):
+                pass
+        return change_state(session, job_id, to, *rest, **values)
+
+    monkeypatch.setattr(leases, "change_state", cancel_meanwhile)
+    record.leases.give_back(attempt)
+    cancelling.join()
+    found = record.jobs.get(job.id)
     assert found is not None
     assert found.state is State.CANCELLED
 
 
-def test_supervisors_that_take_back_at_once_count_a_death_once(repository: Repository, clock: Any) -> None:
-    jobs = [add(repository) for _ in range(6)]
+def test_supervisors_that_take_back_at_once_count_a_death_once(record: Record, clock: Any) -> None:
+    jobs = [add(record) for _ in range(6)]
     for job in jobs:
-        start(repository, job)
+        start(record, job)
     clock.advance(21)
     with ThreadPoolExecutor(4) as pool:
-        taken = [job_id for some in pool.map(lambda _: repository.take_back(3), range(4)) for job_id in some]
+        taken = [job_id for some in pool.map(lambda _: record.leases.take_back(3), range(4)) for job_id in some]
     assert sorted(taken) == sorted(job.id for job in jobs)
-    assert {job.lost for job in attacks(repository)} == {1}
+    assert {job.lost for job in attacks(record)} == {1}
 
 
-def test_supervisors_that_feed_at_once_queue_each_view_once(engine: Engine, repository: Repository) -> None:
-    stage = Stage(engine, repository)
+def test_supervisors_that_feed_at_once_queue_each_view_once(engine: Engine, record: Record) -> None:
+    stage = Stage(engine, record)
     stage.begin(spec(6 * CHUNK))
-    feeders = [Feeder(engine, 1000) for _ in range(4)]
+    feeders = [Feeder(record.database, 1000) for _ in range(4)]
     together = threading.Barrier(4)
 
     def tick(feeder: Feeder) -> None:
@@ -90,12 +92,12 @@ def test_a_lease_is_by_the_databases_clock(engine: Engine, monkeypatch: pytest.M
         def now(cls, tz: Any = None) -> datetime:  # type: ignore[override]
             return datetime.now(tz) + timedelta(hours=1)
 
-    here = Repository(engine)
+    here = Record(engine)
     job = add(here)
     start(here, job, seconds=60)
-    monkeypatch.setattr(transactions, "datetime", Fast)
-    assert Repository(engine).take_back(3) == []
+    monkeypatch.setattr(database_module, "datetime", Fast)
+    assert Record(engine).leases.take_back(3) == []
     monkeypatch.undo()
-    found = here.get(job.id)
+    found = here.jobs.get(job.id)
     assert found is not None
     assert abs(found.times["running"] - datetime.now(UTC)) < timedelta(minutes=5)

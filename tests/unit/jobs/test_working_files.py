@@ -1,17 +1,17 @@
 from pathlib import Path
 
-from services.jobs.attempts import Attempt
-from services.jobs.repository import Repository
+from services.jobs.leases import Attempt
+from services.jobs.record import Record
 from services.jobs.working_files import WorkingFiles
 from tests.unit.jobs.records import add, start
 
 
-def test_sweeping_removes_what_is_over_and_keeps_what_is_not(repository: Repository, tmp_path: Path) -> None:
+def test_sweeping_removes_what_is_over_and_keeps_what_is_not(record: Record, tmp_path: Path) -> None:
     working_files = WorkingFiles(tmp_path)
-    running, queued, over = add(repository), add(repository), add(repository)
-    repository.lose(start(repository, running), 3)
-    start(repository, running)
-    repository.fail(start(repository, over), "internal", "because")
+    running, queued, over = add(record), add(record), add(record)
+    record.leases.lose(start(record, running), 3)
+    start(record, running)
+    record.leases.fail(start(record, over), "internal", "because")
     for job in (running, queued, over):
         with working_files.checkpoint(Attempt(job.id, 1)) as path:
             path.write_bytes(b"saved")
@@ -20,7 +20,7 @@ def test_sweeping_removes_what_is_over_and_keeps_what_is_not(repository: Reposit
         out.mkdir(parents=True)
     path.with_suffix(".0123.part").write_bytes(b"half")
 
-    working_files.sweep(repository)
+    working_files.sweep(record)
 
     assert {file.name for file in (tmp_path / "checkpoints").iterdir()} == {running.id, queued.id}
     assert list((tmp_path / "running").iterdir()) == [kept]

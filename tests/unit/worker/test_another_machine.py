@@ -11,7 +11,7 @@ from services.jobs import checkpoint_copies
 from services.jobs.artifacts import ArtifactStore
 from services.jobs.database import connect, migrate
 from services.jobs.models import Job, State
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from services.pipeline.execute import Progress
 from services.settings import Settings
 from tests.unit.jobs import small
@@ -29,14 +29,14 @@ class Died(BaseException):
     """The end of a process, which no code of the job sees."""
 
 
-def end_of(repository: Repository, store: ArtifactStore, job: Job) -> tuple[Any, dict[str, str]]:
+def end_of(record: Record, store: ArtifactStore, job: Job) -> tuple[Any, dict[str, str]]:
     """The result of a job without its times, and its files that have none, by name and hash."""
-    found = row(repository, job)
+    found = row(record, job)
     assert found["state"] is State.SUCCEEDED, found["failure_detail"]
     result = found["result"]
     for record in (result, *result["trace"]):
         record.pop("seconds")
-    files = {one.name: one.sha256 for one in repository.artifacts(job.id) if not one.name.endswith(".json")}
+    files = {one.name: one.sha256 for one in record.jobs.artifacts(job.id) if not one.name.endswith(".json")}
     for sha256 in files.values():
         store.open(sha256).close()
     return result, files
@@ -54,14 +54,14 @@ def test_another_machine_goes_on_from_the_checkpoint_of_a_dead_one(
     )
     engine = connect(first)
     migrate(engine, first)
-    repository, store, copies = Repository(engine), ArtifactStore(s3_url), blobs(s3_url, "checkpoints")
+    record, store, copies = Record(engine), ArtifactStore(s3_url), blobs(s3_url, "checkpoints")
     monkeypatch.setattr("worker.job_process.connect_database", lambda _: engine)  # so that the test can close it
     monkeypatch.setattr("services.attacks.run.EVERY", -1.0)  # after every step
     monkeypatch.setattr(checkpoint_copies, "COPY_SECONDS", 0.005)
 
-    undisturbed = add(repository, SPEC)
-    Jobs(first).run(start(repository, undisturbed))
-    expected = end_of(repository, store, undisturbed)
+    undisturbed = add(record, SPEC)
+    Jobs(first).run(start(record, undisturbed))
+    expected = end_of(record, store, undisturbed)
     assert len(expected[0]["trace"]) == 7
 
     seen: list[int] = []
@@ -79,15 +79,15 @@ def test_another_machine_goes_on_from_the_checkpoint_of_a_dead_one(
                 threading.Event().wait(0.005)
 
     monkeypatch.setattr(Reporter, "progress", watched)
-    job = add(repository, SPEC)
-    attempt = start(repository, job)
+    job = add(record, SPEC)
+    attempt = start(record, job)
     with pytest.raises(Died):
         Jobs(first).run(attempt)
-    repository.lose(attempt, 3)
-    Jobs(second).run(start(repository, job))
+    record.leases.lose(attempt, 3)
+    Jobs(second).run(start(record, job))
     assert seen[:4] == [0, 1, 2, 3]
     assert 0 < seen[4] <= 3, "the other machine began again"
     assert seen[-1] == 6
-    assert end_of(repository, store, job) == expected
+    assert end_of(record, store, job) == expected
     assert copies.names() == []
     engine.dispose()

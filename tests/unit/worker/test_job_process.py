@@ -9,7 +9,7 @@ from services.attacks.trace import TraceRow
 from services.errors import InvalidRequest, JobFailure
 from services.jobs.database import connect, migrate
 from services.jobs.models import State
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from services.pipeline.execute import Progress
 from services.pipeline.spec import JobSpec, digest
 from services.settings import Settings
@@ -39,15 +39,15 @@ class Seconds:
 
 
 @pytest.fixture
-def repository(tmp_path: Path) -> Repository:
-    return record(tmp_path)
+def record(tmp_path: Path) -> Record:
+    return open_record(tmp_path)
 
 
-def record(data: Path) -> Repository:
+def open_record(data: Path) -> Record:
     settings = Settings(data=data)
     engine = connect(settings)
     migrate(engine, settings)
-    return Repository(engine)
+    return Record(engine)
 
 
 def progress(step: int, phase: str = "attacking", **values: float) -> Progress:
@@ -55,38 +55,38 @@ def progress(step: int, phase: str = "attacking", **values: float) -> Progress:
     return Progress.model_validate({"phase": phase, "step": step, "steps": 9, "row": row and row.model_dump()})
 
 
-def test_reports_are_few_and_leave_no_step_out(repository: Repository) -> None:
-    job = add(repository)
+def test_reports_are_few_and_leave_no_step_out(record: Record) -> None:
+    job = add(record)
     seconds = Seconds()
-    reporter = Reporter(repository, start(repository, job), seconds)
+    reporter = Reporter(record, start(record, job), seconds)
     reporter.progress(progress(0, "loading"))
     for step in range(9):
         reporter.progress(progress(step))
         seconds.now += REPORT_SECONDS / 2
     reporter.progress(progress(9, "analysing"))
-    told = [event.data for event in repository.events(job.id, 2)]
+    told = [event.data for event in record.jobs.events(job.id, 2)]
     assert [data["phase"] for data in told] == ["loading", *["attacking"] * 5, "analysing"]
     assert [row["step"] for data in told for row in data["rows"]] == list(range(9))
 
 
-def test_a_number_that_is_not_finite_ends_the_job_by_name(repository: Repository) -> None:
-    reporter = Reporter(repository, start(repository, add(repository)), Seconds())
+def test_a_number_that_is_not_finite_ends_the_job_by_name(record: Record) -> None:
+    reporter = Reporter(record, start(record, add(record)), Seconds())
     with pytest.raises(JobFailure) as caught:
         reporter.progress(progress(0, loss=inf))
     assert caught.value.kind == "non-finite"
 
 
 @pytest.mark.parametrize("why", ["cancelled", "taken back"])
-def test_a_job_that_must_stop_is_told_at_the_next_look(repository: Repository, why: str) -> None:
-    job = add(repository)
+def test_a_job_that_must_stop_is_told_at_the_next_look(record: Record, why: str) -> None:
+    job = add(record)
     seconds = Seconds()
-    attempt = start(repository, job)
-    reporter = Reporter(repository, attempt, seconds)
+    attempt = start(record, job)
+    reporter = Reporter(record, attempt, seconds)
     assert not reporter.stop()
     if why == "cancelled":
-        repository.request_cancel(job.id)
+        record.jobs.request_cancel(job.id)
     else:
-        repository.lose(attempt, 3)
+        record.leases.lose(attempt, 3)
     seconds.now += POLL_SECONDS
     assert reporter.stop()
     assert reporter.stop()
@@ -115,10 +115,10 @@ def test_every_end_has_a_name(error: BaseException, kind: str) -> None:
 
 @pytest.mark.parametrize(("label", "state"), [("tench", State.SUCCEEDED), ("no such thing", State.REJECTED)])
 def test_a_job_accepted_before_its_check_is_checked_first(tmp_path: Path, label: str, state: State) -> None:
-    repository, jobs = record(tmp_path), Jobs(Settings(data=tmp_path))
-    job = add(repository, small.spec(attack={"steps": 1}, goal={"reach": label}), checked=False)
-    jobs.run(start(repository, job))
-    found = row(repository, job)
+    record, jobs = open_record(tmp_path), Jobs(Settings(data=tmp_path))
+    job = add(record, small.spec(attack={"steps": 1}, goal={"reach": label}), checked=False)
+    jobs.run(start(record, job))
+    found = row(record, job)
     assert found["state"] is state
     if state is State.REJECTED:
         assert [error["field"] for error in found["errors"]] == ["goal.reach"]
@@ -131,7 +131,7 @@ def test_a_job_accepted_before_its_check_is_checked_first(tmp_path: Path, label:
 
 
 def test_a_checked_job_whose_mesh_has_gone_failed(tmp_path: Path) -> None:
-    repository, jobs = record(tmp_path), Jobs(Settings(data=tmp_path))
-    job = add(repository, small.spec(scene={"objects": [{"mesh": f"sha256:{'0' * 64}"}]}))
-    jobs.run(start(repository, job))
-    assert row(repository, job)["failure_kind"] == "asset-missing"
+    record, jobs = open_record(tmp_path), Jobs(Settings(data=tmp_path))
+    job = add(record, small.spec(scene={"objects": [{"mesh": f"sha256:{'0' * 64}"}]}))
+    jobs.run(start(record, job))
+    assert row(record, job)["failure_kind"] == "asset-missing"

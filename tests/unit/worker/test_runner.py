@@ -10,12 +10,12 @@ from typing import Any
 import pytest
 from sqlalchemy.exc import InternalError
 
-from services.jobs.attempts import Attempt, Standing
 from services.jobs.child import Child
 from services.jobs.database import connect, migrate
+from services.jobs.leases import Attempt, Standing
 from services.jobs.models import Job, State
 from services.jobs.placement import Priority
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from services.settings import Settings
 from tests.unit.jobs.records import add, start
 from worker import runner
@@ -32,8 +32,8 @@ class Stage:
         settings = Settings(data=data, lease_seconds=0.4, **values)  # a renewal each tenth of a second
         self.engine = connect(settings)
         migrate(self.engine, settings)
-        self.repository = Repository(self.engine)
-        self.runner = Runner(settings, self.repository, "w")
+        self.record = Record(self.engine)
+        self.runner = Runner(settings, self.record, "w")
         self.pids: list[int] = []
 
     def child(self, _module: str, settings: Settings) -> Child:
@@ -48,12 +48,12 @@ class Stage:
     def run(self, does: str, beat: Callable[[], Any] = lambda: None) -> Job:
         """Runs a new job, and returns what the record then has of it."""
         self.script(does)
-        job = add(self.repository)
+        job = add(self.record)
         self.runner.run(Priority.NORMAL, beat)
         return self.found(job)
 
     def found(self, job: Job) -> Job:
-        found = self.repository.work(job.id)
+        found = self.record.jobs.work(job.id)
         assert found is not None
         return found
 
@@ -124,8 +124,8 @@ def test_a_process_that_does_not_stop_when_its_job_is_cancelled_is_killed(
 ) -> None:
     monkeypatch.setattr(runner, "STOP_SECONDS", 0.0)
     stage.script("hang")
-    job = add(stage.repository)
-    stage.runner.run(Priority.NORMAL, lambda: stage.repository.request_cancel(job.id))
+    job = add(stage.record)
+    stage.runner.run(Priority.NORMAL, lambda: stage.record.jobs.request_cancel(job.id))
     assert stage.found(job).state is State.CANCELLED
     assert stage.ended(0)
 
@@ -135,13 +135,13 @@ def test_a_process_whose_job_was_taken_back_is_killed_and_the_job_left_alone(
 ) -> None:
     monkeypatch.setattr(runner, "STOP_SECONDS", 0.0)
     stage.script("hang")
-    job = add(stage.repository)
+    job = add(stage.record)
     others: list[Attempt] = []
 
     def take() -> None:
         if not others:
-            stage.repository.take_back(3, owner="w")
-            others.append(start(stage.repository, job, "other"))
+            stage.record.leases.take_back(3, owner="w")
+            others.append(start(stage.record, job, "other"))
 
     stage.runner.run(Priority.NORMAL, take)
     assert (stage.found(job).state, stage.found(job).lease_owner) == (State.RUNNING, "other")
@@ -150,7 +150,7 @@ def test_a_process_whose_job_was_taken_back_is_killed_and_the_job_left_alone(
 
 def test_the_lease_is_renewed(stage: Stage) -> None:
     stage.script("hang")
-    job = add(stage.repository)
+    job = add(stage.record)
     until = []
 
     def look() -> None:
@@ -173,7 +173,7 @@ def test_an_outage_counts_only_if_it_cannot_be_seen(
 
 def test_the_next_job_runs(stage: Stage) -> None:
     stage.script("answer")
-    first, second = add(stage.repository), add(stage.repository)
+    first, second = add(stage.record), add(stage.record)
     stage.runner.run(Priority.NORMAL, lambda: None)
     assert (stage.found(first).state, stage.found(second).state) == (State.RUNNING, State.QUEUED)
 
@@ -196,7 +196,7 @@ def test_a_lease_that_cannot_be_renewed_is_no_end(stage: Stage, monkeypatch: pyt
             stage.runner.request_stop()
         raise InternalError("UPDATE jobs", {}, Exception("cannot execute UPDATE in a read-only transaction"))
 
-    monkeypatch.setattr(stage.repository, "renew", renew)
+    monkeypatch.setattr(stage.record.leases, "renew", renew)
     assert stage.run("hang").state is State.QUEUED
     assert len(tries) == 2
 
@@ -215,7 +215,7 @@ def test_no_process_goes_on_with_a_job_that_nobody_watches(stage: Stage) -> None
 def test_a_database_that_does_not_answer_is_left_to_the_record(make: Callable[..., Stage], tmp_path: Path) -> None:
     stage = make(stall_seconds=1.5)
     stage.script("hang")
-    job = add(stage.repository)
+    job = add(stage.record)
     with closing(sqlite3.connect(tmp_path / "jobs.sqlite", isolation_level=None)) as other:
         other.execute("BEGIN IMMEDIATE")
         stage.runner.run(Priority.NORMAL, lambda: None)

@@ -15,7 +15,7 @@ from services.attacks import run
 from services.jobs.artifacts import ArtifactStore
 from services.jobs.database import connect, migrate
 from services.jobs.models import Artifact, Job
-from services.jobs.repository import Repository
+from services.jobs.record import Record
 from services.pipeline.execute import Progress
 from services.pipeline.prepare import prepare
 from services.pipeline.result import BEST_SO_FAR, CHECKPOINT
@@ -34,7 +34,7 @@ FILES = [BEST_SO_FAR, CHECKPOINT, "attacked.png", "original.png", "perturbation.
 
 
 @pytest.fixture
-def repository(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Repository:
+def record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Record:
     """A record; checkpoints are written and the record is asked at every step."""
     monkeypatch.setattr(run, "EVERY", -1.0)
     monkeypatch.setattr(job_process, "REPORT_SECONDS", 0.0)
@@ -42,25 +42,25 @@ def repository(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Repository:
     settings = Settings(data=tmp_path)
     engine = connect(settings)
     migrate(engine, settings)
-    return Repository(engine)
+    return Record(engine)
 
 
-def cancel_at(step: int, repository: Repository, job: Job, monkeypatch: pytest.MonkeyPatch) -> None:
+def cancel_at(step: int, record: Record, job: Job, monkeypatch: pytest.MonkeyPatch) -> None:
     """Cancels the job when it reports this step."""
     report = job_process.Reporter.progress
 
     def progress(self: job_process.Reporter, progress: Progress) -> None:
         report(self, progress)
         if progress.row is not None and progress.row.step == step:
-            repository.request_cancel(job.id)
+            record.jobs.request_cancel(job.id)
 
     monkeypatch.setattr(job_process.Reporter, "progress", progress)
 
 
-def files(tmp_path: Path, repository: Repository, job: Job) -> dict[str, bytes]:
+def files(tmp_path: Path, record: Record, job: Job) -> dict[str, bytes]:
     store = ArtifactStore(Settings(data=tmp_path).files)
     found = {}
-    for artifact in repository.artifacts(job.id):
+    for artifact in record.jobs.artifacts(job.id):
         with store.open(artifact.sha256) as file:
             found[artifact.name] = file.read()
     return found
@@ -72,22 +72,22 @@ def without_times(result: dict[str, Any]) -> dict[str, Any]:
 
 
 def test_a_cancelled_job_keeps_its_best_and_another_ends_as_it_would_have(
-    tmp_path: Path, repository: Repository, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, record: Record, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     jobs = Jobs(Settings(data=tmp_path))
-    whole = add(repository, SPEC)
-    jobs.run(start(repository, whole))
-    expected = row(repository, whole)["result"]
+    whole = add(record, SPEC)
+    jobs.run(start(record, whole))
+    expected = row(record, whole)["result"]
 
-    job = add(repository, SPEC)
+    job = add(record, SPEC)
     with monkeypatch.context() as patched:
-        cancel_at(3, repository, job, patched)
-        jobs.run(start(repository, job))
-    ended = row(repository, job)
+        cancel_at(3, record, job, patched)
+        jobs.run(start(record, job))
+    ended = row(record, job)
     assert ended["state"] == "cancelled"
     assert ended["result"] is None
     assert ended["artifacts"] == sorted(FILES)
-    kept = files(tmp_path, repository, job)
+    kept = files(tmp_path, record, job)
     best = json.loads(kept[BEST_SO_FAR])
     assert not best["verified"]
     rows = expected["trace"][: best["steps"] + 1]
@@ -97,18 +97,18 @@ def test_a_cancelled_job_keeps_its_best_and_another_ends_as_it_would_have(
     assert torch.equal(pixels(Image.open(BytesIO(kept["attacked.png"]))), image)
     assert best["attacked"]["label"] == prepared.target.labels[int(prepared.verifier.logits(image).argmax())]
 
-    [given] = [one for one in repository.artifacts(job.id) if one.name == CHECKPOINT]
-    later, _ = repository.create(SPEC, 1000, None, lambda _: {}, file=given)
+    [given] = [one for one in record.jobs.artifacts(job.id) if one.name == CHECKPOINT]
+    later, _ = record.jobs.create(SPEC, 1000, None, lambda _: {}, file=given)
     assert later is not None
-    jobs.run(start(repository, later))
-    found = row(repository, later)
+    jobs.run(start(record, later))
+    found = row(record, later)
     assert without_times(found["result"]) == without_times(expected)
     steps = [one["step"] for _, kind, data in found["events"] if kind == "progress" for one in data["rows"]]
     assert steps[0] >= 3  # nothing is repeated but the step that the checkpoint had not seen
 
 
 def test_a_job_that_takes_too_long_keeps_its_best_too(
-    tmp_path: Path, repository: Repository, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, record: Record, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The clock of its time leaps when it reports its third step."""
     report = job_process.Reporter.progress
@@ -119,18 +119,18 @@ def test_a_job_that_takes_too_long_keeps_its_best_too(
             self._ends_at = 0.0
 
     monkeypatch.setattr(job_process.Reporter, "progress", progress)
-    job = add(repository, SPEC)
-    Jobs(Settings(data=tmp_path)).run(start(repository, job))
-    ended = row(repository, job)
+    job = add(record, SPEC)
+    Jobs(Settings(data=tmp_path)).run(start(record, job))
+    ended = row(record, job)
     assert (ended["state"], ended["failure_kind"]) == ("failed", "timeout")
     assert ended["artifacts"] == sorted(FILES)
 
 
-def test_a_checkpoint_that_is_gone_lets_the_job_begin_again(tmp_path: Path, repository: Repository) -> None:
+def test_a_checkpoint_that_is_gone_lets_the_job_begin_again(tmp_path: Path, record: Record) -> None:
     jobs = Jobs(Settings(data=tmp_path))
-    job = add(repository, SPEC)
+    job = add(record, SPEC)
     gone = Artifact(job_id=job.id, name=CHECKPOINT, sha256="ab" * 32, media_type="application/octet-stream", size=3)
-    later, _ = repository.create(SPEC, 1000, None, lambda _: {}, file=gone)
+    later, _ = record.jobs.create(SPEC, 1000, None, lambda _: {}, file=gone)
     assert later is not None
-    jobs.run(start(repository, later))
-    assert row(repository, later)["state"] == "succeeded"
+    jobs.run(start(record, later))
+    assert row(record, later)["state"] == "succeeded"

@@ -1,4 +1,5 @@
 """Leases of jobs: the writes of a running attempt to the record, and the return of jobs whose attempt has ended early.
+Here is also the only function that changes a job's state.
 
 An attempt is fenced: its writes carry its number and change nothing once the job has been taken back, finished or
 given to a later attempt.
@@ -17,9 +18,9 @@ from sqlalchemy.sql.elements import ColumnElement
 from services.errors import InvalidRequest, without_folders
 from services.jobs import totals
 from services.jobs.asset_uses import titles, uploads_of
+from services.jobs.database import Database, now
 from services.jobs.listed import listed, listed_outcome
-from services.jobs.models import Artifact, Event, Job, State
-from services.jobs.transactions import Transactions, not_held
+from services.jobs.models import Artifact, Campaign, CampaignState, Event, Job, State
 from services.pipeline.warning import JobWarning
 
 ACTIVE = (State.RUNNING, State.CANCELLING)
@@ -44,22 +45,25 @@ class Standing(Enum):
     LOST = "lost"
 
 
-class Attempts(Transactions):
+class Leases:
     """Leases of jobs, and the writes of the attempts that hold them."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
 
     def lease(self, job_id: str, owner: str, seconds: float) -> Attempt | None:
         """Leases a queued job to `owner` for `seconds`. Returns None if the job is not queued any more, e.g. because
         another worker was quicker, or if its campaign is paused.
         """
-        with self._write() as session:
-            job = self._move(
+        with self._database.write() as session:
+            job = change_state(
                 session,
                 job_id,
                 State.RUNNING,
-                [Job.state == State.QUEUED, not_held()],
+                [Job.state == State.QUEUED, not_paused()],
                 attempt=Job.attempt + 1,
                 lease_owner=owner,
-                lease_until=self._now(session) + timedelta(seconds=seconds),
+                lease_until=now(session) + timedelta(seconds=seconds),
                 phase=None,
                 step=None,
                 steps=None,
@@ -70,7 +74,7 @@ class Attempts(Transactions):
 
     def standing(self, attempt: Attempt) -> Standing:
         """Reads whether the attempt should go on."""
-        with self._read() as session:
+        with self._database.read() as session:
             found = session.execute(select(Job.state, Job.attempt).where(Job.id == attempt.job_id)).one_or_none()
         if found is None or found.attempt != attempt.number or found.state not in ACTIVE:
             return Standing.LOST
@@ -78,8 +82,8 @@ class Attempts(Transactions):
 
     def renew(self, attempt: Attempt, seconds: float) -> Standing:
         """Extends the lease to `seconds` from now. Returns the attempt's standing."""
-        with self._write() as session:
-            until = self._now(session) + timedelta(seconds=seconds)
+        with self._database.write() as session:
+            until = now(session) + timedelta(seconds=seconds)
             session.execute(update(Job).where(*_fence(attempt)).values(lease_until=until))
         return self.standing(attempt)
 
@@ -88,19 +92,19 @@ class Attempts(Transactions):
         values: dict[str, Any] = {"phase": phase, "step": step, "steps": steps, "events": Job.events + 1}
         if rows:
             values |= _reached(rows[-1]["step"], rows[-1].get("queries", 0))
-        with self._write() as session:
+        with self._database.write() as session:
             mine = select(Job.phase, Job.phase_at).where(*_fence(attempt))
             before = session.execute(mine.with_for_update()).one_or_none()
-            now = self._now(session)
+            at = now(session)
             if before is not None and before.phase != phase:
-                values["phase_at"] = now
+                values["phase_at"] = at
             number = session.scalar(update(Job).where(*_fence(attempt)).values(values).returning(Job.events))
             if before is None or number is None:
                 return False
             if before.phase != phase and before.phase_at is not None:
-                totals.count_stage(session, before.phase, (now - before.phase_at).total_seconds())
+                totals.count_stage(session, before.phase, (at - before.phase_at).total_seconds())
             data = {"phase": phase, "step": step, "steps": steps, "rows": list(rows)}
-            session.add(Event(job_id=attempt.job_id, number=number, kind="progress", data=data, created_at=now))
+            session.add(Event(job_id=attempt.job_id, number=number, kind="progress", data=data, created_at=at))
             return True
 
     def succeed(
@@ -109,7 +113,7 @@ class Attempts(Transactions):
         """Records the result; the artifacts' bytes must be in the store already. Returns False if fenced off."""
         reached = _reached(outcome["steps"], outcome["queries"]) if "queries" in outcome else {}
         reached |= listed_outcome(outcome)
-        with self._write() as session:
+        with self._database.write() as session:
             ended = self._end(session, attempt, State.SUCCEEDED, result=result, outcome=outcome, **reached)
             if ended:
                 session.add_all(artifacts)
@@ -120,12 +124,12 @@ class Attempts(Transactions):
         False if the attempt was fenced off.
         """
         why = {"failure_kind": kind, "failure_detail": without_folders(detail)}
-        with self._write() as session:
+        with self._database.write() as session:
             return self._end_early(session, attempt, State.FAILED, artifacts, **why)
 
     def reject(self, attempt: Attempt, error: InvalidRequest) -> bool:
         """Ends a job whose request cannot run. Returns False if the attempt was fenced off."""
-        with self._write() as session:
+        with self._database.write() as session:
             said = [{"field": error.field, "detail": without_folders(error.detail)}]
             return self._end(session, attempt, State.REJECTED, errors=said)
 
@@ -134,7 +138,7 @@ class Attempts(Transactions):
         and what its sender is warned of. Changes nothing if the attempt was fenced off.
         """
         said = [one.model_dump(mode="json") for one in warnings]
-        with self._write() as session:
+        with self._database.write() as session:
             names = listed(spec, titles(session, uploads_of(spec)))
             values = {"checked": True, "spec": spec, "digest": digest, "warnings": said, **names}
             session.execute(update(Job).where(*_fence(attempt)).values(values))
@@ -143,7 +147,7 @@ class Attempts(Transactions):
         """Records that the attempt stopped because the job was cancelled, and the files of what it had found. Returns
         False if it was fenced off.
         """
-        with self._write() as session:
+        with self._database.write() as session:
             return self._end_early(session, attempt, State.CANCELLED, artifacts)
 
     def _end_early(
@@ -157,26 +161,26 @@ class Attempts(Transactions):
 
     def _end(self, session: Session, attempt: Attempt, to: State, **values: Any) -> bool:
         values |= {"lease_owner": None, "lease_until": None}
-        return self._move(session, attempt.job_id, to, _fence(attempt)[1:], **values) is not None
+        return change_state(session, attempt.job_id, to, _fence(attempt)[1:], **values) is not None
 
     def give_back(self, attempt: Attempt) -> None:
         """Queues the job again when its worker is shut down. The attempt does not count as lost."""
-        with self._write() as session:
+        with self._database.write() as session:
             self._return(session, attempt, lost=0, max_attempts=1)
 
     def lose(self, attempt: Attempt, max_attempts: int, why: str = DIED) -> None:
         """Queues the job again after its attempt was lost, or fails it after `max_attempts` such losses in a row that
         came before the attempt had got further than those before. `why` is the part of a sentence that says the reason.
         """
-        with self._write() as session:
+        with self._database.write() as session:
             self._return(session, attempt, lost=1, max_attempts=max_attempts, why=why)
 
     def take_back(self, max_attempts: int, owner: str | None = None) -> list[str]:
         """Ends all attempts whose lease has lapsed, or that the dead worker `owner` holds, as `lose` does. Returns the
         ids of their jobs.
         """
-        with self._write() as session:
-            gone = Job.lease_until < self._now(session)
+        with self._database.write() as session:
+            gone = Job.lease_until < now(session)
             if owner is not None:
                 gone = or_(gone, Job.lease_owner == owner)
             ended = select(Job.id, Job.attempt).where(Job.state.in_(ACTIVE), gone)
@@ -187,7 +191,7 @@ class Attempts(Transactions):
         return [job_id for job_id, _ in found]
 
     def _return(self, session: Session, attempt: Attempt, *, lost: int, max_attempts: int, why: str = DIED) -> None:
-        self._lock(session, attempt.job_id)
+        lock(session, attempt.job_id)
         fence = _fence(attempt)[1:]
         free: dict[str, Any] = {"lease_owner": None, "lease_until": None}
         job = session.get(Job, attempt.job_id)
@@ -197,7 +201,7 @@ class Attempts(Transactions):
             came = distance(job.phase, job.step)
             further = came > job.furthest
             free |= {"lost": 0 if further else job.lost + 1, "furthest": max(came, job.furthest)}
-        if self._move(session, attempt.job_id, State.CANCELLED, [*fence, Job.state == State.CANCELLING], **free):
+        if change_state(session, attempt.job_id, State.CANCELLED, [*fence, Job.state == State.CANCELLING], **free):
             return
         if lost:
             reason = {
@@ -205,9 +209,9 @@ class Attempts(Transactions):
                 "failure_detail": f"{why}, {max_attempts} times in a row without getting any further",
             }
             if free["lost"] >= max_attempts:
-                self._move(session, attempt.job_id, State.FAILED, fence, **free, **reason)
+                change_state(session, attempt.job_id, State.FAILED, fence, **free, **reason)
                 return
-        self._move(session, attempt.job_id, State.QUEUED, fence, **free, phase_at=None)
+        change_state(session, attempt.job_id, State.QUEUED, fence, **free, phase_at=None)
 
 
 def _reached(step: int, queries: int) -> dict[str, Any]:
@@ -223,3 +227,53 @@ def distance(phase: str | None, step: int | None) -> int:
 
 def _fence(attempt: Attempt) -> list[ColumnElement[bool]]:
     return [Job.id == attempt.job_id, Job.attempt == attempt.number, Job.state.in_(ACTIVE)]
+
+
+def change_state(
+    session: Session, job_id: str, to: State, where: Sequence[ColumnElement[bool]], **values: Any
+) -> Job | None:
+    """Changes a job's state if it meets the conditions `where`, and records the event; otherwise returns None."""
+    lock(session, job_id)
+    at = now(session)
+    ended = {"ended_at": at} if to.terminal else {}
+    changed = (
+        update(Job)
+        .where(Job.id == job_id, *where)
+        .values({"state": to, f"{to.value}_at": at, "events": Job.events + 1, **ended, **values})
+        .returning(Job)
+        .execution_options(synchronize_session=False, populate_existing=True)
+    )
+    job = session.scalars(changed).one_or_none()
+    if job is not None:
+        session.add(Event(job_id=job_id, number=job.events, kind="state", data=story(job), created_at=at))
+        if to is State.RUNNING and job.queued_at is not None:
+            totals.count_stage(session, "waiting", (at - job.queued_at).total_seconds())
+        if to.terminal:
+            totals.count_end(session, job, None if job.phase_at is None else (at - job.phase_at).total_seconds())
+    return job
+
+
+def lock(session: Session, job_id: str) -> None:
+    """Holds a job's row until the transaction ends, so that what is read of it stays true until it is changed.
+
+    SQLite needs no such lock: it has one writer at a time.
+    """
+    session.execute(select(Job.id).where(Job.id == job_id).with_for_update())
+
+
+def story(job: Job) -> dict[str, Any]:
+    """The data of a state event: state and attempt; of a job that has ended the outcome, failure or bad fields."""
+    data: dict[str, Any] = {"state": job.state.value, "attempt": job.attempt}
+    if job.state == State.SUCCEEDED:
+        data["outcome"] = job.outcome
+    if job.state == State.REJECTED:
+        data["errors"] = job.errors
+    if job.state == State.FAILED:
+        data["failure"] = {"kind": job.failure_kind, "detail": job.failure_detail}
+    return data
+
+
+def not_paused() -> ColumnElement[bool]:
+    """The condition that a queued job may run: it belongs to no campaign, or to one that is not paused."""
+    paused = select(Campaign.id).where(Campaign.state == CampaignState.PAUSED)
+    return or_(Job.campaign_id.is_(None), Job.campaign_id.not_in(paused))

@@ -1,22 +1,27 @@
-"""The record of jobs. All SQL of the service is in this module, `attempts`, `turns` and `transactions`.
+"""Jobs in the record, as clients see and change them. What workers do with them is in `leases`.
 
 Every change of a job is one transaction together with its event; a result and its artifacts are one, too.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import timedelta
 from functools import partial
 from hashlib import sha256
 from typing import Any
+from uuid import uuid4
 
-from sqlalchemy import Select, func, select, text
+from sqlalchemy import ColumnElement, Select, delete, func, or_, select
 from sqlalchemy.orm import Session, defer, undefer
 
-from services.errors import QuotaExceeded
-from services.jobs.asset_uses import check_held, uploads_of
-from services.jobs.models import Artifact, Event, IdempotencyKey, Job, JobKind, State
-from services.jobs.placement import NO_DEMAND, Demand
-from services.jobs.turns import Turns
+from services.errors import InUse, QuotaExceeded
+from services.jobs import totals
+from services.jobs.asset_uses import check_held, refer_from_job, titles, uploads_of
+from services.jobs.database import Database, now
+from services.jobs.leases import change_state, lock, story
+from services.jobs.listed import listed
+from services.jobs.models import Artifact, Campaign, CampaignJob, Event, IdempotencyKey, Job, JobKind, State
+from services.jobs.placement import NO_DEMAND, Demand, targets_of
 from services.pipeline.names_known import check_meshes
 from services.pipeline.rerendering_spec import RerenderingSpec
 from services.pipeline.spec import JobSpec, digest
@@ -56,20 +61,18 @@ class News:
     ended: bool
 
 
-_AT_ONCE = 500
+PAGE_ROWS = 500
 """Rows that one query reads at most of what may be long."""
+JOBS_PER_DELETION = 200
+"""Jobs that one transaction deletes, and hashes that one query looks for."""
 _AS_LISTED = (defer(Job.spec), defer(Job.result))
 
 
-class Repository(Turns):
-    """The record of jobs: what clients do with it, and from `Turns` and `Attempts` what the queue and workers do."""
+class Jobs:
+    """Jobs as clients see them, submit, cancel and delete them."""
 
-    # Operations of clients
-
-    def ping(self) -> None:
-        """Raises SQLAlchemyError if the database does not answer."""
-        with self._read() as session:
-            session.execute(text("SELECT version_num FROM alembic_version"))  # SQLite reads the file for this
+    def __init__(self, database: Database) -> None:
+        self._database = database
 
     def create(
         self,
@@ -93,7 +96,7 @@ class Repository(Turns):
         Raises QueueFull if `max_queued` jobs are queued, QuotaExceeded if the owner has `owner_queued` of them,
         KeyReused if the key came with another request, and InvalidRequest if a mesh of the request was deleted.
         """
-        with self._write(durable=True) as session:
+        with self._database.write(durable=True) as session:
             if key is not None and (first := _first_answer(session, key)) is not None:
                 return None, first
             single = (Job.state == State.QUEUED, Job.campaign_id.is_(None))  # campaigns have a limit of their own
@@ -105,7 +108,7 @@ class Repository(Turns):
                     raise QuotaExceeded(f"an owner may have {owner_queued:,} jobs queued", QUEUED_SECONDS)
             request = spec.model_dump(mode="json")
             check_held(session, uploads_of(request), partial(check_meshes, spec.scene))
-            job = self._add_job(
+            job = add_job(
                 session,
                 request,
                 seed=spec.seed if isinstance(spec, JobSpec) else 0,
@@ -128,12 +131,12 @@ class Repository(Turns):
 
     def first_answer(self, key: Key) -> dict[str, Any] | None:
         """The answer to the first request with this key, or None for a new key. Raises KeyReused."""
-        with self._read() as session:
+        with self._database.read() as session:
             return _first_answer(session, key)
 
     def line(self, job_id: str) -> Job | None:
         """An attack or re-rendering without its request and result, as lists show it; None if the id is unknown."""
-        with self._read() as session:
+        with self._database.read() as session:
             job = session.get(Job, job_id, options=_AS_LISTED)
             return None if job is None or job.kind is JobKind.SELECTION else job
 
@@ -141,13 +144,13 @@ class Repository(Turns):
         """An attack or re-rendering, or None if the id is unknown. The result, which may be large, is read only if
         `with_result`.
         """
-        with self._read() as session:
+        with self._database.read() as session:
             job = session.get(Job, job_id, options=[undefer(Job.result)] if with_result else [])
             return None if job is None or job.kind is JobKind.SELECTION else job
 
     def work(self, job_id: str) -> Job | None:
         """A job of any kind, without its result, or None if the id is unknown."""
-        with self._read() as session:
+        with self._database.read() as session:
             return session.get(Job, job_id)
 
     def request_cancel(self, job_id: str) -> Job | None:
@@ -155,9 +158,9 @@ class Repository(Turns):
 
         Returns the job, or None if the id is unknown.
         """
-        with self._write() as session:
-            if self._move(session, job_id, State.CANCELLED, [Job.state == State.QUEUED]) is None:
-                self._move(session, job_id, State.CANCELLING, [Job.state == State.RUNNING])
+        with self._database.write() as session:
+            if change_state(session, job_id, State.CANCELLED, [Job.state == State.QUEUED]) is None:
+                change_state(session, job_id, State.CANCELLING, [Job.state == State.RUNNING])
             return session.get(Job, job_id)
 
     def news(self, seen: Mapping[str, int]) -> dict[str, News]:
@@ -165,9 +168,9 @@ class Repository(Turns):
         there is nothing new.
         """
         found = {}
-        with self._read() as session:
-            for start in range(0, len(seen), _AT_ONCE):
-                ids = list(seen)[start : start + _AT_ONCE]
+        with self._database.read() as session:
+            for start in range(0, len(seen), PAGE_ROWS):
+                ids = list(seen)[start : start + PAGE_ROWS]
                 rows = session.execute(select(Job.id, Job.state, Job.events).where(Job.id.in_(ids)))
                 standing = {row.id: row for row in rows}
                 for job_id in ids:
@@ -175,25 +178,115 @@ class Repository(Turns):
                     if now is None:
                         found[job_id] = News([], True)
                     elif now.events > seen[job_id]:
-                        events = list(session.scalars(_events(job_id, seen[job_id], _AT_ONCE)))
+                        events = list(session.scalars(_events(job_id, seen[job_id], PAGE_ROWS)))
                         last = events[-1].number if events else now.events  # none: it was deleted meanwhile
                         found[job_id] = News(events, now.state.terminal and last >= now.events)
         return found
 
-    def events(self, job_id: str, after: int, limit: int = _AT_ONCE) -> list[Event]:
+    def events(self, job_id: str, after: int, limit: int = PAGE_ROWS) -> list[Event]:
         """At most `limit` events of a job with a number above `after`, in order."""
-        with self._read() as session:
+        with self._database.read() as session:
             return list(session.scalars(_events(job_id, after, limit)))
 
     def artifacts(self, job_id: str) -> list[Artifact]:
         """The artifacts of a job, sorted by name."""
-        with self._read() as session:
+        with self._database.read() as session:
             return list(session.scalars(select(Artifact).where(Artifact.job_id == job_id).order_by(Artifact.name)))
 
     def artifact(self, job_id: str, name: str) -> Artifact | None:
         """An artifact of a job, or None if there is none of this name."""
-        with self._read() as session:
+        with self._database.read() as session:
             return session.get(Artifact, (job_id, name))
+
+    def delete(self, job_id: str) -> list[str]:
+        """Deletes a job and returns the hashes of its files. Does nothing if there is no such job.
+
+        Raises InUse if the job has not ended or a campaign refers to it.
+        """
+        with self._database.write() as session:
+            lock(session, job_id)
+            found = session.execute(select(Job.state).where(Job.id == job_id)).one_or_none()
+            if found is None:
+                return []
+            if not found.state.terminal:
+                raise InUse(f"the job is {found.state.value}; cancel it, and delete it once it has ended")
+            campaign = session.scalar(select(CampaignJob.campaign_id).where(CampaignJob.job_id == job_id).limit(1))
+            if campaign is not None:
+                raise InUse(f"the campaign {campaign} refers to the job")
+            return self._delete(session, [job_id])
+
+    def expire(self, days: float) -> list[str]:
+        """Deletes campaigns that ended more than `days` ago, and at most `JOBS_PER_DELETION` jobs that did and to which
+        no campaign refers. Returns the hashes of their files.
+        """
+        with self._database.write() as session:
+            before = now(session) - timedelta(days=days)
+            session.execute(delete(Campaign).where(Campaign.ended_at < before))
+            ended = func.coalesce(Job.succeeded_at, Job.failed_at, Job.rejected_at, Job.cancelled_at)
+            over = Job.state.in_([state for state in State if state.terminal])
+            old = select(Job.id).where(over, ended < before, _of_no_campaign()).order_by(Job.id)
+            old = old.limit(JOBS_PER_DELETION)
+            return self._delete(session, session.scalars(old.with_for_update()).all())
+
+    def unnamed(self, hashes: Collection[str]) -> set[str]:
+        """Those of some hashes that no job's artifact has."""
+        left, asked = set(hashes), sorted(hashes)
+        with self._database.read() as session:
+            for start in range(0, len(asked), JOBS_PER_DELETION):
+                some = asked[start : start + JOBS_PER_DELETION]
+                left -= set(session.scalars(select(Artifact.sha256).where(Artifact.sha256.in_(some))))
+        return left
+
+    def _delete(self, session: Session, ids: Sequence[str]) -> list[str]:
+        hashes = session.scalars(select(Artifact.sha256).where(Artifact.job_id.in_(ids)).distinct()).all()
+        session.execute(delete(Job).where(Job.id.in_(ids)))  # the rest of a job's rows go with it
+        return list(hashes)
+
+
+def add_job(
+    session: Session,
+    spec: dict[str, Any],
+    *,
+    seed: int = 0,
+    kind: JobKind = JobKind.ATTACK,
+    digest: str | None = None,
+    campaign_id: str | None = None,
+    warnings: Sequence[JobWarning] = (),
+    checked: bool = True,
+    owner: str = "",
+    demand: Demand = NO_DEMAND,
+    retry_of: str | None = None,
+) -> Job:
+    """Records a new queued job and its first event."""
+    at = now(session)
+    job = Job(
+        id=uuid4().hex,
+        state=State.QUEUED,
+        spec=spec,
+        seed=seed,
+        created_at=at,
+        queued_at=at,
+        kind=kind,
+        digest=digest,
+        campaign_id=campaign_id,
+        attempt=0,
+        lost=0,
+        checked=checked,
+        owner=owner,
+        priority=demand.priority,
+        needs=demand.needs(targets_of(spec)).text,
+        warnings=[one.model_dump(mode="json") for one in warnings],
+        events=1,
+        retry_of=retry_of,
+        **(listed(spec, titles(session, uploads_of(spec))) if kind is not JobKind.SELECTION else {}),
+    )
+    session.add(job)
+    session.flush()
+    if kind is not JobKind.SELECTION:  # selections belong to a campaign, which refers to the meshes itself
+        refer_from_job(session, job.id, uploads_of(spec))
+    session.add(Event(job_id=job.id, number=1, kind="state", data=story(job), created_at=at))
+    totals.count(session, "submitted", kind.value)
+    return job
 
 
 def _events(job_id: str, after: int, limit: int) -> Select[Event]:
@@ -207,3 +300,9 @@ def _first_answer(session: Session, key: Key) -> dict[str, Any] | None:
     if first.digest != key.digest:
         raise KeyReused
     return first.answer
+
+
+def _of_no_campaign() -> ColumnElement[bool]:
+    named = select(CampaignJob.job_id).where(CampaignJob.job_id == Job.id).exists()
+    there = select(Campaign.id).where(Campaign.id == Job.campaign_id).exists()
+    return ~named & or_(Job.campaign_id.is_(None), ~there)
