@@ -1,4 +1,4 @@
-"""The OpenAPI document's description of the API and of its errors."""
+"""The OpenAPI document's description of the API, its errors and its examples."""
 
 import json
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import Any
 
 from fastapi import FastAPI
 
-from api.auth_rules import OPEN, RULES
+from api.access.rules import OPEN, RULES
 from api.problems import MEDIA_TYPE, ProblemDetails
 
 DESCRIPTION = """\

@@ -17,42 +17,24 @@ from starlette.middleware import Middleware
 from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
 
 from api import dashboard
-from api.audit import Audit
-from api.authentication import Authentication
+from api.access.audit import Audit, RequestId
+from api.access.authentication import Authentication
+from api.access.limits import BodyLimit, NoNul, OpenUploads, Utf8Forms
+from api.access.sites import KnownHosts, SameSite
 from api.checks import Checks, Exporter
 from api.conditional import Conditional
 from api.dashboard import asset_form
 from api.dashboard.error_pages import ErrorPages, show_mistakes
 from api.description import TAGS, describe
-from api.hosts import KnownHosts
-from api.limits import BodyLimit, NoNul, Utf8Forms
-from api.list_watcher import ListWatcher
-from api.mesh_uploads import MeshUploads
 from api.metrics import Measured, RequestMetrics, ServiceMetrics
-from api.open_uploads import OpenUploads
 from api.problems import Answers, install
 from api.reading import Reading
-from api.request_id import RequestId
-from api.routes import (
-    artifacts,
-    assets,
-    campaigns,
-    continuing,
-    events,
-    exports,
-    health,
-    job_exports,
-    jobs,
-    library,
-    previews,
-    rerenderings,
-)
-from api.routes import metrics as scraping
-from api.same_site import SameSite
+from api.routes import artifacts, assets, campaigns, job_exports, jobs, rerenderings, service
 from api.state import Services
 from api.submissions import Submissions
+from api.uploads import MeshUploads
 from api.warm_pool import WarmPool, WarmProcess
-from api.watcher import Watcher
+from api.watchers import ListWatcher, Watcher
 from services.access.assets import OwnedAssets
 from services.access.caller import Caller
 from services.access.keys import AccessKeys
@@ -196,22 +178,7 @@ def create_app(values: Settings) -> FastAPI:
             Middleware(BodyLimit, uploads=dict.fromkeys(_UPLOADS, values.max_upload_bytes)),
         ],
     )
-    for part in (
-        job_exports,
-        jobs,
-        continuing,
-        campaigns,
-        events,
-        artifacts,
-        previews,
-        exports,
-        rerenderings,
-        assets,
-        library,
-        health,
-        scraping,
-        dashboard,
-    ):
+    for part in (job_exports, jobs, campaigns, artifacts, rerenderings, assets, service, dashboard):
         app.include_router(part.router)
     app.state.metrics = metrics
     install(app)

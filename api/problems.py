@@ -18,7 +18,6 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Match
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from api.request_id import HEADER
 from api.schemas import BadField
 from api.warm_pool import Unavailable
 from services.errors import InUse, InvalidRequest, QuotaExceeded, without_folders
@@ -35,6 +34,8 @@ from services.pipeline.spec import JobSpec, named
 from services.strict import Strict
 
 MEDIA_TYPE = "application/problem+json"
+REQUEST_ID = "X-Request-ID"
+"""The header with the id of a request, which is in the lines of the log about it, too."""
 MAX_DETAIL = 5000
 """Characters of the error in words, which repeats the first invalid fields."""
 _METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE")
@@ -172,7 +173,7 @@ def install(app: FastAPI) -> None:
     def _unexpected(request: Request, error: Exception) -> Response:
         log.error("request failed", method=request.method, path=request.url.path, exc_info=error)
         # The server closes the connection after this, so a client must not send its next request on it.
-        headers = {"Connection": "close", HEADER: request.scope.get("request_id", "")}
+        headers = {"Connection": "close", REQUEST_ID: request.scope.get("request_id", "")}
         return problem(500, "the service made a mistake; its log says which", headers=headers)
 
 

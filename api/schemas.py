@@ -1,17 +1,17 @@
-"""The schemas of the API's responses. The Python client reads answers into them, so that nothing here imports the
-database or the framework.
+"""The schemas of the API's answers, and of the requests that are no job or campaign.
+
+The Python client reads answers into them, so that nothing here imports the database or the framework.
 """
 
-import base64
-import binascii
+import re
 from dataclasses import asdict
 from datetime import datetime
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
-from pydantic import BaseModel, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from services.analysis.requests import RerenderingRequest
-from services.errors import InvalidRequest, without_folders
+from services.errors import without_folders
 from services.jobs.placement import Priority
 from services.jobs.states import CampaignState, JobKind, State, times_of
 from services.pipeline.campaign_plan import ChosenView
@@ -25,7 +25,9 @@ from services.pipeline.spec import JobSpec, TargetChoice
 from services.pipeline.warning import JobWarning
 from services.scenes.description import Model, Scene
 from services.scenes.library import Entry
+from services.strict import Strict
 from services.targets.info import TargetInfo
+from services.written_text import line, line_or_nothing, paragraphs
 
 if TYPE_CHECKING:
     from services.extensions import Extension
@@ -335,25 +337,6 @@ def _shown(error: str | None) -> str | None:
     return None if error is None else without_folders(error)
 
 
-def cursor_after(campaign: "Campaign") -> str:
-    """The cursor of the page that begins after this campaign."""
-    return base64.urlsafe_b64encode(f"{campaign.created_at.isoformat()} {campaign.id}".encode()).decode().rstrip("=")
-
-
-def read_cursor(cursor: str) -> tuple[datetime, str]:
-    """The (created_at, id) after which the cursor's page begins. Raises InvalidRequest("cursor")."""
-    try:
-        time, job_id = base64.urlsafe_b64decode(cursor + "=" * (-len(cursor) % 4)).decode().split(" ")
-        place = datetime.fromisoformat(time)
-        if place.tzinfo is None:
-            raise ValueError("no time zone")
-        if not job_id.isalnum():
-            raise ValueError("no id")
-    except (ValueError, binascii.Error) as error:
-        raise InvalidRequest("cursor", "take it from `next` of the page before") from error
-    return place, job_id
-
-
 class CampaignProgress(BaseModel):
     """How far a campaign is: first in views, then in jobs."""
 
@@ -476,3 +459,47 @@ def _campaign_fields(campaign: "Campaign", progress: "Progress") -> dict[str, An
             "running": progress.running,
         },
     }
+
+
+TAG_PATTERN = re.compile(r'[^\s,:"\x00-\x1f\x7f-\x9f]{1,50}')
+TAG_WORDS = "a tag has 1 to 50 characters, without spaces, commas, colons and quotation marks"
+MOST_TAGS = 20
+
+
+def _tag(text: str) -> str:
+    if TAG_PATTERN.fullmatch(line(text)) is None:
+        raise ValueError(f"{TAG_WORDS}, not {text[:60]!r}")
+    return text
+
+
+Tag = Annotated[str, Field(json_schema_extra={"pattern": f"^{TAG_PATTERN.pattern}$"}), AfterValidator(_tag)]
+
+
+def is_tag(text: str) -> bool:
+    """Whether a job may have this tag."""
+    try:
+        _tag(text)
+    except ValueError:
+        return False
+    return True
+
+
+class JobEdit(Strict):
+    """Changes of what people have said about a job. Fields that are left out stay as they are."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    title: Annotated[str, Field(max_length=100), AfterValidator(line_or_nothing)] | None = Field(
+        None, description='a name that a person gives the job; "" or null for none'
+    )
+    tags: Annotated[list[Tag], Field(max_length=MOST_TAGS)] | None = Field(
+        None, description="all tags of the job, each without spaces, commas, colons and quotation marks; null for none"
+    )
+    note: Annotated[str, Field(max_length=10_000), AfterValidator(paragraphs)] | None = Field(
+        None, description='a text; "" or null for none'
+    )
+
+    def changes(self) -> dict[str, object]:
+        """The columns to write."""
+        found = {name: getattr(self, name) for name in self.model_fields_set}
+        return {name: (value or []) if name == "tags" else value or None for name, value in found.items()}

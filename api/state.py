@@ -5,14 +5,13 @@ from typing import Annotated
 
 from fastapi import Depends, HTTPException, Request
 
-from api.authentication import CallerDependency
+from api.access.authentication import CallerDependency
 from api.checks import Checks, Exporter
-from api.list_watcher import ListWatcher
-from api.mesh_uploads import MeshUploads
 from api.reading import Reading
 from api.submissions import Submissions
+from api.uploads import MeshUploads
 from api.warm_pool import WarmPool
-from api.watcher import Watcher
+from api.watchers import ListWatcher, Watcher
 from services.access.assets import OwnedAssets
 from services.access.caller import Caller
 from services.access.keys import AccessKeys
@@ -27,7 +26,6 @@ from services.jobs.queue import Queue
 from services.jobs.record import Record
 from services.jobs.storage import Storage
 from services.names import Names
-from services.pipeline.names_known import names_in
 from services.scenes.library import Library
 
 
@@ -83,7 +81,7 @@ KnownJob = Annotated[Job, Depends(known_job)]
 
 def names_of(services: Services, caller: Caller) -> Names:
     """The context in which the names in a caller's request are looked up."""
-    return names_in(services.library, services.assets.visible(caller))
+    return services.submissions.names(caller)
 
 
 def no_such(what: str) -> HTTPException:

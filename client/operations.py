@@ -15,7 +15,6 @@ from urllib.parse import quote
 
 from pydantic import BaseModel
 
-from api.job_edit import JobEdit
 from api.schemas import (
     ArtifactList,
     AssetList,
@@ -23,6 +22,7 @@ from api.schemas import (
     CampaignPage,
     CampaignView,
     Health,
+    JobEdit,
     JobPage,
     JobTable,
     JobView,

@@ -9,7 +9,7 @@ from fastapi.responses import RedirectResponse
 from pydantic import BaseModel, ValidationError
 from starlette.concurrency import run_in_threadpool
 
-from api.authentication import CallerDependency, Client
+from api.access.authentication import CallerDependency, Client
 from api.dashboard.assets import EVERYTHING, grid
 from api.dashboard.pages import HEADERS
 from api.routes.assets import form_body, store

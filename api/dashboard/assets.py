@@ -10,10 +10,10 @@ from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import FileResponse
 from starlette.concurrency import run_in_threadpool
 
-from api.authentication import CallerDependency, Client
+from api.access.authentication import CallerDependency, Client
 from api.dashboard.pages import HEADERS, html
+from api.requests import while_connected
 from api.routes.artifacts import VerifiedFile
-from api.routes.connection import while_connected
 from api.schemas import Uploaded
 from api.state import Services, ServicesDependency, no_such
 from services.access.caller import Caller, Scope

@@ -11,10 +11,10 @@ from urllib.parse import urlencode
 from fastapi import APIRouter, Query, Response
 from fastapi.responses import RedirectResponse
 
-from api.authentication import CallerDependency
+from api.access.authentication import CallerDependency
+from api.cursors import campaign_cursor, read_campaign_cursor
 from api.dashboard.charts import Chart, chart
 from api.dashboard.pages import HEADERS, html
-from api.schemas import cursor_after, read_cursor
 from api.state import Services, ServicesDependency, no_such
 from services.access.caller import Caller
 from services.analysis.campaign_table import (
@@ -275,12 +275,12 @@ def _list(
     template: str, services: Services, caller: Caller, state: CampaignState | None, cursor: str | None
 ) -> Response:
     try:
-        before = None if cursor is None else read_cursor(cursor)
+        before = None if cursor is None else read_campaign_cursor(cursor)
     except InvalidRequest:
         before = None
     record = services.campaigns.record
     found = record.page(state, PAGE + 1, before, owner=caller.only)
-    older = cursor_after(found[PAGE - 1]) if len(found) > PAGE else None
+    older = campaign_cursor(found[PAGE - 1]) if len(found) > PAGE else None
     progress = record.progress([one.id for one in found])
     lines = [(one, progress[one.id]) for one in found[:PAGE]]
     return html(template, caller=caller, lines=lines, state=state, cursor=cursor, older=older)

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Response
 
-from api.authentication import CallerDependency
+from api.access.authentication import CallerDependency
 from api.dashboard.campaigns import ALONG, Along, corners, end, points, steps
 from api.dashboard.charts import Chart, overlay
 from api.dashboard.pages import html

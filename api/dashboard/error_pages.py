@@ -9,7 +9,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from api.accept import asks_for_html
+from api.access.authentication import asks_for_html
 from api.dashboard.pages import html
 from api.problems import MEDIA_TYPE
 

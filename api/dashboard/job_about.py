@@ -8,9 +8,9 @@ from fastapi import APIRouter, Form, Response
 from fastapi.responses import RedirectResponse
 from pydantic import ValidationError
 
-from api.authentication import CallerDependency
+from api.access.authentication import CallerDependency
 from api.dashboard.pages import HEADERS
-from api.job_edit import JobEdit
+from api.schemas import JobEdit
 from api.state import KnownJob, ServicesDependency, no_such
 from services.errors import InvalidFields
 from services.jobs.models import Job

@@ -10,10 +10,10 @@ from fastapi import APIRouter, Form, Query, Response
 from fastapi.responses import RedirectResponse
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 
-from api.authentication import CallerDependency
+from api.access.authentication import CallerDependency
+from api.cursors import SORT_PATTERN, read_cursor, write_cursor
 from api.dashboard.pages import HEADERS, html
-from api.job_edit import MOST_TAGS, TAG_WORDS, is_tag
-from api.job_places import SORT_PATTERN, read_cursor, write_cursor
+from api.schemas import MOST_TAGS, TAG_WORDS, is_tag
 from api.state import Services, ServicesDependency
 from services.access.caller import Caller
 from services.attacks.verdict import with_outcome

@@ -11,7 +11,7 @@ from fastapi.responses import RedirectResponse
 from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 
-from api.authentication import CallerDependency
+from api.access.authentication import CallerDependency
 from api.dashboard.pages import HEADERS, html
 from api.routes import jobs
 from api.state import Services, ServicesDependency, names_of, no_such

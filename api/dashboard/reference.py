@@ -6,7 +6,7 @@ from typing import Any
 
 from fastapi import APIRouter, Request, Response
 
-from api.authentication import CallerDependency
+from api.access.authentication import CallerDependency
 from api.dashboard.pages import html
 
 REF = "#/components/schemas/"

@@ -8,13 +8,13 @@ from typing import Any
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import RedirectResponse
 
-from api.authentication import CallerDependency
+from api.access.authentication import CallerDependency
 from api.dashboard import views
 from api.dashboard.commands import commands
 from api.dashboard.job_about import about
 from api.dashboard.pages import HEADERS, STATIC, VERSION, html
 from api.dashboard.views import all_events
-from api.routes.continuing import continued
+from api.routes.jobs import continued
 from api.state import KnownJob, Services, ServicesDependency, no_such
 from services.access.caller import Caller
 from services.jobs.artifacts import Damaged

@@ -6,7 +6,7 @@ from typing import Annotated
 from fastapi import APIRouter, Form, Query, Request, Response
 from fastapi.responses import RedirectResponse
 
-from api.authentication import COOKIE, SIGN_IN, KnownCaller
+from api.access.authentication import COOKIE, SIGN_IN, KnownCaller
 from api.dashboard.pages import HEADERS, html
 from api.state import ServicesDependency
 from services.access.caller import Caller, Scope

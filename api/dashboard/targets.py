@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from fastapi import APIRouter, Response
 
-from api.authentication import CallerDependency
+from api.access.authentication import CallerDependency
 from api.dashboard.pages import html
 from api.state import ServicesDependency
 from services.jobs.target_record import TargetRecord

@@ -1,29 +1,30 @@
-"""Routes for meshes and environment maps that users upload."""
+"""Routes for meshes and environment maps that users upload, and those that list the names a request can use."""
 
 import base64
 from collections.abc import Sequence
 from functools import partial
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, File, Form, HTTPException, Path, Request, Response, UploadFile
+from fastapi import APIRouter, Depends, File, Form, HTTPException, Path, Query, Request, Response, UploadFile
 from pydantic import BeforeValidator
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import UploadFile as StarletteUploadFile
 
-from api.authentication import CallerDependency, Client
-from api.mesh_uploads import Sent
-from api.routes.connection import while_connected
-from api.schemas import AssetList, Uploaded
+from api.access.authentication import CallerDependency, Client
+from api.requests import while_connected
+from api.schemas import AssetList, SceneLibrary, TargetList, Uploaded
 from api.state import Services, ServicesDependency, no_such
+from api.uploads import Sent
 from services.access.caller import Caller
 from services.logs import logger
 from services.pipeline.thumbnail import picture_of, thumbnail_spec
 from services.scenes.bundle import MAX_FILES, MAX_NAME, About, Credit, Licence, Title, Up
 from services.scenes.library import Entry
+from services.targets.info import available
 
 PATH = "/v1/assets"
 Digest = Annotated[str, Path(description="the 64 digits after `sha256:` in the upload's name")]
-router = APIRouter(prefix=PATH, tags=["assets"])
+router = APIRouter(prefix="/v1")
 log = logger(__name__)
 
 
@@ -39,7 +40,7 @@ def form_body(request: Request) -> None:
         raise HTTPException(415, "send the mesh as multipart/form-data, as the part `file`")
 
 
-@router.post("", status_code=201, dependencies=[Depends(form_body)])
+@router.post("/assets", tags=["assets"], status_code=201, dependencies=[Depends(form_body)])
 async def upload_asset(
     services: ServicesDependency,
     caller: CallerDependency,
@@ -94,7 +95,7 @@ async def store(
     return await services.uploads.add(sent, client, adding)
 
 
-@router.get("")
+@router.get("/assets", tags=["assets"])
 def list_assets(services: ServicesDependency, caller: CallerDependency) -> AssetList:
     """Lists the uploaded meshes and environment maps."""
     may_see = services.assets.visible(caller)
@@ -113,7 +114,7 @@ def known_upload(sha256: Digest, services: ServicesDependency, caller: CallerDep
 KnownUpload = Annotated[str, Depends(known_upload)]
 
 
-@router.get("/{sha256}")
+@router.get("/assets/{sha256}", tags=["assets"])
 def get_asset(name: KnownUpload, services: ServicesDependency) -> Uploaded:
     """Returns an upload's name, licence and credit, and what is shown of its files."""
     entry = services.library.entry(name)
@@ -122,7 +123,12 @@ def get_asset(name: KnownUpload, services: ServicesDependency) -> Uploaded:
     return Uploaded.of(entry)
 
 
-@router.get("/{sha256}/thumbnail", response_class=Response, responses={200: {"content": {"image/png": {}}}})
+@router.get(
+    "/assets/{sha256}/thumbnail",
+    tags=["assets"],
+    response_class=Response,
+    responses={200: {"content": {"image/png": {}}}},
+)
 async def download_thumbnail(
     name: KnownUpload, services: ServicesDependency, caller: CallerDependency, client: Client, request: Request
 ) -> Response:
@@ -144,7 +150,7 @@ async def download_thumbnail(
     return Response(kept, media_type="image/png", headers=headers)
 
 
-@router.delete("/{sha256}", status_code=204)
+@router.delete("/assets/{sha256}", tags=["assets"], status_code=204)
 def delete_asset(
     sha256: Digest,
     services: ServicesDependency,
@@ -162,3 +168,33 @@ def delete_asset(
         services.deleted_assets.remove(name)
     except OSError as error:
         log.warning("files of a deleted upload are removed later", asset=name, error=str(error))
+
+
+Filter = Annotated[str | None, Query(max_length=200)]
+
+
+@router.get("/scenes", tags=["assets"], response_model=SceneLibrary)
+def get_scene_library(
+    services: ServicesDependency,
+    caller: CallerDependency,
+    category: Filter = None,
+    creator: Filter = None,
+    licence: Filter = None,
+    search: Filter = None,
+) -> Response:
+    """Lists the meshes that match all given filters, the environment maps, of uploads those that match, and their
+    credits.
+    """
+    found = services.library.entries(category, creator, licence, search, services.assets.visible(caller))
+    meshes = [entry for entry in found if entry.kind != "environment"]
+    uploaded_maps = [entry for entry in found if entry.kind == "environment"]
+    environments = [*services.library.environments(), *uploaded_maps]
+    credits_ = {entry.credit for entry in [*meshes, *environments] if entry.credit is not None}
+    listed = SceneLibrary(meshes=meshes, environments=environments, credits=sorted(credits_))
+    return Response(listed.model_dump_json(), media_type="application/json")  # the framework would validate it again
+
+
+@router.get("/targets", tags=["targets"])
+def list_targets() -> TargetList:
+    """Lists the networks that can be attacked."""
+    return TargetList(items=available())

@@ -2,14 +2,12 @@
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Header, Query, Request, Response
+from fastapi import APIRouter, Depends, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from api.authentication import CallerDependency
-from api.bodies import body_of
-from api.demands import demand
-from api.routes.connection import while_connected
-from api.routes.jobs import json_body
+from api.access.authentication import CallerDependency
+from api.cursors import campaign_cursor, read_campaign_cursor
+from api.requests import IdempotencyKey, body_of, demand, json_body, while_connected
 from api.schemas import (
     CampaignJobPage,
     CampaignJobView,
@@ -17,8 +15,6 @@ from api.schemas import (
     CampaignSummary,
     CampaignView,
     ViewList,
-    cursor_after,
-    read_cursor,
 )
 from api.state import Services, ServicesDependency, no_such
 from services.analysis.campaign_text import cases_to_csv, to_csv, to_latex
@@ -50,10 +46,7 @@ async def submit_campaign(
     caller: CallerDependency,
     request: Request,
     asked: Annotated[Demand, Depends(demand(Priority.LOW))],
-    idempotency_key: Annotated[
-        str | None,
-        Header(min_length=1, max_length=255, description="a repeated key gets the first answer again, and no new job"),
-    ] = None,
+    idempotency_key: IdempotencyKey = None,
 ) -> Any:
     """Starts a campaign.
 
@@ -85,11 +78,11 @@ def list_campaigns(
 ) -> CampaignPage:
     """Lists campaigns, newest first."""
     record = services.campaigns.record
-    found = record.page(state, limit + 1, None if cursor is None else read_cursor(cursor), caller.only)
+    found = record.page(state, limit + 1, None if cursor is None else read_campaign_cursor(cursor), caller.only)
     progress = record.progress([campaign.id for campaign in found])
     return CampaignPage(
         items=[CampaignSummary.of(campaign, progress[campaign.id]) for campaign in found[:limit]],
-        next=cursor_after(found[limit - 1]) if len(found) > limit else None,
+        next=campaign_cursor(found[limit - 1]) if len(found) > limit else None,
     )
 
 

@@ -11,7 +11,7 @@ from fastapi import APIRouter, Depends, Query
 from fastapi.responses import StreamingResponse
 from pydantic import AfterValidator, WithJsonSchema
 
-from api.authentication import CallerDependency
+from api.access.authentication import CallerDependency
 from api.routes.jobs import NEWEST, QueryText, Sort
 from api.schemas import JobRow, JobTable
 from api.state import Services, ServicesDependency

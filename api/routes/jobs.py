@@ -1,27 +1,25 @@
-"""Routes that submit, list, read and cancel jobs."""
+"""Routes that preview, submit, list, read, follow, edit, cancel, continue and delete jobs."""
 
-import re
+from collections.abc import AsyncIterator
+from contextlib import aclosing
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Header, HTTPException, Query, Request, Response
+from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.concurrency import run_in_threadpool
 
-from api.authentication import CallerDependency
-from api.bodies import body_of
-from api.demands import demand as demand_of
-from api.job_edit import JobEdit
-from api.job_places import SORT_PATTERN, read_cursor, write_cursor
-from api.routes.connection import while_connected
-from api.schemas import JobPage, JobSummary, JobView
+from api.access.authentication import CallerDependency, Client
+from api.cursors import SORT_PATTERN, read_cursor, write_cursor
+from api.requests import SUBMISSION, DemandOfQuery, IdempotencyKey, PreferredWait, body_of, json_body, while_connected
+from api.schemas import JobEdit, JobPage, JobSummary, JobView, PreviewView
 from api.state import KnownJob, Services, ServicesDependency, no_such
 from api.submissions import key_of
+from services.access.caller import Caller
 from services.jobs.job_query import EXAMPLE, LONGEST, Term, parse_query
-from services.jobs.models import State
-from services.jobs.placement import Demand, Priority
+from services.jobs.models import Job, State
+from services.pipeline.preview_record import PlannedCost
+from services.pipeline.result import CHECKPOINT
 from services.pipeline.spec import JobSpec
-
-LONGEST_WAIT = 30.0
-"""Largest N of `Prefer: wait=N`, in seconds; larger values are reduced to it."""
 
 QueryText = Annotated[
     str | None,
@@ -31,38 +29,13 @@ Sort = Annotated[
     str, Query(pattern=SORT_PATTERN, description='what to sort by; with "-" before it the greatest or newest first')
 ]
 NEWEST = "-created"
+MOST_EVENTS = 2**31 - 1
+"""Largest number of an event that a client may name."""
 
-router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
-
-
-def json_body(request: Request) -> None:
-    """Answers 415 unless the content type is JSON, which a form of another web site cannot send."""
-    kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
-    if kind != "application/json" and not re.fullmatch(r"application/[\w.-]+\+json", kind):
-        raise HTTPException(415, "send the body as application/json")
+router = APIRouter(prefix="/v1", tags=["jobs"])
 
 
-def wait_preferred(prefer: Annotated[str | None, Header()] = None) -> float | None:
-    """The seconds of `Prefer: wait=N` (RFC 7240), at most `LONGEST_WAIT`; None if the header has no such preference."""
-    found = re.search(r"(?:^|,)\s*wait\s*=\s*\"?(\d{1,9})\"?\s*(?:;[^,]*)?(?:,|$)", prefer or "", re.IGNORECASE)
-    return None if found is None else min(float(found[1]), LONGEST_WAIT)
-
-
-SUBMISSION: dict[str, Any] = {
-    "status_code": 202,
-    "responses": {200: {"model": JobView, "description": "the job has ended within the time of `Prefer: wait`"}},
-    "dependencies": [Depends(json_body)],
-}
-"""What routes have that submit a job."""
-PreferredWait = Annotated[float | None, Depends(wait_preferred)]
-DemandOfQuery = Annotated[Demand, Depends(demand_of(Priority.NORMAL))]
-IdempotencyKey = Annotated[
-    str | None,
-    Header(min_length=1, max_length=255, description="a repeated key gets the first answer again, and no new job"),
-]
-
-
-@router.post("", **SUBMISSION)
+@router.post("/jobs", **SUBMISSION)
 async def submit_job(
     spec: Annotated[JobSpec, Depends(body_of(JobSpec))],
     services: ServicesDependency,
@@ -104,7 +77,7 @@ async def answered(job: JobView, wait: float | None, services: Services, respons
     return JobView.of(ended, with_result=True)
 
 
-@router.get("", response_model=JobPage)
+@router.get("/jobs", response_model=JobPage)
 async def list_jobs(
     services: ServicesDependency,
     caller: CallerDependency,
@@ -140,7 +113,7 @@ async def list_jobs(
     return _json(await (services.reading(read) if is_short else run_in_threadpool(read)))
 
 
-@router.get("/{job_id}", response_model=JobView)
+@router.get("/jobs/{job_id}", response_model=JobView)
 async def get_job(job_id: str, services: ServicesDependency, caller: CallerDependency) -> Response:
     """Returns one job, with its result once it succeeded."""
 
@@ -166,7 +139,7 @@ def _json(text: str) -> Response:
     return Response(text, media_type="application/json")
 
 
-@router.patch("/{job_id}")
+@router.patch("/jobs/{job_id}")
 def edit_job(
     job: KnownJob,
     _: Annotated[None, Depends(json_body)],
@@ -181,7 +154,7 @@ def edit_job(
     return JobView.of(edited)
 
 
-@router.post("/{job_id}/retry", status_code=202)
+@router.post("/jobs/{job_id}/retry", status_code=202)
 def retry_job(job: KnownJob, services: ServicesDependency, caller: CallerDependency, response: Response) -> JobView:
     """Queues the job's request again: a new job, whose `retry_of` is this one. A worker checks it before it runs."""
     first = services.record.jobs.get(job.id)
@@ -192,13 +165,13 @@ def retry_job(job: KnownJob, services: ServicesDependency, caller: CallerDepende
     return queued
 
 
-@router.delete("/{job_id}", status_code=204)
+@router.delete("/jobs/{job_id}", status_code=204)
 def delete_job(job: KnownJob, services: ServicesDependency) -> None:
     """Deletes a job that has ended, with its files. Answers 409 while it has not, or if a campaign refers to it."""
     services.housekeeping.delete(job.id)
 
 
-@router.post("/{job_id}/cancel", status_code=202)
+@router.post("/jobs/{job_id}/cancel", status_code=202)
 def cancel_job(job: KnownJob, services: ServicesDependency) -> JobView:
     """Asks a job to stop: a queued job is cancelled at once, and a running job stops within a step.
 
@@ -208,3 +181,97 @@ def cancel_job(job: KnownJob, services: ServicesDependency) -> JobView:
     if asked is None:
         raise no_such("job")
     return JobView.of(asked)
+
+
+@router.post("/jobs/{job_id}/continue", status_code=202)
+def continue_job(job: KnownJob, services: ServicesDependency, caller: CallerDependency, response: Response) -> JobView:
+    """Queues a new job that goes on where one stopped that was cancelled or failed, in time, queries and steps.
+
+    It has the same request and begins with the earlier job's file `checkpoint.safetensors`; its `retry_of` is that job,
+    which stays as it is. On a machine with another renderer or network backend the attack begins again, as its steps
+    would differ in their last bits. Answers 409 if the job has not ended, has succeeded, or ended before its first
+    checkpoint.
+    """
+    queued = continued(job, services, caller)
+    response.headers["Location"] = f"/v1/jobs/{queued.id}"
+    return queued
+
+
+def continued(job: Job, services: Services, caller: Caller) -> JobView:
+    """Queues the job that goes on from another's checkpoint. Raises HTTPException as above."""
+    if job.state not in (State.CANCELLED, State.FAILED):
+        raise HTTPException(409, f"the job is {job.state.value}; one that was cancelled or failed can be continued")
+    checkpoint = services.record.jobs.artifact(job.id, CHECKPOINT)
+    if checkpoint is None:
+        raise HTTPException(409, "the job ended before its first checkpoint; send its request again")
+    first = services.record.jobs.get(job.id)
+    if first is None:
+        raise no_such("job")
+    return services.submissions.retry(caller, first, checkpoint)
+
+
+def resume_after(
+    job: KnownJob,
+    last_event_id: Annotated[
+        int | None,
+        Header(ge=0, le=MOST_EVENTS, description="number of the last event seen; the stream goes on after it"),
+    ] = None,
+) -> int:
+    """The number of the event after which to resume. Answers 204 if no event will follow, so that browsers stop."""
+    after = last_event_id or 0
+    if job.state.terminal and after >= job.events:
+        raise HTTPException(204)
+    return after
+
+
+@router.get(
+    "/jobs/{job_id}/events",
+    response_class=EventSourceResponse,
+    responses={204: {"description": "no event will follow the last one seen; do not come back"}},
+)
+async def stream_job_events(
+    job: KnownJob,
+    services: ServicesDependency,
+    caller: CallerDependency,
+    after: Annotated[int, Depends(resume_after)],
+) -> AsyncIterator[ServerSentEvent]:
+    """Streams a job's events from the first, or from the one after `Last-Event-ID`, until the job has ended, or
+    the caller's key.
+
+    The data of a `state` event is {"state", "attempt"}, with "outcome" or "failure" at the end. The data of a
+    `progress` event is {"phase", "step", "steps", "rows"}, where rows are those of the trace since the last event. A
+    job that was interrupted repeats some of its steps.
+    """
+    async with aclosing(services.watcher.events(job, after, caller.key)) as events:
+        async for event in events:
+            yield ServerSentEvent(data=event.data, event=event.kind, id=str(event.number))
+
+
+@router.post("/preview", dependencies=[Depends(json_body)])
+async def preview_job(
+    spec: Annotated[JobSpec, Depends(body_of(JobSpec))],
+    services: ServicesDependency,
+    caller: CallerDependency,
+    client: Client,
+    request: Request,
+    plan: Annotated[
+        bool, Query(description="whether to make the plan, too, which may take several times as long as the image")
+    ] = False,
+) -> PreviewView:
+    """Shows what a job would begin with: the image, the network's first five answers, the warnings, and on demand the
+    plan and its cost.
+
+    Nothing is attacked and nothing is queued. A request that cannot run gets the same answer 422 as a job. One that
+    takes longer than a preview may gets 413, and 503 says that other previews took all the time. A client that closes
+    its connection gives up its turn.
+    """
+    shown, png = await while_connected(request, services.checks.preview(spec, caller, client))
+    planned: PlannedCost | None = None
+    if plan:
+        planned = await while_connected(request, services.checks.plan(spec, client))
+    return PreviewView(
+        **dict(shown),
+        png=png,
+        plan=None if planned is None else planned.plan,
+        cost=None if planned is None else planned.cost,
+    )

@@ -9,10 +9,9 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from api.authentication import CallerDependency, Client
-from api.bodies import body_of
-from api.routes.connection import while_connected
-from api.routes.jobs import SUBMISSION, DemandOfQuery, IdempotencyKey, PreferredWait, answered
+from api.access.authentication import CallerDependency, Client
+from api.requests import SUBMISSION, DemandOfQuery, IdempotencyKey, PreferredWait, body_of, while_connected
+from api.routes.jobs import answered
 from api.schemas import JobView, RerenderingBody
 from api.state import Services, ServicesDependency, names_of, no_such
 from api.submissions import key_of

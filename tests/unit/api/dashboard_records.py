@@ -8,7 +8,7 @@ from typing import Any, cast
 from fastapi import FastAPI
 
 from api import dashboard
-from api.authentication import caller
+from api.access.authentication import caller
 from api.state import Services
 from services.access.caller import KEYLESS
 from services.jobs.campaigns import CampaignService

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from httpx import Client
 
-import api.bodies
+import api.requests
 from api.state import Services
 from services.errors import InvalidRequest, without_folders
 from services.jobs.artifacts import ArtifactStore
@@ -217,7 +217,7 @@ def test_a_body_is_parsed_beside_the_other_requests(client: Client, monkeypatch:
             assert answered.wait(60)
         return False
 
-    monkeypatch.setattr(api.bodies, "is_nested_deeper", slow)
+    monkeypatch.setattr(api.requests, "is_nested_deeper", slow)
     statuses: list[int] = []
     post = lambda: statuses.append(client.post("/v1/jobs", content=json.dumps({"slow": 1}), headers=JSON).status_code)  # noqa: E731
     thread = threading.Thread(target=post)

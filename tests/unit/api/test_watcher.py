@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from sqlalchemy import Engine, event
 
-from api import watcher as module
-from api.watcher import Watcher
+from api import watchers as module
+from api.watchers import Watcher
 from services.access.caller import Scope
 from services.access.keys import AccessKeys
 from services.jobs.database import connect, migrate
-from services.jobs.models import Job
+from services.jobs.models import Job, State
 from services.jobs.record import Record
 from services.settings import Settings
 from tests.unit.jobs.records import add, start
@@ -150,7 +150,7 @@ def test_a_stream_of_a_deleted_job_ends(record: Record, engine: Engine) -> None:
 def test_a_stream_ends_with_its_key_and_others_go_on(
     record: Record, engine: Engine, monkeypatch: pytest.MonkeyPatch, has_key: bool
 ) -> None:
-    monkeypatch.setattr("api.stream_keys.KEY_SECONDS", 0.0)
+    monkeypatch.setattr("api.watchers.KEY_SECONDS", 0.0)
     keys = AccessKeys(engine)
     prefixes = [keys.create(name, "alice", {Scope.JOBS_READ})[0].prefix for name in "ab"] if has_key else ["", ""]
     reads = []
@@ -188,11 +188,12 @@ def test_waiting_for_the_end_of_a_job_stops_in_time(record: Record, engine: Engi
 
     async def test() -> None:
         watcher = watching(record, engine)
-        assert not await watcher.until_over(line(record, job), 0)
-        over = asyncio.create_task(watcher.until_over(line(record, job), LONG))
+        assert await watcher.ended_within(job.id, 0) is None
+        ending = asyncio.create_task(watcher.ended_within(job.id, LONG))
         record.jobs.request_cancel(job.id)
-        assert await over
-        assert await watcher.until_over(line(record, job), 0)
+        for ended in (await ending, await watcher.ended_within(job.id, 0)):
+            assert ended is not None
+            assert ended.state is State.CANCELLED
         watcher.close()
 
     run(test)

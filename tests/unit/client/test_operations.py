@@ -8,7 +8,7 @@ from typing import Any, get_type_hints
 import pytest
 import yaml
 
-from api.job_edit import JobEdit
+from api.schemas import JobEdit
 from client import AsyncClient, Client, operations
 from client.operations import Request
 from services.pipeline.spec import parse

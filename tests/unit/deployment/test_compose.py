@@ -8,8 +8,8 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from api.limits import FORM_BYTES
-from api.routes import health
+from api.access.limits import FORM_BYTES
+from api.routes import service as health
 from client.cli import app
 from services.addresses import is_loopback
 from services.settings import DEFAULTS, Settings

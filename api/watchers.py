@@ -1,10 +1,12 @@
-"""Follows jobs in the record while workers run them: one task reads what is new for all event streams of this process.
+"""Follows jobs in the record while workers run them, for the event streams of this process and for its open lists.
 
-A stream reads what happened before it began by itself. What follows is read once, however many streams wait for it.
+A stream reads what happened before it began by itself. What follows is read once, however many streams wait for it. A
+stream ends with the key of its client.
 """
 
 import asyncio
-from collections import deque
+import time
+from collections import Counter, deque
 from collections.abc import AsyncGenerator, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
@@ -13,12 +15,63 @@ from functools import partial
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.concurrency import run_in_threadpool
 
-from api.stream_keys import StreamKeys
+from services.access.caller import Caller
 from services.access.keys import AccessKeys
 from services.jobs.jobs import News
+from services.jobs.lists import JobLists
 from services.jobs.models import Event, Job
 from services.jobs.record import Record
 from services.logs import logger
+
+KEY_SECONDS = 2.0
+"""Time between two looks at whether the keys are still valid."""
+
+
+class StreamKeys:
+    """Counts the streams of each key. Used by one event loop."""
+
+    def __init__(self, keys: AccessKeys) -> None:
+        self._keys = keys
+        self._streams: Counter[str] = Counter()
+        """The prefixes of the streams' keys, each with the number of its streams."""
+        self._ended: set[str] = set()
+        """Those of them that have ended."""
+        self._looked = float("-inf")
+
+    def __bool__(self) -> bool:
+        """Whether there are streams."""
+        return bool(self._streams)
+
+    @contextmanager
+    def waiting(self, key: str) -> Iterator[None]:
+        """Counts a stream of the key with this prefix ("": of a service without keys) while it is entered."""
+        self._streams[key] += 1
+        try:
+            yield
+        finally:
+            self._streams[key] -= 1
+            if not self._streams[key]:
+                del self._streams[key]
+                self._ended.discard(key)
+
+    def ended(self, key: str | None) -> bool:
+        """Whether a key was seen to have ended."""
+        return key in self._ended
+
+    async def look(self) -> bool:
+        """Asks the record, if it was not asked in the last KEY_SECONDS. Returns whether a key has ended."""
+        asked = set(self._streams)
+        if not asked or time.monotonic() - self._looked < KEY_SECONDS:
+            return False
+        self._looked = time.monotonic()
+        try:
+            ended = await run_in_threadpool(self._keys.ended, asked)
+        except SQLAlchemyError as error:
+            log.warning("keys of streams not checked", error=str(error))
+            return False
+        self._ended |= ended & set(self._streams)
+        return bool(ended)
+
 
 POLL_SECONDS = 0.2
 """Time between two reads of the record."""
@@ -153,3 +206,54 @@ class Watcher:
                     if job_id in self._followed:
                         self._followed[job_id].add(found)
             await asyncio.sleep(POLL_SECONDS)
+
+
+LIST_POLL_SECONDS = 0.7
+"""Time between two looks."""
+
+
+class ListWatcher:
+    """Looks at the jobs that have not ended while there are lists that wait for a change of them."""
+
+    def __init__(self, lists: JobLists, keys: AccessKeys) -> None:
+        self._lists = lists
+        self._keys = StreamKeys(keys)
+        self._marks: dict[str, str] | None = None
+        """A text by owner that changes with the owner's jobs; None before the first look."""
+        self._looked = asyncio.Event()
+        self._task: asyncio.Task[None] | None = None
+
+    def close(self) -> None:
+        """Stops looking."""
+        if self._task is not None:
+            self._task.cancel()
+
+    async def changes(self, caller: Caller) -> AsyncGenerator[str, None]:
+        """Yields a mark of the jobs that the caller sees, at first and whenever it has changed, until its key ends."""
+        last = None
+        with self._keys.waiting(caller.key):
+            if self._task is None or self._task.done():
+                self._marks = None
+                self._task = asyncio.get_running_loop().create_task(self._watch())
+            while not self._keys.ended(caller.key):
+                mark = self._mark(caller.only)
+                if mark is not None and mark != last:
+                    last = mark
+                    yield mark
+                await self._looked.wait()
+
+    def _mark(self, owner: str | None) -> str | None:
+        if self._marks is None:
+            return None
+        return self._marks.get(owner, "") if owner is not None else str(sorted(self._marks.items()))
+
+    async def _watch(self) -> None:
+        while self._keys:
+            await self._keys.look()
+            try:
+                self._marks = await run_in_threadpool(self._lists.marks)
+            except SQLAlchemyError as error:
+                log.warning("changes of lists not read", error=str(error))
+            heard, self._looked = self._looked, asyncio.Event()
+            heard.set()
+            await asyncio.sleep(LIST_POLL_SECONDS)

@@ -1,10 +1,11 @@
-"""Routes for the health of the service."""
+"""Routes for the health and the metrics of the service."""
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Request, Response
+from prometheus_client.exposition import choose_encoder
 from redis.exceptions import RedisError
 from sqlalchemy.exc import SQLAlchemyError
 
-from api.authentication import KnownCaller
+from api.access.authentication import KnownCaller
 from api.schemas import ExtensionView, Health, Readiness, TargetFolderView
 from api.state import ServicesDependency
 from services.pipeline.extensions import loaded_extensions, target_folders
@@ -53,3 +54,17 @@ def get_readiness(services: ServicesDependency, response: Response, caller: Know
         extensions=extensions,
         targets=targets,
     )
+
+
+@router.get("/metrics", response_class=Response, responses={200: {"content": {"text/plain": {}}}})
+def get_metrics(request: Request) -> Response:
+    """Reports metrics for Prometheus: the requests of this process, and the queue, jobs and workers of the service.
+
+    Counters of jobs, steps, queries and stages are kept in the database: they are the same from every process, and
+    never fall.
+    """
+    try:
+        encode, media_type = choose_encoder(request.headers.get("accept", ""))
+    except (TypeError, ValueError):  # a version that is none
+        encode, media_type = choose_encoder("")
+    return Response(encode(request.app.state.metrics.registry), media_type=media_type)

@@ -1,4 +1,4 @@
-"""The cursors of the list of jobs: a place in it, and whether the page lies after or before that place."""
+"""The cursors of lists: a place in the list, and of jobs whether the page lies after or before that place."""
 
 import base64
 import binascii
@@ -9,7 +9,7 @@ from typing import Any
 
 from services.errors import InvalidRequest
 from services.jobs.lists import SORTS, Place
-from services.jobs.models import State
+from services.jobs.models import Campaign, State
 
 SORT_PATTERN = f"^-?({'|'.join(SORTS)})$"
 
@@ -78,3 +78,22 @@ def read_cursor(cursor: str | None, sort: str) -> Cursor:
         raise InvalidRequest("cursor", f"it is of the list sorted by {of!r}; begin at the first page of {sort!r}")
     place = Place(value, time, job_id)
     return Cursor(before=place) if backwards else Cursor(after=place)
+
+
+def campaign_cursor(campaign: Campaign) -> str:
+    """The cursor of the page that begins after this campaign."""
+    return base64.urlsafe_b64encode(f"{campaign.created_at.isoformat()} {campaign.id}".encode()).decode().rstrip("=")
+
+
+def read_campaign_cursor(cursor: str) -> tuple[datetime, str]:
+    """The (created_at, id) after which the cursor's page begins. Raises InvalidRequest("cursor")."""
+    try:
+        time, job_id = base64.urlsafe_b64decode(cursor + "=" * (-len(cursor) % 4)).decode().split(" ")
+        place = datetime.fromisoformat(time)
+        if place.tzinfo is None:
+            raise ValueError("no time zone")
+        if not job_id.isalnum():
+            raise ValueError("no id")
+    except (ValueError, binascii.Error) as error:
+        raise InvalidRequest("cursor", "take it from `next` of the page before") from error
+    return place, job_id

@@ -1,16 +1,20 @@
 """Middleware that refuses requests before they are parsed: bodies that are too large, forms in other encodings than
-UTF-8, and addresses with a character that no text may have.
+UTF-8, addresses with a character that no text may have, and more uploads of a client than may be open.
 """
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Collection, Mapping
 from urllib.parse import parse_qsl
 
 from python_multipart.multipart import parse_options_header
 from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
+from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from api.access.authentication import client_of
 from api.problems import BadRequestField, http_problem, invalid, problem
+from services.access.caller import Caller
 from services.errors import InvalidRequest
 
 JSON_BYTES = 2**20
@@ -119,3 +123,51 @@ class NoNul:
             refused = InvalidRequest(name, "it has the character U+0000, which no text may have")
             return await invalid([refused])(scope, receive, send)
         return await self.app(scope, receive, send)
+
+
+MOST = 8
+"""Uploads of one client at the same time; two of all clients are parsed at once."""
+RETRY_SECONDS = 5
+
+
+class OpenUploads:
+    """Answers 429 to an upload to one of `paths` of a client that has `most` open on all of them: the same owner, or
+    address without keys.
+    """
+
+    def __init__(self, app: ASGIApp, paths: Collection[str], most: int = MOST) -> None:
+        self.app = app
+        self.paths = paths
+        self.most = most
+        self._open: Counter[str] = Counter()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI."""
+        if scope["type"] != "http" or scope["method"] != "POST" or scope["path"] not in self.paths:
+            return await self.app(scope, receive, send)
+        caller = scope["state"]["caller"]
+        assert isinstance(caller, Caller)  # the route needs a key, or there is none
+        client = client_of(Request(scope), caller)
+        if self._open[client] >= self.most:
+            detail = f"{self.most} uploads of yours are open already; send the next when one has been answered"
+            return await problem(429, detail, headers={"Retry-After": str(RETRY_SECONDS)})(scope, receive, send)
+        self._open[client] += 1
+        is_open = True
+
+        def close() -> None:
+            nonlocal is_open
+            if is_open:
+                is_open = False
+                self._open[client] -= 1
+                if not self._open[client]:
+                    del self._open[client]
+
+        async def answered(message: Message) -> None:
+            if message["type"] == "http.response.start":  # whoever has the answer may send the next one
+                close()
+            await send(message)
+
+        try:
+            return await self.app(scope, receive, answered)
+        finally:
+            close()

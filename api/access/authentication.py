@@ -3,6 +3,7 @@
 While there is no key, the programs of this machine are let in and nobody else.
 """
 
+import re
 from typing import Annotated, Protocol
 from urllib.parse import urlencode
 
@@ -14,8 +15,7 @@ from starlette.requests import cookie_parser
 from starlette.responses import RedirectResponse, Response
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from api.accept import asks_for_html
-from api.auth_rules import OPEN, Rule, rule_of
+from api.access.rules import OPEN, Rule, rule_of
 from api.problems import problem
 from api.reading import Reading
 from services.access.caller import KEYLESS, Caller
@@ -24,6 +24,16 @@ from services.access.keys import AccessKeys
 from services.access.sessions import Sessions
 from services.addresses import is_loopback
 from services.logs import logger
+
+_HTML = re.compile(r"(?:^|,)\s*text/html\s*(?:;(?!\s*q=0(?:\.0*)?\s*(?:,|$))[^,]*)?(?:,|$)", re.IGNORECASE)
+
+
+def asks_for_html(scope: Scope) -> bool:
+    """Whether the request's Accept header has HTML by its name, as a browser's has. A program that takes anything does
+    not ask for it.
+    """
+    return _HTML.search(Headers(scope=scope).get("accept", "")) is not None
+
 
 SIGN_IN = "/sign-in"
 COOKIE = "scene-attack-session"

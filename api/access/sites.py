@@ -1,7 +1,9 @@
-"""Middleware that answers only for the names by which this service is called.
+"""Middleware that protects the service from web sites that its users visit.
 
 A web site can give its own name the address of this machine, and a browser then takes the service for a part of that
-site (DNS rebinding). The name in the request's Host header shows it.
+site (DNS rebinding); the name in the Host header shows it. A page of another site can make the browser of somebody who
+is on this machine, or has a session here, send requests. A browser says where a request comes from (Fetch metadata,
+Origin); other programs do not.
 """
 
 import re
@@ -44,3 +46,31 @@ def _hostname(host: str) -> str:
     """The name or address in a Host header, in lower case; "" if it is none."""
     found = _HOST.fullmatch(host)
     return "" if found is None else (found[1] or found[2]).lower()
+
+
+_OWN = ("same-origin", "none")
+"""Values of Sec-Fetch-Site: this service's own pages, and what the user typed. `same-site` is another port."""
+
+
+class SameSite:
+    """Answers 403 to other sites' requests, but for a link to a page that the user follows."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """ASGI."""
+        if scope["type"] == "http" and _is_foreign(scope["method"], Headers(scope=scope)):
+            return await problem(403, "requests from other web sites are refused")(scope, receive, send)
+        return await self.app(scope, receive, send)
+
+
+def _is_foreign(method: str, headers: Headers) -> bool:
+    reads = method in ("GET", "HEAD")
+    origin = headers.get("origin")
+    if origin is not None and not reads and origin.partition("://")[2] != headers.get("host"):
+        return True
+    if headers.get("sec-fetch-site", "none") in _OWN:
+        return False
+    link = headers.get("sec-fetch-mode") == "navigate" and headers.get("sec-fetch-dest", "document") == "document"
+    return not (reads and link)

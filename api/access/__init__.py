@@ -1,0 +1,1 @@
+"""Who may send a request, and what of it is accepted before it is parsed."""

@@ -1,0 +1,149 @@
+"""What the routes read of a request: its JSON body, in a thread, so that a large or costly one delays no other; what a
+submission prefers and asks of the queue; and whether its client is still there.
+"""
+
+import asyncio
+import re
+from collections.abc import Callable, Coroutine
+from typing import Annotated, Any, TypeVar
+
+from fastapi import Body, Depends, Header, HTTPException, Query, Request
+from fastapi.exceptions import RequestValidationError
+from pydantic import BaseModel, GetCoreSchemaHandler, GetJsonSchemaHandler, ValidationError
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, core_schema
+
+from api.access.authentication import CallerDependency
+from api.problems import BadRequestField
+from api.schemas import JobView
+from api.state import ServicesDependency, names_of
+from services.errors import InvalidRequest
+from services.jobs.placement import Demand, Device, Priority
+from services.json_text import NESTED
+from services.names import Names
+from services.strict import is_nested_deeper
+
+Parsed = TypeVar("Parsed", bound=BaseModel)
+
+
+class _Unparsed:
+    """Marks JSON that is taken as it is, and described in the OpenAPI document as the model it will be parsed into."""
+
+    def __init__(self, model: type[BaseModel]) -> None:
+        self.model = model
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Anything is valid."""
+        return core_schema.any_schema()
+
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        """A reference to the schema of the model."""
+        # Pydantic refers to a model that is part of another schema, and would write out one that stands alone.
+        return handler(core_schema.definitions_schema(self.model.__pydantic_core_schema__, []))
+
+
+def body_of(model: type[Parsed]) -> Callable[..., Parsed]:
+    """Returns a dependency that parses the body. It answers 422 as if the framework had parsed the body.
+
+    Of a body that is invalid, the names in it that there are not are invalid, too.
+    """
+
+    def parsed(
+        data: Annotated[Any, Body(), _Unparsed(model)], services: ServicesDependency, caller: CallerDependency
+    ) -> Parsed:
+        if is_nested_deeper(data):
+            raise BadRequestField(InvalidRequest("body", NESTED))
+        try:
+            return model.model_validate(data)
+        except ValidationError as error:
+            items = _with_names(data, model, error, names_of(services, caller)).errors(include_url=False)
+            raise RequestValidationError([item | {"loc": ("body", *item["loc"])} for item in items]) from error
+
+    return parsed
+
+
+def _with_names(data: Any, model: type[BaseModel], error: ValidationError, names: Names) -> ValidationError:
+    try:
+        model.model_validate(data, context=names)
+    except ValidationError as whole:
+        return whole
+    return error
+
+
+MOST_MEMORY = 2**50
+"""Most bytes of memory that a client may ask for; far more than any machine has."""
+
+
+def demand(default: Priority) -> Callable[..., Demand]:
+    """Returns a dependency that reads what a submission asks of the queue."""
+
+    def read(
+        priority: Annotated[
+            Priority, Query(description="jobs of a higher priority are taken first; within one, owners take turns")
+        ] = default,
+        device: Annotated[
+            Device | None, Query(description="kind of device that the worker must have; default: any")
+        ] = None,
+        memory: Annotated[
+            int, Query(ge=0, le=MOST_MEMORY, description="bytes of memory that the worker must allow a job")
+        ] = 0,
+    ) -> Demand:
+        return Demand(priority, device, memory)
+
+    return read
+
+
+LONGEST_WAIT = 30.0
+"""Largest N of `Prefer: wait=N`, in seconds; larger values are reduced to it."""
+
+
+def json_body(request: Request) -> None:
+    """Answers 415 unless the content type is JSON, which a form of another web site cannot send."""
+    kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
+    if kind != "application/json" and not re.fullmatch(r"application/[\w.-]+\+json", kind):
+        raise HTTPException(415, "send the body as application/json")
+
+
+def wait_preferred(prefer: Annotated[str | None, Header()] = None) -> float | None:
+    """The seconds of `Prefer: wait=N` (RFC 7240), at most `LONGEST_WAIT`; None if the header has no such preference."""
+    found = re.search(r"(?:^|,)\s*wait\s*=\s*\"?(\d{1,9})\"?\s*(?:;[^,]*)?(?:,|$)", prefer or "", re.IGNORECASE)
+    return None if found is None else min(float(found[1]), LONGEST_WAIT)
+
+
+SUBMISSION: dict[str, Any] = {
+    "status_code": 202,
+    "responses": {200: {"model": JobView, "description": "the job has ended within the time of `Prefer: wait`"}},
+    "dependencies": [Depends(json_body)],
+}
+"""What routes have that submit a job."""
+PreferredWait = Annotated[float | None, Depends(wait_preferred)]
+DemandOfQuery = Annotated[Demand, Depends(demand(Priority.NORMAL))]
+IdempotencyKey = Annotated[
+    str | None,
+    Header(min_length=1, max_length=255, description="a repeated key gets the first answer again, and no new job"),
+]
+
+
+POLL_SECONDS = 0.2
+"""Time between two looks at the connection."""
+
+Found = TypeVar("Found")
+
+
+async def while_connected(request: Request, work: Coroutine[Any, Any, Found]) -> Found:
+    """Returns what `work` returns. Cancels it, and raises HTTPException, once the client is gone."""
+    working = asyncio.ensure_future(work)
+    leaving = asyncio.ensure_future(_gone(request))
+    try:
+        await asyncio.wait({working, leaving}, return_when=asyncio.FIRST_COMPLETED)
+        if not working.done():
+            raise HTTPException(408, "the connection was closed before the answer")
+        return working.result()
+    finally:
+        working.cancel()
+        leaving.cancel()
+
+
+async def _gone(request: Request) -> None:
+    while not await request.is_disconnected():
+        await asyncio.sleep(POLL_SECONDS)
