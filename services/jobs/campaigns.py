@@ -25,8 +25,8 @@ from services.errors import QuotaExceeded
 from services.jobs.asset_uses import check_held, refer_from_campaign, titles, uploads_among
 from services.jobs.database import Database, now
 from services.jobs.jobs import Key, KeyReused, add_job
-from services.jobs.leases import change_state, not_paused
-from services.jobs.models import Campaign, CampaignJob, CampaignState, Job, JobKind, State
+from services.jobs.leases import change_state
+from services.jobs.models import Campaign, CampaignJob, CampaignState, Job, JobKind, State, not_paused
 from services.jobs.placement import CAMPAIGNS, Demand
 from services.jobs.queue import Queue
 from services.jobs.utc_time import place

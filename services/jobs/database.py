@@ -23,7 +23,6 @@ from sqlalchemy.exc import ArgumentError, DatabaseError, NoSuchModuleError, Oper
 from sqlalchemy.orm import Session
 
 from services.errors import InvalidRequest, without_folders
-from services.jobs import totals
 from services.private_folder import NotOurs, make_private
 from services.settings import Settings
 
@@ -167,7 +166,6 @@ class Database:
         with Session(engine, expire_on_commit=False, info=self._about) as session, session.begin():
             session.connection()  # waits for the lock of SQLite, so that times that are read now are those of the write
             yield session
-            totals.write(session)
 
     def ping(self) -> None:
         """Raises SQLAlchemyError if the database does not answer."""

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from sqlalchemy import func, select
 
 from services.jobs.database import Database, now
-from services.jobs.leases import not_paused
-from services.jobs.models import Campaign, Job, State, Total
+from services.jobs.models import Campaign, Job, State, Total, not_paused
 from services.jobs.totals import STAGE_BOUNDS
 
 _ENDED = [state for state in State if state.terminal]

@@ -20,7 +20,7 @@ from services.jobs import totals
 from services.jobs.asset_uses import titles, uploads_of
 from services.jobs.database import Database, now
 from services.jobs.listed import listed, listed_outcome
-from services.jobs.models import Artifact, Campaign, CampaignState, Event, Job, State
+from services.jobs.models import Artifact, Event, Job, State, not_paused
 from services.pipeline.warning import JobWarning
 
 ACTIVE = (State.RUNNING, State.CANCELLING)
@@ -271,9 +271,3 @@ def story(job: Job) -> dict[str, Any]:
     if job.state == State.FAILED:
         data["failure"] = {"kind": job.failure_kind, "detail": job.failure_detail}
     return data
-
-
-def not_paused() -> ColumnElement[bool]:
-    """The condition that a queued job may run: it belongs to no campaign, or to one that is not paused."""
-    paused = select(Campaign.id).where(Campaign.state == CampaignState.PAUSED)
-    return or_(Job.campaign_id.is_(None), Job.campaign_id.not_in(paused))

@@ -16,7 +16,6 @@ from sqlalchemy.orm import InstrumentedAttribute
 
 from services.jobs.database import Database
 from services.jobs.job_query import Term
-from services.jobs.leases import lock
 from services.jobs.listed_job import LISTED, ListedJob, listed_jobs
 from services.jobs.models import Job, JobKind, JobTag, State
 from services.jobs.utc_time import UtcTime
@@ -187,7 +186,7 @@ class JobLists:
         if "tags" in values:
             values["tags"] = sorted(set(values["tags"]))
         with self._database.write() as session:
-            lock(session, job_id)
+            session.execute(select(Job.id).where(Job.id == job_id).with_for_update())  # so that tags and job agree
             changed = update(Job).where(Job.id == job_id).values(values).returning(Job.id)
             if values and session.scalar(changed) is not None and "tags" in values:
                 session.execute(deletion(JobTag).where(JobTag.job_id == job_id))

@@ -13,10 +13,13 @@ from sqlalchemy import (
     Index,
     String,
     Text,
+    or_,
+    select,
     text,
     true,
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+from sqlalchemy.sql.elements import ColumnElement
 
 from services.jobs.placement import Priority
 from services.jobs.states import CampaignState as CampaignState
@@ -278,3 +281,9 @@ class CampaignJob(Base):
     """What the table needs to know (services.analysis.campaign_table.Case)."""
     curves: Mapped[dict[str, Any] | None] = mapped_column(deferred=True)
     """The curves of the trace (services.analysis.campaign_table.Curves)."""
+
+
+def not_paused() -> ColumnElement[bool]:
+    """The condition that a queued job may run: it belongs to no campaign, or to one that is not paused."""
+    paused = select(Campaign.id).where(Campaign.state == CampaignState.PAUSED)
+    return or_(Job.campaign_id.is_(None), Job.campaign_id.not_in(paused))

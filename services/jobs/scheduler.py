@@ -6,8 +6,7 @@ from sqlalchemy import func, select, update
 from sqlalchemy.orm import aliased
 
 from services.jobs.database import Database
-from services.jobs.leases import not_paused
-from services.jobs.models import Job, State
+from services.jobs.models import Job, State, not_paused
 from services.jobs.placement import Abilities, Needs, Priority
 
 JOBS_PER_UPDATE = 500

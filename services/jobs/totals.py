@@ -1,12 +1,13 @@
 """Counts of what the service has done since it was set up. They outlive processes, machines and deleted jobs.
 
-A transaction collects what it counts, and adds it in one statement at its end: counters are rows that all processes
-change, so they are locked last, all in one order, and for a moment.
+A transaction collects what it counts, and adds it in one statement before it commits: counters are rows that all
+processes change, so they are locked last, all in one order, and for a moment.
 """
 
 from bisect import bisect_left
 from collections import Counter
 
+from sqlalchemy import event
 from sqlalchemy.orm import Session
 
 from services.jobs.models import Job, State, Total
@@ -18,8 +19,12 @@ STAGE_BOUNDS = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0)
 
 def count(session: Session, name: str, label: str = "", by: float = 1) -> None:
     """Adds `by` to a counter when the transaction ends."""
-    if by:
-        session.info.setdefault("totals", Counter())[name, label] += by
+    if not by:
+        return
+    if "totals" not in session.info:
+        session.info["totals"] = Counter()
+        event.listen(session, "before_commit", _write, once=True)
+    session.info["totals"][name, label] += by
 
 
 def count_stage(session: Session, stage: str, seconds: float) -> None:
@@ -40,11 +45,9 @@ def count_end(session: Session, job: Job, seconds: float | None) -> None:
         count_stage(session, job.phase, seconds)
 
 
-def write(session: Session) -> None:
-    """Adds what the transaction has counted."""
-    counted = session.info.pop("totals", None)
-    if counted:
-        rows = [{"name": name, "label": label, "value": by} for (name, label), by in sorted(counted.items())]
-        added = insert(session, Total).values(rows)
-        values = {"value": Total.value + added.excluded.value}
-        session.execute(added.on_conflict_do_update(index_elements=[Total.name, Total.label], set_=values))
+def _write(session: Session) -> None:
+    counted: Counter[tuple[str, str]] = session.info.pop("totals")
+    rows = [{"name": name, "label": label, "value": by} for (name, label), by in sorted(counted.items())]
+    added = insert(session, Total).values(rows)
+    values = {"value": Total.value + added.excluded.value}
+    session.execute(added.on_conflict_do_update(index_elements=[Total.name, Total.label], set_=values))

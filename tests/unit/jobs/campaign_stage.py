@@ -7,8 +7,7 @@ from sqlalchemy.orm import Session
 
 from services.jobs.campaigns import Campaigns, Feeder, request_digest
 from services.jobs.database import Database
-from services.jobs.leases import not_paused
-from services.jobs.models import Campaign, CampaignState, Job, State
+from services.jobs.models import Campaign, CampaignState, Job, State, not_paused
 from services.jobs.record import Record
 from services.pipeline.campaign_plan import identity, views
 from services.pipeline.campaign_spec import CampaignSpec, parse
