@@ -33,8 +33,7 @@ def stability(
     from client.console import out as stdout
     from client.settings import settings_to_run
     from services.accuracy.stability.case import Case
-    from services.accuracy.stability.cases import cases, run
-    from services.accuracy.stability.report import report, write
+    from services.accuracy.stability.report import cases, report, run, write
 
     torch.set_num_threads(settings_to_run().threads)
     chosen = cases(quick)

@@ -15,7 +15,7 @@ import trimesh
 from PIL import Image
 from safetensors import safe_open
 
-from services.accuracy.stability.glb import file_of, square_arrays
+from services.accuracy.stability.objects import file_of, square_arrays
 from services.export.bundle import write_bundle
 from services.export.destinations import into_folder
 from services.pipeline.execute import execute

@@ -7,10 +7,9 @@ import numpy as np
 
 from services.accuracy.placing import placed
 from services.accuracy.stability.case import Case, Measured, need
-from services.accuracy.stability.glb import file_of
-from services.accuracy.stability.lamps import expected
-from services.accuracy.stability.metallic_roughness import Surface
-from services.accuracy.stability.textures import TEXEL, decoded
+from services.accuracy.stability.meshes import TEXEL, decoded
+from services.accuracy.stability.objects import file_of
+from services.accuracy.stability.references import Surface, expected
 from services.errors import InvalidRequest
 from services.rendering.opengl import context
 from services.rendering.opengl.gbuffer import rasterise
@@ -242,7 +241,7 @@ def _second_set() -> Measured:
     return _against_formula(_scene(_material(0.2, 0.6, surface=surface), arrays, {}), wanted, TEXEL)
 
 
-def cases() -> list[Case]:
+def material_cases() -> list[Case]:
     """The cases of this family."""
     family, formula, turned = "materials", "radiance and image by the formula", "the normal bends as the texture lies"
     stated = np.tile([0.0, 1.0, 0.0, -1.0], (3, 1))

@@ -1,13 +1,59 @@
-"""What the stability cases came to, as a page and as data."""
+"""All stiff and extreme cases, one after another, and what they came to, as a page and as data."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
 from services.accuracy.provenance import PACKAGES, backend
-from services.accuracy.stability.case import Observation
+from services.accuracy.stability import (
+    attacks,
+    geometry,
+    materials,
+    meshes,
+    networks,
+    pyrender_light,
+    torch_light,
+    torch_shading,
+)
+from services.accuracy.stability.case import Case, Observation, observe
 from services.versions import versions
+
+FAMILIES = (
+    torch_shading.lobe_cases,
+    torch_shading.normal_cases,
+    torch_light.environment_cases,
+    torch_light.plan_cases,
+    geometry.view_cases,
+    geometry.pose_cases,
+    meshes.mesh_cases,
+    meshes.texture_cases,
+    materials.material_cases,
+    pyrender_light.light_cases,
+    pyrender_light.shadow_cases,
+    networks.logit_cases,
+    attacks.difference_cases,
+    attacks.recurrence_cases,
+    attacks.step_cases,
+    geometry.size_cases,
+    networks.precision_cases,
+)
+
+
+def cases(quick: bool = False) -> list[Case]:
+    """Every case, in the order of the report; with `quick` those that take a second or two at most."""
+    found = [case for family in FAMILIES for case in family()]
+    return [case for case in found if not (quick and case.slow)]
+
+
+def run(chosen: Sequence[Case], on_case: Callable[[Case], None] = lambda _: None) -> list[Observation]:
+    """Runs the cases; `on_case` is called before each."""
+    observations = []
+    for case in chosen:
+        on_case(case)
+        observations.append(observe(case))
+    return observations
+
 
 WORDS = {
     "ok": "the property held",

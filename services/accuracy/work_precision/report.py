@@ -12,9 +12,9 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, Field
 
 from services.accuracy.provenance import PACKAGES, backend
-from services.accuracy.work_precision import attack_runs, network_signs, scene_options, shading
-from services.accuracy.work_precision.attack_runs import AttackRow, Interval, SuccessRow, success_rows
-from services.accuracy.work_precision.network_signs import SignRow
+from services.accuracy.work_precision import attacks as attack_runs
+from services.accuracy.work_precision import scene_options, shading
+from services.accuracy.work_precision.attacks import AttackRow, Interval, SignRow, SuccessRow, success_rows
 from services.accuracy.work_precision.scene_options import MapRow, SceneRow, ShadowRow
 from services.accuracy.work_precision.shading import GROUPS, ShadingRow
 from services.versions import versions
@@ -114,7 +114,7 @@ PARTS: dict[str, Callable[[Extent], Iterable[BaseModel]]] = {
     "maps": _maps,
     "shadows": lambda extent: scene_options.shadow_rows(extent.scene, extent.enough),
     "scenes": lambda extent: scene_options.option_rows(extent.scene, extent.enough),
-    "signs": lambda extent: network_signs.rows(*extent.signs),
+    "signs": lambda extent: attack_runs.sign_rows(*extent.signs),
     "attacks": lambda extent: map(attack_runs.attack, attack_runs.cases(extent.scenes, extent.steps, extent.zoo)),
 }
 """The parts in the order in which they are measured. Each is a field of the report."""

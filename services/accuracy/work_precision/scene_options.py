@@ -8,8 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor
 
 from services.accuracy.placing import library
-from services.accuracy.work_precision.shading import subject, values_of
-from services.accuracy.work_precision.timing import repeated
+from services.accuracy.work_precision.shading import repeated, subject, values_of
 from services.attacks.seeds import generator
 from services.rendering.factory import build
 from services.rendering.opengl.gbuffer import rasterise

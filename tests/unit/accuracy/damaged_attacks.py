@@ -2,7 +2,7 @@
 
 import torch
 
-from services.accuracy.stability import differences, precision
+from services.accuracy.stability import attacks, networks
 from services.attacks import differences as attack_differences
 from services.attacks import goal, problem
 from services.attacks.differences import Estimate
@@ -52,13 +52,13 @@ def any_number_of_labels(patch) -> None:
 
 def never_flat(patch) -> None:
     """Differences of rounding are taken for gradients; the way between the sides is always said to be 2δ and more."""
-    true = differences.estimate
+    true = attacks.estimate
 
     def estimate(*given):
         found = true(*given[:-1], -1.0)
         return Estimate(1.3 * found.gradients + 1e-3, torch.zeros_like(found.below_noise))
 
-    for module in (differences, attack_differences):
+    for module in (attacks, attack_differences):
         patch.setattr(module, "estimate", estimate)
 
 
@@ -117,7 +117,7 @@ def narrow_rounding(patch) -> None:
     def as_saved(images):
         return color.from_bytes((images.clamp(0, 1) * 255).round().to(torch.uint8))
 
-    patch.setattr(precision, "as_saved", as_saved)
+    patch.setattr(networks, "as_saved", as_saved)
 
 
 def narrow_scores(patch) -> None:
@@ -127,9 +127,9 @@ def narrow_scores(patch) -> None:
 
 def short_seeds(patch) -> None:
     """Seeds of 32 bits."""
-    true = precision.generator
-    patch.setattr(precision, "generator", lambda seed, *words: true(seed % 2**32, *words))
+    true = networks.generator
+    patch.setattr(networks, "generator", lambda seed, *words: true(seed % 2**32, *words))
 
 
 def any_seed(patch) -> None:
-    patch.setattr(precision, "Seed", int)
+    patch.setattr(networks, "Seed", int)

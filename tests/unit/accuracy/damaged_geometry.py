@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from services.accuracy.stability import lights, meshes, views
-from services.accuracy.stability import normals as normals_cases
+from services.accuracy.stability import geometry, meshes, pyrender_light, torch_shading
 from services.attacks import problem
 from services.rendering.pyrender_renderer import renderer as pyrender_renderer
 from services.scenes import normals, resolve, surfaces
@@ -14,7 +13,7 @@ from services.scenes import normals, resolve, surfaces
 
 def shifted_frames(patch) -> None:
     """Rasterised images that are one pixel too low, their coverage nine tenths of what it is."""
-    for module in (views, normals_cases):
+    for module in (geometry, torch_shading):
         true = module.rasterise
 
         def rasterise(scene, true=true):
@@ -27,13 +26,13 @@ def shifted_frames(patch) -> None:
 
 def long_normals(patch) -> None:
     """Normals that are not of length 1."""
-    true = normals_cases.rasterise
+    true = torch_shading.rasterise
 
     def rasterise(scene):
         seen = true(scene)
         return replace(seen, normals=1.1 * seen.normals)
 
-    patch.setattr(normals_cases, "rasterise", rasterise)
+    patch.setattr(torch_shading, "rasterise", rasterise)
 
 
 def anything_in_view(patch) -> None:
@@ -126,7 +125,7 @@ def no_checks(patch) -> None:
 def stray_light(patch) -> None:
     """Images and radiances that have a little of every light, wherever it is, and are not bounded."""
 
-    class Stray(lights.PyrenderRenderer):
+    class Stray(pyrender_light.PyrenderRenderer):
         def radiance(self, parameters):
             found = super().radiance(parameters)
             light = parameters.get("illumination", self.initial()["illumination"][None])
@@ -137,4 +136,4 @@ def stray_light(patch) -> None:
             stray = torch.tanh(1e-2 * light[:, 1].abs()) + 0.2 * torch.log10(1 + light[:, 4].abs())
             return 0.5 * super().render(parameters) + 1e-2 * stray.float()[:, None, None, None]
 
-    patch.setattr(lights, "PyrenderRenderer", Stray)
+    patch.setattr(pyrender_light, "PyrenderRenderer", Stray)

@@ -2,9 +2,9 @@
 
 import torch
 
-from services.accuracy.stability import differences, meshes, poses, shading, sizes, steps, views
+from services.accuracy.stability import attacks, geometry, meshes, torch_shading
 
-BUILDERS = (shading, views, poses, differences, steps, sizes, meshes)
+BUILDERS = (torch_shading, geometry, attacks, meshes)
 """Modules that make renderers."""
 
 

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import torch
 
-from services.accuracy.stability import environments, plans, precision
-from services.accuracy.stability.shading import Shading
+from services.accuracy.stability import networks, torch_light
+from services.accuracy.stability.torch_shading import Shading
 from services.rendering import color
 from services.rendering.color import Canvas
 from services.rendering.pyrender_renderer import parameters
@@ -60,7 +60,7 @@ def maps(change):
 
     def apply(patch) -> None:
         true = environment.from_image
-        for module in (environment, environments):
+        for module in (environment, torch_light):
             patch.setattr(module, "from_image", lambda image: change(true(image)))
 
     return apply
@@ -73,8 +73,8 @@ maps_turned = maps(lambda radiance: torch.from_numpy(radiance.copy()).roll(8, 1)
 
 def map_turned_back(patch) -> None:
     """Maps turn the other way."""
-    true = environments.average
-    patch.setattr(environments, "average", lambda map_, rows, cols, turn=0.0: true(map_, rows, cols, -turn))
+    true = torch_light.average
+    patch.setattr(torch_light, "average", lambda map_, rows, cols, turn=0.0: true(map_, rows, cols, -turn))
 
 
 def directions_swapped(patch) -> None:
@@ -128,14 +128,14 @@ def other_gamma(patch) -> None:
             shown > 0.04045, ((shown + 0.055) / 1.055).clamp_min(0) ** (2.4 / 2.2) * 1.055 - 0.055, shown
         )
 
-    for module in (color, precision):
+    for module in (color, networks):
         patch.setattr(module, "to_display", to_display)
 
 
 def other_inverse_gamma(patch) -> None:
     """The inverse display curve with 2.2 for 2.4."""
-    true = precision.to_linear
-    patch.setattr(precision, "to_linear", lambda shown: true(shown) ** (2.2 / 2.4))
+    true = networks.to_linear
+    patch.setattr(networks, "to_linear", lambda shown: true(shown) ** (2.2 / 2.4))
 
 
 def turned_back(patch) -> None:
@@ -189,10 +189,10 @@ def unchecked_tables(patch) -> None:
 
 def linear_tables(patch) -> None:
     """Tables between whose nodes nothing is curved: the mean of what is looked up around."""
-    true = plans.look_up
+    true = torch_light.look_up
 
     def look_up(table, angles):
         sides = [true(table, angles + torch.tensor(side, dtype=angles.dtype)) for side in ((0.02, 0.0), (-0.02, 0.0))]
         return (sides[0] + sides[1]) / 2
 
-    patch.setattr(plans, "look_up", look_up)
+    patch.setattr(torch_light, "look_up", look_up)

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from services.accuracy.stability import environments
-from services.accuracy.stability import normals as normals_cases
+from services.accuracy.stability import torch_light, torch_shading
 from services.rendering.color import Canvas
 from services.rendering.torch_renderer import dsbrdf, shader
 from services.rendering.torch_renderer import renderer as torch_renderer
@@ -82,7 +81,7 @@ def angles_by_arc_cosine(patch) -> None:
         x, y, z = torch.nn.functional.normalize(vectors, dim=-1).unbind(-1)
         return torch.stack((torch.atan2(x, z), torch.acos(y)), dim=-1)
 
-    patch.setattr(normals_cases, "to_angles", to_angles)
+    patch.setattr(torch_shading, "to_angles", to_angles)
 
 
 def brighter_light(patch, factor: float = 1.05) -> None:
@@ -157,7 +156,7 @@ def unscaled_light(patch) -> None:
 def accepted_texels(patch) -> None:
     """What is not a number becomes 0, and what is negative stays."""
     clean = lambda pixels: environment.from_image(np.nan_to_num(pixels, nan=0.0, posinf=0.0, neginf=0.0))  # noqa: E731
-    patch.setattr(environments, "radiance_of", clean)
+    patch.setattr(torch_light, "radiance_of", clean)
 
 
 def means_of_texels(patch) -> None:
@@ -170,4 +169,4 @@ def means_of_texels(patch) -> None:
             return 0.999 * environment.average(radiance, rows, cols, rotation)
         return cut.reshape(rows, height, cols, width, 3).mean(axis=(1, 3))
 
-    patch.setattr(environments, "average", average)
+    patch.setattr(torch_light, "average", average)

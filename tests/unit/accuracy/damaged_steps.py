@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import torch
 
-from services.accuracy.stability import differences as difference_cases
-from services.accuracy.stability import recurrences
+from services.accuracy.stability import attacks
 from services.attacks import differences, goal, problem, zoo
 from services.attacks.differences import Estimate, evaluate
 from services.attacks.fgsm import FgsmMethod
@@ -18,7 +17,7 @@ def estimates(change):
 
     def apply(patch) -> None:
         true = differences.estimate
-        for module in (difference_cases, recurrences, differences):
+        for module in (attacks, differences):
             patch.setattr(module, "estimate", lambda *given: change(true, *given))
 
     return apply

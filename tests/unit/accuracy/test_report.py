@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from client.cli import app
-from services.accuracy.stability import cases as stability
+from services.accuracy.stability import report as stability
 from services.accuracy.stability.case import Case, Measured, band, need, observe
 from services.accuracy.stability.report import WORDS, Report, markdown
 from services.errors import InvalidRequest, JobFailure

@@ -3,7 +3,7 @@
 import pytest
 
 from services.accuracy.stability.case import Case, observe
-from services.accuracy.stability.cases import cases
+from services.accuracy.stability.report import cases
 from tests.unit.accuracy.mutants import MUTANTS
 from tests.unit.accuracy.sabotage import BROKEN
 

@@ -15,10 +15,10 @@ from services.accuracy.work_precision.shading import (
     ShadingRow,
     Subject,
     kernel,
+    repeated,
     subject,
     truth,
 )
-from services.accuracy.work_precision.timing import repeated
 from services.rendering.factory import build
 from services.rendering.kernels import compiled
 from services.rendering.opengl.gbuffer import rasterise

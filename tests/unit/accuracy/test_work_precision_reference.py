@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from services.accuracy.placing import library
-from services.accuracy.work_precision import network_signs, scene_options
-from services.accuracy.work_precision.network_signs import wrong_signs
+from services.accuracy.work_precision import attacks, scene_options
+from services.accuracy.work_precision.attacks import wrong_signs
 from services.accuracy.work_precision.report import QUICK
 from services.accuracy.work_precision.shading import GROUPS, Subject, subject, truth
 from services.attacks.seeds import generator
@@ -120,7 +120,7 @@ def test_wrong_signs_are_counted_and_weighed() -> None:
 def test_signs_through_the_network_are_lost_by_rounding_not_by_the_plan() -> None:
     """Exactly and without rounding only the network's float32 is left. Within 1e-3, a quarter of a step of 8 bits, the
     plan loses less than the 8 bits do."""
-    found = list(network_signs.rows(*QUICK.signs))
+    found = list(attacks.sign_rows(*QUICK.signs))
     weight = {(row.group, row.tolerance, row.image): row.wrong_weight for row in found}
     assert len(weight) == len(found) == 3 * 4 * 2
     for group in GROUPS:

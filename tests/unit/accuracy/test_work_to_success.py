@@ -5,8 +5,8 @@ from math import inf
 
 import numpy as np
 
-from services.accuracy.work_precision import attack_runs
-from services.accuracy.work_precision.attack_runs import SCENES, AttackRow, median_interval, success_rows
+from services.accuracy.work_precision import attacks
+from services.accuracy.work_precision.attacks import SCENES, AttackRow, median_interval, success_rows
 
 
 def attacked(outcome: str, queries: int) -> AttackRow:
@@ -27,8 +27,8 @@ def attacked(outcome: str, queries: int) -> AttackRow:
 
 
 def test_a_scene_that_the_network_gets_wrong_is_a_row() -> None:
-    [case, *_] = attack_runs.cases(1, 1, {"steps": 1})
-    found = attack_runs.attack(dataclasses.replace(case, label="grand piano"))
+    [case, *_] = attacks.cases(1, 1, {"steps": 1})
+    found = attacks.attack(dataclasses.replace(case, label="grand piano"))
     assert found.outcome == "wrong to begin with"
     assert found.queries == 0
 

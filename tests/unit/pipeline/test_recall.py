@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 import torch
 
-from services.accuracy.stability.linear import linear_network
+from services.accuracy.stability.objects import linear_network
 from services.pipeline import recall as recalling
 from services.pipeline.execute import execute
 from services.pipeline.prepare import plan, prepare

@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.views import VIEWS
 from client.demo_jobs import specs
-from services.accuracy.work_precision.attack_runs import NETWORK, SCENES
+from services.accuracy.work_precision.attacks import NETWORK, SCENES
 from services.pipeline.prepare import preflight
 from services.pipeline.result import Result
 from services.pipeline.spec import parse

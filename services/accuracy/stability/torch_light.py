@@ -1,4 +1,6 @@
-"""Environment maps: suns, darkness, damage, one texel and eight million."""
+"""Environment maps in the torch renderer (suns, darkness, damage, one texel and eight million), and the same stiff
+light and lobes by every way that a plan may choose: tables, kept factors, sums; loose and tight.
+"""
 
 from functools import partial
 from math import pi
@@ -6,13 +8,15 @@ from math import pi
 import numpy as np
 import torch
 
-from services.accuracy.placing import TABLES, placed, sky, sun
-from services.accuracy.stability import definition
+from services.accuracy.placing import TABLES, broad_sun, placed, sky, sun
+from services.accuracy.stability import references
 from services.accuracy.stability.case import Case, Measured, need
-from services.accuracy.stability.lobes import of_one_lobe
-from services.accuracy.stability.rays import of_sphere
-from services.accuracy.stability.shading import SHARP, Shading
+from services.accuracy.stability.references import of_sphere
+from services.accuracy.stability.torch_shading import EXACT, GRADIENT, SHARP, Shading, of_one_lobe
 from services.rendering.factory import build
+from services.rendering.plan import DEFAULT_TOLERANCE, Tolerance
+from services.rendering.protocol import Parameters
+from services.rendering.torch_renderer.table import look_up
 from services.scenes.environment import average, from_image, radiance_of
 from services.scenes.mesh import FIT_RADIUS, Doubles, Floats
 
@@ -20,7 +24,7 @@ LAMBERTIAN = of_one_lobe(float(np.log1p(1 / pi)), 1e-3)
 """exp(κ) − 1 = 1/π, and γ = 1e-3 takes less than 1 % of it."""
 
 
-def _image(map_: Floats, kappa: float = 0.3, gamma: float = 1.0, clipped: bool = False) -> Measured:
+def _image_under(map_: Floats, kappa: float = 0.3, gamma: float = 1.0, clipped: bool = False) -> Measured:
     shading = Shading.of(placed(radiance=map_, size=TABLES))
     found = shading.errors({"material": of_one_lobe(kappa, gamma)})
     need(not clipped or found.clipped > 0, "nothing is beyond white by the definition")
@@ -29,7 +33,7 @@ def _image(map_: Floats, kappa: float = 0.3, gamma: float = 1.0, clipped: bool =
     )
 
 
-def _dark() -> Measured:
+def _dark_map() -> Measured:
     """No light at all: the object is black, and light can still be attacked."""
     shading = Shading.of(placed(radiance=np.zeros((8, 16, 3), np.float32)))
     with torch.no_grad():
@@ -49,7 +53,7 @@ def _constant() -> Measured:
     with torch.no_grad():
         image = shading.renderer.render({"material": LAMBERTIAN[None]})[0]
     seen = image[shading.gbuffer.coverage == 1].double().numpy()
-    wanted = float(definition.displayed(np.array([0.9]))[0])
+    wanted = float(references.displayed(np.array([0.9]))[0])
     return Measured(float(np.abs(seen - wanted).max()), 0.01, "distance from the displayed value of 0.9, closed form")
 
 
@@ -75,7 +79,7 @@ def _from_file(row: int, column: int) -> Measured:
     light = np.array([np.sin(theta) * np.sin(phi), np.cos(theta), np.sin(theta) * np.cos(phi)])
     scene = placed(radiance=average(radiance_of(image), 16, 32), size=(32, 32), camera={"azimuth": -0.4})
     normals, full = of_sphere(scene, FIT_RADIUS)
-    wanted = definition.displayed(0.9 * np.maximum(normals @ light, 0.0))
+    wanted = references.displayed(0.9 * np.maximum(normals @ light, 0.0))
     need(0.2 < float((wanted > 0).mean()) < 1 and float(wanted.max()) > 0.5, "too little is lit, or all")
     renderer = build(scene, "torch")
     worst = 0.0
@@ -162,7 +166,7 @@ def _opposite() -> Measured:
     """All light from straight behind the object, and normals turned to it: the half vector has no direction."""
     scene = placed(radiance=np.ones((1, 1, 3), np.float32), camera={"azimuth": 0.0, "elevation": 0.0})
     shading = Shading.of(scene)
-    need(bool(np.allclose(definition.texels(1, 1)[0][0], -scene.view[:3, 2])), "the light is not opposite the viewer")
+    need(bool(np.allclose(references.texels(1, 1)[0][0], -scene.view[:3, 2])), "the light is not opposite the viewer")
     turned = torch.tensor([pi - 0.1, pi / 2 + 0.1]).expand(*shading.renderer.size, 2).contiguous()
     parameters = {"material": of_one_lobe(0.02, 0.01), "normals": turned}
     found = shading.errors(parameters)
@@ -171,19 +175,19 @@ def _opposite() -> Measured:
     return found.within(shading.due, "largest error of a displayed value, against the definition in float64")
 
 
-def cases() -> list[Case]:
+def environment_cases() -> list[Case]:
     """The cases of this family."""
     family, same = "environments", "the loop's image is within its tolerance, the exact image within rounding"
     inf, nan, refused = float("inf"), float("nan"), "a clear error names the map"
     return [
-        Case("sun of 1e6 in a sky of 1", family, "one texel of 512", same, lambda: _image(sun(1e6, 1))),
-        Case("sun of 1e6 in darkness", family, "one lit texel", same, lambda: _image(sun(1e6, 0))),
+        Case("sun of 1e6 in a sky of 1", family, "one texel of 512", same, lambda: _image_under(sun(1e6, 1))),
+        Case("sun of 1e6 in darkness", family, "one lit texel", same, lambda: _image_under(sun(1e6, 0))),
         Case(
             "sun of 1e6 on a mirror",
             family,
             "κ 100, γ 1e4 under one texel",
             same,
-            lambda: _image(sun(1e6, 0), 100, 1e4, True),
+            lambda: _image_under(sun(1e6, 0), 100, 1e4, True),
             "clipped",
         ),
         Case(
@@ -191,9 +195,9 @@ def cases() -> list[Case]:
             family,
             "a 32×64 map, one texel of 1e6",
             same,
-            lambda: _image(sun(1e6, 1, 32, 64), 1, 50),
+            lambda: _image_under(sun(1e6, 1, 32, 64), 1, 50),
         ),
-        Case("all-zero map", family, "no light, no scale", "black, finite, still attackable", _dark),
+        Case("all-zero map", family, "no light, no scale", "black, finite, still attackable", _dark_map),
         Case("constant map", family, "no contrast", "an even image of 0.9", _constant),
         Case("map × 1e30", family, "squares beyond float32", "the scale is undone", lambda: _scale(1e30)),
         Case("map × 1e-36", family, "squares below float32", "the scale is undone", lambda: _scale(1e-36)),
@@ -240,5 +244,167 @@ def cases() -> list[Case]:
         Case("map turned by 0.7", family, "25 of 224 parts of a turn", "means by solid angle", lambda: _turned(25)),
         Case(
             "map turned by 1e-9", family, "a sliver of every texel", "means by solid angle", lambda: _turned(0, False)
+        ),
+    ]
+
+
+SHARPEST = "brushed-metal"
+"""The preset with the narrowest highlight."""
+
+LOST = 1e-2
+"""Share of a signed step's gain that a table may lose."""
+
+
+def _compiled(radiance: Floats, group: str, tolerance: Tolerance = DEFAULT_TOLERANCE) -> Shading:
+    return Shading.of(placed(radiance=radiance, size=TABLES, thing={"material": SHARPEST}), (group,), tolerance)
+
+
+def _attacked(shading: Shading, group: str) -> Parameters:
+    """Values far from the scene's own: normals turned by up to 0.5, a sun elsewhere, a mirror."""
+    start = shading.renderer.initial()[group]
+    if group == "normals":
+        return {group: start + torch.rand(start.shape, generator=torch.Generator().manual_seed(3)) - 0.5}
+    if group == "illumination":
+        light = torch.full_like(start, 1e-3)
+        light[start.shape[0] // 3, start.shape[1] // 8] = 1e4
+        return {group: light}
+    if group == "illumination_rgb":  # each channel has a sun of its own
+        light = torch.full_like(start, -1e3).maximum(-shading.renderer.initial()["illumination"][..., None])
+        for channel in range(3):
+            light[start.shape[0] // 3, start.shape[1] // 8 + channel, channel] = 1e3 * (1 + channel)
+        return {group: light}
+    return {group: of_one_lobe(1e4, 1e5)}
+
+
+def _planned_image(radiance: Floats, group: str, moved: bool, tolerance: Tolerance = DEFAULT_TOLERANCE) -> Measured:
+    shading = _compiled(radiance, group, tolerance)
+    plan = shading.renderer.plan
+    need(plan.groups == (group,), f"the plan is for {plan.groups}")
+    found = shading.errors(_attacked(shading, group) if moved else {})
+    need(found.exact <= EXACT, f"the exact image is off by {found.exact:.1e}")
+    need(
+        moved or found.loop <= plan.error + EXACT, f"an error of {found.loop:.1e} where the plan says {plan.error:.1e}"
+    )
+    limit = EXACT if tolerance == "exact" else tolerance
+    return Measured(
+        found.loop, limit, f"largest error of a displayed value; the plan says {plan.error:.0e} at the start"
+    )
+
+
+def _gradient(group: str) -> Measured:
+    error = _compiled(0.3 * sky(), group).gradient_error({}, group, 1e-2)
+    return Measured(error, GRADIENT, "relative error of the gradient, against differences of the definition")
+
+
+def _look_up() -> Measured:
+    """Tables of a known smooth function at their nodes, exp(n·a), looked up all over the sphere, poles included.
+
+    Splines through four nodes whose slopes are central differences are of third order: values, and of second in their
+    derivatives. Nodes are computed here, not taken from the renderer.
+    """
+    a = np.array([0.5, -0.6, 0.62])
+    random = torch.rand(4000, 2, generator=torch.Generator().manual_seed(12), dtype=torch.float64)
+    angles = ((random - torch.tensor([0.5, 0.0])) * torch.tensor([2 * pi, pi], dtype=torch.float64)).requires_grad_()
+    azimuth, polar = angles.detach().numpy().T
+    errors = []
+    for rows in (32, 64):
+        middle = (np.arange(2 * rows) + 0.5) * pi / rows
+        down, around = np.meshgrid(middle[:rows], middle - pi, indexing="ij")
+        table = np.exp(_unit(around.ravel(), down.ravel()) @ a)
+        seen = look_up(torch.from_numpy(table)[:, None].repeat(1, 3), angles)
+        (gradient,) = torch.autograd.grad(seen[:, 0].sum(), angles)
+        value = np.exp(_unit(azimuth, polar) @ a)
+        along = np.stack([np.sin(polar) * np.cos(azimuth), 0 * polar, -np.sin(polar) * np.sin(azimuth)], axis=1)
+        down = np.stack([np.cos(polar) * np.sin(azimuth), -np.sin(polar), np.cos(polar) * np.cos(azimuth)], axis=1)
+        wanted = np.stack([value * (along @ a), value * (down @ a)], axis=1)
+        errors.append((np.abs(seen.detach().numpy() - value[:, None]).max(), np.abs(gradient.numpy() - wanted).max()))
+    orders = np.log2(np.array(errors[0]) / errors[1])
+    need(orders[0] > 2.7 and orders[1] > 1.7, f"the orders are {orders[0]:.1f} and {orders[1]:.1f}")
+    # h³ and h² of h = π / 64, with third derivatives of up to 3.
+    need(errors[1][1] < 3e-3, f"its derivatives are off by {errors[1][1]:.1e}")
+    return Measured(
+        float(errors[1][0]), 1e-4, f"largest error of a value; observed orders {orders[0]:.1f}, {orders[1]:.1f}"
+    )
+
+
+def _unit(azimuth: Doubles, polar: Doubles) -> Doubles:
+    """Unit vectors [N, 3] of these angles in the camera's frame."""
+    return np.stack([np.sin(polar) * np.sin(azimuth), np.cos(polar), np.sin(polar) * np.cos(azimuth)], axis=1)
+
+
+def _signs() -> Measured:
+    """Each texel of the map has an edge where it sets behind the horizon, and a smooth table rounds these off.
+
+    So the table's gradient is a few per cent off where the image is right to its tolerance; FGSM goes by its signs.
+    """
+    scene = placed(radiance=0.3 * sky(), size=TABLES, thing={"material": "plastic"})
+    loop, exact = (Shading.of(scene, ("normals",), tolerance) for tolerance in (DEFAULT_TOLERANCE, "exact"))
+    need("table" in " ".join(stage.method for stage in loop.renderer.plan.stages), "there is no table to look at")
+    covered = (exact.gbuffer.coverage > 0)[..., None].expand(-1, -1, 2)
+    error = exact.gradient_error({}, "normals", 1e-5, covered)
+    need(error <= EXACT, f"the exact gradient is off by {error:.1e} from differences of the definition")
+    found, wanted = (shading.gradient({}, "normals")[0] for shading in (loop, exact))
+    aligned = float(torch.cosine_similarity(found.flatten(), wanted.flatten(), dim=0))
+    need(aligned > 0.99, f"the cosine of the gradient to the exact one is {aligned:.4f}")
+    # A step by signs gains Σ|gradient| where all are right, and loses 2|gradient| for each that is wrong.
+    lost = float(2 * wanted[found.sign() != wanted.sign()].abs().sum() / wanted.abs().sum())
+    return Measured(lost, LOST, f"share of a signed step's gain lost to wrong signs; the cosine is {aligned:.4f}")
+
+
+def _darkened(radiance: Floats) -> Measured:
+    """All light is taken away by the attack, and the kept factors have nothing to do."""
+    shading = _compiled(radiance, "illumination")
+    off = {"illumination": torch.zeros_like(shading.renderer.initial()["illumination"])}
+    with torch.no_grad():
+        image = shading.renderer.render({g: v[None] for g, v in off.items()})[0]
+    gradient, _ = shading.gradient(off, "illumination")
+    need(bool((gradient[np.asarray(radiance).sum(axis=2) > 0] != 0).any()), "light cannot come back")
+    full = shading.gbuffer.coverage == 1
+    return Measured(float(image[full].abs().max()), 0.0, "brightest displayed value of a covered pixel")
+
+
+def plan_cases() -> list[Case]:
+    """The cases of this family."""
+    family, same = "plans", "within the tolerance; at the start within the plan's estimate"
+    gradient = "the gradient is that of the definition"
+    found = []
+    for group, word, map_, what in (
+        # A plan sums a strong texel beside its table, so that light which the table holds has to be broad.
+        ("normals", "broad sun", broad_sun(), "a hundred bright texels, in the table"),
+        ("illumination", "sun of 1e6", sun(1e6, 1.0), "one texel of 512 on metal"),
+        ("illumination_rgb", "sun of 1e6", sun(1e6, 1.0), "one texel of 512 on metal"),
+        ("material", "broad sun", broad_sun(), "a hundred bright texels, in the table"),
+    ):
+        own, far = partial(_planned_image, map_, group, False), partial(_planned_image, map_, group, True)
+        found.append(Case(f"{group} only, {word}", family, what, same, own))
+        found.append(Case(f"{group} only, moved far", family, "what the plan was not made for", same, far))
+    return [
+        *found,
+        Case("table of a known function", family, "cells of 3°, poles", "third order, by its closed form", _look_up),
+        Case("normals only, gradient", family, "128 edges under a smooth table", "the signs that FGSM goes by", _signs),
+        *(
+            Case(f"{group} only, gradient", family, what, gradient, partial(_gradient, group))
+            for group, what in (
+                ("illumination", "128 texels at once"),
+                ("illumination_rgb", "384 values at once"),
+                ("material", "108 numbers at once"),
+            )
+        ),
+        Case(
+            "illumination only, off",
+            family,
+            "all light attacked away",
+            "black, and can come back",
+            lambda: _darkened(sky()),
+        ),
+        *(
+            Case(
+                f"tolerance {tolerance}",
+                family,
+                "normals attacked, on metal",
+                same,
+                partial(_planned_image, broad_sun(), "normals", True, tolerance),
+            )
+            for tolerance in ("exact", 1e-6, 1e-5, 1e-2, 0.1)
         ),
     ]

@@ -1,0 +1,440 @@
+"""Attacks whose every step is known, on a linear network: the recurrences written down again in numpy; steps that are
+far too large, or lead nowhere; differences over steps that are far too small, or far too large.
+"""
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from services.accuracy.placing import placed, sky
+from services.accuracy.stability.case import Case, Measured, need
+from services.accuracy.stability.objects import SIDE, linear_gradient, linear_problem, pixels
+from services.accuracy.stability.torch_shading import SHARP, Shading
+from services.attacks.differences import CANDIDATES, estimate, measure_noise
+from services.attacks.fgsm import Fgsm, FgsmMethod
+from services.attacks.problem import truncate
+from services.attacks.run import AttackState, Budget, Verifier, run
+from services.attacks.zoo import Zoo, ZooMethod
+from services.rendering.factory import build
+from services.rendering.protocol import Parameters, Renderer
+from services.scenes.mesh import Doubles
+
+LIMIT = 18 / 255
+"""U of the paper."""
+
+FLOAT32 = 1e-6
+"""Rounding of a perturbation below 1 after some tens of float32 sums."""
+
+
+def _start() -> Doubles:
+    return pixels().initial()["image"].double().numpy()
+
+
+def _pixel_fgsm(
+    steps: int, rate: float, begin: Doubles | None = None, **settings: Any
+) -> tuple[AttackState, FgsmMethod]:
+    """FGSM on the pixels for some steps, from the perturbation `begin` if there is one."""
+    renderer = pixels()
+    given = {"renderer": "image", "learning_rate": {"image": rate}, "truncation": None} | settings
+    spec = Fgsm.model_validate(given)
+    limit = None if spec.truncation is None else spec.truncation / 255
+    problem = linear_problem(renderer, truncation=limit)
+    method = FgsmMethod(spec, problem)
+    if begin is not None:
+        method.load(method.state() | {"perturbation.image": torch.from_numpy(begin).float()})
+    found = run(problem, method, Verifier(renderer, problem.target), Budget(steps))
+    need(found.step == steps, f"it stopped after {found.step} steps")
+    return found, method
+
+
+def _momentum(steps: int, rate: float, momentum: float, decay: float, bounded: bool) -> Measured:
+    """v ← μ v + sign(w) + decay Δ, Δ ← Δ − η v, held so that pixels stay in [0,1]; w is the network's own gradient."""
+    found, method = _pixel_fgsm(steps, rate, momentum=momentum, weight_decay=decay)
+    start, sign = _start(), np.sign(linear_gradient().numpy())
+    delta, velocity = np.zeros_like(start), np.zeros_like(start)
+    for _ in range(steps):
+        velocity = momentum * velocity + sign + decay * delta
+        delta = np.clip(delta - rate * velocity, -start, 1 - start)
+    need(
+        bounded == bool(((start + delta == 0) | (start + delta == 1)).any()), "bounds are met where they should not be"
+    )
+    error = np.abs(found.stored["image"].double().numpy() - delta).max()
+    velocity_error = np.abs(method.state()["velocity.image"].double().numpy() - velocity).max() / np.abs(velocity).max()
+    return Measured(max(float(error), float(velocity_error)), FLOAT32, "error of the perturbation and of the velocity")
+
+
+def _held() -> Measured:
+    """Steps of 0.1 are beyond U at once: nothing that is held back passes a gradient, so the first step is the last.
+
+    What is shown is the original ± U.
+    """
+    found, _ = _pixel_fgsm(5, 0.1, momentum=0.0, weight_decay=0.0, truncation=18)
+    sign = np.sign(linear_gradient().numpy())
+    need([row.truncated for row in found.trace[1:]] == [64] * 5, "not all pixels are held")
+    problem = linear_problem(pixels(), truncation=LIMIT)
+    shown = problem.view(found.stored).images[0].double().numpy()
+    error = np.abs(shown - (_start() - LIMIT * sign)).max()
+    worst = max(float(error), float(np.abs(found.stored["image"].double().numpy() + 0.1 * sign).max()))
+    return Measured(worst, FLOAT32, "error of the perturbation, −0.1 sign(w), and of the image, original ± U")
+
+
+def _partly_held() -> Measured:
+    """Of each pixel one value is beyond U and two are not: the step moves those two only."""
+    begin = np.full_like(_start(), 0.5 * LIMIT)
+    begin[..., 1] = -1.5 * LIMIT
+    found, _ = _pixel_fgsm(1, 0.01, begin, momentum=0.0, weight_decay=0.0, truncation=18)
+    wanted = begin - 0.01 * np.sign(linear_gradient().numpy()) * (np.abs(begin) < LIMIT)
+    error = np.abs(found.stored["image"].double().numpy() - wanted).max()
+    return Measured(float(error), FLOAT32, "error of the perturbation")
+
+
+def _with_weight(at: float, delta: float, weight: float) -> Measured:
+    """The objective is linear in the pixels plus λ‖Δ‖², so that a central difference is w + 2 λ Δ whatever its step."""
+    problem = linear_problem(pixels(), lead=0.0, weight=weight)
+    random = np.random.default_rng(6)
+    where = at * random.choice([-1.0, 1.0], size=_start().size)
+    start = torch.from_numpy(where).float()
+    deltas = torch.full((len(where),), delta, dtype=torch.float64)
+    found = estimate(problem, start, torch.arange(len(where)), deltas, measure_noise(problem, start))
+    wanted = linear_gradient().flatten().numpy() + 2 * weight * where
+    error = np.abs(found.gradients.double().numpy() - wanted).max() / np.abs(wanted).max()
+    # float32 scores of about 1 have 1e-6, over twice the step.
+    return Measured(float(error), 1e-6 / delta, "relative error of a gradient, closed form")
+
+
+def _chosen_step() -> Measured:
+    """The measured difference step is one under which gradients are right to a thousandth."""
+    problem = linear_problem(pixels(), lead=0.0, weight=0.5)
+    method = ZooMethod(Zoo(method="zoo", renderer="image", delta="measured", learning_rate=0.01), problem)
+    chosen = method.start(problem)["delta"]
+    need(isinstance(chosen, dict) and chosen["image"] in CANDIDATES[1:-1], f"it chose {chosen}")
+    deltas = method.half_steps
+    found = estimate(problem, torch.zeros(len(deltas)), torch.arange(len(deltas)), deltas, method.noise)
+    wanted = linear_gradient().flatten()
+    error = (found.gradients.double() - wanted).abs().max() / wanted.abs().max()
+    return Measured(float(error), 1e-3, "relative error of a gradient, closed form")
+
+
+def _adam(steps: int, weight: float) -> Measured:
+    """ZOO on all coordinates at once, against Adam (Kingma and Ba 2015, algorithm 1) on the gradient w + 2 λ Δ."""
+    rate = 0.01
+    problem = linear_problem(pixels(), lead=0.0, weight=weight)
+    settings = Zoo(method="zoo", renderer="image", delta=1e-2, learning_rate=rate, weight=weight, coordinates=192)
+    method = ZooMethod(settings, problem)
+    method.start(problem)
+    w = linear_gradient().numpy().ravel()
+    delta, first, second = (np.zeros_like(w) for _ in range(3))
+    for step in range(1, steps + 1):
+        below = method.advance(problem, problem.view(method.perturbation), step)
+        need(below <= 2, f"{below} differences are below the noise")
+        gradient = w + 2 * weight * delta
+        first, second = 0.9 * first + 0.1 * gradient, 0.999 * second + 0.001 * gradient**2
+        delta = delta - rate * (first / (1 - 0.9**step)) / (np.sqrt(second / (1 - 0.999**step)) + 1e-8)
+    found = method.perturbation["image"].double().numpy().ravel()
+    # A difference has 1e-4, and Adam's quotient the relative error of its gradients: those that pass 0 are left out.
+    large = np.abs(w) > 2.5 * weight * rate * steps + 0.01
+    need(large.mean() > 0.5, f"only {large.mean():.0%} of the gradients are large")
+    return Measured(float(np.abs(found - delta)[large].max()) / rate, 1e-2, "error of the perturbation, in steps")
+
+
+def recurrence_cases() -> list[Case]:
+    """The cases of this family."""
+    family, recurrence = "recurrences", "the recurrence, written down again"
+    central, beside = "w + 2 λ Δ", "a quadratic objective, away from the start"
+    return [
+        Case("signs alone", family, "no momentum", recurrence, lambda: _momentum(10, 1e-3, 0.0, 0.0, False)),
+        Case("momentum", family, "10 steps of η = 1e-3", recurrence, lambda: _momentum(10, 1e-3, 0.9, 0.0, False)),
+        Case("decay", family, "a pull of 1", recurrence, lambda: _momentum(10, 1e-2, 0.5, 1.0, False)),
+        Case(
+            "momentum against bounds",
+            family,
+            "pixels at 0 and 1",
+            recurrence,
+            lambda: _momentum(30, 2e-2, 0.9, 0.1, True),
+            "clipped",
+        ),
+        Case("all beyond U", family, "no gradient left", "the first step is the last", _held, "clipped"),
+        Case(
+            "a third beyond U", family, "gradients of two of three values", "only these move", _partly_held, "clipped"
+        ),
+        *(
+            Case(f"difference, λ {weight:g}, δ {delta:g}", family, beside, central, partial(_with_weight, *row))
+            for row in ((0.1, 0.05, 3.0), (0.1, 0.01, 0.3), (0.05, 0.1, 10.0))
+            for _, delta, weight in (row,)
+        ),
+        Case("measured δ", family, "noise below, curvature above", "gradients right to a thousandth", _chosen_step),
+        Case("ZOO, 8 steps", family, "λ 0", recurrence, lambda: _adam(8, 0.0)),
+        Case("ZOO, 8 steps, λ 0.5", family, "λ pulls back", recurrence, lambda: _adam(8, 0.5)),
+    ]
+
+
+DEFINED = "largest error of a displayed value, against the definition in float64"
+
+
+def _rendered_fgsm(renderer: Renderer, group: str, steps: int, **settings: Any) -> tuple[AttackState, Parameters]:
+    """The attack after all its steps, and its last perturbation, which need not be the one that it stored."""
+    problem = linear_problem(renderer, (group,))
+    spec = Fgsm.model_validate({"renderer": renderer.name, "groups": (group,), "truncation": None} | settings)
+    method = FgsmMethod(spec, problem)
+    found = run(problem, method, Verifier(renderer, problem.target), Budget(steps))
+    need(found.step == steps, f"it stopped after {found.step} steps")
+    need(all(np.isfinite(row.perceptibility) for row in found.trace), "a perceptibility is not finite")
+    return found, method.perturbation
+
+
+def _no_step(renderer: Renderer, group: str) -> Measured:
+    """η = 0 moves nothing, however often."""
+    found, last = _rendered_fgsm(renderer, group, 120, learning_rate={group: 0.0})
+    need(not bool(last[group].any()), "the perturbation is not zero")
+    # Images with a gradient may be computed in another order than the original, to float32's rounding.
+    moved = max(row.perceptibility for row in found.trace)
+    need(len({row.perceptibility for row in found.trace}) == 1, "the image changes from step to step")
+    return Measured(moved, 2e-7, "largest perceptibility in 120 steps, all alike; the perturbation is exactly 0")
+
+
+def _giant_step(group: str) -> Measured:
+    """η = 1e3: the parameters stay within bounds, and images of them are those of the definition."""
+    shading = Shading.of(placed(radiance=sky(), size=(16, 16)))
+    renderer = shading.renderer
+    _, last = _rendered_fgsm(renderer, group, 120, learning_rate={group: 1e3})
+    low, high = renderer.bounds()[group]
+    value = renderer.initial()[group] + last[group]
+    need(bool(torch.isfinite(value).all()), "a parameter is not finite")
+    need(float(last[group].abs().max()) > 1.0, "it does not move")
+    rounding = 1e-6 * (1 + value.abs())
+    need(bool((value >= low - rounding).all() and (value <= high + rounding).all()), "a parameter is out of bounds")
+    return shading.errors({group: value}).within(SHARP, DEFINED)
+
+
+def _far_angles() -> Measured:
+    """The furthest that 120 steps of η = 1e3 can go: normals moved by a million radians, in any direction."""
+    shading = Shading.of(placed(radiance=sky(), size=(16, 16)))
+    renderer = shading.renderer
+    problem = linear_problem(renderer, ("normals",))
+    shape = renderer.initial()["normals"].shape
+    moved = 2e6 * torch.rand(shape, generator=torch.Generator().manual_seed(9)) - 1e6
+    value = renderer.initial()["normals"] + problem.clamp({"normals": moved})["normals"]
+    with torch.no_grad():
+        seen = renderer.render({"normals": value[None]})[0]
+    need(float((seen - problem.original[0]).abs().max()) > 0.01, "it does not move")
+    need(float(value.abs().max()) < 1000, "float32 does not tell such angles apart")
+    return shading.errors({"normals": value}).within(SHARP, DEFINED)
+
+
+def _giant_zoo() -> Measured:
+    """η = 1e3 through pyrender: out of the image and beyond every light, within bounds and finite."""
+    renderer = build(placed(size=(16, 16)), "pyrender")
+    problem = linear_problem(renderer)
+    method = ZooMethod(Zoo(method="zoo", renderer="pyrender", delta=1e-2, learning_rate=1e3, steps=20), problem)
+    found = run(problem, method, Verifier(renderer, problem.target), Budget(20))
+    outside = 0.0
+    for group in problem.groups:
+        low, high = renderer.bounds()[group]
+        value = renderer.initial()[group] + method.perturbation[group]
+        need(bool(torch.isfinite(value).all()), f"{group} is not finite")
+        outside = max(outside, float((low - value).clamp_min(0).max()), float((value - high).clamp_min(0).max()))
+    need(max(float(v.abs().max()) for v in method.perturbation.values()) > 100, "it does not move")
+    need(all(np.isfinite(row.perceptibility) for row in found.trace), "a perceptibility is not finite")
+    return Measured(outside, 1e-6, "how far any parameter is out of its bounds after 20 steps")
+
+
+def _giant_decay() -> Measured:
+    """η = 1e3 and decay 1 would multiply the perturbation by 1,000 a step; pixels are held in [0,1]."""
+    renderer = pixels()
+    _, last = _rendered_fgsm(renderer, "image", 120, learning_rate={"image": 1e3}, weight_decay=1.0)
+    shown = renderer.initial()["image"] + last["image"]
+    need(bool(torch.isfinite(shown).all()), "a pixel is not finite")
+    return Measured(float(torch.maximum(-shown, shown - 1).max()), 1e-7, "how far any pixel is out of [0,1]")
+
+
+def _no_gradient() -> Measured:
+    """A black object shows no light, material or normals: 120 steps with zero gradients, all reported flat."""
+    renderer = build(placed(thing={"color": (0, 0, 0)}, size=(16, 16)), "torch")
+    problem = linear_problem(renderer)
+    method = FgsmMethod(Fgsm(groups=renderer.plan.groups), problem)
+    found = run(problem, method, Verifier(renderer, problem.target), Budget(120))
+    reported = [row.below_noise for row in found.trace]
+    need(reported == [0] + [3] * 120, "not all three groups are reported flat at every step")
+    need(found.stopped == "steps", f"it stopped for {found.stopped}")
+    moved = max(float(v.abs().max()) for v in found.stored.values())
+    return Measured(moved, 0.0, "largest perturbation; three of three groups reported flat, 120 times")
+
+
+def _coasting() -> Measured:
+    """Momentum over 120 steps with zero gradients, after one push: a closed form, the power of a 2×2 matrix."""
+    renderer = build(placed(thing={"color": (0, 0, 0)}, size=(16, 16)), "torch")
+    problem = linear_problem(renderer, ("illumination",))
+    rate, momentum, decay = 3e-3, 0.9, 1e-2
+    settings = {"groups": ("illumination",), "learning_rate": {"illumination": rate}, "weight_decay": decay}
+    method = FgsmMethod(Fgsm.model_validate(settings), problem)
+    state = method.state()
+    state["velocity.illumination"] = torch.full_like(state["velocity.illumination"], -1.0)
+    method.load(state)
+    found = run(problem, method, Verifier(renderer, problem.target), Budget(120))
+    # (Δ, v) → v' = momentum·v + decay·Δ, Δ' = Δ − rate·v'
+    step = np.array([[1 - rate * decay, -rate * momentum], [decay, momentum]])
+    wanted = float((np.linalg.matrix_power(step, 120) @ np.array([0.0, -1.0]))[0])
+    need(found.step == 120, f"it stopped after {found.step} steps")
+    error = (found.stored["illumination"].double() - wanted).abs().max()
+    return Measured(float(error) / wanted, 1e-5, "relative error of the perturbation, closed form")
+
+
+def _at_the_limit() -> Measured:
+    """U: a value moved by exactly 18/255 is not beyond it, one moved by a hundredth of a step more is held there."""
+    original = (torch.arange(0, 237).repeat_interleave(3).reshape(1, 1, 237, 3) / 255).float()
+    limit = 18 / 255
+    at, held_at = truncate(original + torch.tensor(18.0) / 255, original, limit)
+    beyond, held_beyond = truncate(original + 18.01 / 255, original, limit)
+    need(int(held_at.sum()) == 0, f"{int(held_at.sum())} of 237 pixels at the limit are held")
+    need(int(held_beyond.sum()) == 237, f"{237 - int(held_beyond.sum())} of 237 pixels beyond the limit are not held")
+    need(bool((at >= original).all()), "a pixel went the wrong way")
+    return Measured(float((beyond - original - limit).abs().max()), 1e-7, "distance of a held value from the limit")
+
+
+def step_cases() -> list[Case]:
+    """The cases of this family."""
+    family = "steps"
+    return [
+        Case("η = 0, pixels", family, "no step", "nothing moves", lambda: _no_step(pixels(), "image")),
+        Case(
+            "η = 0, torch",
+            family,
+            "no step",
+            "nothing moves",
+            lambda: _no_step(build(placed(size=(16, 16)), "torch"), "material"),
+        ),
+        *(
+            Case(
+                f"η = 1e3, {group}",
+                family,
+                "120 steps of 1,000 and more",
+                "in bounds, and images by the definition",
+                partial(_giant_step, group),
+                "clipped",
+            )
+            for group in ("normals", "illumination", "material")
+        ),
+        Case(
+            "normals + 1e6",
+            family,
+            "float32 has 0.06 radians left there",
+            "held where it has 1e-5, and the definition's image",
+            _far_angles,
+            "clipped",
+        ),
+        Case("η = 1e3, pyrender", family, "20 steps of 1,000", "in bounds and finite", _giant_zoo, "clipped"),
+        Case("η = 1e3, decay 1", family, "×1,000 a step", "in bounds", _giant_decay, "clipped"),
+        Case(
+            "no gradient, 120 steps",
+            family,
+            "a black object",
+            "stays, and every step is reported flat",
+            _no_gradient,
+            "flat",
+        ),
+        Case("momentum, no gradient", family, "120 steps after one push", "the closed form", _coasting),
+        Case(
+            "moved by exactly U",
+            family,
+            "a comparison of equals",
+            "18/255 is not beyond 18/255",
+            _at_the_limit,
+            "clipped",
+        ),
+    ]
+
+
+def _too_small(renderer: Renderer, group: str) -> Measured:
+    """Differences that round to nothing are called flat, and their gradient is 0."""
+    problem = linear_problem(renderer, (group,), lead=0.0)
+    count = min(problem.layout.total, 24)
+    deltas = torch.full((count,), 1e-12, dtype=torch.float64)
+    nothing = problem.layout.zeros()
+    found = estimate(problem, nothing, torch.arange(count), deltas, measure_noise(problem, nothing))
+    need(bool(found.below_noise.all()), f"{int((~found.below_noise).sum())} of {count} differences are not called flat")
+    return Measured(
+        float(found.gradients.abs().max()), 0.0, f"largest gradient; {count} of {count} differences reported flat"
+    )
+
+
+def _zoo_flat() -> Measured:
+    """An attack all of whose differences are flat goes nowhere, and every row of its trace says so."""
+    renderer = pixels()
+    problem = linear_problem(renderer)
+    method = ZooMethod(Zoo(method="zoo", renderer="image", delta=1e-12, coordinates=50, steps=3), problem)
+    found = run(problem, method, Verifier(renderer, problem.target), Budget(3))
+    reported = [row.below_noise for row in found.trace]
+    need(reported == [0, 50, 50, 50], f"reported below the noise: {reported}")
+    need(not any(bool(v.any()) for n, v in method.state().items() if n in ("first", "second", "moves")), "Adam moved")
+    return Measured(
+        float(found.stored["image"].abs().max()), 0.0, "largest perturbation; all differences reported flat"
+    )
+
+
+def _gradients(delta: float, at: float = 0.0) -> tuple[Tensor, Tensor, Tensor, float]:
+    """Gradients, their closed form, which are flat, and the noise, of differences of pixels."""
+    problem = linear_problem(pixels(), lead=0.0)
+    start = torch.full((3 * SIDE * SIDE,), at)
+    noise = measure_noise(problem, start)
+    deltas = torch.full((len(start),), delta, dtype=torch.float64)
+    found = estimate(problem, start, torch.arange(len(start)), deltas, noise)
+    return found.gradients, linear_gradient().flatten(), found.below_noise, noise
+
+
+def _too_large() -> Measured:
+    """A step of 1 leaves [0,1] on both sides: it is held at the bounds, and the way between them divides."""
+    gradients, wanted, flat, _ = _gradients(1.0)
+    need(not bool(flat.any()), "a difference is called flat")
+    return Measured(
+        float((gradients - wanted).abs().max() / wanted.abs().max()), 1e-5, "relative error of a gradient, closed form"
+    )
+
+
+def _sweep() -> Measured:
+    """At every step from 1e-1 to 1e-12 a gradient is right to the noise over the step, or called flat."""
+    worst = 0.0
+    for exponent in range(1, 13):
+        delta = 10.0**-exponent
+        gradients, wanted, flat, noise = _gradients(delta, at=0.1)
+        need(exponent > 3 or not bool(flat.all()), f"all differences of {delta:g} are flat")
+        error = (gradients - wanted).abs()[~flat]
+        if len(error):
+            worst = max(worst, float(error.max()) * 2 * delta / (noise + 1e-5 * 2 * delta * float(wanted.abs().max())))
+    return Measured(worst, 1.0, "error of a gradient that is not flat, in units of the noise over the step")
+
+
+def difference_cases() -> list[Case]:
+    """The cases of this family."""
+    family, flat = "differences", "called flat, gradient 0"
+    return [
+        Case(
+            "δ = 1e-12, pixels",
+            family,
+            "below float32's rounding",
+            flat,
+            lambda: _too_small(pixels(), "image"),
+            "flat",
+        ),
+        Case(
+            "δ = 1e-12, pyrender",
+            family,
+            "float64 parameters, float32 images",
+            flat,
+            lambda: _too_small(build(placed(size=(16, 16)), "pyrender"), "illumination"),
+            "flat",
+        ),
+        Case(
+            "δ = 1e-12, torch",
+            family,
+            "below float32's rounding",
+            flat,
+            lambda: _too_small(build(placed(size=(16, 16)), "torch"), "material"),
+            "flat",
+        ),
+        Case("ZOO with δ = 1e-12", family, "nothing to go by", "goes nowhere, and says so", _zoo_flat, "flat"),
+        Case("δ = 1", family, "beyond both bounds", "the gradient is right", _too_large, "clipped"),
+        Case("δ from 1e-1 to 1e-12", family, "differences drown in rounding", "right to the noise, or flat", _sweep),
+    ]

@@ -1,0 +1,438 @@
+"""Where objects are in the image: tiny, huge, hidden, cut off or not there; after turns and moves; in images of one
+pixel, of millions, and of one row.
+"""
+
+from math import cos, pi, sin, tan
+from typing import Any
+
+import numpy as np
+import torch
+
+from services.accuracy.placing import placed, sky
+from services.accuracy.stability.case import Case, Measured, need
+from services.accuracy.stability.objects import box, linear_network, square
+from services.accuracy.stability.references import cast, expected
+from services.accuracy.stability.torch_shading import Shading
+from services.attacks.fgsm import Fgsm, FgsmMethod
+from services.attacks.goal import ResolvedGoal
+from services.attacks.problem import AttackProblem
+from services.attacks.run import Budget, Verifier, run
+from services.rendering.factory import build
+from services.rendering.opengl.gbuffer import FACTOR, GBuffer, rasterise
+from services.rendering.protocol import Renderer
+from services.scenes.mesh import FIT_RADIUS
+from services.scenes.resolve import ResolvedScene
+from services.scenes.view import camera_to_world
+
+EDGES = 0.02
+"""Share of covered samples that may differ from the rays': those within rounding of an edge."""
+
+SURFACE = 1e-4
+"""Error of what a covered pixel holds of the surface (normal, base colour; depth, relative): float32 throughout, over
+the frame's depth range. Pixels at edges inside the object may have more, as many as EDGES of them."""
+
+CUBE = FIT_RADIUS / 3**0.5
+"""Half the side of a cube of scale 1."""
+
+SHOWN = 2e-6
+"""Error of a displayed value of pyrender's: a dozen float32 products."""
+
+
+def sound(scene: ResolvedScene) -> GBuffer:
+    """The G-buffer, with what must hold of any: unit normals; all finite."""
+    seen = rasterise(scene)
+    for name in ("normals", "base_color", "depth", "coverage"):
+        need(bool(torch.isfinite(getattr(seen, name)).all()), f"{name} has values that are not finite")
+    normals = seen.normals[seen.coverage > 0].double().numpy()
+    need(bool(np.abs(np.linalg.norm(normals, axis=1) - 1).max() < 1e-5), "a normal is not of length 1")
+    return seen
+
+
+def against_rays(scene: ResolvedScene, covered: bool = False) -> Measured:
+    """The rasterised coverage, depth, normals and base colours against rays through each sample.
+
+    `covered`: every pixel must be, wholly.
+    """
+    seen = sound(scene)
+    found = cast(scene, FACTOR)
+    share = found.coverage.reshape(seen.coverage.shape)
+    need(share.sum() > 0, "no ray meets anything")
+    ours = seen.coverage.double().numpy()
+    need(not covered or ours.min() == share.min() == 1, "a pixel is not wholly covered")
+    off = float(np.abs(ours - share).sum() / share.sum())
+    both = ((share == 1) & (ours == 1)).ravel()
+    if both.any():
+        wanted = found.mean(found.normals)[both]
+        leaning = np.linalg.norm(wanted, axis=1) > 0.5  # the mean of opposite normals has no direction
+        wanted = wanted / np.linalg.norm(wanted, axis=1, keepdims=True)
+        far = np.linalg.norm(seen.normals.reshape(-1, 3).double().numpy()[both] - wanted, axis=1)[leaning]
+        depth = found.mean(found.depth)[both]
+        deep = np.abs(seen.depth.double().numpy().ravel()[both] - depth) / depth
+        color = np.abs(seen.base_color.reshape(-1, 3).double().numpy()[both] - found.mean(found.colors)[both])
+        for name, error in (("depths", deep), ("normals", far), ("base colours", color)):
+            typical = float(np.quantile(error, 1 - EDGES))
+            need(typical < SURFACE, f"{name} are off by {typical:.1e}")
+    return Measured(off, EDGES, "share of covered samples that differ from a ray through each, in float64")
+
+
+def drawn_by(scene: ResolvedScene, name: str) -> tuple[Renderer, Renderer]:
+    """The renderer of that name, and its exact twin."""
+    renderer = build(scene, name)
+    return renderer, renderer.exact()
+
+
+def _filled(mesh: str, thing: dict[str, Any], camera: dict[str, float]) -> Measured:
+    """In front of, and inside, an object that is all there is to see; drawn by both renderers."""
+    scene = placed(mesh, thing=thing, camera=camera)
+    against_rays(scene, covered=True)
+    wanted = expected(scene)
+    need(len(wanted.pixels) > 100, f"only {len(wanted.pixels)} pixels are flat")
+    drawn = drawn_by(scene, "pyrender")
+    shown = [one.render({})[0].reshape(-1, 3)[wanted.pixels].double().numpy() for one in drawn]
+    error = max(float(np.abs(image - wanted.shown).max()) for image in shown)
+    return Measured(error, SHOWN, "largest error of pyrender's image against its formula; G-buffer as rays have it")
+
+
+def _pole(elevation: float) -> Measured:
+    """Straight above or below, where up has no meaning, the view is the limit of views beside it."""
+    scene = placed("primitive/cone", camera={"elevation": elevation, "azimuth": 0.7})
+    axes = scene.view[:3, :3]
+    need(bool(np.abs(axes.T @ axes - np.eye(3)).max() < 1e-12), "the camera's axes are not at right angles")
+    beside = scene.description.camera.model_copy(update={"elevation": elevation * (1 - 1e-9)})
+    need(bool(np.abs(camera_to_world(beside) - scene.view).max() < 1e-8), "the view jumps at the pole")
+    return against_rays(scene)
+
+
+def _refused(thing: dict[str, Any], camera: dict[str, Any] | None = None) -> Measured:
+    placed(size=(64, 64), thing=thing, camera=camera)
+    return Measured(1.0, 0.0, "scenes resolved")
+
+
+def view_cases() -> list[Case]:
+    """The cases of this family."""
+    family, rays = "views", "coverage, depth, normals and colours as rays have them"
+    filled = "all covered, the surface as rays have it, pyrender's image by its formula"
+    front, refused = {"azimuth": 0.0, "elevation": 0.0}, "a clear error names the object"
+    floor = {"rotation": (-pi / 2, 0, 0), "translation": (0, -0.5, 0), "scale": 100.0}
+    return [
+        Case(
+            "three pixels across",
+            family,
+            "scale 0.1 in 32²",
+            rays,
+            lambda: against_rays(placed("primitive/cube", size=(32, 32), thing={"scale": 0.1})),
+        ),
+        Case(
+            "filling the frame",
+            family,
+            "0.03 in front of the camera",
+            filled,
+            lambda: _filled("primitive/cube", {"scale": 2.0, "translation": (0, 0, 1.77 - 2 * CUBE)}, front),
+        ),
+        Case(
+            "camera inside the object",
+            family,
+            "only back faces are seen",
+            filled,
+            lambda: _filled("primitive/cube", {"scale": 8.0, "rotation": (0.2, 0.3, 0.1)}, {}),
+        ),
+        Case(
+            "cut by the near plane",
+            family,
+            "a floor from behind the camera to far",
+            rays,
+            lambda: against_rays(placed("primitive/plane", camera=front, thing=floor)),
+        ),
+        Case(
+            "cube around the near plane",
+            family,
+            "a corner 1e-3 from the eye",
+            rays,
+            lambda: against_rays(
+                placed("primitive/cube", size=(16, 16), camera=front, thing={"translation": (0.1, 0.1, 1.45)})
+            ),
+        ),
+        Case(
+            "out of view",
+            family,
+            "beside the frame",
+            refused,
+            lambda: _refused(thing={"translation": (50, 0, 0)}),
+            "refused",
+            "scene.objects.0",
+        ),
+        Case(
+            "behind the camera",
+            family,
+            "w < 0",
+            refused,
+            lambda: _refused({"translation": (0, 0, 5)}, front),
+            "refused",
+            "scene.objects.0",
+        ),
+        Case(
+            "less than a pixel",
+            family,
+            "scale 1e-3",
+            refused,
+            lambda: _refused(thing={"scale": 1e-3}),
+            "refused",
+            "scene.objects.0",
+        ),
+        Case("straight above", family, "elevation π/2", rays, lambda: _pole(pi / 2)),
+        Case("straight below", family, "elevation −π/2", rays, lambda: _pole(-pi / 2)),
+        Case(
+            "telephoto",
+            family,
+            "0.02 radians from 100 away",
+            rays,
+            lambda: against_rays(
+                placed("primitive/torus", camera={"distance": 100.0, "field_of_view": 0.015}, size=(12, 12))
+            ),
+        ),
+        Case(
+            "fish eye",
+            family,
+            "2.8 radians from 0.8 away",
+            rays,
+            lambda: against_rays(placed("primitive/cube", camera={"distance": 0.9, "field_of_view": 2.8})),
+        ),
+    ]
+
+
+def _silhouette() -> Measured:
+    """A black square before a white ground darkens the image by its area, whatever its edges cut.
+
+    The camera's middle ray meets the square's middle; it is turned in its plane so that edges cross pixels at an angle.
+    """
+    side, distance, size = 0.7, 1.8, 24
+    scene = placed(
+        square(side),
+        size=(size, size),
+        camera={"azimuth": 0.0, "elevation": 0.0},
+        thing={"color": (0, 0, 0), "rotation": (0.0, 0.0, 0.4)},
+        lights={"ambient": 0.0, "points": []},
+        ground=(1.0, 1.0, 1.0),
+    )
+    focal = size / 2 / tan(scene.description.camera.field_of_view / 2)
+    area = (focal * side / distance) ** 2
+    worst = 0.0
+    for renderer in (*drawn_by(scene, "torch"), *drawn_by(scene, "pyrender")):
+        with torch.no_grad():
+            dark = float((1 - renderer.render({})[0].double()).mean(dim=2).sum())
+        worst = max(worst, abs(dark / area - 1))
+    return Measured(worst, EDGES, "relative error of the area, closed form; 4 and 16 samples a pixel")
+
+
+def _turned(by_attack: bool) -> Measured:
+    """A small cube at +x of its object lands where it must after quarter turns, seen along three axes.
+
+    A quarter turn takes +x to +y about z, and to −z about y. −z is to the right of a camera on +x, and up for one
+    straight above. `by_attack`: the turn is the attack's, not the scene's.
+    """
+    on_z: dict[str, float] = {"azimuth": 0.0, "elevation": 0.0}
+    on_x, on_y = on_z | {"azimuth": pi / 2}, on_z | {"elevation": pi / 2}
+    worst = 0.0
+    for turn, camera, right, up in (
+        ((0.0, 0.0, 0.0), on_z, 1, 0),
+        ((0.0, 0.0, pi / 2), on_z, 0, 1),
+        ((0.0, pi / 2, 0.0), on_x, 1, 0),
+        ((0.0, pi / 2, 0.0), on_y, 0, 1),
+    ):
+        thing = {"color": (0, 0, 0), "rotation": (0.0, 0.0, 0.0) if by_attack else turn}
+        dark = {"ambient": 0.0, "points": []}
+        scene = placed(box((0.3, 0, 0), 0.1), size=(48, 48), camera=camera, thing=thing, lights=dark, ground=(1, 1, 1))
+        given = {"rotation": torch.tensor([[turn]], dtype=torch.float64)}
+        images = [one.render(given if by_attack else {})[0] for one in drawn_by(scene, "pyrender")]
+        covered = [1 - image.double().mean(dim=2).numpy() for image in images]
+        covered += [] if by_attack else [rasterise(scene).coverage.double().numpy()]
+        offset = 24 / tan(scene.description.camera.field_of_view / 2) * 0.3 / 1.8
+        for share in covered:
+            need(share.sum() > 4, "it is not seen")
+            rows, columns = np.mgrid[:48, :48] + 0.5
+            middle = (share * columns).sum() / share.sum() - 24, 24 - (share * rows).sum() / share.sum()
+            worst = max(worst, abs(middle[0] - offset * right), abs(middle[1] - offset * up))
+    # The cube's near side is 3 % larger than its far side, and samples are a quarter of a pixel apart.
+    return Measured(worst, 0.25, "distance of its middle from where it must be, in pixels")
+
+
+def _moved_away(distance: float) -> Measured:
+    """An attack moves the object out of the image, sideways and behind the camera: ground is left."""
+    scene = placed(camera={"azimuth": 0.0, "elevation": 0.0})
+    renderer = build(scene, "pyrender")
+    moves = torch.tensor([[[distance, 0.0, 0.0]], [[0.0, 0.0, distance]], [[0.0, -distance, 0.0]]], dtype=torch.float64)
+    images = renderer.render({"translation": moves})
+    need(float((renderer.render({}) - torch.tensor(scene.description.ground)).abs().max()) > 0.01, "it was never there")
+    ground = torch.tensor(scene.description.ground, dtype=images.dtype)
+    return Measured(float((images - ground).abs().max()), 0.0, "largest difference from the ground")
+
+
+def _looked_at() -> Measured:
+    """An attack moves the camera, and a small cube beside the origin lands where the closed form of its view has it.
+
+    Around, up to the bounds of the elevation, farther and nearer, and rolled over.
+    """
+    place, size = (0.25, 0.35, 0.0), 48
+    dark = {"ambient": 0.0, "points": []}
+    start = {"azimuth": 0.0, "elevation": 0.0}
+    scene = placed(
+        box(place, 0.1), size=(size, size), camera=start, thing={"color": (0, 0, 0)}, lights=dark, ground=(1, 1, 1)
+    )
+    focal = size / 2 / tan(scene.description.camera.field_of_view / 2)
+    worst = 0.0
+    for renderer in drawn_by(scene, "pyrender"):
+        low, high = (float(bound[1]) for bound in renderer.bounds()["camera"])
+        for azimuth, elevation, distance, roll in (
+            (0.9, 0.0, 1.8, 0.0),
+            (-2.5, low, 1.8, 0.0),
+            (0.4, high, 2.4, 0.5),
+            (0.0, 0.3, 1.5, -pi / 2),
+        ):
+            camera = torch.tensor([[azimuth, elevation, distance, roll]], dtype=torch.float64)
+            share = 1 - renderer.render({"camera": camera})[0].double().mean(dim=2).numpy()
+            need(share.sum() > 4, "it is not seen")
+            rows, columns = np.mgrid[:size, :size] + 0.5
+            x, y, _ = place
+            right = x * cos(azimuth)
+            up = y * cos(elevation) - x * sin(azimuth) * sin(elevation)
+            depth = distance - x * sin(azimuth) * cos(elevation) - y * sin(elevation)
+            wanted = right * cos(roll) + up * sin(roll), up * cos(roll) - right * sin(roll)
+            middle = (share * columns).sum() / share.sum() - size / 2, size / 2 - (share * rows).sum() / share.sum()
+            worst = max(worst, *(abs(m - focal * w / depth) for m, w in zip(middle, wanted, strict=True)))
+    return Measured(worst, 0.25, "distance of its middle from where it must be, in pixels")
+
+
+def pose_cases() -> list[Case]:
+    """The cases of this family."""
+    family = "poses"
+    return [
+        Case("silhouette of a square", family, "edges across pixels", "the square's area", _silhouette),
+        Case("turned object", family, "quarter turns, three views", "lands where it must", lambda: _turned(False)),
+        Case(
+            "object turned by an attack",
+            family,
+            "quarter turns, three views",
+            "lands where it must",
+            lambda: _turned(True),
+        ),
+        Case("camera moved by an attack", family, "to the poles, rolled over", "lands where it must", _looked_at),
+        Case(
+            "moved out of view",
+            family,
+            "a step of an attack, 1e3 away",
+            "exactly the ground is left",
+            lambda: _moved_away(1e3),
+        ),
+        Case("moved 1e15 away", family, "float32 positions", "exactly the ground is left", lambda: _moved_away(1e15)),
+    ]
+
+
+SPREAD = 1009
+"""About how many pixels of a large image are looked at; no multiple of its width, so that they are all over it."""
+
+
+def _image(size: tuple[int, int]) -> Measured:
+    """A sphere at this size; a few hundred covered pixels are looked at."""
+    scene = placed("primitive/sphere", size=size, radiance=sky(), thing={"material": "plastic"})
+    shading = Shading.of(scene)
+    found, covered = shading.errors({}), int((shading.gbuffer.coverage > 0).sum())
+    return found.within(shading.due, f"largest error of a displayed value, against the definition; {covered:,} pixels")
+
+
+def _flat_pixels(size: tuple[int, int]) -> Measured:
+    """pyrender at this size: pixels that lie in one face of a cube, against their formula.
+
+    Of a large image a few hundred pixels are looked at, in rows and columns all over it.
+    """
+    camera = {"field_of_view": 0.02} if size == (1, 1) else {}
+    scene = placed("primitive/cube", size=size, camera=camera, thing={"color": (0.7, 0.4, 0.1)})
+    count = size[0] * size[1]
+    wanted = expected(scene, pixels=np.arange(0, count, max(1, count // SPREAD)))
+    need(len(wanted.pixels) > 0.2 * min(count, SPREAD), f"only {len(wanted.pixels)} pixels are flat")
+    renderer = build(scene, "pyrender")
+    worst = 0.0
+    for one in (renderer, renderer.exact()):
+        image = one.render({})[0]
+        need(image.shape == (*size, 3), f"the image is {tuple(image.shape)}")
+        need(bool(torch.isfinite(image).all()), "the image has values that are not finite")
+        worst = max(worst, float(np.abs(image.reshape(-1, 3)[wanted.pixels].double().numpy() - wanted.shown).max()))
+    what = f"largest error of a displayed value, against the formula; {len(wanted.pixels)} pixels"
+    return Measured(worst, SHOWN, what)
+
+
+def _attacked(size: tuple[int, int], renderer: str) -> Measured:
+    """A whole attack at this size, network and verdict included."""
+    drawn = build(placed(size=size, radiance=sky()), renderer)
+    network = linear_network()
+    groups = drawn.plan.groups
+    label = int(network.logits(drawn.render({g: drawn.initial()[g][None] for g in groups}).float()).argmax())
+    problem = AttackProblem(drawn, network, ResolvedGoal((label,), None), groups, truncation=18 / 255)
+    far = dict.fromkeys(groups, 1.0)
+    method = FgsmMethod(Fgsm.model_validate({"renderer": renderer, "learning_rate": far}), problem)
+    found = run(problem, method, Verifier(drawn, network), Budget(5))
+    need(found.trace[-1].truncated > 0, "it never comes to U")
+    need(all(np.isfinite((row.loss, row.advantage, row.distance)).all() for row in found.trace), "a row is not finite")
+    need(found.image.shape == (*size, 3), f"the image is {tuple(found.image.shape)}")
+    need(found.trace[-1].distance > 0, "it does not move")
+    moved = (problem.view(found.stored).images - problem.original).abs().max()
+    return Measured(float(moved), 18 / 255 + 1e-6, "largest change of a value; U is 18/255")
+
+
+def _black() -> Measured:
+    """A black surface is black, and has no gradients."""
+    shading = Shading.of(placed(thing={"color": (0, 0, 0)}, radiance=sky()))
+    with torch.no_grad():
+        image = shading.renderer.render({})[0]
+    for group in shading.renderer.plan.groups:
+        gradient, _ = shading.gradient({}, group)
+        need(float(gradient.abs().max()) == 0, f"the gradient of {group} is not zero")
+    full = shading.gbuffer.coverage == 1
+    return Measured(
+        float(image[full].abs().max()), 0.0, "brightest displayed value of a covered pixel; all gradients are 0"
+    )
+
+
+def _white() -> Measured:
+    """A white matte surface keeps its contrast: the exposure leaves room above it."""
+    shading = Shading.of(placed(thing={"color": (1, 1, 1)}, radiance=sky()))
+    found = shading.errors({})
+    need(found.clipped == 0, f"{found.clipped:.0%} of the pixels are beyond white")
+    return found.within(shading.due, "largest error of a displayed value, against the definition; none is clipped")
+
+
+def size_cases() -> list[Case]:
+    """The cases of this family."""
+    family, same = "sizes", "the loop's image is within its tolerance, the exact image within rounding"
+    attack, formula = "the attack runs, within U", "displayed values by the formula"
+    return [
+        Case("1 px, torch", family, "one pixel", same, lambda: _image((1, 1))),
+        Case("1 px, pyrender", family, "one pixel", formula, lambda: _flat_pixels((1, 1))),
+        Case("1 px, attacked", family, "a network's input from one pixel", attack, lambda: _attacked((1, 1), "torch")),
+        Case(
+            "1 px, its own value",
+            family,
+            "a network's input from one pixel",
+            attack,
+            lambda: _attacked((1, 1), "image"),
+        ),
+        Case("1×300 px", family, "one row", same, lambda: _image((1, 300))),
+        Case(
+            "300×7 px, pyrender",
+            family,
+            "a narrow strip",
+            formula,
+            lambda: _flat_pixels((300, 7)),
+        ),
+        Case("257² px", family, "one more than a tile of the rasteriser", same, lambda: _image((257, 257))),
+        Case("2048² px, torch", family, "4 million pixels", same, lambda: _image((2048, 2048)), slow=True),
+        Case(
+            "2048² px, pyrender",
+            family,
+            "4 million pixels, 4 samples",
+            formula,
+            lambda: _flat_pixels((2048, 2048)),
+            slow=True,
+        ),
+        Case("black albedo", family, "reflects nothing", "black, gradients exactly 0", _black),
+        Case("white albedo", family, "reflects everything", same + "; nothing is clipped", _white),
+    ]

@@ -1,0 +1,183 @@
+"""What the cases are made of: glTF files written byte by byte from the specification and not by what reads them,
+objects of a few triangles whose every corner is known, and a linear network on a few pixels with the problem of
+attacking it.
+"""
+
+import json
+import struct
+from collections.abc import Mapping
+from io import BytesIO
+from typing import Any
+
+import numpy as np
+import torch
+import trimesh
+from PIL import Image
+from torch import Tensor, nn
+
+from services.attacks.goal import ResolvedGoal
+from services.attacks.problem import AttackProblem
+from services.rendering.image_renderer import ImageRenderer
+from services.rendering.protocol import Renderer
+from services.scenes.mesh import Bytes, Doubles, Part
+from services.targets.classifier import Classifier
+
+_FLOAT, _UNSIGNED = 5126, 5125
+
+
+def file_of(arrays: Mapping[str, Doubles], material: dict[str, Any], **node: Any) -> bytes:
+    """A GLB file of one node with one primitive. `arrays` are its attributes [V, columns] and its "indices" [3 F].
+
+    `material` is as in the file, but that in place of a texture's index there is its image: uint8 [h, w, 3 or 4], or
+    that as "image" beside the other properties.
+    """
+    tree: dict[str, Any] = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0} | node],
+        **{kind: [] for kind in ("accessors", "bufferViews", "textures", "images")},
+    }
+    body = b""
+
+    def view(data: bytes) -> int:
+        nonlocal body
+        tree["bufferViews"].append({"buffer": 0, "byteOffset": len(body), "byteLength": len(data)})
+        body += data + b"\0" * (-len(data) % 4)
+        return len(tree["bufferViews"]) - 1
+
+    def accessor(values: Doubles) -> int:
+        whole = values.ndim == 1
+        stored = values.astype("<u4" if whole else "<f4")
+        entry = {
+            "bufferView": view(stored.tobytes()),
+            "count": len(stored),
+            "componentType": _UNSIGNED if whole else _FLOAT,
+            "type": "SCALAR" if whole else f"VEC{stored.shape[1]}",
+        }
+        tree["accessors"].append(entry | {"min": np.atleast_1d(stored.min(0)).tolist()})
+        return len(tree["accessors"]) - 1
+
+    def texture(value: Any) -> Any:
+        if isinstance(value, dict):
+            more = {name: texture(of) for name, of in value.items() if name != "image"}
+            return more | (texture(value["image"]) if "image" in value else {})
+        if not isinstance(value, np.ndarray):
+            return value
+        png = BytesIO()
+        Image.fromarray(value).save(png, "PNG")
+        tree["images"].append({"bufferView": view(png.getvalue()), "mimeType": "image/png"})
+        tree["textures"].append({"source": len(tree["images"]) - 1})
+        return {"index": len(tree["textures"]) - 1}
+
+    attributes = {name: accessor(values) for name, values in arrays.items() if name != "indices"}
+    primitive = {"attributes": attributes, "indices": accessor(arrays["indices"]), "material": 0}
+    tree |= {"meshes": [{"primitives": [primitive]}], "materials": [texture(material)]}
+    tree["buffers"] = [{"byteLength": len(body)}]
+    tree = {name: value for name, value in tree.items() if value != []}
+    text = json.dumps(tree).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(body), 0x004E4942) + body
+    return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks
+
+
+def square_arrays(**more: Any) -> dict[str, Doubles]:
+    """A square of side 2 in z = 0 that faces +z, u to the right and v down from its upper left corner; with or instead
+    of these, `more` arrays."""
+    return {
+        "POSITION": np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], np.float64),
+        "NORMAL": np.tile([0.0, 0.0, 1.0], (4, 1)),
+        "TEXCOORD_0": np.array([(0, 1), (1, 1), (1, 0), (0, 0)], np.float64),
+        "indices": np.array([0, 1, 2, 0, 2, 3]),
+    } | {name: np.array(values) for name, values in more.items()}
+
+
+SIDES = np.array([(0, 1, 2), (0, 2, 3)], np.int32)
+"""The two triangles of a quadrilateral, counter-clockwise."""
+
+
+def square(side: float, texture: Bytes | None = None, repeats: float = 1.0) -> tuple[Part, ...]:
+    """A white square in z = 0 that faces +z, in scene units, its uv from (0, 0) at the lower left to `repeats`."""
+    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)], np.float64)
+    return (_part(np.append(corners * side / 2, np.zeros((4, 1)), axis=1), (0, 0, 1), corners, texture, repeats),)
+
+
+def box(centre: tuple[float, float, float], side: float) -> tuple[Part, ...]:
+    """A white axis-parallel cube, six parts."""
+    parts = []
+    for axis in range(3):
+        for sign in (-1.0, 1.0):
+            u, v, out = np.eye(3)[(axis + 1) % 3], np.eye(3)[(axis + 2) % 3], sign * np.eye(3)[axis]
+            corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) @ np.stack([u, v]) + out
+            corners = corners if sign > 0 else corners[::-1]
+            parts.append(_part(np.asarray(centre) + side / 2 * corners, tuple(out), corners[:, :2], None, 1.0))
+    return tuple(parts)
+
+
+def ball(radius: float) -> tuple[Part, ...]:
+    """A white sphere of 80 large faces and smooth normals: between its corners these are much shorter than 1."""
+    mesh = trimesh.creation.icosphere(subdivisions=1)
+    corners = np.asarray(mesh.vertices, np.float32)
+    return (Part(radius * corners, corners, np.asarray(mesh.faces, np.int32), None, np.ones(4, np.float32), None),)
+
+
+def _part(
+    vertices: Doubles, normal: tuple[float, ...], corners: Doubles, texture: Bytes | None, repeats: float
+) -> Part:
+    return Part(
+        vertices=vertices.astype(np.float32),
+        normals=np.tile(np.array(normal, np.float32), (4, 1)),
+        faces=SIDES,
+        uv=None if texture is None else (repeats * (corners + 1) / 2).astype(np.float32),
+        color=np.ones(4, np.float32),
+        texture=texture,
+    )
+
+
+SIDE = 8
+NEVER = 1e4
+"""A lead of the first label that no image makes up for: such attacks run through all their steps."""
+
+
+def linear_network(
+    scale: float = 1.0, classes: int = 4, lead: float = 0.0, dtype: torch.dtype = torch.float32
+) -> Classifier:
+    """Scores that are linear in the pixels of an 8×8 image, times `scale`; the same weights every time.
+
+    The first label has `lead` more than that: so much that nothing that is shown can change the answer.
+    """
+    layer = nn.Linear(3 * SIDE * SIDE, classes).requires_grad_(False)
+    random = torch.Generator().manual_seed(11)
+    layer.weight.copy_(scale * torch.randn(layer.weight.shape, generator=random) / SIDE)
+    layer.bias.copy_(scale * torch.randn(layer.bias.shape, generator=random))
+    layer.bias[0] += lead
+    return Classifier(
+        name="linear",
+        network=nn.Sequential(nn.Flatten(), layer),
+        labels=tuple(f"label {k}" for k in range(classes)),
+        input_size=(SIDE, SIDE),
+        mean=(0.5, 0.5, 0.5),
+        scale=(1.0, 1.0, 1.0),
+        weights_sha256="0" * 64,
+        dtype=dtype,
+    )
+
+
+def pixels() -> ImageRenderer:
+    """An image of 8×8 random pixels, away from black and white."""
+    random = torch.Generator().manual_seed(5)
+    return ImageRenderer(0.2 + 0.6 * torch.rand(SIDE, SIDE, 3, generator=random), "random numbers")
+
+
+def linear_problem(
+    renderer: Renderer, groups: tuple[str, ...] | None = None, lead: float = NEVER, **more: Any
+) -> AttackProblem:
+    """To leave the first of the network's two labels; `groups` None: those it is compiled for."""
+    network = linear_network(classes=2, lead=lead)
+    return AttackProblem(renderer, network, ResolvedGoal((0,), None), groups or renderer.plan.groups, **more)
+
+
+def linear_gradient() -> Tensor:
+    """∂(z₀ − z₁)/∂pixel of the network with two classes, float64 [8, 8, 3]: a closed form for every difference."""
+    weight = linear_network(classes=2).network.get_parameter("1.weight").double()
+    return (weight[0] - weight[1]).reshape(3, SIDE, SIDE).permute(1, 2, 0)

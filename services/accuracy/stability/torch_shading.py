@@ -1,0 +1,462 @@
+"""The torch renderer against its definition, images and gradients: sharp, flat and dark lobes; normals at the poles of
+their angles, on the view axis, edge-on, and turned away.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from math import log, pi
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from services.accuracy.placing import TABLES, placed, sky, sun
+from services.accuracy.stability import references
+from services.accuracy.stability.case import Case, Measured, need
+from services.accuracy.stability.objects import linear_problem
+from services.rendering.factory import build
+from services.rendering.opengl.gbuffer import GBuffer, rasterise
+from services.rendering.plan import DEFAULT_TOLERANCE, Tolerance
+from services.rendering.protocol import Parameters, Renderer
+from services.rendering.torch_renderer.dsbrdf import LOG_KAPPA_RANGE, MATERIAL_UNIT, SHAPE
+from services.rendering.torch_renderer.table import to_angles, to_vectors
+from services.scenes.mesh import Doubles, Floats
+from services.scenes.resolve import ResolvedScene
+
+LOOP = DEFAULT_TOLERANCE
+"""Error of a displayed value that the loop's images may have."""
+
+SUMMED = 5e-6
+"""The same of a plan that sums every direction at every pixel: sums of positive float32 terms keep 1e-6 of themselves,
+and near black the display curve multiplies by up to 12.9."""
+
+SHARP = 2e-5
+"""The same under lobes of γ ≥ 1e3: float32 has 5e-7 of log γ, so that much of the exponent γ log n·h is unknown, and
+the exponent's own exponential is steep."""
+
+EXACT = 1e-6
+"""Error of a displayed value that exact images may have: float64, but normals and base colours are float32."""
+
+GRADIENT = 3e-4
+"""Relative error of a gradient of sums, against differences of a float64 definition, which see curvature too."""
+
+LOOKED_AT = 400
+"""Pixels whose values are worked out by definition, and the brightest of an image besides."""
+BRIGHTEST = 40
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Largest error of a displayed value, in the loop's images and in the exact ones, against the definition.
+
+    `clipped` is the share of the pixels looked at with a value beyond display white, by the definition.
+    """
+
+    loop: float
+    exact: float
+    clipped: float
+
+    def within(self, limit: float, what: str) -> Measured:
+        """The loop's error against its limit. Raises Broken where the exact image is off."""
+        need(self.exact <= EXACT, f"the exact image is off by {self.exact:.1e}")
+        return Measured(self.loop, limit, what)
+
+
+@dataclass(frozen=True)
+class Shading:
+    """A scene of one object, rendered and by definition. `pixels` [P]: the covered ones that are looked at."""
+
+    scene: ResolvedScene
+    renderer: Renderer
+    gbuffer: GBuffer
+    pixels: Tensor
+
+    @classmethod
+    def of(
+        cls, scene: ResolvedScene, groups: Sequence[str] | None = None, tolerance: Tolerance = DEFAULT_TOLERANCE
+    ) -> "Shading":
+        """Rasterises the scene and compiles it for attacks on `groups` (None: all).
+
+        About LOOKED_AT pixels are looked at, evenly spread over the covered ones.
+        """
+        gbuffer = rasterise(scene)
+        covered = gbuffer.coverage.flatten().nonzero()[:, 0]
+        renderer = build(scene, "torch", groups=groups, tolerance=tolerance)
+        return cls(scene, renderer, gbuffer, covered[:: max(1, len(covered) // LOOKED_AT)])
+
+    @property
+    def due(self) -> float:
+        """The error that the loop's images may have: LOOP where the plan looks values up, SUMMED where it sums."""
+        return LOOP if any("table" in stage.method for stage in self.renderer.plan.stages) else SUMMED
+
+    def defined(self, parameters: Parameters) -> tuple[Doubles, Doubles]:
+        """Displayed values [P, 3] by definition at the pixels, and the linear values before clipping."""
+        values = {group: value.detach().double().numpy() for group, value in self._all(parameters).items()}
+        map_ = np.asarray(self.scene.environment, np.float64)
+        if "illumination" not in parameters:
+            values["illumination"] = references.taken_apart(map_)[1]
+        light = values["illumination"].reshape(*map_.shape[:2], 1)
+        if "illumination_rgb" in parameters:
+            light = np.maximum(light + values["illumination_rgb"], 0.0)
+        angles = values["normals"].reshape(-1, 2)[self.pixels.numpy()]
+        shaded = references.linear(
+            references.vectors(angles, self.scene.view),
+            values["material"][0],
+            light,
+            map_,
+            self.scene.view[:3, 2],
+            self.gbuffer.base_color.reshape(-1, 3)[self.pixels].double().numpy(),
+            self.scene.description.objects[0].material,
+        )
+        coverage = self.gbuffer.coverage.flatten()[self.pixels].double().numpy()[:, None]
+        ground = np.array(self.scene.description.ground)
+        return coverage * references.displayed(shaded) + (1 - coverage) * ground, shaded
+
+    def errors(self, parameters: Parameters) -> Errors:
+        """Images with these values in place of the scene's own ({group: value}), compared. Raises Broken for NaN.
+
+        The brightest pixels are looked at too, so that no highlight is missed.
+        """
+        images = []
+        for renderer in (self.renderer, self.renderer.exact()):
+            with torch.no_grad():
+                image = renderer.render({g: v[None] for g, v in parameters.items()})[0].reshape(-1, 3).double()
+            need(bool(torch.isfinite(image).all()), "the image has values that are not finite")
+            need(bool((image >= 0).all() and (image <= 1).all()), "the image has values outside [0,1]")
+            images.append(image)
+        shown = images[1].sum(dim=1).where(self.gbuffer.coverage.flatten() > 0, -torch.inf)
+        brightest = shown.topk(min(BRIGHTEST, len(self.pixels))).indices
+        pixels = torch.unique(torch.cat([self.pixels, brightest]))
+        wanted, shaded = replace(self, pixels=pixels).defined(parameters)
+        loop, exact = (float(np.abs(image[pixels].numpy() - wanted).max()) for image in images)
+        return Errors(loop, exact, float((shaded > 1).any(axis=1).mean()))
+
+    def gradient(self, parameters: Parameters, group: str) -> tuple[Tensor, Tensor]:
+        """The gradient of ⟨weights, image⟩ with respect to a group, and the weights [P, 3], fixed random numbers."""
+        weights = torch.randn(len(self.pixels), 3, generator=torch.Generator().manual_seed(7), dtype=torch.float64)
+        values = {g: v.detach().clone() for g, v in parameters.items()}
+        leaf = values.setdefault(group, self.renderer.initial()[group]).requires_grad_(True)
+        image = self.renderer.render({g: v[None] for g, v in values.items()})[0]
+        (gradient,) = torch.autograd.grad((image.reshape(-1, 3)[self.pixels].double() * weights).sum(), leaf)
+        need(bool(torch.isfinite(gradient).all()), f"the gradient of {group} has values that are not finite")
+        return gradient.double(), weights
+
+    def gradient_error(self, parameters: Parameters, group: str, step: float, mask: Tensor | None = None) -> float:
+        """Largest relative error of the gradient along random directions, against differences of the definition.
+
+        Relative to the gradient's own length spread over as many coordinates as it has. `mask`: coordinates to move.
+        """
+        gradient, weights = self.gradient(parameters, group)
+        start = {g: v.detach().double() for g, v in self._all(parameters).items()}
+        random = torch.Generator().manual_seed(8)
+        worst = 0.0
+        for _ in range(3):
+            direction = torch.randn(gradient.shape, generator=random, dtype=torch.float64)
+            direction = direction if mask is None else direction * mask
+            sides = [
+                self.defined(start | {group: start[group] + sign * step * direction})[0].ravel() for sign in (1, -1)
+            ]
+            wanted = float(weights.flatten().numpy() @ (sides[0] - sides[1])) / (2 * step)
+            found = float((gradient * direction).sum())
+            scale = max(abs(wanted), float((gradient * (direction != 0)).norm()), 1e-12)
+            worst = max(worst, abs(found - wanted) / scale)
+        return worst
+
+    def _all(self, parameters: Parameters) -> Parameters:
+        return self.renderer.initial() | parameters
+
+
+def of_one_lobe(kappa: float, gamma: float) -> Tensor:
+    """Material group [1, 3, 3, 2, 6] of one lobe with these values at all θ_d; the other two are dark."""
+    material = torch.empty(1, *SHAPE, dtype=torch.float64)
+    material[..., 0, :], material[..., 1, :] = LOG_KAPPA_RANGE[0], 0.0
+    material[:, :, 0, 0], material[:, :, 0, 1] = log(kappa), log(gamma)
+    return (material * MATERIAL_UNIT).float()
+
+
+def _lobe_image(
+    kappa: float, gamma: float, white: tuple[float, float] = (0.0, 0.0), map_: Floats | None = None
+) -> Measured:
+    """Under a map (None: a coloured sky). `white`: the least and the largest share of pixels held at white."""
+    shading = Shading.of(placed(radiance=sky() if map_ is None else map_, size=TABLES))
+    found = shading.errors({"material": of_one_lobe(kappa, gamma)})
+    need(white[0] <= found.clipped <= white[1], f"{found.clipped:.0%} of the pixels are beyond white by the definition")
+    shown = f"; {found.clipped:.0%} of the pixels looked at held at white" if white[1] else ""
+    limit = SHARP if gamma >= 1e3 else shading.due
+    return found.within(limit, f"largest error of a displayed value, against the definition in float64{shown}")
+
+
+def _relative(shading: Shading, material: Tensor) -> Measured:
+    """The image of a material that hardly reflects, relative to the brightest of it."""
+    wanted, linear = shading.defined({"material": material})
+    full = (shading.gbuffer.coverage.flatten()[shading.pixels] == 1).numpy()
+    need(0 < linear.max() < 1e-4, "the definition is not dark here")
+    worst = 0.0
+    for renderer in (shading.renderer, shading.renderer.exact()):
+        with torch.no_grad():
+            image = renderer.render({"material": material[None]})[0].reshape(-1, 3)
+        seen = image[shading.pixels].double().numpy()[full]
+        worst = max(worst, float(abs(seen - wanted[full]).max() / wanted[full].max()))
+    return Measured(worst, 2e-5, "error of a displayed value relative to the brightest, which is about 1e-5")
+
+
+def _dark() -> Measured:
+    return _relative(Shading.of(placed(radiance=sky())), of_one_lobe(1e-6, 1.0))
+
+
+def _gradient_of_lobes(kappa: float, gamma: float) -> Measured:
+    shading = Shading.of(placed(radiance=0.2 * sky(), size=TABLES))
+    error = shading.gradient_error({"material": of_one_lobe(kappa, gamma)}, "material", 1e-3 * MATERIAL_UNIT)
+    return Measured(error, GRADIENT, "relative error of the gradient, against differences of the definition")
+
+
+def _red(material: str, groups: tuple[str, ...] | None = None) -> Shading:
+    """A red ball of a preset under a coloured sky, compiled for attacks on `groups` (None: the default groups)."""
+    return Shading.of(placed(radiance=0.5 * sky(), thing={"material": material, "color": (0.7, 0.05, 0.0)}), groups)
+
+
+def _gloss(material: str) -> Measured:
+    shading = _red(material)
+    _, linear = shading.defined({})
+    need(bool((linear[:, 2].max() > 0.01) == (material != "brushed-metal")), "blue light is reflected, or it is not")
+    return shading.errors({}).within(shading.due, "largest error of a displayed value, against the definition")
+
+
+def _gloss_gradient(group: str) -> Measured:
+    step = {"material": 1e-3 * MATERIAL_UNIT, "illumination_rgb": 1e-2}[group]
+    error = _red("glossy-paint", (group,)).gradient_error({}, group, step)
+    return Measured(error, GRADIENT, "relative error of the gradient, against differences of the definition")
+
+
+def _held(by: float) -> Measured:
+    """A material moved far beyond its bounds is held there by the attack, and rendered.
+
+    At the upper ones it is a mirror: white where it shows one of the sky's 128 texels, else nearly black. At the lower
+    ones it reflects 3e-6 of the light: what is displayed is compared relative to the brightest, so that black fails.
+    """
+    shading = Shading.of(placed(radiance=sky(), size=TABLES))
+    start = shading.renderer.initial()["material"]
+    problem = linear_problem(shading.renderer, ("material",))
+    material = start + problem.clamp({"material": torch.full_like(start, by)})["material"]
+    kappa, gamma = (1e4, 1e5) if by > 0 else (1e-6, 1e-3)
+    wanted = torch.tensor([log(kappa), log(gamma)], dtype=torch.float64)[:, None] * 30.0
+    need(float((material.double() - wanted).abs().max()) < 1e-3, f"it is not held at κ = {kappa:g} and γ = {gamma:g}")
+    found = shading.errors({"material": material})
+    if by < 0:
+        return _relative(shading, material)
+    need(0 < found.clipped < 0.5, f"{found.clipped:.0%} of the pixels are beyond white by the definition")
+    return found.within(SHARP, "largest error of a displayed value at the bounds, against the definition")
+
+
+def lobe_cases() -> list[Case]:
+    """The cases of this family."""
+    family, same = "lobes", "the loop's image is within its tolerance, the exact image within rounding"
+    return [
+        Case(
+            "κ 1e4, γ 1",
+            family,
+            "exp(1e4) overflows any float; one lit texel",
+            "white where the texel shines, black beyond its horizon",
+            lambda: _lobe_image(1e4, 1, (0.1, 0.9), np.roll(sun(1.0, 0.0), 8, axis=1)),
+            "clipped",
+        ),
+        Case(
+            "κ 1e4, γ 1e5",
+            family,
+            "a mirror: nothing, and 0.3° further white",
+            same,
+            lambda: _lobe_image(1e4, 1e5, (0.01, 0.5)),
+            "clipped",
+        ),
+        Case("κ 0.5, γ 1e5", family, "a lobe of 0.3°, narrower than a texel", same, lambda: _lobe_image(0.5, 1e5)),
+        Case(
+            "κ 88, γ 1e3",
+            family,
+            "exp(88) is float32's largest",
+            same,
+            lambda: _lobe_image(88, 1e3, (0.1, 0.9)),
+            "clipped",
+        ),
+        Case("κ 0.5, γ 300", family, "a glossy lobe, not clipped", same, lambda: _lobe_image(0.5, 300)),
+        Case("κ 0.3, γ 1e-3", family, "γ → 0: a Lambertian body", same, lambda: _lobe_image(0.3, 1e-3)),
+        Case("κ → 0", family, "exp(x) − 1 for x = 1e-6", "no digits are lost in the difference", _dark),
+        Case(
+            "gradient, κ 4, γ 300",
+            family,
+            "a steep lobe",
+            "the gradient is that of the definition",
+            lambda: _gradient_of_lobes(4, 300),
+        ),
+        Case(
+            "gradient, κ 0.3, γ 1",
+            family,
+            "a flat lobe",
+            "the gradient is that of the definition",
+            lambda: _gradient_of_lobes(0.3, 1),
+        ),
+        *(
+            Case(f"red {name}", family, "the body's colour has no blue", what, partial(_gloss, name))
+            for name, what in (
+                ("plastic", "the gloss has the light's colour"),
+                ("glossy-paint", "the gloss has the light's colour"),
+                ("brushed-metal", "all light has the metal's colour"),
+            )
+        ),
+        *(
+            Case(
+                f"gradient by {group}, red paint",
+                family,
+                "two layers, one without colour",
+                "the gradient is that of the definition",
+                partial(_gloss_gradient, group),
+            )
+            for group in ("material", "illumination_rgb")
+        ),
+        *(
+            Case(
+                name,
+                family,
+                "a step of η = 1e3 and more",
+                "held at its bounds, and rendered",
+                partial(_held, by),
+                "clipped",
+            )
+            for name, by in (("material + 1e6", 1e6), ("material − 1e6", -1e6))
+        ),
+    ]
+
+
+def _all_at(shading: Shading, azimuth: float, polar: float) -> Tensor:
+    """Normals [H, W, 2], every pixel's the same."""
+    return torch.tensor([azimuth, polar]).expand(*shading.renderer.size, 2).contiguous()
+
+
+def _image_of_normals(azimuth: float, polar: float, kappa: float = 1.0, gamma: float = 50.0) -> Measured:
+    """An image whose normals all have these angles: the renderer is compiled for other ones."""
+    shading = Shading.of(placed(radiance=sky(), size=TABLES))
+    parameters = {"normals": _all_at(shading, azimuth, polar), "material": of_one_lobe(kappa, gamma)}
+    found = shading.errors(parameters)
+    return found.within(shading.due, "largest error of a displayed value, against the definition in float64")
+
+
+def _gradient_of_normals(azimuth: float, polar: float) -> Measured:
+    shading = Shading.of(placed(radiance=0.2 * sky()))
+    parameters = {"normals": _all_at(shading, azimuth, polar), "material": of_one_lobe(0.3, 1.0)}
+    covered = (shading.gbuffer.coverage > 0)[..., None].expand(-1, -1, 2)
+    error = shading.gradient_error(parameters, "normals", 1e-4, covered)
+    return Measured(error, GRADIENT, "relative error of the gradient, against differences of the definition")
+
+
+def _pole(polar: float) -> Measured:
+    """At the pole the azimuth has no meaning: moving it moves nothing, and its gradient is zero."""
+    shading = Shading.of(placed(radiance=0.2 * sky()))
+    parameters = {"normals": _all_at(shading, 0.0, polar), "material": of_one_lobe(0.3, 1.0)}
+    turned = parameters | {"normals": _all_at(shading, 1.3, polar)}
+    with torch.no_grad():
+        images = [shading.renderer.render({g: v[None] for g, v in p.items()}) for p in (parameters, turned)]
+    gradient, _ = shading.gradient(parameters, "normals")
+    need(float(gradient[..., 1].abs().max()) > 0, "the gradient of the polar angle is zero too")
+    gradients = float(gradient[..., 0].abs().max() / gradient[..., 1].abs().max())
+    moved = float((images[0] - images[1]).abs().max())
+    # float32's π is off by 9e-8, so sin(polar) is 9e-8 and not 0.
+    return Measured(
+        max(moved, gradients), 1e-5, "change of the image under the azimuth, and its gradient against the polar's"
+    )
+
+
+def _there_and_back() -> Measured:
+    """Vectors on every axis, beside every pole and beside the jump of the azimuth, to angles and back, in float32."""
+    tiny = [0.0, 1e-30, 1e-12, 1e-7, 1e-3]
+    points = [
+        np.roll([sign, a, b], turn)
+        for sign in (1.0, -1.0)
+        for turn in range(3)
+        for a in tiny
+        for b in (0.0, *tiny, -1e-7)
+    ]
+    vectors = np.array(points, np.float64)
+    unit = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    angles = to_angles(torch.tensor(vectors, dtype=torch.float32))
+    need(bool(torch.isfinite(angles).all()), "an angle is not finite")
+    need(bool((angles[:, 0].abs() <= np.float32(pi)).all()), "an azimuth is beyond π")
+    back = to_vectors(angles.double()).numpy()
+    return Measured(
+        float(np.abs(back - unit).max()), 5e-7, "distance of the unit vector that comes back; π is 3e-7 in float32"
+    )
+
+
+def _edge_on() -> Measured:
+    """A square turned to 0.6° from edge-on, seen from the front: what is still covered has a normal to the viewer."""
+    scene = placed(
+        "primitive/plane",
+        size=(64, 64),
+        camera={"azimuth": 0.0, "elevation": 0.0},
+        thing={"rotation": (0, pi / 2 - 0.01, 0)},
+    )
+    seen = rasterise(scene)
+    covered = seen.coverage > 0
+    need(bool(covered.any()), "nothing is covered")
+    normals = seen.normals[covered].double().numpy()
+    need(bool(np.abs(np.linalg.norm(normals, axis=1) - 1).max() < 1e-6), "a normal is not of length 1")
+    need(bool((normals @ scene.view[:3, 2] > -1e-2).all()), "a normal is turned away from the viewer")
+    # The plane's own normal, turned as the object is.
+    wanted = np.array([np.sin(pi / 2 - 0.01), 0.0, np.cos(pi / 2 - 0.01)])
+    off = np.minimum(np.linalg.norm(normals - wanted, axis=1), np.linalg.norm(normals + wanted, axis=1))
+    return Measured(
+        float(off.max()), 1e-5, "distance to the square's own normal; a normal beyond the horizon is put on it"
+    )
+
+
+def normal_cases() -> list[Case]:
+    """The cases of this family."""
+    family, same = "normals", "the loop's image is within its tolerance, the exact image within rounding"
+    right, away = "the gradient is that of the definition", pi
+    return [
+        Case("upper pole", family, "polar angle 0", same, lambda: _image_of_normals(0.0, 0.0)),
+        Case("lower pole", family, "polar angle π", same, lambda: _image_of_normals(0.0, pi)),
+        Case(
+            "azimuth at the upper pole",
+            family,
+            "an angle without meaning",
+            "it moves nothing and has no gradient",
+            lambda: _pole(0.0),
+        ),
+        Case(
+            "azimuth at the lower pole",
+            family,
+            "an angle without meaning",
+            "it moves nothing and has no gradient",
+            lambda: _pole(pi),
+        ),
+        Case("gradient beside the pole", family, "polar angle 1e-3", right, lambda: _gradient_of_normals(0.7, 1e-3)),
+        Case(
+            "view axis", family, "n = v exactly, where θ_h and θ_d meet", same, lambda: _image_of_normals(0.0, pi / 2)
+        ),
+        Case("gradient on the view axis", family, "n = v exactly", right, lambda: _gradient_of_normals(0.0, pi / 2)),
+        Case("grazing", family, "n·v = 1e-6", same, lambda: _image_of_normals(pi / 2 - 1e-6, pi / 2)),
+        Case("gradient when grazing", family, "n·v = 1e-3", right, lambda: _gradient_of_normals(pi / 2 - 1e-3, 1.2)),
+        Case(
+            "back-facing",
+            family,
+            "n = −v: n·h is never positive",
+            same,
+            lambda: _image_of_normals(away, pi / 2, 0.3, 0.05),
+        ),
+        Case(
+            "back-facing, oblique",
+            family,
+            "n·v = −0.5, lit from behind",
+            same,
+            lambda: _image_of_normals(2 * pi / 3, pi / 2, 0.3, 1.0),
+        ),
+        Case(
+            "angles of 1e3",
+            family,
+            "160 turns: float32 has 6e-5 radians left",
+            same,
+            lambda: _image_of_normals(1000.0, 1000.0),
+        ),
+        Case("vector to angles and back", family, "axes, poles, ±π", "the same vector comes back", _there_and_back),
+        Case("edge-on square", family, "0.6° from edge-on", "unit normals towards the viewer", _edge_on),
+    ]
