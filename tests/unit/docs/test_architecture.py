@@ -56,10 +56,3 @@ def test_the_arrows_are_the_imports_without_those_that_follow(imports: networkx.
 def test_the_ground_floor_is_named() -> None:
     for module in GROUND_FLOOR - {"__init__"}:
         assert f"`{module}`" in PAGE, module
-
-
-def test_every_path_on_the_page_exists() -> None:
-    paths = re.findall(r"`((?:services|api|worker|client|training|docs|tests|scripts|benchmarks)/[\w/.]+?)/?`", PAGE)
-    assert len(paths) > 15
-    for path in paths:
-        assert (ROOT / path).exists(), path

@@ -1,7 +1,6 @@
 """The study of questions: its page, tables of made-up jobs, and a record of a campaign that is run here."""
 
 import json
-import re
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from services.pipeline.campaign_spec import parse
 from services.questions.executor import answer
 from services.questions.facts import Facts
 from tests.unit.docs.study.test_study_page import row
-from tests.unit.docs.study.test_study_records import SMALL, job, raw, won
+from tests.unit.docs.study.test_study_records import SMALL, job
 from tests.unit.jobs.small import LIBRARY
 from tests.unit.pipeline.question_campaign import GRIDS, answering, asked, commonest, right_at_times
 
@@ -99,18 +98,6 @@ def test_the_papers_row_is_the_papers(tmp_path: Path) -> None:
     found = row(VQA.files(tmp_path)[VQA.name], "IEP", "paper")
     values = [float(value) for cell in found[3:8] for value in cell.split("\u00a0·\u00a0")]
     assert values == [pytest.approx(float(one), abs=0.05) for one in TABLE_2.split()]
-
-
-def test_the_small_records_make_a_whole_page() -> None:
-    texts = VQA.files(SMALL)
-    page = texts[VQA.name]
-    assert "{{" not in page
-    named = re.findall(r"\]\(([^)]+\.(?:svg|png|json))\)", page)
-    assert len(named) >= 4
-    for name in named:
-        assert name in texts or (SMALL / name).exists(), name
-    own = [one for one in raw(SMALL / "vqa-differentiable.json") if one["attack"] == "image"]
-    assert f"{100 * sum(map(won, own)) / len(own):.1f}" in row(page, "iep-right", "**verified**")[2]
 
 
 @pytest.mark.parametrize("name", VQA.curves)

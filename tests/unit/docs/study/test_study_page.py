@@ -1,17 +1,13 @@
 """The study's page: written from its records, with the paper's figures as the paper prints them."""
 
 import json
-import re
 import shutil
 from pathlib import Path
 
 import pytest
 
 from benchmarks.study import equal_p, reasons, tables
-from benchmarks.study.chart import HEIGHT, WIDTH, Panel, Series, figure
 from benchmarks.study.classification import CLASSIFICATION
-from benchmarks.study.page import Page
-from benchmarks.study.pages import FOLDER, PAGES
 from benchmarks.study.record import load
 from services.pipeline.campaign_spec import parse
 from tests.unit.docs.study.test_study_records import SMALL, job, raw, won
@@ -22,24 +18,6 @@ TABLE_1 = {
     "ResNet-34": "99.57 5.1 88.41 9.3 14.16 29.3 3.43 55.2 94.85 16.4",
 }
 """Rows of the paper's first table as printed: per cent, then p ×10⁻³, of each of its five columns."""
-
-
-@pytest.mark.parametrize("page", [one for one in PAGES if (FOLDER / one.name).exists()], ids=lambda page: page.name)
-def test_the_page_and_its_curves_are_written_from_the_records(page: Page) -> None:
-    for name, text in page.files(FOLDER).items():
-        said = "write it again with: python -m benchmarks.study page"
-        assert (FOLDER / name).read_text("utf-8") == text, said
-
-
-def test_the_small_records_make_a_whole_page() -> None:
-    texts = files(SMALL)
-    page = texts[PAGE]
-    assert "{{" not in page
-    named = re.findall(r"\]\(([^)]+\.(?:svg|png|json))\)", page)
-    assert len(named) > 10
-    for name in named:
-        assert name in texts or (SMALL / name).exists(), name
-    assert files(SMALL) == texts  # the same again
 
 
 def test_a_campaign_that_has_not_been_run_is_named_and_has_no_figure(tmp_path: Path) -> None:
@@ -80,12 +58,6 @@ def test_our_row_is_what_the_jobs_say() -> None:
         good = [one for one in own if won(one)]
         p = f"{1000 * sum(one['p'] for one in good) / len(good):.1f}" if good else "–"
         assert cell == f"**{100 * len(good) / len(own):.1f}\u00a0·\u00a0{p}**"
-
-
-def test_another_setting_has_rows_of_its_own_in_its_column() -> None:
-    [one] = [one for one in raw(SMALL / "lite0.json") if one["attack"] == "combined, 448²"]
-    found = row(files(SMALL)[PAGE], "EfficientNet-Lite0", "448², **verified**")
-    assert found[1:] == ["1", "", "", "", "", f"**100.0\u00a0·\u00a0{1000 * one['p']:.1f}**"]
 
 
 def test_the_papers_count_has_the_p_of_the_truncated_images(tmp_path: Path) -> None:
@@ -131,18 +103,6 @@ def test_successes_are_counted_by_the_share_of_the_image_that_shows_the_object(t
     assert said.endswith("fooled: t 100.0 % by normals and 100.0 % by combined.")
     normals = next(line for line in reasons.by_confidence([record]).splitlines() if " normals " in line)
     assert [cell.strip() for cell in normals.split("|")][3:9] == ["1", "100\u00a0%", "10.0", "1", "100\u00a0%", "10.0"]
-
-
-def test_the_order_of_columns_says_which_are_alike_and_leaves_out_other_settings(tmp_path: Path) -> None:
-    names = {"normals": 0.02, "combined, 448²": 0.01, "material": None, "image": 0.01}
-    held = {"outcome": "held", "verified": False}
-    jobs = [job(p or 0.03, name, attack=name, **({} if p else held)) for name, p in names.items()]
-    whole = json.loads((SMALL / "differentiable.json").read_text("utf-8"))
-    whole["jobs"] = [one.model_dump(mode="json") for one in jobs]
-    (tmp_path / "r.json").write_text(json.dumps(whole), "utf-8")
-    said = tables.orders(load(tmp_path / "r.json"), "t")
-    assert said.startswith("t: normals 100.0 = image 100.0 > material 0.0 (per cent, verified)")
-    assert said.endswith("p image 10.0 < normals 20.0 (×10⁻³).")
 
 
 def test_only_a_success_within_the_limit_counts_at_equal_p() -> None:
@@ -194,26 +154,6 @@ def test_a_column_of_another_name_is_refused() -> None:
     record = load(SMALL / "differentiable.json")
     with pytest.raises(ValueError, match="states no limit"):
         equal_p.runs(record, record.table().targets[0])
-
-
-def test_a_chart_draws_its_points_where_they_are() -> None:
-    line = Series("a", [(0.0, 0.0), (5.0, 50.0), (10.0, 25.0)])
-    [path] = paths(figure([Panel("t", "x", "y", [line], (0.0, 10.0), (0.0, 100.0))], ["a"]))
-    assert path == [(0.0, HEIGHT), (WIDTH / 2, HEIGHT / 2), (WIDTH, 0.75 * HEIGHT)]
-
-
-def test_steps_hold_until_the_next_and_to_the_end() -> None:
-    line = Series("a", [(1.0, 0.0), (10.0, 50.0), (1000.0, 100.0)], steps=True)
-    panel = Panel("t", "x", "y", [line], (1.0, 100.0), (0.0, 100.0), logarithmic=True)
-    [path] = paths(figure([panel], ["a"]))
-    middle = WIDTH / 2  # 10 is half-way from 1 to 100; the point beyond the axis is left out
-    assert path == [(0.0, HEIGHT), (middle, HEIGHT), (middle, HEIGHT / 2), (WIDTH, HEIGHT / 2)]
-
-
-def paths(svg: str) -> list[list[tuple[float, float]]]:
-    """The points of each line of a chart."""
-    found = re.findall(r'<path d="([^"]+)"', svg)
-    return [[(float(x), float(y)) for x, y in re.findall(r"[ML](\S+) (\S+)", path)] for path in found]
 
 
 def test_rows_of_the_second_table_are_counts_of_its_jobs() -> None:

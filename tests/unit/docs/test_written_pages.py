@@ -1,0 +1,62 @@
+"""Pages that commands write are as the commands write them: from the results that are committed, and from the code."""
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from benchmarks import gltf_page
+from benchmarks import page as benchmarks_page
+from benchmarks.study.pages import FOLDER, PAGES
+from client import commands_page
+from services.accuracy.stability import report as stability
+from services.accuracy.work_precision import report as work_precision
+from services.pipeline import field_tables
+
+DOCS = Path(__file__).parents[3] / "docs"
+ACCURACY = DOCS / "accuracy"
+
+
+def work_precision_file(name: str, folder: Path) -> str:
+    """A file of the report of error against run time, written from its JSON."""
+    committed = work_precision.read(ACCURACY)
+    assert committed is not None
+    work_precision.write(committed, folder)
+    return (folder / name).read_text("utf-8")
+
+
+def stability_page(_: Path) -> str:
+    return stability.markdown(stability.Report.model_validate_json((ACCURACY / "stability.json").read_text("utf-8")))
+
+
+WRITTEN: dict[str, tuple[str, Callable[[Path], str]]] = {
+    "benchmarks.md": ("python -m benchmarks.page", lambda _: benchmarks_page.page()),
+    "gltf.md": ("python -m benchmarks.gltf_materials", lambda _: gltf_page.page()),
+    "commands.md": ("python -m client.commands_page > docs/commands.md", lambda _: commands_page.page()),
+    "scene.md": (
+        "python -m services.pipeline.field_tables",
+        lambda _: field_tables.page((DOCS / "scene.md").read_text("utf-8")),
+    ),
+    "accuracy/stability.md": ("scene-attack accuracy stability", stability_page),
+} | {
+    f"accuracy/work-precision.{kind}": (
+        "scene-attack accuracy work-precision",
+        partial(work_precision_file, f"work-precision.{kind}"),
+    )
+    for kind in ("md", "csv", "json")
+}
+"""Each file with the command that writes it."""
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+def test_a_page_is_as_its_command_writes_it(name: str, tmp_path: Path) -> None:
+    command, write = WRITTEN[name]
+    assert (DOCS / name).read_text("utf-8") == write(tmp_path), f"write it again with: {command}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_the_studys_pages_and_curves_are_written_from_their_records(page) -> None:
+    for name, text in page.files(FOLDER).items():
+        assert (FOLDER / name).read_text("utf-8") == text, "write it again with: python -m benchmarks.study page"
