@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from services.errors import InvalidRequest
-from services.jobs.lists import SORTS, Place
+from services.jobs.job_list import SORTS, Place
 from services.jobs.models import Campaign, State
 
 SORT_PATTERN = f"^-?({'|'.join(SORTS)})$"

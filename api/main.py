@@ -44,17 +44,15 @@ from services.access.sessions import Sessions
 from services.device import check_device
 from services.errors import InvalidRequest
 from services.jobs import watchdog
-from services.jobs.artifacts import ArtifactStore
-from services.jobs.asset_removal import DeletedAssets
 from services.jobs.campaigns import CampaignService
 from services.jobs.database import check_database, migrate
 from services.jobs.database import connect as connect_database
-from services.jobs.housekeeping import Housekeeping
+from services.jobs.files import ArtifactStore, Housekeeping, Storage
 from services.jobs.memory_limit import WARM_PROCESSES
 from services.jobs.queue import Queue
 from services.jobs.queue import connect as connect_redis
 from services.jobs.record import Record
-from services.jobs.storage import Storage
+from services.jobs.uploads import DeletedAssets
 from services.logs import configure, logger
 from services.names import Names
 from services.pipeline.extensions import log_extensions, set_up

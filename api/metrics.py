@@ -11,8 +11,8 @@ from redis.exceptions import RedisError
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from services.jobs.figures import Figures, ServiceFigures
 from services.jobs.queue import Queue
+from services.jobs.statistics import Figures, ServiceFigures
 from services.logs import logger
 
 METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS")

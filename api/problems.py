@@ -21,7 +21,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from api.schemas import BadField
 from api.warm_pool import Unavailable
 from services.errors import InUse, InvalidRequest, QuotaExceeded, without_folders
-from services.jobs.artifacts import Damaged
+from services.jobs.files import Damaged
 from services.jobs.jobs import KeyReused, QueueFull
 from services.jobs.outages import outage_of
 from services.json_text import json_mistake

@@ -32,7 +32,7 @@ from services.written_text import line, line_or_nothing, paragraphs
 if TYPE_CHECKING:
     from services.extensions import Extension
     from services.jobs.campaigns import Counts, Progress
-    from services.jobs.listed_job import ListedJob
+    from services.jobs.job_list import ListedJob
     from services.jobs.models import Artifact, Campaign, CampaignJob, Job
     from services.pipeline.target_folders import TargetFolder
 

@@ -17,14 +17,12 @@ from services.access.caller import Caller
 from services.access.keys import AccessKeys
 from services.access.quotas import Quotas
 from services.access.sessions import Sessions
-from services.jobs.artifacts import ArtifactStore
-from services.jobs.asset_removal import DeletedAssets
 from services.jobs.campaigns import CampaignService
-from services.jobs.housekeeping import Housekeeping
+from services.jobs.files import ArtifactStore, Housekeeping, Storage
 from services.jobs.models import Job
 from services.jobs.queue import Queue
 from services.jobs.record import Record
-from services.jobs.storage import Storage
+from services.jobs.uploads import DeletedAssets
 from services.names import Names
 from services.scenes.library import Library
 

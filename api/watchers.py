@@ -17,8 +17,8 @@ from starlette.concurrency import run_in_threadpool
 
 from services.access.caller import Caller
 from services.access.keys import AccessKeys
+from services.jobs.job_list import JobLists
 from services.jobs.jobs import News
-from services.jobs.lists import JobLists
 from services.jobs.models import Event, Job
 from services.jobs.record import Record
 from services.logs import logger

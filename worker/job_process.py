@@ -16,19 +16,17 @@ from typing import Any
 from services.analysis.images import png
 from services.device import device
 from services.errors import Cancelled, InvalidRequest, JobFailure, out_of_memory, summary
-from services.jobs.artifacts import ArtifactStore, Damaged
 from services.jobs.child import connect, reply, requests
 from services.jobs.cpu_share import give_way
 from services.jobs.database import connect as connect_database
+from services.jobs.files import ArtifactStore, Damaged, Storage, WorkingFiles
 from services.jobs.leases import Attempt, Standing
 from services.jobs.memory_limit import memory_limit, more_than
 from services.jobs.models import Job, JobKind
 from services.jobs.outages import outage_of
 from services.jobs.placement import Abilities
 from services.jobs.record import Record
-from services.jobs.storage import Storage
 from services.jobs.warm_up import warm_up
-from services.jobs.working_files import WorkingFiles
 from services.logs import bound, configure, logger
 from services.pipeline.campaign_plan import View
 from services.pipeline.campaign_run import first_answers

@@ -4,12 +4,10 @@ import shutil
 from pathlib import Path
 
 from services import atomic_write
-from services.jobs.artifacts import ArtifactStore, Damaged, media_type
+from services.jobs.files import ArtifactStore, Damaged, Storage, WorkingFiles, media_type
 from services.jobs.leases import Attempt
 from services.jobs.models import Artifact, Job, JobKind
 from services.jobs.record import Record
-from services.jobs.storage import Storage
-from services.jobs.working_files import WorkingFiles
 from services.logs import logger
 from services.pipeline.best_so_far import best_so_far
 from services.pipeline.result import CHECKPOINT

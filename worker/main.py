@@ -9,16 +9,15 @@ from redis.exceptions import RedisError
 from sqlalchemy.exc import SQLAlchemyError
 
 from services.device import check_device
-from services.jobs.artifacts import ArtifactStore
-from services.jobs.asset_removal import DeletedAssets
 from services.jobs.campaigns import Feeder
 from services.jobs.database import connect as connect_database
 from services.jobs.database import migrate
-from services.jobs.housekeeping import Housekeeping
+from services.jobs.files import ArtifactStore, Housekeeping
 from services.jobs.queue import Queue
 from services.jobs.queue import connect as connect_redis
-from services.jobs.reconciler import reconcile
 from services.jobs.record import Record
+from services.jobs.scheduler import reconcile
+from services.jobs.uploads import DeletedAssets
 from services.logs import configure, logger
 from services.process import use
 from services.scenes.library import Library
@@ -91,7 +90,7 @@ def housekeeping(values: Settings, record: Record) -> Callable[[], None]:
             for job_id in record.leases.take_back(values.max_attempts):
                 log.warning("job taken back, its lease had lapsed", job=job_id)
             feeder.tick()
-            reconcile(record, queue)
+            reconcile(record.scheduler, queue)
             house.tidy()
         except (SQLAlchemyError, RedisError, OSError) as error:
             if not failing:  # once, or an outage would fill the log

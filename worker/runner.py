@@ -10,12 +10,11 @@ from contextlib import suppress
 from sqlalchemy.exc import SQLAlchemyError
 
 from services.jobs import watchdog
-from services.jobs.artifacts import ArtifactStore
 from services.jobs.child import Child, ChildDied, OutOfMemory
+from services.jobs.files import ArtifactStore, Storage
 from services.jobs.leases import Attempt, Standing
 from services.jobs.placement import NOTHING, Abilities, Priority
 from services.jobs.record import Record
-from services.jobs.storage import Storage
 from services.logs import logger
 from services.settings import Settings
 

@@ -18,8 +18,8 @@ from api.schemas import Uploaded
 from api.state import Services, ServicesDependency, no_such
 from services.access.caller import Caller, Scope
 from services.errors import InvalidRequest
-from services.jobs.asset_record import FirstAnswer
 from services.jobs.models import Job
+from services.jobs.uploads import FirstAnswer
 from services.scenes.library import Entry
 
 PAGE = 60

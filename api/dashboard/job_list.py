@@ -18,10 +18,8 @@ from api.state import Services, ServicesDependency
 from services.access.caller import Caller
 from services.attacks.verdict import with_outcome
 from services.errors import InUse, InvalidRequest, QuotaExceeded
-from services.jobs.job_query import EXAMPLE, LONGEST, parse_query
+from services.jobs.job_list import EXAMPLE, LONGEST_QUERY, ListedJob, ListTotals, parse_query
 from services.jobs.jobs import QueueFull
-from services.jobs.listed_job import ListedJob
-from services.jobs.lists import ListTotals
 from services.jobs.models import State
 
 PAGE = 50
@@ -31,7 +29,7 @@ MOST = 200
 """Jobs that one request acts upon at most."""
 
 router = APIRouter(include_in_schema=False)
-Text = Annotated[str, Query(max_length=LONGEST)]
+Text = Annotated[str, Query(max_length=LONGEST_QUERY)]
 Sort = Annotated[str, Query(pattern=SORT_PATTERN)]
 Place = Annotated[str | None, Query(max_length=2000)]
 
@@ -114,7 +112,7 @@ def act(
     action: Annotated[Literal["cancel", "retry", "delete", "tag"], Form()],
     job: Annotated[list[str], Form(max_length=MOST)] = [],  # noqa: B006 - the framework copies it
     tag: Annotated[str, Form(max_length=50)] = "",
-    q: Annotated[str, Form(max_length=LONGEST)] = "",
+    q: Annotated[str, Form(max_length=LONGEST_QUERY)] = "",
     sort: Annotated[str, Form(pattern=SORT_PATTERN)] = NEWEST,
     cursor: Annotated[str, Form(max_length=2000)] = "",
 ) -> Response:

@@ -17,7 +17,7 @@ from api.dashboard.views import all_events
 from api.routes.jobs import continued
 from api.state import KnownJob, Services, ServicesDependency, no_such
 from services.access.caller import Caller
-from services.jobs.artifacts import Damaged
+from services.jobs.files import Damaged
 from services.jobs.models import Artifact, JobKind
 from services.pipeline.result import BEST_SO_FAR
 

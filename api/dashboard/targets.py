@@ -7,7 +7,7 @@ from fastapi import APIRouter, Response
 from api.access.authentication import CallerDependency
 from api.dashboard.pages import html
 from api.state import ServicesDependency
-from services.jobs.target_record import TargetRecord
+from services.jobs.statistics import TargetRecord
 from services.targets.info import UNAVAILABLE, TargetInfo, available
 
 router = APIRouter(include_in_schema=False)

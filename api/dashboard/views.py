@@ -11,7 +11,7 @@ from typing import Any
 from api.dashboard.charts import Chart, Upset, chart, upset
 from api.dashboard.questions import Question, SceneObject, objects, questions
 from services.attacks.verdict import judge, with_outcome
-from services.jobs.listed_job import ListedJob
+from services.jobs.job_list import ListedJob
 from services.jobs.models import Artifact, Event, Job, State
 from services.jobs.record import Record
 from services.pipeline.names import group_words, question_names

@@ -16,8 +16,7 @@ from api.routes.jobs import NEWEST, QueryText, Sort
 from api.schemas import JobRow, JobTable
 from api.state import Services, ServicesDependency
 from services.access.caller import Caller
-from services.jobs.job_query import Term, parse_query
-from services.jobs.listed_job import ListedJob
+from services.jobs.job_list import ListedJob, Term, parse_query
 
 AT_ONCE = 500
 """Jobs that are read from the database at once."""

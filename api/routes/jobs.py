@@ -15,7 +15,7 @@ from api.schemas import JobEdit, JobPage, JobSummary, JobView, PreviewView
 from api.state import KnownJob, Services, ServicesDependency, no_such
 from api.submissions import key_of
 from services.access.caller import Caller
-from services.jobs.job_query import EXAMPLE, LONGEST, Term, parse_query
+from services.jobs.job_list import EXAMPLE, LONGEST_QUERY, Term, parse_query
 from services.jobs.models import Job, State
 from services.pipeline.preview_record import PlannedCost
 from services.pipeline.result import CHECKPOINT
@@ -23,7 +23,7 @@ from services.pipeline.spec import JobSpec
 
 QueryText = Annotated[
     str | None,
-    Query(max_length=LONGEST, description=f"which jobs to list, such as `{EXAMPLE}`; docs/api.md has the fields"),
+    Query(max_length=LONGEST_QUERY, description=f"which jobs to list, such as `{EXAMPLE}`; docs/api.md has the fields"),
 ]
 Sort = Annotated[
     str, Query(pattern=SORT_PATTERN, description='what to sort by; with "-" before it the greatest or newest first')

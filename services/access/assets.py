@@ -11,9 +11,9 @@ from sqlalchemy import Engine, delete, func, select, update
 
 from services.access.caller import Caller
 from services.access.models import OwnedAsset
-from services.jobs.asset_models import Asset
-from services.jobs.asset_uses import check_unused, hold
 from services.jobs.database import Clock, Database, now
+from services.jobs.models import Asset
+from services.jobs.uploads import check_unused, hold
 
 
 class OwnedAssets:

@@ -22,14 +22,13 @@ from sqlalchemy.orm import Session, defer, undefer
 
 from services.analysis.campaign_table import Case, CaseRow, Curves, mean_curves, table, time_left
 from services.errors import QuotaExceeded
-from services.jobs.asset_uses import check_held, refer_from_campaign, titles, uploads_among
 from services.jobs.database import Database, now
 from services.jobs.jobs import Key, KeyReused, add_job
 from services.jobs.leases import change_state
-from services.jobs.models import Campaign, CampaignJob, CampaignState, Job, JobKind, State, not_paused
+from services.jobs.models import Campaign, CampaignJob, CampaignState, Job, JobKind, State, not_paused, place
 from services.jobs.placement import CAMPAIGNS, Demand
 from services.jobs.queue import Queue
-from services.jobs.utc_time import place
+from services.jobs.uploads import check_held, refer_from_campaign, titles, uploads_among
 from services.logs import logger
 from services.pipeline.campaign_check import check_meshes, meshes_of
 from services.pipeline.campaign_plan import (

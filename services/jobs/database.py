@@ -19,6 +19,7 @@ from alembic.config import Config
 from alembic.runtime.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from sqlalchemy import Connection, Engine, create_engine, event, func, inspect, make_url, select, text
+from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.exc import ArgumentError, DatabaseError, NoSuchModuleError, OperationalError
 from sqlalchemy.orm import Session
 
@@ -263,3 +264,11 @@ def _alone(engine: Engine, settings: Settings) -> Iterator[None]:
         if settings.database_url is None:
             _file(settings).touch()
         yield
+
+
+_INSERT: dict[str, Any] = {"sqlite": sqlite.insert, "postgresql": postgresql.insert}
+
+
+def insert(session: Session, table: type) -> Any:
+    """An INSERT into a model's table, of the dialect of the session's database."""
+    return _INSERT[session.get_bind().dialect.name](table)

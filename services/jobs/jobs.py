@@ -15,13 +15,13 @@ from sqlalchemy import ColumnElement, Select, delete, func, or_, select
 from sqlalchemy.orm import Session, defer, undefer
 
 from services.errors import InUse, QuotaExceeded
-from services.jobs import totals
-from services.jobs.asset_uses import check_held, refer_from_job, titles, uploads_of
+from services.jobs import statistics
 from services.jobs.database import Database, now
+from services.jobs.job_list import listed
 from services.jobs.leases import change_state, lock, story
-from services.jobs.listed import listed
 from services.jobs.models import Artifact, Campaign, CampaignJob, Event, IdempotencyKey, Job, JobKind, State
 from services.jobs.placement import NO_DEMAND, Demand, targets_of
+from services.jobs.uploads import check_held, refer_from_job, titles, uploads_of
 from services.pipeline.names_known import check_meshes
 from services.pipeline.rerendering_spec import RerenderingSpec
 from services.pipeline.spec import JobSpec, digest
@@ -285,7 +285,7 @@ def add_job(
     if kind is not JobKind.SELECTION:  # selections belong to a campaign, which refers to the meshes itself
         refer_from_job(session, job.id, uploads_of(spec))
     session.add(Event(job_id=job.id, number=1, kind="state", data=story(job), created_at=at))
-    totals.count(session, "submitted", kind.value)
+    statistics.count(session, "submitted", kind.value)
     return job
 
 

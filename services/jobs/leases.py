@@ -16,11 +16,11 @@ from sqlalchemy.orm import Session
 from sqlalchemy.sql.elements import ColumnElement
 
 from services.errors import InvalidRequest, without_folders
-from services.jobs import totals
-from services.jobs.asset_uses import titles, uploads_of
+from services.jobs import statistics
 from services.jobs.database import Database, now
-from services.jobs.listed import listed, listed_outcome
+from services.jobs.job_list import listed, listed_outcome
 from services.jobs.models import Artifact, Event, Job, State, not_paused
+from services.jobs.uploads import titles, uploads_of
 from services.pipeline.warning import JobWarning
 
 ACTIVE = (State.RUNNING, State.CANCELLING)
@@ -102,7 +102,7 @@ class Leases:
             if before is None or number is None:
                 return False
             if before.phase != phase and before.phase_at is not None:
-                totals.count_stage(session, before.phase, (at - before.phase_at).total_seconds())
+                statistics.count_stage(session, before.phase, (at - before.phase_at).total_seconds())
             data = {"phase": phase, "step": step, "steps": steps, "rows": list(rows)}
             session.add(Event(job_id=attempt.job_id, number=number, kind="progress", data=data, created_at=at))
             return True
@@ -247,9 +247,9 @@ def change_state(
     if job is not None:
         session.add(Event(job_id=job_id, number=job.events, kind="state", data=story(job), created_at=at))
         if to is State.RUNNING and job.queued_at is not None:
-            totals.count_stage(session, "waiting", (at - job.queued_at).total_seconds())
+            statistics.count_stage(session, "waiting", (at - job.queued_at).total_seconds())
         if to.terminal:
-            totals.count_end(session, job, None if job.phase_at is None else (at - job.phase_at).total_seconds())
+            statistics.count_end(session, job, None if job.phase_at is None else (at - job.phase_at).total_seconds())
     return job
 
 

@@ -1,22 +1,27 @@
 """The tables of the record. The database holds the state of every job; Redis only wakes workers."""
 
-from datetime import datetime
+from datetime import UTC, datetime
 from enum import StrEnum
 from typing import Any
 
 from sqlalchemy import (
     JSON,
     BigInteger,
+    DateTime,
+    Dialect,
     Enum,
     Float,
     ForeignKey,
     Index,
     String,
     Text,
+    TypeDecorator,
+    literal,
     or_,
     select,
     text,
     true,
+    tuple_,
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 from sqlalchemy.sql.elements import ColumnElement
@@ -26,7 +31,28 @@ from services.jobs.states import CampaignState as CampaignState
 from services.jobs.states import JobKind as JobKind
 from services.jobs.states import State as State
 from services.jobs.states import times_of
-from services.jobs.utc_time import UtcTime
+
+
+class UtcTime(TypeDecorator[datetime]):
+    """A column of aware UTC datetimes. SQLite stores no time zone, so it is removed on writing and added on reading."""
+
+    impl = DateTime
+    cache_ok = True
+
+    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> datetime | None:  # noqa: ARG002
+        """Converts an aware datetime to the naive UTC time that the database stores."""
+        return None if value is None else value.astimezone(UTC).replace(tzinfo=None)
+
+    def process_result_value(self, value: datetime | None, dialect: Dialect) -> datetime | None:  # noqa: ARG002
+        """Converts the naive UTC time of the database to an aware datetime."""
+        return None if value is None else value.replace(tzinfo=UTC)
+
+
+def place(before: tuple[datetime, str]) -> ColumnElement[Any]:
+    """A (created_at, id) as SQL. The time has the columns' type: PostgreSQL would compare an aware datetime with a
+    column that has no time zone in the zone of the session.
+    """
+    return tuple_(literal(before[0], UtcTime()), before[1])
 
 
 def _words(kind: type[StrEnum]) -> Enum:
@@ -92,7 +118,7 @@ class Job(Base):
     waiting: Mapped[str | None] = mapped_column(Text)
     """Why none of the live workers takes the queued job; None if one of them can."""
 
-    # What lists show of `spec` (services.jobs.listed); None for jobs that no list shows.
+    # What lists show of `spec` (services.jobs.job_list); None for jobs that no list shows.
     name: Mapped[str | None] = mapped_column(String(300))
     scene: Mapped[str | None] = mapped_column(String(300))
     attack: Mapped[str | None] = mapped_column(String(300))
@@ -101,7 +127,7 @@ class Job(Base):
     target: Mapped[str | None] = mapped_column(String(300))
     question: Mapped[str | None] = mapped_column(String(300))
 
-    # What a person has said about the job (services.jobs.lists).
+    # What a person has said about the job (services.jobs.job_list).
     title: Mapped[str | None] = mapped_column(String(100))
     note: Mapped[str | None] = mapped_column(Text)
     tags: Mapped[list[Any] | None]
@@ -109,7 +135,7 @@ class Job(Base):
     retry_of: Mapped[str | None] = mapped_column(String(32))
     """The job whose request this one repeats."""
 
-    # What lists show and sort by of `outcome` (services.jobs.listed); None until the job succeeded.
+    # What lists show and sort by of `outcome` (services.jobs.job_list); None until the job succeeded.
     verdict: Mapped[str | None] = mapped_column(String(16))
     verified: Mapped[bool | None]
     """Whether the attack succeeded: the network was fooled, and still is when the adversary is rendered afresh."""
@@ -201,7 +227,7 @@ class Artifact(Base):
 
 
 class Total(Base):
-    """A counter of the service (services.jobs.totals)."""
+    """A counter of the service (services.jobs.statistics)."""
 
     __tablename__ = "totals"
 
@@ -281,6 +307,40 @@ class CampaignJob(Base):
     """What the table needs to know (services.analysis.campaign_table.Case)."""
     curves: Mapped[dict[str, Any] | None] = mapped_column(deferred=True)
     """The curves of the trace (services.analysis.campaign_table.Curves)."""
+
+
+class Asset(Base):
+    """An uploaded mesh. Its row is what transactions hold that refer to the mesh, upload it or delete it."""
+
+    __tablename__ = "assets"
+    __table_args__ = (Index("assets_by_deletion", "deleted_at"),)
+
+    name: Mapped[str] = mapped_column(String(100), primary_key=True)
+    """The name by which scenes call the mesh."""
+    title: Mapped[str | None] = mapped_column(String(100))
+    """The name that people see, if its uploader gave one."""
+    deleted_at: Mapped[datetime | None]
+    """The time at which it was deleted; None while it is there. The row stays for as long as a request may take."""
+
+
+class JobAsset(Base):
+    """A job refers to an uploaded mesh."""
+
+    __tablename__ = "job_assets"
+    __table_args__ = (Index("job_assets_by_name", "name"),)
+
+    job_id: Mapped[str] = mapped_column(ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True)
+    name: Mapped[str] = mapped_column(String(100), primary_key=True)
+
+
+class CampaignAsset(Base):
+    """A campaign refers to an uploaded mesh."""
+
+    __tablename__ = "campaign_assets"
+    __table_args__ = (Index("campaign_assets_by_name", "name"),)
+
+    campaign_id: Mapped[str] = mapped_column(ForeignKey("campaigns.id", ondelete="CASCADE"), primary_key=True)
+    name: Mapped[str] = mapped_column(String(100), primary_key=True)
 
 
 def not_paused() -> ColumnElement[bool]:

@@ -2,15 +2,14 @@
 
 from sqlalchemy import Engine
 
-from services.jobs.asset_record import AssetRecords
 from services.jobs.campaigns import Campaigns
 from services.jobs.database import Clock, Database
-from services.jobs.figures import Figures
+from services.jobs.job_list import JobLists
 from services.jobs.jobs import Jobs
 from services.jobs.leases import Leases
-from services.jobs.lists import JobLists
 from services.jobs.scheduler import Scheduler
-from services.jobs.target_record import TargetRecords
+from services.jobs.statistics import Figures, TargetRecords
+from services.jobs.uploads import AssetRecords
 
 
 class Record:

@@ -7,7 +7,8 @@ from sqlalchemy.orm import aliased
 
 from services.jobs.database import Database
 from services.jobs.models import Job, State, not_paused
-from services.jobs.placement import Abilities, Needs, Priority
+from services.jobs.placement import Abilities, Needs, Priority, why_waiting
+from services.jobs.queue import Queue
 
 JOBS_PER_UPDATE = 500
 """Jobs that one statement names."""
@@ -65,3 +66,20 @@ class Scheduler:
             for start in range(0, len(ids), JOBS_PER_UPDATE):
                 chunk = ids[start : start + JOBS_PER_UPDATE]
                 session.execute(update(Job).where(Job.id.in_(chunk)).values(waiting=why))
+
+
+def reconcile(scheduler: Scheduler, queue: Queue) -> None:
+    """Records why queued jobs wait, and rings where a live worker can run one of them. Raises RedisError.
+
+    There are then as many bells as workers: one that cannot run the job may answer first, and drops its bell.
+    """
+    workers = queue.workers()
+    wanted: set[Priority] = set()
+    for waiting in scheduler.waiting():
+        why = why_waiting(waiting.needs, workers)
+        if why != waiting.why:
+            scheduler.explain(waiting, why)
+        if why is None:
+            wanted.add(waiting.priority)
+    for priority in wanted:
+        queue.ring(priority, len(workers) - queue.bells(priority))

@@ -15,9 +15,9 @@ from services.export import ASSET, BUNDLE
 from services.export.asset_glb import asset_glb
 from services.export.bundle import read_finished, write_bundle
 from services.export.destinations import zipped
-from services.jobs.artifacts import ArtifactStore, Damaged
 from services.jobs.child import OUT_OF_MEMORY, connect, reply, requests
 from services.jobs.cpu_share import CHECKING, give_way
+from services.jobs.files import ArtifactStore, Damaged
 from services.jobs.outages import outage_of
 from services.jobs.warm_up import warm_up
 from services.logs import configure, logger

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from services.jobs.storage import RESERVE
+from services.jobs.files import RESERVE
 from tests.integration.conftest import Stack, serving, until
 from tests.integration.specs import ENDLESS, QUICK, long
 from tests.integration.test_jobs import perturbation

@@ -11,10 +11,10 @@ from services.access.assets import OwnedAssets
 from services.access.caller import KEYLESS, Caller, Scope
 from services.blobs import blobs
 from services.errors import InUse, InvalidRequest
-from services.jobs.asset_removal import REQUEST_SECONDS, DeletedAssets
 from services.jobs.database import Database
 from services.jobs.models import Job
 from services.jobs.record import Record
+from services.jobs.uploads import REQUEST_SECONDS, DeletedAssets
 from services.pipeline.campaign_spec import CampaignSpec
 from services.pipeline.campaign_spec import parse as parse_campaign
 from services.pipeline.spec import JobSpec, parse

@@ -11,7 +11,7 @@ from httpx import Client
 import api.requests
 from api.state import Services
 from services.errors import InvalidRequest, without_folders
-from services.jobs.artifacts import ArtifactStore
+from services.jobs.files import ArtifactStore
 from services.jobs.models import Artifact
 from services.pipeline.spec import parse
 from tests.unit.api.conftest import OUTCOME, SPHERE

@@ -7,8 +7,8 @@ from sqlalchemy import create_engine
 
 from api.metrics import ServiceMetrics
 from services.jobs.database import Database
-from services.jobs.figures import Figures
 from services.jobs.queue import Queue, connect
+from services.jobs.statistics import Figures
 
 
 def samples(client: Client) -> dict[tuple[str, ...], float]:

@@ -2,9 +2,8 @@
 
 from typing import Any
 
-from services.jobs.job_query import parse_query
+from services.jobs.job_list import ListedJob, parse_query
 from services.jobs.leases import Attempt
-from services.jobs.listed_job import ListedJob
 from services.jobs.models import Artifact, Job, State
 from services.jobs.record import Record
 from services.pipeline.spec import JobSpec, parse

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from services.blobs import blobs
-from services.jobs.artifacts import ArtifactStore, Damaged, media_type
+from services.jobs.files import ArtifactStore, Damaged, media_type
 
 pytestmark = pytest.mark.slow
 

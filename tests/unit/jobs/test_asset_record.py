@@ -5,9 +5,9 @@ from typing import Any
 from sqlalchemy import Engine
 
 from services.access.assets import OwnedAssets
-from services.jobs.asset_record import AssetRecords, FirstAnswer
 from services.jobs.database import Database
 from services.jobs.record import Record
+from services.jobs.uploads import AssetRecords, FirstAnswer
 from services.pipeline.outcome import outcome
 from services.pipeline.result import Result
 from services.pipeline.spec import parse

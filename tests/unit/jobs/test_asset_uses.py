@@ -5,7 +5,7 @@ from typing import Any
 from sqlalchemy import Engine, select
 from sqlalchemy.orm import Session
 
-from services.jobs.asset_models import JobAsset
+from services.jobs.models import JobAsset
 from services.jobs.record import Record
 from services.pipeline.spec import parse
 from tests.unit.jobs.conftest import Clock

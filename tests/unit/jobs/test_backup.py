@@ -13,9 +13,9 @@ from sqlalchemy import make_url
 
 from services.blobs import blobs
 from services.errors import InvalidRequest, JobFailure
-from services.jobs.artifacts import ArtifactStore
 from services.jobs.backup import PARTS, back_up
 from services.jobs.database import connect, migrate
+from services.jobs.files import ArtifactStore
 from services.jobs.models import Artifact, State
 from services.jobs.record import Record
 from services.settings import Settings

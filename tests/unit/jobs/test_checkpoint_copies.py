@@ -11,11 +11,10 @@ import torch
 from safetensors.torch import save_file
 
 from services.blobs import Blobs, blobs
-from services.jobs import checkpoint_copies
-from services.jobs.checkpoint_copies import CheckpointCopies
+from services.jobs import files
+from services.jobs.files import CheckpointCopies, WorkingFiles
 from services.jobs.leases import Attempt
 from services.jobs.record import Record
-from services.jobs.working_files import WorkingFiles
 from tests.unit.jobs.records import add, start
 
 pytestmark = pytest.mark.slow
@@ -37,7 +36,7 @@ def store(url: str) -> Blobs:
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(checkpoint_copies, "COPY_SECONDS", 0.005)
+    monkeypatch.setattr(files, "COPY_SECONDS", 0.005)
 
 
 def save(path: Path, step: int) -> bytes:
@@ -117,7 +116,7 @@ def test_a_short_job_makes_no_copy(url: str, tmp_path: Path) -> None:
 @pytest.mark.usefixtures("quick", "s3_server")
 def test_a_store_that_does_not_answer_stops_no_attack(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
-    monkeypatch.setattr(checkpoint_copies, "log", SimpleNamespace(warning=lambda event, **_: said.append(event)))
+    monkeypatch.setattr(files, "log", SimpleNamespace(warning=lambda event, **_: said.append(event)))
     save(tmp_path / "here", 1)
     copies = CheckpointCopies("s3://no-such-bucket/folder")
     with copies.kept(JOB, tmp_path / "here"):

@@ -8,9 +8,8 @@ from sqlalchemy import Engine
 from sqlalchemy.orm import Session
 
 from services.errors import InUse
-from services.jobs.artifacts import ArtifactStore
 from services.jobs.database import Database
-from services.jobs.housekeeping import GRACE_SECONDS, Housekeeping, remove_unfinished
+from services.jobs.files import GRACE_SECONDS, ArtifactStore, Housekeeping, remove_unfinished
 from services.jobs.jobs import Jobs
 from services.jobs.models import Artifact, Campaign, CampaignJob, CampaignState, Job
 from services.jobs.record import Record

@@ -2,9 +2,9 @@ import pytest
 from sqlalchemy import Engine
 
 from services.jobs.database import Database
-from services.jobs.figures import Figures
 from services.jobs.models import State
 from services.jobs.record import Record
+from services.jobs.statistics import Figures
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import SPEC, add, start
 

@@ -3,7 +3,7 @@ from datetime import UTC, datetime
 import pytest
 
 from services.errors import InvalidRequest
-from services.jobs.job_query import Term, parse_query
+from services.jobs.job_list import Term, parse_query
 
 
 def test_a_query_is_a_list_of_terms() -> None:

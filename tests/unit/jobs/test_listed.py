@@ -2,7 +2,7 @@ from typing import Any
 
 import pytest
 
-from services.jobs.listed import LONGEST, listed
+from services.jobs.job_list import LONGEST_TEXT, listed
 from services.jobs.record import Record
 from tests.unit.jobs.records import SPEC, add, attacks
 
@@ -25,7 +25,7 @@ def test_a_scene_of_many_meshes_is_cut() -> None:
     spec = ASKED | {"scene": {"objects": [{"mesh": "primitive/sphere"}] * 100}}
     scene = listed(spec)["scene"]
     assert scene is not None
-    assert len(scene) == LONGEST
+    assert len(scene) == LONGEST_TEXT
     assert scene.startswith("sphere, sphere")
     assert scene.endswith("…")
 

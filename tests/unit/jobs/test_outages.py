@@ -16,11 +16,10 @@ from sqlalchemy import Engine, event, text
 from sqlalchemy.exc import SQLAlchemyError
 
 from services import atomic_write
-from services.jobs.artifacts import ArtifactStore
 from services.jobs.database import be_patient, connect, migrate
+from services.jobs.files import ArtifactStore, Storage
 from services.jobs.outages import Outage, outage_of
 from services.jobs.record import Record
-from services.jobs.storage import Storage
 from services.settings import Settings
 from tests.postgresql import free_port
 from tests.unit.jobs.records import add

@@ -1,7 +1,7 @@
 from sqlalchemy import Engine
 
 from services.jobs.database import Database
-from services.jobs.lists import JobLists
+from services.jobs.job_list import JobLists
 from services.jobs.record import Record
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import add, attacks, start

@@ -8,8 +8,8 @@ from services.jobs.leases import Attempt
 from services.jobs.models import Job
 from services.jobs.placement import ANY_WORKER, Abilities, Demand, Needs, Priority, targets_of, why_waiting
 from services.jobs.queue import NAME, Queue, connect
-from services.jobs.reconciler import reconcile
 from services.jobs.record import Record
+from services.jobs.scheduler import reconcile
 from services.pipeline.spec import parse
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import SPEC
@@ -75,7 +75,7 @@ def test_a_job_that_no_live_worker_can_run_says_why(record: Record, queue: Queue
     job, cuda = add(record), add(record, device="cuda")
 
     def waiting() -> list[str | None]:
-        reconcile(record, queue)
+        reconcile(record.scheduler, queue)
         return [found.waiting for found in map(record.jobs.get, (job.id, cuda.id)) if found is not None]
 
     assert waiting() == ["no worker is running"] * 2

@@ -14,8 +14,8 @@ from services.access.caller import KEYLESS
 from services.access.quotas import Quotas
 from services.jobs.placement import NO_DEMAND, Abilities, Priority
 from services.jobs.queue import HEARTBEAT_SECONDS, Queue, connect
-from services.jobs.reconciler import reconcile
 from services.jobs.record import Record
+from services.jobs.scheduler import reconcile
 from tests.unit.jobs.conftest import Clock
 from tests.unit.jobs.records import SPEC, add, start
 
@@ -61,43 +61,43 @@ def test_the_supervisor_rings_for_every_worker_where_a_job_waits_that_one_can_ru
 ) -> None:
     add(record)
     add(record)
-    reconcile(record, workers)
+    reconcile(record.scheduler, workers)
     assert bells(workers) == [0, 2, 0]
-    reconcile(record, workers)
+    reconcile(record.scheduler, workers)
     assert bells(workers) == [0, 2, 0], "the bells have not been answered yet"
     workers.redis.flushall()  # Redis loses them, and does not know the workers until their next signs of life
-    reconcile(record, workers)
+    reconcile(record.scheduler, workers)
     assert bells(workers) == [0, 0, 0]
     workers.alive("a", ABLE)
-    reconcile(record, workers)
+    reconcile(record.scheduler, workers)
     assert bells(workers) == [0, 1, 0]
 
 
 def test_nobody_rings_for_jobs_that_run_or_have_ended_or_that_no_worker_can_run(record: Record, queue: Queue) -> None:
     queue.alive("a", Abilities("cpu", frozenset(), 2**34))
     first, second = add(record), add(record)
-    reconcile(record, queue)
+    reconcile(record.scheduler, queue)
     assert bells(queue) == [0, 0, 0]
     queue.alive("a", ABLE)
     start(record, first)
     record.leases.cancelled(start(record, second))
-    reconcile(record, queue)
+    reconcile(record.scheduler, queue)
     assert bells(queue) == [0, 0, 0]
 
 
 def test_the_supervisor_rings_for_a_job_that_is_given_back(record: Record, workers: Queue) -> None:
     attempt = start(record, add(record))
-    reconcile(record, workers)
+    reconcile(record.scheduler, workers)
     assert bells(workers) == [0, 0, 0]
     record.leases.give_back(attempt)
-    reconcile(record, workers)
+    reconcile(record.scheduler, workers)
     assert bells(workers) == [0, 2, 0]
 
 
 def test_a_clock_that_is_put_back_holds_no_job_up(record: Record, workers: Queue, clock: Clock) -> None:
     add(record)
     clock.advance(-3600)
-    reconcile(record, workers)
+    reconcile(record.scheduler, workers)
     assert bells(workers) == [0, 2, 0]
 
 
@@ -106,7 +106,7 @@ def test_a_job_is_taken_while_redis_is_away(record: Record, workers: Queue, tmp_
     quotas = Quotas(cast(Any, None), 10, 10, 10)
     submissions = Submissions(record, nowhere, quotas, cast(Any, None), 10)
     job = asyncio.run(submissions.submit(SPEC, None, KEYLESS, NO_DEMAND, None))
-    reconcile(record, workers)
+    reconcile(record.scheduler, workers)
     assert bells(workers) == [0, 2, 0]
     assert record.scheduler.next_job(Priority.NORMAL, ABLE) == job.id
 

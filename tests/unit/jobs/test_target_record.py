@@ -6,7 +6,7 @@ from sqlalchemy import Engine
 
 from services.jobs.database import Database
 from services.jobs.record import Record
-from services.jobs.target_record import TargetRecords
+from services.jobs.statistics import TargetRecords
 from services.pipeline.outcome import outcome
 from services.pipeline.result import Result
 from services.pipeline.spec import parse

@@ -4,8 +4,8 @@ import pytest
 
 from services.errors import JobFailure
 from services.jobs import warm_process
-from services.jobs.artifacts import ArtifactStore
 from services.jobs.child import OUT_OF_MEMORY
+from services.jobs.files import ArtifactStore
 from services.jobs.warm_process import answer
 from tests.unit.jobs.small import LIBRARY, spec
 

@@ -1,8 +1,8 @@
 from pathlib import Path
 
+from services.jobs.files import WorkingFiles
 from services.jobs.leases import Attempt
 from services.jobs.record import Record
-from services.jobs.working_files import WorkingFiles
 from tests.unit.jobs.records import add, start
 
 

@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from services.blobs import blobs
-from services.jobs import checkpoint_copies
-from services.jobs.artifacts import ArtifactStore
+from services.jobs import files
 from services.jobs.database import connect, migrate
+from services.jobs.files import ArtifactStore
 from services.jobs.models import Job, State
 from services.jobs.record import Record
 from services.pipeline.execute import Progress
@@ -57,7 +57,7 @@ def test_another_machine_goes_on_from_the_checkpoint_of_a_dead_one(
     record, store, copies = Record(engine), ArtifactStore(s3_url), blobs(s3_url, "checkpoints")
     monkeypatch.setattr("worker.job_process.connect_database", lambda _: engine)  # so that the test can close it
     monkeypatch.setattr("services.attacks.run.EVERY", -1.0)  # after every step
-    monkeypatch.setattr(checkpoint_copies, "COPY_SECONDS", 0.005)
+    monkeypatch.setattr(files, "COPY_SECONDS", 0.005)
 
     undisturbed = add(record, SPEC)
     Jobs(first).run(start(record, undisturbed))

@@ -12,8 +12,8 @@ from safetensors.torch import load
 
 from services.analysis.images import pixels
 from services.attacks import run
-from services.jobs.artifacts import ArtifactStore
 from services.jobs.database import connect, migrate
+from services.jobs.files import ArtifactStore
 from services.jobs.models import Artifact, Job
 from services.jobs.record import Record
 from services.pipeline.execute import Progress

@@ -7,8 +7,7 @@ import pytest
 from sqlalchemy import Engine, text
 
 from services.jobs.database import Database
-from services.jobs.job_query import parse_query
-from services.jobs.lists import SORTS, JobLists
+from services.jobs.job_list import SORTS, JobLists, parse_query
 from services.jobs.models import State
 from services.jobs.record import Record
 from services.pipeline.spec import parse

@@ -1,24 +1,226 @@
 """Lists of jobs, filtered and sorted, and what people say about single jobs: a title, tags and a note.
 
-Which jobs a page has is found in one index that has all that lists filter and sort by (`models.LISTED_BY`). Only the
-rows of that page are read, and of them neither requests nor results.
+A list is asked for in a small language: `scene:piano renderer:torch verified p<5e-3 -tag:old`. A query is a list of
+terms with spaces between them; a job is listed if it meets all of them.
+
+What lists show of a request and of its outcome is in columns of the job. Which jobs a page has is found in one index
+that has all that lists filter and sort by (`models.LISTED_BY`). Only the rows of that page are read, and of them
+neither requests nor results.
 """
 
+import math
 import operator
-from collections.abc import Callable, Collection, Mapping, Sequence
+import re
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
-from typing import Any
+from datetime import UTC, datetime
+from types import SimpleNamespace
+from typing import Any, Literal, get_args
 
-from sqlalchemy import ColumnElement, Float, Select, and_, case, func, literal, or_, select, tuple_, update
+from sqlalchemy import ColumnElement, Float, Row, Select, and_, case, func, literal, or_, select, tuple_, update
 from sqlalchemy import delete as deletion
 from sqlalchemy.orm import InstrumentedAttribute
 
+from services.attacks.verdict import SUCCESS, Verdict, with_outcome
+from services.errors import InvalidRequest
 from services.jobs.database import Database
-from services.jobs.job_query import Term
-from services.jobs.listed_job import LISTED, ListedJob, listed_jobs
-from services.jobs.models import Job, JobKind, JobTag, State
-from services.jobs.utc_time import UtcTime
+from services.jobs.models import Job, JobKind, JobTag, State, UtcTime
+from services.pipeline.names import attack_name, job_name, question_names, scene_name
+from services.suggestions import there_are
+from services.written_text import character, unfit
+
+LONGEST_QUERY = 4000
+"""Characters of the longest query. Each may take 12 bytes of an address, of which the head of a request has 64 kB."""
+MOST_TERMS = 50
+MOST_VALUES = 250
+"""Terms of a query, and values of all of them. Each is a condition of its own: SQLite takes no more than a thousand,
+and thousands take seconds before any job has been looked at.
+"""
+WORDS = ("name", "scene", "target", "question")
+"""Fields whose value is looked for anywhere in the text, in upper or lower case."""
+EXACT = ("state", "kind", "renderer", "method", "outcome", "tag", "campaign", "owner")
+"""Fields whose value is the whole text."""
+NUMBERS = ("p", "queries", "seconds")
+TIMES = ("created", "ended")
+FLAGS = ("verified", "noted")
+"""Fields without a value: the adversary was verified (a success), and there is a note."""
+FIELDS = (*WORDS, *EXACT, "id", *NUMBERS, *TIMES)
+EXAMPLE = "scene:piano renderer:torch verified p<5e-3"
+
+_CHOICES: dict[str, tuple[str, ...]] = {
+    "state": tuple(state.value for state in State),
+    "kind": (JobKind.ATTACK.value, JobKind.RERENDERING.value),
+    "outcome": get_args(Verdict),
+}
+Comparison = Literal["=", "<", "<=", ">", ">="]
+_TERM = re.compile(r"""(?P<minus>-?)(?:(?P<field>[A-Za-z_]+)(?P<sign><=|>=|[:=<>]))?(?P<value>(?:"[^"]*"|[^\s"])*)""")
+_COMMA = re.compile(r',(?=(?:[^"]*"[^"]*")*[^"]*$)')
+"""A comma that is not between quotation marks."""
+
+
+@dataclass(frozen=True)
+class Term:
+    """A condition. `field` is one of `FIELDS` or `FLAGS`, or "" for words that may be in any text that a list shows."""
+
+    field: str
+    sign: Comparison
+    values: tuple[str | float | datetime, ...]
+    """The values of which one is met: texts, a number, or a time; none for a flag."""
+    wanted: bool = True
+    """False for a term that begins with "-": jobs that meet it are left out."""
+
+
+def parse_query(text: str) -> tuple[Term, ...]:
+    """The terms of a query. Raises InvalidRequest("q"), which says where the query cannot be read and what is right."""
+    if len(text) > LONGEST_QUERY:
+        raise InvalidRequest("q", f"a query has at most {LONGEST_QUERY:,} characters, and this one {len(text):,}")
+    if found := unfit(text.replace("\n", " ").replace("\t", " ")):
+        raise _unread(found.start(), f"this is the character {character(found)}, which no name, title or tag has")
+    terms, at = [], 0
+    while at < len(text):
+        if text[at].isspace():
+            at += 1
+            continue
+        term = _TERM.match(text, at)
+        assert term is not None  # every part of the pattern may be empty
+        if term.end() < len(text) and not text[term.end()].isspace():
+            raise _unread(text.index('"', term.end()), "this quotation mark has no second one")
+        terms.append(_term(term))
+        if len(terms) > MOST_TERMS:
+            raise _unread(at, f"a query has at most {MOST_TERMS} conditions, and this is one more")
+        if sum(len(term.values) for term in terms) > MOST_VALUES:
+            raise _unread(at, f"a query has at most {MOST_VALUES} values, and these are more")
+        at = term.end()
+    return tuple(terms)
+
+
+def _term(found: re.Match[str]) -> Term:
+    wanted, field, sign, value, at = not found["minus"], found["field"], found["sign"], found["value"], found.start()
+    if field is None:
+        if value in FLAGS:
+            return Term(value, "=", (), wanted)
+        text = _unquoted(value)
+        if not text:
+            raise _unread(at, "after a minus there has to be a condition, such as -tag:old")
+        return Term("", "=", (text,), wanted)
+    if field not in FIELDS:
+        if field in FLAGS:
+            raise _unread(at, f"{field} stands alone: {field}, or -{field}")
+        raise _unread(found.start("field"), f"there is no field {field!r}; {there_are(field, FIELDS)}")
+    at = found.start("value")
+    if not value:
+        raise _unread(at, f"{field}{sign} needs a value, as in {EXAMPLE}")
+    if field in NUMBERS:
+        return Term(field, _comparison(sign), (_number(value, at),), wanted)
+    if field in TIMES:
+        return Term(field, _comparison(sign), (_time(value, at),), wanted)
+    if sign not in (":", "="):
+        raise _unread(found.start("sign"), f"{field} is a text: write {field}:{value}")
+    values = tuple(_unquoted(one) for one in _COMMA.split(value))
+    if not all(values):
+        raise _unread(at, f"{field} needs a value before and after each comma")
+    for one in values:
+        if field in _CHOICES and one not in _CHOICES[field]:
+            raise _unread(at, f"there is no {field} {one!r}; {there_are(one, _CHOICES[field])}")
+    return Term(field, "=", values, wanted)
+
+
+def _comparison(sign: str) -> Comparison:
+    return "=" if sign == ":" else sign  # type: ignore[return-value]
+
+
+def _number(value: str, at: int) -> float:
+    try:
+        number = float(value)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise _unread(at, f"{value!r} is no number; write 5e-3 or 0.005")
+    return number
+
+
+def _time(value: str, at: int) -> datetime:
+    try:
+        time = datetime.fromisoformat(_unquoted(value))
+        return time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)
+    except (ValueError, OverflowError) as error:
+        raise _unread(at, f"{value!r} is no time; write 2026-11-23 or 2026-11-23T14:30, in UTC") from error
+
+
+def _unquoted(value: str) -> str:
+    return value.replace('"', "")
+
+
+def _unread(at: int, why: str) -> InvalidRequest:
+    return InvalidRequest("q", f"at character {at + 1}: {why}")
+
+
+LONGEST_TEXT = 300
+"""Characters of a listed text; a scene may have many meshes. Longer ones end in an ellipsis."""
+
+
+def listed(spec: Mapping[str, Any], titles: Mapping[str, str] | None = None) -> dict[str, str | None]:
+    """The listed columns of the full spec of an attack or re-rendering, by name; `titles` are those of uploads, by
+    their names in scenes.
+    """
+    questions = question_names(spec)
+    if "fit" in spec:
+        work = {"attack": "re-rendering", "renderer": "torch", "method": f"fit by {spec['fit']['optimiser']}"}
+    else:
+        attack = spec["attack"]
+        work = {"attack": attack_name(spec), "renderer": attack["renderer"], "method": attack["method"]}
+    columns = {
+        "name": job_name(spec, titles),
+        "scene": scene_name(spec, titles),
+        **work,
+        "target": spec["target"]["name"],
+        "question": questions[0] if questions else None,
+    }
+    return {column: _cut(text) for column, text in columns.items()}
+
+
+def listed_outcome(outcome: Mapping[str, Any]) -> dict[str, Any]:
+    """The columns of an outcome (services.pipeline.outcome) that lists sort and filter by; p is the paper's, or that of
+    the saved image in results of version 0.1.
+    """
+    record = with_outcome(outcome)
+    paper = record.get("float_perceptibility")
+    return {
+        "verdict": record["outcome"],
+        "verified": record["outcome"] == SUCCESS and bool(record.get("verified")),
+        "p": record.get("perceptibility") if paper is None else paper,
+        "queries": record.get("queries"),
+        "seconds": record.get("seconds"),
+    }
+
+
+def _cut(text: str | None) -> str | None:
+    return text if text is None or len(text) <= LONGEST_TEXT else text[: LONGEST_TEXT - 1] + "…"
+
+
+_UNLISTED = [
+    "spec",
+    "result",
+    "note",
+    "needs",
+    "digest",
+    "phase_at",
+    "lease_owner",
+    "lease_until",
+]
+LISTED = tuple(one for one in Job.__table__.columns if one.name not in _UNLISTED)
+"""The columns of a job that lists read."""
+_NAMES = tuple(one.name for one in LISTED)
+
+
+class ListedJob(SimpleNamespace):
+    """A job in a list: its attributes are the columns `LISTED`."""
+
+
+def listed_jobs(rows: Iterable[Row[Any]]) -> Iterator[ListedJob]:
+    """The jobs of rows with the columns `LISTED`, whose attributes are read in an eighth of the time of the rows'."""
+    return (ListedJob(**dict(zip(_NAMES, row, strict=True))) for row in rows)
+
 
 SORTS: dict[str, Any] = {
     "created": Job.created_at,
