@@ -24,14 +24,13 @@ from services.errors import InUse, InvalidRequest, QuotaExceeded, without_folder
 from services.jobs.files import Damaged
 from services.jobs.jobs import KeyReused, QueueFull
 from services.jobs.outages import outage_of
-from services.json_text import json_mistake
 from services.logs import logger
 from services.pipeline.campaign_spec import CampaignSpec
 from services.pipeline.campaign_spec import named as campaign_fields
 from services.pipeline.error_words import in_words
 from services.pipeline.field_errors import invalid_fields
 from services.pipeline.spec import JobSpec, named
-from services.strict import Strict
+from services.strict import Strict, json_mistake
 
 MEDIA_TYPE = "application/problem+json"
 REQUEST_ID = "X-Request-ID"

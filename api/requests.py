@@ -19,9 +19,8 @@ from api.schemas import JobView
 from api.state import ServicesDependency, names_of
 from services.errors import InvalidRequest
 from services.jobs.placement import Demand, Device, Priority
-from services.json_text import NESTED
 from services.names import Names
-from services.strict import is_nested_deeper
+from services.strict import NESTED, is_nested_deeper
 
 Parsed = TypeVar("Parsed", bound=BaseModel)
 

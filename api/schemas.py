@@ -27,7 +27,7 @@ from services.scenes.description import Model, Scene
 from services.scenes.library import Entry
 from services.strict import Strict
 from services.targets.info import TargetInfo
-from services.written_text import line, line_or_nothing, paragraphs
+from services.text import line, line_or_nothing, paragraphs
 
 if TYPE_CHECKING:
     from services.extensions import Extension

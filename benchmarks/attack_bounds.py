@@ -15,8 +15,8 @@ from rich.progress import track
 from client.settings import settings_to_run
 from services.accuracy.attack_errors import AttackErrors, adversarial_scenes, attack_errors, random_scenes
 from services.accuracy.provenance import PACKAGES, backend
+from services.process import versions
 from services.scenes.library import Library
-from services.versions import versions
 
 HERE = Path(__file__).parent
 

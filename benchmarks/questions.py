@@ -27,7 +27,7 @@ from services.questions.generator import QuestionGenerator
 from services.questions.program import Program
 from services.scenes.clevr.generator import generate
 from services.targets.iep.assembly import Question, assemble
-from services.targets.iep.network import Network
+from services.targets.iep.engine import Network
 
 SEED = 0
 COUNT = 64

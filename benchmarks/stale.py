@@ -251,7 +251,7 @@ def _hash(path: Path) -> str:
 
 def _code() -> str:
     """A hash of the files of CODE and of the packages that compute."""
-    from services.versions import versions
+    from services.process import versions
 
     hashed = hashlib.sha256(str(versions("torch", "numpy", "pyrender-maintained", "PyOpenGL")).encode())
     command = ["git", "ls-files", "-co", "--exclude-standard", *CODE]

@@ -34,7 +34,7 @@ from services.scenes.furniture_kinds import PREFIX
 from services.scenes.library import Library
 from services.targets import registry
 from services.targets.info import TARGETS
-from services.targets.truth import truth_labels
+from services.targets.labels import truth_labels
 from training.split import committed
 
 SEED = 0

@@ -17,7 +17,7 @@ from services.analysis.records import (
     Subset,
     Transferred,
 )
-from services.signed import signed
+from services.text import signed
 
 STRONGEST = 20
 """Number of coordinates that a table shows, those of the largest Shapley values; the JSON has all."""

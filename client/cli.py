@@ -112,7 +112,7 @@ def _is_outage(error: Exception) -> bool:
 
 
 def _end(code: int, *messages: str) -> NoReturn:
-    from services.written_text import visible
+    from services.text import visible
 
     for message in messages:
         print(f"scene-attack: {visible(message)}", file=sys.stderr)

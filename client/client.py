@@ -27,7 +27,7 @@ from pydantic import BaseModel, ValidationError
 from client import operations
 from client.errors import Unfinished, refusal
 from client.operations import Answer, PriorityName, Request, StateName
-from services import atomic_write
+from services import disk
 from services.errors import InvalidRequest
 from services.jobs.states import State
 from services.pipeline.rerendering_spec import RerenderingView
@@ -290,7 +290,7 @@ class AsyncJob(JobFields):
         paths = []
         for name in await self.files():
             path = Path(folder) / Path(name).name  # a service can name no file outside the folder
-            await to_thread(atomic_write.write, path, await self.file(name))
+            await to_thread(disk.write, path, await self.file(name))
             paths.append(path)
         return paths
 
@@ -369,7 +369,7 @@ class Client:
             if response.status_code != httpx.codes.OK:
                 response.read()
                 raise refusal(response)
-            with atomic_write.replacing(to) as part, part.open("wb") as file:
+            with disk.replacing(to) as part, part.open("wb") as file:
                 for chunk in response.iter_bytes():
                     file.write(chunk)
 

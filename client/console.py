@@ -10,7 +10,7 @@ from rich.segment import Segment
 from rich.text import Text
 
 from client.fitted_table import FittedTable
-from services.written_text import escaped, visible
+from services.text import escaped, visible
 
 if TYPE_CHECKING:
     from services.analysis.records import Answer, Said

@@ -51,7 +51,7 @@ def attack(
     from client.settings import read_settings
     from services.pipeline.execute import execute
     from services.pipeline.extensions import set_up
-    from services.targets.custom.in_process import describe
+    from services.targets.custom.loading import describe
     from services.targets.registry import registered
 
     for argument, value in (("scene", scene), ("spec", {} if spec is None else spec)):
@@ -75,7 +75,7 @@ def _target(name: str, model: Any, labels: Any, preprocessing: Any) -> Target:
     """The target of the arguments of `attack`. Raises InvalidRequest, which names the argument."""
     from torch import nn
 
-    from services.targets.custom.in_process import scores_of, target_of
+    from services.targets.custom.loading import scores_of, target_of
 
     if not isinstance(model, nn.Module) and hasattr(model, "logits"):
         missing = [part for part in _PARTS if not hasattr(model, part)]
@@ -101,7 +101,7 @@ _PARTS = ("name", "labels", "input_size", "differentiable", "takes_question", "w
 
 def _labels(given: Any) -> tuple[str, ...]:
     """The labels of the argument; empty if it names none."""
-    from services.targets.imagenet import imagenet_labels
+    from services.targets.labels import imagenet_labels
 
     if given is None:
         return ()
@@ -151,7 +151,7 @@ def _numbers(model: Callable[[Tensor], Any], preprocessing: Preprocessing) -> tu
 
     import torch
 
-    from services.targets.custom.in_process import ScoresOnly
+    from services.targets.custom.loading import ScoresOnly
 
     network = deepcopy(model).eval() if isinstance(model, torch.nn.Module) else ScoresOnly(model)
     weight = next(network.parameters(), torch.zeros(1))

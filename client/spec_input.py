@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from services.errors import InvalidRequest
-from services.json_text import NotJson, read_json
+from services.strict import NotJson, read_json
 
 
 def read(path: str, seed: int | None = None) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from services.settings import Settings
-from services.suggestions import did_you_mean
+from services.text import did_you_mean
 
 COMMAND_LINE = ("SCENE_ATTACK_URL", "SCENE_ATTACK_KEY")
 """Variables that are no settings of the service: where a client finds it, and with which key."""

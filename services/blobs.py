@@ -16,7 +16,7 @@ from io import BufferedIOBase
 from pathlib import Path
 from typing import Any, Protocol, cast
 
-from services import atomic_write
+from services import disk
 from services.errors import InvalidRequest
 
 CONNECT_SECONDS = 5
@@ -60,7 +60,7 @@ class Folder:
 
     def write(self, name: str, data: bytes) -> None:
         """Writes a file, and waits until it is on the disk."""
-        atomic_write.write(self._folder / name, data)
+        disk.write(self._folder / name, data)
 
     def open(self, name: str) -> BufferedIOBase:
         """Opens a file."""

@@ -1,11 +1,13 @@
-"""Selects the device on which networks and the torch renderer compute (SCENE_ATTACK_DEVICE).
-
-Parameters of a renderer and the state of an attack are always CPU tensors, drawn from CPU generators, so that a
-checkpoint is valid on every device. Images are on the renderer's device.
+"""The device on which networks and the torch renderer compute (SCENE_ATTACK_DEVICE), and a test of tensors for
+infinities and NaN.
 """
 
 import os
+from math import isfinite
 from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
 
 from services.errors import InvalidRequest
 from services.process import options
@@ -54,3 +56,9 @@ def _make_deterministic() -> None:
     torch.backends.cudnn.allow_tf32 = False
     torch.backends.cudnn.benchmark = False
     torch.use_deterministic_algorithms(True, warn_only=True)
+
+
+def finite(values: Tensor) -> bool:
+    """Returns whether every value is finite. The minimum and maximum, which a single pass computes, suffice."""
+    low, high = torch.aminmax(values.detach())
+    return isfinite(float(low)) and isfinite(float(high))

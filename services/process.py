@@ -1,12 +1,15 @@
-"""Options that hold for this process as a whole, because a process does each of these once: it binds OpenGL to a
-platform, loads the kernels, chooses a device, and finds the folder of weights and other downloaded files.
+"""This process as a whole: the options of what a process does once, and the versions of what it runs.
 
-A process calls `use` when it starts. One that never does, such as a researcher's, has the defaults.
+A process binds OpenGL to a platform, loads the kernels, chooses a device, and knows the folder of weights and other
+downloaded files. It calls `use` when it starts. One that never does, such as a researcher's, has the defaults.
 """
 
+import platform
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from importlib.metadata import version
 from pathlib import Path
 
 from services.errors import InvalidRequest
@@ -74,3 +77,9 @@ def _of(settings: Settings) -> ProcessOptions:
         gl=settings.gl,
         device=settings.device,
     )
+
+
+@lru_cache
+def versions(*packages: str) -> dict[str, str]:
+    """Returns the versions of Python and of the installed `packages` by name. Cached, as reading takes milliseconds."""
+    return {"python": platform.python_version()} | {name: version(name) for name in packages}

@@ -10,7 +10,7 @@ from typing import Literal
 from pydantic import Field, ValidationInfo, field_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
-from services.listed_hosts import endpoint_mistake, host_mistake
+from services.addresses import endpoint_mistake, host_mistake
 
 
 class Settings(BaseSettings):

@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 
-from services import atomic_write
+from services import disk
 from services.errors import InvalidRequest, summary
 
 
@@ -15,7 +15,7 @@ def write(path: Path, about: Any, state: dict[str, Any]) -> None:
     """Writes a checkpoint of the training that `about` names: after a kill it is the old or the new one, complete."""
     buffer = io.BytesIO()
     torch.save({"about": about} | state, buffer)
-    atomic_write.write(path, buffer.getvalue())
+    disk.write(path, buffer.getvalue())
 
 
 def read(path: Path, about: Any) -> dict[str, Any]:

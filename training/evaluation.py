@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from services import atomic_write
+from services import disk
 from services.rendering.color import to_bytes
 from services.rendering.factory import build
 from services.scenes.description import Camera, Scene, SceneObject
@@ -106,5 +106,5 @@ def _of_model(library: Library, mesh: str, folder: Path) -> Tensor:
             for scene in scenes:
                 built = build(resolve(scene, library), renderer, tolerance="exact")
                 made.append(to_bytes(built.exact().render({}))[0])
-        atomic_write.write(path, safetensors.numpy.save({"images": torch.stack(made).cpu().numpy()}))
+        disk.write(path, safetensors.numpy.save({"images": torch.stack(made).cpu().numpy()}))
     return torch.from_numpy(safetensors.numpy.load_file(path)["images"])

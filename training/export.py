@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from services import atomic_write
+from services import disk
 from services.scenes.library import Library
 from services.targets.networks.alexnet import AlexNet
 from services.targets.networks.resnet import ResNet
@@ -84,10 +84,10 @@ def write(
         data_card=out / "furniture-views.md",
         summary=_summary(facts),
     )
-    atomic_write.write(written.weights, data)
-    atomic_write.write(written.facts, (json.dumps(facts, indent=1) + "\n").encode())
-    atomic_write.write(written.card, model_card(facts).encode())
-    atomic_write.write(written.data_card, data_card(split, recipe).encode())
+    disk.write(written.weights, data)
+    disk.write(written.facts, (json.dumps(facts, indent=1) + "\n").encode())
+    disk.write(written.card, model_card(facts).encode())
+    disk.write(written.data_card, data_card(split, recipe).encode())
     return written
 
 

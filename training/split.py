@@ -14,7 +14,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict
 
-from services import atomic_write
+from services import disk
 
 MIN_MODELS = 9
 MIN_FAMILIES, MIN_HELD_OUT = 5, 2
@@ -90,7 +90,7 @@ def committed() -> Split:
 
 def save(split: Split, path: Path = PATH) -> None:
     """Writes a split."""
-    atomic_write.write(path, (split.model_dump_json(indent=1) + "\n").encode())
+    disk.write(path, (split.model_dump_json(indent=1) + "\n").encode())
 
 
 def _order(seed: int, group: Sequence[str]) -> str:

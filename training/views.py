@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from services import atomic_write
+from services import disk
 from services.rendering.opengl.gbuffer import GBuffer, rasterise
 from services.scenes.description import DISTANCE, ELEVATION, FIELD_OF_VIEW, Camera, Scene, SceneObject
 from services.scenes.library import Library
@@ -95,7 +95,7 @@ def views(library: Library, mesh: str, cameras: Sequence[Camera], folder: Path) 
         return _read(path)
     drawn = joined([_packed(*one) for one in _draw(library, mesh, cameras)])
     arrays = {name: getattr(drawn, name) for name in _ARRAYS} | {"side": np.array(drawn.side)}
-    atomic_write.write(path, safetensors.numpy.save(arrays))
+    disk.write(path, safetensors.numpy.save(arrays))
     return drawn
 
 

@@ -3,7 +3,7 @@
 import shutil
 from pathlib import Path
 
-from services import atomic_write
+from services import disk
 from services.jobs.files import ArtifactStore, Damaged, Storage, WorkingFiles, media_type
 from services.jobs.leases import Attempt
 from services.jobs.models import Artifact, Job, JobKind
@@ -41,7 +41,7 @@ class KeptFiles:
         try:
             given = self.given(attempt, CHECKPOINT)
             if given is not None:
-                atomic_write.write(path, given)
+                disk.write(path, given)
         except (FileNotFoundError, Damaged) as error:
             log.warning("checkpoint gone, the job begins again", job=attempt.job_id, error=str(error))
 

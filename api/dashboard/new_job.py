@@ -20,10 +20,10 @@ from services.attacks.attack import ATTACKS
 from services.errors import InvalidRequest
 from services.jobs.memory_limit import WARM_PROCESSES
 from services.jobs.placement import Demand, Priority
-from services.json_text import NotJson, read_json
 from services.names import Names
 from services.pipeline.spec import JobSpec, problems
 from services.rendering.declaration import RENDERERS
+from services.strict import NotJson, read_json
 from services.targets.info import available
 
 FIRST = ("furniture/grand-piano", "furniture/soccer-ball", "primitive/sphere")

@@ -18,7 +18,7 @@ from services.access.caller import Caller
 from services.jobs.models import CampaignState, State
 from services.pipeline.names import group_words
 from services.pipeline.question_record import CHANGED
-from services.signed import signed
+from services.text import signed
 
 HEADERS = {
     "Content-Security-Policy": (

@@ -7,7 +7,7 @@ from typing import Any
 
 from services.attacks.verdict import WRONG_BEFORE as WRONG_BEFORE
 from services.attacks.verdict import held_within as held_within
-from services.signed import signed
+from services.text import signed
 
 FAILURES = {
     "non-finite": "An image, loss or gradient was not a number, so the attack could not go on.",

@@ -54,7 +54,7 @@ def _export_folder(folder: Path, to: Path | None) -> Path:
     from client.commands.run import library
     from client.live import JobLine
     from client.settings import settings_to_run
-    from services import atomic_write
+    from services import disk
 
     settings = settings_to_run()
     name = f"{folder.resolve().name}-export"
@@ -69,7 +69,7 @@ def _export_folder(folder: Path, to: Path | None) -> Path:
         if to.suffix != ".zip":
             write_bundle(files, assets, into_folder(to))
             return to
-        with atomic_write.replacing(to) as part, part.open("wb") as file, zipped(file, name) as write:
+        with disk.replacing(to) as part, part.open("wb") as file, zipped(file, name) as write:
             write_bundle(files, assets, write)
     return to
 

@@ -141,7 +141,7 @@ def _place(settings: "Settings") -> str:
 
 def _word(field: str, text: str, least: int = 1) -> str:
     from services.errors import InvalidRequest
-    from services.written_text import line_or_nothing
+    from services.text import line_or_nothing
 
     if not least <= len(text) <= LONGEST:
         raise InvalidRequest(field, f"it has {least} to {LONGEST} characters")

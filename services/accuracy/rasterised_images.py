@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 
 from services.accuracy.provenance import PACKAGES
-from services.process import use
+from services.process import use, versions
 from services.rendering.opengl import context
 from services.rendering.plan import ImageError, image_error
 from services.rendering.pyrender_renderer.declaration import PYRENDER
@@ -32,7 +32,6 @@ from services.scenes.description import Scene
 from services.scenes.library import Library
 from services.scenes.resolve import resolve
 from services.settings import Settings
-from services.versions import versions
 
 MESHES = (
     *("primitive/sphere", "primitive/cube", "primitive/torus", "primitive/cylinder"),

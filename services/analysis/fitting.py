@@ -10,8 +10,8 @@ from typing import Literal
 import torch
 from torch import Tensor
 
+from services.device import finite
 from services.errors import JobFailure
-from services.finite import finite
 from services.rendering.protocol import Parameters, Renderer
 
 Optimiser = Literal["sgd", "adam"]

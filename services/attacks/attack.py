@@ -19,8 +19,8 @@ from services.attacks.losses import Loss
 from services.extensions import Registry
 from services.rendering.declaration import MAX_STEP, RENDERERS, Group
 from services.scenes.description import Model
-from services.suggestions import there_are
 from services.targets.info import LONGEST_LABEL
+from services.text import there_are
 
 Limit = Annotated[float, Field(gt=0, le=MAX_STEP, allow_inf_nan=False)]
 Value = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]

@@ -32,8 +32,8 @@ from services.attacks.limits import (
 from services.attacks.losses import Loss, loss
 from services.attacks.seeds import derived, generator
 from services.attacks.surrogate import Surrogate
+from services.device import finite
 from services.errors import JobFailure, named, summary
-from services.finite import finite
 from services.rendering import color
 from services.rendering.protocol import BOUND_SLACK, Parameters, Renderer
 from services.rendering.variation import Variation, noisy, varied

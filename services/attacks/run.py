@@ -13,7 +13,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
-from services import atomic_write
+from services import disk
 from services.attacks.goal import ResolvedGoal
 from services.attacks.image_differences import ImageDifferences
 from services.attacks.method import Method
@@ -177,7 +177,7 @@ def save(path: Path, run: AttackState, problem: AttackProblem, method: Method, v
         verifier.renders,
     ]
     words[_BACKENDS] = _backends(problem, verifier)
-    with atomic_write.replacing(path) as part:
+    with disk.replacing(path) as part:
         # safetensors saves no two tensors that share memory, as a method's may
         save_file(
             {name: value.detach().clone(memory_format=torch.contiguous_format) for name, value in tensors.items()},

@@ -13,7 +13,7 @@ from services.export.parameters import ParameterTable
 from services.export.readme import bibtex, sentence
 from services.pipeline.names import attack_name, group_words
 from services.pipeline.result import Result
-from services.signed import signed
+from services.text import signed
 
 WIDTH, HEIGHT = 420, 160
 """Size of a curve's box, SVG units."""

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from sqlalchemy import Connection, Engine, func, select, text
 
-from services import atomic_write
+from services import disk
 from services.blobs import Blobs, blobs
 from services.errors import InvalidRequest, JobFailure
 from services.jobs.database import be_patient, check_database, connect
@@ -51,13 +51,13 @@ def copy_database(engine: Engine, folder: Path) -> DatabaseCopy:
         # pg_dump sees what this transaction sees, and so do the queries
         snapshot = connection.scalar(text("SELECT pg_export_snapshot()"))
         found = _read(connection)
-        with atomic_write.replacing(folder / POSTGRESQL) as part:
+        with disk.replacing(folder / POSTGRESQL) as part:
             _dump(engine, [program, "--format=custom", "--no-owner", f"--snapshot={snapshot}", f"--file={part}"])
     return found
 
 
 def _copy_sqlite(engine: Engine, goal: Path) -> DatabaseCopy:
-    with engine.connect() as connection, atomic_write.replacing(goal) as part, closing(sqlite3.connect(part)) as copy:
+    with engine.connect() as connection, disk.replacing(goal) as part, closing(sqlite3.connect(part)) as copy:
         source = connection.connection.driver_connection
         assert isinstance(source, sqlite3.Connection)
         source.backup(copy)  # one consistent state, whatever is written meanwhile
@@ -153,7 +153,7 @@ def _copy(source: Blobs, name: str, goal: Path) -> tuple[str, int] | None:
     except FileNotFoundError:  # `_check` says if the database names it
         return None
     digest, size = hashlib.sha256(), 0
-    with file, atomic_write.replacing(goal) as part, part.open("wb") as copy:
+    with file, disk.replacing(goal) as part, part.open("wb") as copy:
         while chunk := file.read(_CHUNK_BYTES):
             copy.write(chunk)
             digest.update(chunk)

@@ -23,8 +23,8 @@ from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.exc import ArgumentError, DatabaseError, NoSuchModuleError, OperationalError
 from sqlalchemy.orm import Session
 
+from services.disk import NotOurs, make_private
 from services.errors import InvalidRequest, without_folders
-from services.private_folder import NotOurs, make_private
 from services.settings import Settings
 
 MIGRATIONS = Path(__file__).parent / "migrations"

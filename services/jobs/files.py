@@ -20,7 +20,7 @@ from typing import TypeVar
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from services import atomic_write
+from services import disk
 from services.blobs import blobs
 from services.jobs.leases import Attempt
 from services.jobs.outages import DISK_FULL, outage_of
@@ -169,7 +169,7 @@ class CheckpointCopies:
             log.warning("damaged copy of a checkpoint ignored", job=job_id)
             return
         fetched = path.with_name(f"{path.name}.fetched")
-        atomic_write.write(fetched, data)
+        disk.write(fetched, data)
         if saved_step(fetched) > saved_step(path):
             fetched.replace(path)
             log.info("going on from another machine's checkpoint", job=job_id, step=saved_step(path))
@@ -396,7 +396,7 @@ class Housekeeping:
 
 
 def remove_unfinished(folder: Path) -> None:
-    """Removes files that killed processes left half-written (services.atomic_write), unless they may be in progress."""
+    """Removes files that killed processes left half-written (services.disk), unless they may be in progress."""
     for part in folder.rglob("*.part"):
         with suppress(FileNotFoundError):  # its writer has finished meanwhile
             if time.time() - part.stat().st_mtime > GRACE_SECONDS:

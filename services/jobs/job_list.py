@@ -26,8 +26,7 @@ from services.errors import InvalidRequest
 from services.jobs.database import Database
 from services.jobs.models import Job, JobKind, JobTag, State, UtcTime
 from services.pipeline.names import attack_name, job_name, question_names, scene_name
-from services.suggestions import there_are
-from services.written_text import character, unfit
+from services.text import character, there_are, unfit
 
 LONGEST_QUERY = 4000
 """Characters of the longest query. Each may take 12 bytes of an address, of which the head of a request has 64 kB."""

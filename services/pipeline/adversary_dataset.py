@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from services import atomic_write
+from services import disk
 from services.errors import InvalidRequest
 from services.pipeline.names import attack_name, scene_name
 from services.pipeline.outcome import success
@@ -108,8 +108,8 @@ def export(results: Iterable[tuple[Result, Path]], folder: Path, name: str) -> i
             shutil.copyfile(files / file, folder / kind / f"{item['id']}.png")
         items.append(item)
     about: dict[str, Any] = {"format": FORMAT, "id": f"scene-attack adversaries: {name}", "images": items}
-    atomic_write.write(folder / "labels.json", json.dumps(list(labels), ensure_ascii=False, indent=1).encode())
-    atomic_write.write(folder / "metadata.json", json.dumps(about, ensure_ascii=False, indent=1).encode())
+    disk.write(folder / "labels.json", json.dumps(list(labels), ensure_ascii=False, indent=1).encode())
+    disk.write(folder / "metadata.json", json.dumps(about, ensure_ascii=False, indent=1).encode())
     return len(items)
 
 

@@ -27,7 +27,7 @@ from services.rendering.torch_renderer.declaration import TORCH
 from services.scenes.library import Library
 from services.scenes.resolve import ResolvedScene, resolve
 from services.targets import registry
-from services.targets.truth import same_labels
+from services.targets.labels import same_labels
 
 Report = Callable[[str, int, int], None]
 """Called before each image with the name of the analysis, the number of its images done and the number there may be."""

@@ -4,9 +4,9 @@ from services.errors import InvalidRequest
 from services.pipeline.described import can_carry
 from services.pipeline.spec import JobSpec
 from services.rendering.declaration import RENDERERS
-from services.suggestions import there_are
 from services.targets import registry
 from services.targets.info import TARGETS
+from services.text import there_are
 
 
 def check_analysis(spec: JobSpec) -> None:

@@ -21,7 +21,7 @@ from typing import Any, Protocol, Self
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from services import atomic_write
+from services import disk
 from services.analysis.campaign_table import Case, Curves, MeanCurves, Table
 from services.analysis.campaign_text import to_csv, to_latex
 from services.attacks.attack import AttackSettings
@@ -446,6 +446,6 @@ def write(result: CampaignResult, out: Path) -> list[Path]:
         "table.tex": to_latex(result.table),
     }
     for name, text in texts.items():
-        atomic_write.write(out / name, text.encode())
+        disk.write(out / name, text.encode())
     draw(result.table, result.curves, out / "curves.png")
     return [out / name for name in (*texts, "curves.png")]

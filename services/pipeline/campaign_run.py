@@ -11,7 +11,7 @@ from hashlib import sha256
 from pathlib import Path
 from time import monotonic
 
-from services import atomic_write
+from services import disk
 from services.analysis.campaign_table import Case, Curves, mean_curves, table, time_left
 from services.errors import Cancelled, InvalidRequest, JobFailure
 from services.pipeline.campaign_plan import (
@@ -103,7 +103,7 @@ def run_campaign(
     answers = _answers(campaign, found, out, library, progress, cancelled)
     chosen, planned = plan(campaign, found, answers, library.titles(meshes_in(found)))
     cells = [(job.target, job.attack) for job in planned]
-    atomic_write.write(out / "jobs.json", json.dumps([job.digest for job in planned], indent=1).encode())
+    disk.write(out / "jobs.json", json.dumps([job.digest for job in planned], indent=1).encode())
     cases: list[Case] = []
     traced: list[tuple[str, str, Curves]] = []
     runner = _Runner(campaign, out / "jobs", library, cancelled)
@@ -133,7 +133,7 @@ def _answers(
         answers = _kept(kept, found, library)
     if not answers:
         kept.unlink(missing_ok=True)
-        atomic_write.write(begun, words.encode())
+        disk.write(begun, words.encode())
     with kept.open("a", encoding="utf-8") as file:
         for answer in first_answers([v for v in found if v.number not in answers], library, cancelled):
             file.write(answer.model_dump_json() + "\n")
@@ -162,7 +162,7 @@ def _kept(file: Path, found: Sequence[View], library: Library) -> dict[int, Firs
             for answer in group:
                 del answers[answer.view]
     # written again, so that an incomplete line is gone
-    atomic_write.write(file, "".join(a.model_dump_json() + "\n" for a in answers.values()).encode())
+    disk.write(file, "".join(a.model_dump_json() + "\n" for a in answers.values()).encode())
     return answers
 
 

@@ -39,8 +39,7 @@ from services.scenes.clevr.description import describe
 from services.scenes.clevr.generator import MAX_OBJECTS, MIN_OBJECTS, generate
 from services.scenes.clevr.records import IMAGE_SIZE, SceneRecord
 from services.scenes.description import Angle, Camera, Colour, Lights, Model, Pixels, Scene, SceneObject, absent
-from services.suggestions import there_are
-from services.written_text import line
+from services.text import line, there_are
 
 MAX_LISTED = 20_000
 """Largest number of scenes, meshes or jobs that a campaign may list."""

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from math import radians
 from typing import Any
 
-from services.suggestions import did_you_mean
+from services.text import did_you_mean
 
 _TEMPLATES = {
     "missing": "is required",

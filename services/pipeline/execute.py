@@ -35,11 +35,11 @@ from services.pipeline.question_result import outcome_of, question_results
 from services.pipeline.result import AtEpsilon, Provenance, Result, subset_image
 from services.pipeline.spec import JobSpec
 from services.pipeline.warning import JobWarning
+from services.process import versions
 from services.rendering.color import to_bytes
 from services.rendering.plan import Plan
 from services.scenes.library import Library
 from services.targets.info import TARGETS
-from services.versions import versions
 
 RESULT = "result.json"
 _VERSIONED = ("scene-attack", "torch", "numpy", "pyrender-maintained", "PyOpenGL", "trimesh", "OpenEXR", "safetensors")

@@ -17,7 +17,7 @@ from services.pipeline.result import Result
 from services.pipeline.spec import JobSpec
 from services.pipeline.target_folders import CARD, MODEL_FILES, register_folder
 from services.scenes.exported_assets import check_plain
-from services.targets.custom.allow_list import AllowList
+from services.targets.custom.card import AllowList
 from services.targets.info import TARGETS, TargetInfo
 
 FOLDER = "targets"

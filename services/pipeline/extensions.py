@@ -11,7 +11,7 @@ from services.process import use
 from services.rendering.declaration import RENDERERS
 from services.settings import Settings
 from services.targets.architectures import ARCHITECTURES
-from services.targets.custom.allow_list import AllowList
+from services.targets.custom.card import AllowList
 from services.targets.info import TARGETS
 
 SETTINGS = ("extensions", "targets", "target_factories", "target_endpoints")

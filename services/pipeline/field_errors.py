@@ -13,7 +13,7 @@ from typing import Any
 from services.errors import InvalidRequest, encodable
 from services.names import UNKNOWN
 from services.pipeline.error_words import in_words, looks_like_degrees
-from services.suggestions import there_are
+from services.text import there_are
 
 Schema = Mapping[str, Any]
 

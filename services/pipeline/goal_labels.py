@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 from services.attacks.attack import Goal, Label, Labels
 from services.errors import InvalidFields, InvalidRequest
-from services.suggestions import did_you_mean
 from services.targets.info import TargetInfo
-from services.targets.truth import same_labels
+from services.targets.labels import same_labels
+from services.text import did_you_mean
 
 
 @dataclass(frozen=True)

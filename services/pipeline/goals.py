@@ -12,8 +12,8 @@ from services.errors import InvalidRequest
 from services.pipeline.goal_labels import Asked, with_same
 from services.pipeline.warning import JobWarning, warnings
 from services.targets.info import TargetInfo
+from services.targets.labels import truth_labels
 from services.targets.scores import probability
-from services.targets.truth import truth_labels
 
 
 @dataclass(frozen=True)

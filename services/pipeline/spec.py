@@ -38,9 +38,9 @@ from services.rendering.plan import DEFAULT_TOLERANCE
 from services.scenes.clevr.description import Generate
 from services.scenes.clevr.records import SceneRecord
 from services.scenes.description import Model, Scene, absent
-from services.suggestions import closest
 from services.targets.info import TARGETS
-from services.targets.label_list import labels
+from services.targets.labels import labels
+from services.text import closest
 
 
 def _validated(data: Any, names: Names | None) -> AttackSettings:

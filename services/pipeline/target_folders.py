@@ -12,14 +12,13 @@ from pydantic import ValidationError
 
 from services.errors import InvalidRequest, printable
 from services.extensions import NAME
-from services.json_text import NotJson, read_json
 from services.pipeline.field_errors import invalid_fields
-from services.suggestions import there_are
+from services.strict import NotJson, read_json
 from services.targets.architectures import ARCHITECTURES
-from services.targets.custom.allow_list import NOTHING, AllowList
-from services.targets.custom.card import Card
-from services.targets.imagenet import imagenet_labels
+from services.targets.custom.card import NOTHING, AllowList, Card
 from services.targets.info import TARGETS, UNAVAILABLE, RegisteredTarget, TargetInfo
+from services.targets.labels import imagenet_labels
+from services.text import there_are
 
 if TYPE_CHECKING:
     import torch

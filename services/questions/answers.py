@@ -4,7 +4,7 @@ from services.errors import InvalidRequest
 from services.questions.functions import FUNCTIONS, Type
 from services.questions.program import Program
 from services.scenes.clevr.records import ATTRIBUTES
-from services.suggestions import there_are
+from services.text import there_are
 
 MAX_COUNT = 10
 """Largest number that is an answer."""

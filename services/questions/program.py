@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from services.errors import InvalidRequest
 from services.questions.functions import FUNCTIONS, Type
-from services.suggestions import there_are
+from services.text import there_are
 
 MAX_NODES = 64
 """Largest program that is accepted; CLEVR's have at most 26 nodes."""

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from services.errors import InvalidRequest
-from services.suggestions import did_you_mean
+from services.text import did_you_mean
 
 MAX_WORDS = 128
 """Longest question that is accepted; CLEVR's have at most 43 words."""

@@ -21,7 +21,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from services.errors import InvalidRequest
-from services.written_text import line, visible
+from services.text import line, visible
 
 LONGEST_TITLE = 100
 Up = Literal["y", "z"]

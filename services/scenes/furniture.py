@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
-from services import atomic_write
+from services import disk
 from services.errors import JobFailure
 from services.scenes.mesh import Mesh, Part
 from services.scenes.store import load_parts, mesh_path, save_parts
@@ -128,7 +128,7 @@ def read_catalogue(directory: Path, index: Path) -> dict[str, Model]:
         pass
     models = with_slugs([model for path in archives for model in read_archive(path)])
     text = json.dumps({"stamp": stamp, "models": [model.model_dump(mode="json") for model in models]})
-    atomic_write.write(index, text.encode())
+    disk.write(index, text.encode())
     return {model.slug: model for model in models}
 
 

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from services.json_text import NotJson, read_json
 from services.scenes.beside import Beside
 from services.scenes.image_file import open_image
 from services.scenes.mesh import Doubles, Longs
 from services.scenes.unreadable import Unreadable
+from services.strict import NotJson, read_json
 
 READ_EXTENSIONS = ("KHR_mesh_quantization", "EXT_texture_webp")
 """glTF extensions that are supported and that a file may therefore require."""

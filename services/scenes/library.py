@@ -19,7 +19,7 @@ from services.scenes.mesh import Mesh
 from services.scenes.primitives import PRIMITIVES, primitive
 from services.scenes.uploads import Upload, Uploads, is_map
 from services.settings import DEFAULTS, Settings
-from services.suggestions import did_you_mean
+from services.text import did_you_mean
 
 
 class Entry(BaseModel):

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from services import atomic_write
+from services import disk
 from services.scenes.mesh import MetallicRoughness, Part, TextureMap
 
 FORMAT = 3
@@ -33,7 +33,7 @@ def save_parts(path: Path, parts: tuple[Part, ...]) -> None:
         arrays |= {f"{k}.{name}": value for name, value in fields.items()}
         if material is not None:
             arrays |= _material_arrays(f"{k}.metallic_roughness", material)
-    with atomic_write.replacing(path) as part_path, part_path.open("wb") as file:
+    with disk.replacing(path) as part_path, part_path.open("wb") as file:
         np.savez(file, allow_pickle=False, **arrays)
 
 

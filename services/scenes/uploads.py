@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from services import atomic_write
+from services import disk
 from services.blobs import Blobs
 from services.errors import InvalidRequest, JobFailure
 from services.scenes.bundle import MAP_KINDS, NOTHING_SAID, PARSER, SIGNATURE, About, Bundle, bundle_of, clean_name
@@ -67,7 +67,7 @@ def _read_map(bundle: Bundle, kept: Path) -> tuple[int, Report]:
     """Parses an environment map into the file `kept`; as `_read_mesh`."""
     texels = reader().read_map(bundle.data, bundle.kind)
     height, width = texels.shape[:2]
-    with atomic_write.replacing(kept) as part, part.open("wb") as file:
+    with disk.replacing(kept) as part, part.open("wb") as file:
         np.savez(file, allow_pickle=False, texels=texels)
     odd = () if width == 2 * height else (f"it has {width}×{height} texels, and is shown as if it were twice as wide",)
     return 0, Report((f"{width}×{height} texels",), odd)
@@ -167,7 +167,7 @@ class Uploads:
         kept = self._kept(upload.sha256)
         parts = load_parts(kept)
         if parts is None:
-            atomic_write.write(kept, self._read(f"{upload.sha256}.npz", upload.mesh_sha256, upload))
+            disk.write(kept, self._read(f"{upload.sha256}.npz", upload.mesh_sha256, upload))
             parts = load_parts(kept)
         if parts is None:
             raise JobFailure("asset-missing", f"the parsed mesh of the upload {upload.sha256} cannot be read any more")

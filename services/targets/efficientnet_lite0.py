@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from services.targets.architectures import register_architecture
-from services.targets.imagenet import imagenet_labels
 from services.targets.info import TargetInfo, register
+from services.targets.labels import imagenet_labels
 
 if TYPE_CHECKING:
     import torch

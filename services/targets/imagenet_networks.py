@@ -13,8 +13,8 @@ import hashlib
 from typing import TYPE_CHECKING
 
 from services.targets.architectures import register_architecture
-from services.targets.imagenet import imagenet_labels
 from services.targets.info import Published, TargetInfo, register
+from services.targets.labels import imagenet_labels
 
 if TYPE_CHECKING:
     import torch

@@ -10,7 +10,7 @@ from pydantic import BaseModel
 from services.errors import InvalidRequest
 from services.extensions import Registry
 from services.process import options
-from services.suggestions import there_are
+from services.text import there_are
 
 if TYPE_CHECKING:
     import torch
@@ -25,7 +25,7 @@ LONGEST_LABEL = 300
 class TargetInfo(BaseModel):
     """A target's model card: its name, task, input size, source and licence. `input_size` is height and width.
 
-    `vocabulary` says what its labels are, from which the truth of a scene follows (services.targets.truth): those of
+    `vocabulary` says what its labels are, from which the truth of a scene follows (services.targets.labels): those of
     ImageNet-1k, the kinds of the library's furniture, the answers to questions about CLEVR's scenes, or something else.
     """
 

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from services.finite import finite
+from services.device import finite
 from services.targets.info import RegisteredTarget
-from services.targets.label_list import in_words, labels, refused
+from services.targets.labels import in_words, labels, refused
 from services.targets.protocol import QuestionTarget, Target
 
 ANY_QUESTION = "What is this?"

@@ -7,7 +7,8 @@ from functools import lru_cache
 import torch
 
 from services.errors import InvalidRequest
-from services.targets import label_list, probe
+from services.targets import labels as listing
+from services.targets import probe
 from services.targets.info import TARGETS, TargetInfo, available, known, register
 from services.targets.protocol import Target
 
@@ -19,7 +20,7 @@ def labels(name: str) -> tuple[str, ...]:
 
     Raises InvalidRequest("target.name") for an unknown name, and for labels that cannot be listed or are not unique.
     """
-    return label_list.labels(name, known(name))
+    return listing.labels(name, known(name))
 
 
 def card(name: str) -> TargetInfo:

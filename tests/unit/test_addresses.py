@@ -6,7 +6,7 @@ from ipaddress import ip_address
 import pytest
 
 from services.addresses import is_loopback, is_public, read
-from services.targets.custom.allow_list import NOTHING
+from services.targets.custom.card import NOTHING
 
 ADDRESSES = {
     "8.8.8.8": True,

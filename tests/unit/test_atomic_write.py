@@ -3,13 +3,13 @@ from pathlib import Path
 
 import pytest
 
-from services import atomic_write
+from services import disk
 
 
 def test_a_file_is_replaced_whole_and_its_directory_made(tmp_path: Path) -> None:
     path = tmp_path / "new" / "file"
     for data in (b"first", b"second"):
-        atomic_write.write(path, data)
+        disk.write(path, data)
         assert path.read_bytes() == data
     assert list(path.parent.iterdir()) == [path]
 
@@ -17,7 +17,7 @@ def test_a_file_is_replaced_whole_and_its_directory_made(tmp_path: Path) -> None
 def test_until_it_is_whole_the_old_file_stands(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_bytes(b"old")
-    with atomic_write.replacing(path) as part:
+    with disk.replacing(path) as part:
         part.write_bytes(b"new")
         assert path.read_bytes() == b"old"
     assert path.read_bytes() == b"new"
@@ -28,7 +28,7 @@ def test_a_writer_that_fails_leaves_the_old_file_and_nothing_else(tmp_path: Path
     path.write_bytes(b"old")
 
     def broken() -> None:
-        with atomic_write.replacing(path) as part:
+        with disk.replacing(path) as part:
             part.write_bytes(b"half")
             raise OSError("no space left on device")
 
@@ -40,7 +40,7 @@ def test_a_writer_that_fails_leaves_the_old_file_and_nothing_else(tmp_path: Path
 
 def test_two_writers_at_once_do_not_meet(tmp_path: Path) -> None:
     path = tmp_path / "file"
-    with atomic_write.replacing(path) as first, atomic_write.replacing(path) as second:
+    with disk.replacing(path) as first, disk.replacing(path) as second:
         first.write_bytes(b"first")
         second.write_bytes(b"second")
     assert path.read_bytes() == b"first"  # the outer block ends last
@@ -62,7 +62,7 @@ def test_file_and_directory_are_on_the_disk_before_the_name_is_told(
 
     monkeypatch.setattr(os, "fsync", fsync)
     monkeypatch.setattr(Path, "replace", replace)
-    atomic_write.write(path, b"bytes")
+    disk.write(path, b"bytes")
     part, *rest = events
     assert Path(part).parent == tmp_path
     assert rest == ["replace", str(tmp_path)]

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from services.confinement import seccomp
+from services.confinement import confine
 
 pytestmark = pytest.mark.slow
 
@@ -92,11 +92,11 @@ def test_the_server_of_children_reaches_no_file(tmp_path):
 
 def test_a_processor_without_a_list_of_system_calls_is_refused():
     with pytest.raises(OSError, match="riscv64"):
-        seccomp.program("riscv64")
+        confine.program("riscv64")
 
 
 @pytest.mark.parametrize("machine", ["x86_64", "aarch64"])
 def test_the_filter_ends_in_a_refusal(machine):
-    code = seccomp.program(machine)
-    assert len(code) == 8 * (6 + len(seccomp.ALLOWED))
-    assert len({one[0] for one in seccomp.ALLOWED.values()}) == len({one[1] for one in seccomp.ALLOWED.values()})
+    code = confine.program(machine)
+    assert len(code) == 8 * (6 + len(confine.ALLOWED))
+    assert len({one[0] for one in confine.ALLOWED.values()}) == len({one[1] for one in confine.ALLOWED.values()})

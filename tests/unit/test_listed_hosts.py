@@ -3,7 +3,7 @@
 import pytest
 from pydantic import ValidationError
 
-from services.listed_hosts import endpoint_mistake, host_mistake
+from services.addresses import endpoint_mistake, host_mistake
 from services.settings import Settings
 
 

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from services.disk import NotOurs, make_private
 from services.errors import InvalidRequest
 from services.jobs.database import connect, migrate
-from services.private_folder import NotOurs, make_private
 from services.settings import Settings
 
 OURS = frozenset({"jobs.sqlite"})

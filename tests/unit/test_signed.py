@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from services.signed import signed
+from services.text import signed
 
 ROOT = Path(__file__).parents[2]
 FORMATS = re.compile(r"%\+\.\d|:\+\.\d")

@@ -1,6 +1,6 @@
 import pytest
 
-from services.suggestions import did_you_mean, sound
+from services.text import did_you_mean, sound
 
 
 @pytest.mark.parametrize(

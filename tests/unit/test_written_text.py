@@ -2,7 +2,7 @@ import json
 
 import pytest
 
-from services.written_text import escaped, line, line_or_nothing, paragraphs, visible
+from services.text import escaped, line, line_or_nothing, paragraphs, visible
 
 OVERRIDES = "\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
 STEERING = ["\0", "\x1b", "\x07", "\r", "\x7f", "\x85", "\x9b", *OVERRIDES]

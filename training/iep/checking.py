@@ -13,7 +13,7 @@ from services.questions.program import Program
 from services.rendering.color import from_bytes
 from services.targets.iep.assembly import Question, assemble
 from services.targets.iep.checkpoint import Checkpoint
-from services.targets.iep.prefix import to_prefix
+from services.targets.iep.program_generator import to_prefix
 from training.iep.data import DataFolder, Images, Said, examples_of
 from training.iep.examples import Example
 from training.iep.metrics import OVERALL, Share, by_family

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from services.targets.iep.assembly import Question, assemble
-from services.targets.iep.engine import Engine
-from services.targets.iep.execution import Execution
+from services.targets.iep.engine import Engine, Execution
 from training.iep.examples import Example
 from training.iep.losses import engine_loss
 

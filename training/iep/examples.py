@@ -10,7 +10,7 @@ from services.questions.program import Program
 from services.questions.records import QuestionRecord
 from services.questions.templates.families import FAMILIES
 from services.scenes.clevr.records import ATTRIBUTES, ObjectRecord
-from services.targets.iep.trunk import GRID, STRIDE
+from services.targets.iep.engine import GRID, STRIDE
 
 Result = tuple[int, ...] | str
 """The true result of a node: the indices of the objects of a set or of one object, else a word of the answers."""

@@ -12,7 +12,7 @@ from typing import Any
 
 import torch
 
-from services import atomic_write
+from services import disk
 from services.errors import InvalidRequest
 from services.scenes.library import Library
 from services.targets.iep.checkpoint import HOW_TO_GET_WEIGHTS, Checkpoint, load, to_bytes
@@ -45,7 +45,7 @@ def write(stages: Stages, out: Path, command: str, said: Said) -> Written:
     for part in (network, generator):
         part.requires_grad_(False).eval()
     weights, data = out / f"{NAME}.safetensors", to_bytes(network, generator)
-    atomic_write.write(weights, data)
+    disk.write(weights, data)
     checkpoint = load(weights)
     validation = checking.outcomes(checkpoint, stages.data, "validation", said)
     before = checking.figures(checking.outcomes(Checkpoint(network, generator), stages.data, "test", said))
@@ -66,9 +66,9 @@ def write(stages: Stages, out: Path, command: str, said: Said) -> Written:
         "before_quantisation": {group: of[OVERALL]["share"] for group, of in before["answers"].items()},
     }
     written = Written(weights, out / f"{NAME}.json", out / f"{NAME}.md", out / "clevr-views.md", table(found))
-    atomic_write.write(written.facts, (json.dumps(facts, indent=1) + "\n").encode())
-    atomic_write.write(written.card, model_card(facts).encode())
-    atomic_write.write(written.data_card, data_card(facts).encode())
+    disk.write(written.facts, (json.dumps(facts, indent=1) + "\n").encode())
+    disk.write(written.card, model_card(facts).encode())
+    disk.write(written.data_card, data_card(facts).encode())
     return written
 
 

@@ -10,10 +10,10 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from services import atomic_write
+from services import disk
 from services.errors import InvalidRequest
 from services.rendering.color import from_bytes
-from services.targets.iep.trunk import Trunk
+from services.targets.iep.engine import Trunk
 from training.iep.data import DataFolder, Images, Said
 from training.iep.recipe import Split
 from training.iep.shards import Shard
@@ -52,7 +52,7 @@ def write_missing(
             continue
         if over():
             return False
-        atomic_write.write(path, save({"features": features_of(trunk, data.read(piece))}, {"trunk": about}))
+        disk.write(path, save({"features": features_of(trunk, data.read(piece))}, {"trunk": about}))
         said("computing features", number + 1, len(pieces), "")
     return True
 

@@ -9,8 +9,7 @@ from torch.nn import functional as F
 
 from services.errors import InvalidRequest
 from services.questions.text import encoded
-from services.targets.iep.prefix import TOKENS, to_prefix
-from services.targets.iep.program_generator import ProgramGenerator
+from services.targets.iep.program_generator import TOKENS, ProgramGenerator, to_prefix
 from training.iep.examples import Example
 
 PADDING = -1

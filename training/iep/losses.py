@@ -9,8 +9,7 @@ from torch.nn import functional as F
 
 from services.questions.answers import ANSWERS
 from services.targets.iep.assembly import Slot
-from services.targets.iep.execution import Execution
-from services.targets.iep.stem import N_CELLS
+from services.targets.iep.engine import N_CELLS, Execution
 from training.iep.examples import Example
 
 MASK_WEIGHT = 0.5

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image
 from safetensors import SafetensorError, safe_open
 
-from services import atomic_write
+from services import disk
 from services.errors import InvalidRequest
 from services.questions.records import QuestionFile, QuestionRecord
 from services.scenes.clevr.records import Info, SceneFile, SceneRecord
@@ -72,7 +72,7 @@ def write(path: Path, made: Shard, about: str) -> None:
     arrays: dict[str, NDArray[Any]] = {"png": made.png, "ends": made.ends}
     metadata = made.written | {"about": about}
     data = safetensors.numpy.save(arrays, metadata | {"sha256": _digest(arrays, metadata)})
-    atomic_write.write(path, _in_order(data))
+    disk.write(path, _in_order(data))
 
 
 def digest(path: Path, about: str) -> str:

@@ -12,7 +12,7 @@ from torch import nn
 
 from services.scenes.library import Library
 from services.targets.iep.checkpoint import round_weights
-from services.targets.iep.network import Network
+from services.targets.iep.engine import Network
 from services.targets.iep.program_generator import ProgramGenerator
 from training.iep import features
 from training.iep.data import DataFolder, Images, Said, examples_of, objects_of

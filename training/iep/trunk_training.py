@@ -14,8 +14,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from services.scenes.clevr.records import ATTRIBUTES
-from services.targets.iep.engine import Engine
-from services.targets.iep.trunk import CHANNELS, GRID, STRIDE, Trunk
+from services.targets.iep.engine import CHANNELS, GRID, STRIDE, Engine, Trunk
 from training.iep.examples import ObjectTruth
 from training.iep.losses import mask_loss, occupancy
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from services.rendering.color import from_bytes
-from services.targets.iep.trunk import IMAGE
+from services.targets.iep.engine import IMAGE
 from training.iep.data import Images
 from training.iep.examples import ObjectTruth
 

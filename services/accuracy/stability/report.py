@@ -17,7 +17,7 @@ from services.accuracy.stability import (
     torch_shading,
 )
 from services.accuracy.stability.case import Case, Observation, observe
-from services.versions import versions
+from services.process import versions
 
 FAMILIES = (
     torch_shading.lobe_cases,

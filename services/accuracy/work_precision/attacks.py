@@ -27,9 +27,9 @@ from services.rendering.plan import Tolerance
 from services.rendering.protocol import Renderer
 from services.scenes.resolve import ResolvedScene
 from services.statistics import wilson
+from services.targets.labels import truth_labels
 from services.targets.registry import card, load
 from services.targets.scores import log_odds
-from services.targets.truth import truth_labels
 
 NETWORK = "efficientnet-lite0"
 SCENES = (

@@ -17,7 +17,7 @@ from services.accuracy.work_precision import scene_options, shading
 from services.accuracy.work_precision.attacks import AttackRow, Interval, SignRow, SuccessRow, success_rows
 from services.accuracy.work_precision.scene_options import MapRow, SceneRow, ShadowRow
 from services.accuracy.work_precision.shading import GROUPS, ShadingRow
-from services.versions import versions
+from services.process import versions
 
 NAME = "work-precision"
 DEFAULT = 1e-3

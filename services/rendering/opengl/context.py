@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from services import atomic_write
+from services import disk
 from services.errors import JobFailure
 from services.process import options
 
@@ -73,7 +73,7 @@ def confirm() -> None:
     """Remember the device that `working_device` gave: it draws in this process too."""
     if not _taken:
         return
-    atomic_write.write(_path(), json.dumps(_taken).encode())
+    disk.write(_path(), json.dumps(_taken).encode())
 
 
 def loaded() -> dict[str, list[int]]:

@@ -6,7 +6,7 @@ from importlib.resources import files
 from typing import Any
 
 from services.errors import InvalidRequest
-from services.suggestions import did_you_mean
+from services.text import did_you_mean
 
 
 @lru_cache(maxsize=1)

@@ -13,7 +13,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import ConfigDict, FailFast, Field, ValidationError, model_validator
 
-from services import atomic_write
+from services import disk
 from services.errors import InvalidRequest
 from services.strict import Strict
 
@@ -220,7 +220,7 @@ class Record(Strict):
 
     def write(self, path: Path) -> None:
         """Writes a file: the fields that were read or set, under CLEVR's names."""
-        atomic_write.write(path, self.model_dump_json(by_alias=True, exclude_unset=True).encode())
+        disk.write(path, self.model_dump_json(by_alias=True, exclude_unset=True).encode())
 
 
 class ObjectRecord(Record):

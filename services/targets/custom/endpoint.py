@@ -19,7 +19,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from services.errors import JobFailure
-from services.targets.custom.allow_list import AllowList
+from services.targets.custom.card import AllowList
 from services.targets.custom.graph import Unreadable
 
 MOST_IMAGES = 32

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from services.errors import out_of_memory, summary
-from services.targets.custom.allow_list import AllowList
+from services.targets.custom.card import AllowList
 from services.targets.custom.graph import Unreadable
 
 

@@ -16,10 +16,9 @@ from torch import Tensor, nn
 from services.errors import summary
 from services.questions.answers import ANSWERS
 from services.questions.text import WORDS
-from services.targets.iep.network import Network
-from services.targets.iep.prefix import TOKENS
-from services.targets.iep.program_generator import ProgramGenerator
-from services.targets.iep.vocabulary import KINDS
+from services.targets.iep.assembly import KINDS
+from services.targets.iep.engine import Network
+from services.targets.iep.program_generator import TOKENS, ProgramGenerator
 from services.targets.weights_file import dequantize, quantize, read_tensors
 
 MAX_BYTES = 10_000_000

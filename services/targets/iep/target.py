@@ -22,13 +22,12 @@ from services.errors import InvalidRequest
 from services.questions.answers import ANSWERS
 from services.questions.program import InvalidProgram, Program
 from services.questions.written import program_in
-from services.targets.iep.assembly import Question, assemble
+from services.targets.iep.assembly import MAPPED, Question, assemble
 from services.targets.iep.checkpoint import HOW_TO_GET_WEIGHTS, Checkpoint, load
-from services.targets.iep.trunk import IMAGE
-from services.targets.iep.vocabulary import MAPPED
+from services.targets.iep.engine import IMAGE
 
 if TYPE_CHECKING:
-    from services.targets.iep.execution import Execution
+    from services.targets.iep.engine import Execution
 
 PROGRAMS = 1024
 """Questions whose programs are remembered."""

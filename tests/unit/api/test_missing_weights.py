@@ -9,9 +9,9 @@ from typer.testing import CliRunner
 
 from client.cli import app
 from services.process import options
-from services.targets.imagenet import imagenet_labels
 from services.targets.imagenet_networks import ALEXNET
 from services.targets.info import TARGETS, Published, register
+from services.targets.labels import imagenet_labels
 
 SOURCE = "http://127.0.0.1:9/net-00.pth"
 """Nothing listens at this port."""

@@ -11,8 +11,8 @@ from services.attacks.goal import ResolvedGoal
 from services.attacks.problem import AttackProblem, Evaluation, quantize
 from services.attacks.run import AttackState, Budget, Verifier, run, sampled_error
 from services.attacks.zoo import Zoo, ZooMethod
+from services.device import finite
 from services.errors import Cancelled, JobFailure
-from services.finite import finite
 from services.rendering.color import as_saved
 from services.rendering.plan import ImageError
 from tests.unit.attacks.small import Ahead, LinearRenderer, LinearTarget, problem

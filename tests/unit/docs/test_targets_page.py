@@ -17,8 +17,7 @@ from services.pipeline.target_folders import register_folders
 from services.settings import Settings
 from services.targets import registry
 from services.targets.architectures import ARCHITECTURES
-from services.targets.custom.allow_list import AllowList
-from services.targets.custom.card import Card, Preprocessing
+from services.targets.custom.card import AllowList, Card, Preprocessing
 from tests.unit.targets.custom.registries import restored
 
 pytestmark = pytest.mark.slow

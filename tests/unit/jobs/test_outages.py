@@ -15,7 +15,8 @@ from safetensors.torch import save_file
 from sqlalchemy import Engine, event, text
 from sqlalchemy.exc import SQLAlchemyError
 
-from services import atomic_write
+from services.disk import replacing
+from services.disk import write as write_file
 from services.jobs.database import be_patient, connect, migrate
 from services.jobs.files import ArtifactStore, Storage
 from services.jobs.outages import Outage, outage_of
@@ -67,7 +68,7 @@ def add_many(record: Record) -> None:
 def test_a_full_disk_is_named_and_leaves_nothing_half_written(disk: Path) -> None:
     storage = Storage(disk)
     assert storage.usable()
-    atomic_write.write(disk / "file", b"old")
+    write_file(disk / "file", b"old")
     fill(disk)
     writers: list[Callable[[Path], None]] = [
         lambda path: path.write_bytes(bytes(2**20)),
@@ -76,7 +77,7 @@ def test_a_full_disk_is_named_and_leaves_nothing_half_written(disk: Path) -> Non
     for write in writers:
         with (
             pytest.raises(Exception, match=r"No space|os error 28") as caught,
-            atomic_write.replacing(disk / "file") as part,
+            replacing(disk / "file") as part,
         ):
             write(part)
         assert outage_of(caught.value) == FULL
@@ -108,7 +109,7 @@ def test_a_read_only_disk_is_named(disk: Path) -> None:
     engine.dispose()
     mount("-o", "remount,ro", str(disk))
     with pytest.raises(OSError, match="Read-only") as caught:
-        atomic_write.write(disk / "file", b"new")
+        write_file(disk / "file", b"new")
     assert outage_of(caught.value) == Outage("storage", "the data directory is read-only")
     with pytest.raises(SQLAlchemyError) as failed:
         add(Record(engine))

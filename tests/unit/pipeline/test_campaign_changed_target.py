@@ -13,7 +13,7 @@ from services.pipeline.campaign_plan import CampaignResult
 from services.pipeline.campaign_run import run_campaign
 from services.pipeline.campaign_spec import parse
 from services.targets.classifier import Classifier
-from services.targets.custom.in_process import describe
+from services.targets.custom.loading import describe
 from services.targets.registry import registered
 from tests.unit.jobs.small import LIBRARY
 

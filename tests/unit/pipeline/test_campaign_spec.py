@@ -15,7 +15,7 @@ from services.pipeline.campaign_spec import CampaignSpec, RandomViews, SceneGrid
 from services.scenes import furniture_kinds
 from services.settings import Settings
 from services.targets import registry
-from services.targets.truth import truth_labels
+from services.targets.labels import truth_labels
 
 IMAGE = {"name": "image", "attack": {"renderer": "image"}}
 NORMALS = {"name": "normals", "attack": {"renderer": "torch", "groups": ["normals"]}}

@@ -11,8 +11,8 @@ from services.errors import InvalidRequest
 from services.pipeline import goal_labels, goals
 from services.pipeline.goals import Settled
 from services.targets.info import TargetInfo
+from services.targets.labels import truth_labels
 from services.targets.registry import card
-from services.targets.truth import truth_labels
 
 LABELS = ("sunglass", "sunglasses", "mask", "loupe", "snorkel")
 IMAGENET = card("efficientnet-lite0")

@@ -14,8 +14,8 @@ from services.pipeline.result import Result
 from services.pipeline.spec import parse
 from services.scenes.library import Library
 from services.settings import Settings
+from services.targets.labels import truth_labels
 from services.targets.registry import card
-from services.targets.truth import truth_labels
 
 pytestmark = pytest.mark.slow
 

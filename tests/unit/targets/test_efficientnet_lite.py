@@ -9,7 +9,7 @@ import torch
 
 from services.targets import registry
 from services.targets.classifier import Classifier
-from services.targets.imagenet import imagenet_labels
+from services.targets.labels import imagenet_labels
 from services.targets.protocol import Target
 
 pytestmark = pytest.mark.slow

@@ -12,8 +12,8 @@ from torch import nn
 from services.errors import InvalidRequest
 from services.process import replaced
 from services.targets import registry
-from services.targets.imagenet import imagenet_labels
 from services.targets.imagenet_networks import ALEXNET, RESNET34, load_published
+from services.targets.labels import imagenet_labels
 
 
 def _network() -> nn.Module:

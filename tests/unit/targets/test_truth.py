@@ -3,9 +3,8 @@
 from services.scenes.furniture_kinds import PREFIX, kinds
 from services.scenes.library import Library
 from services.settings import Settings
-from services.targets.imagenet import imagenet_labels
+from services.targets.labels import imagenet_labels, imagenet_table, same_labels, truth_labels
 from services.targets.registry import card
-from services.targets.truth import imagenet_table, same_labels, truth_labels
 
 IMAGENET = card("efficientnet-lite0")
 

@@ -6,7 +6,7 @@ import pytest
 from services.pipeline.target_folders import TargetFolder, register_folders
 from services.settings import Settings
 from services.targets.architectures import register_architecture
-from services.targets.custom.allow_list import AllowList
+from services.targets.custom.card import AllowList
 from tests.unit.targets.custom.registries import restored
 from tests.unit.targets.custom.small_network import SmallNetwork
 

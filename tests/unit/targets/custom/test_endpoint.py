@@ -19,7 +19,7 @@ from services.pipeline.execute import execute
 from services.pipeline.prepare import preflight
 from services.pipeline.spec import parse
 from services.targets import registry
-from services.targets.custom.allow_list import AllowList
+from services.targets.custom.card import AllowList
 from services.targets.custom.endpoint import MOST_IMAGES, Endpoint
 from services.targets.custom.graph import Unreadable
 from tests.unit.jobs.small import LIBRARY

@@ -10,9 +10,8 @@ from services.questions.program import Node, Program
 from services.questions.text import encoded
 from services.targets.iep.card import CARD
 from services.targets.iep.checkpoint import Checkpoint
-from services.targets.iep.network import Network
-from services.targets.iep.prefix import TOKENS, to_prefix
-from services.targets.iep.program_generator import ProgramGenerator
+from services.targets.iep.engine import Network
+from services.targets.iep.program_generator import TOKENS, ProgramGenerator, to_prefix
 from services.targets.iep.target import IepTarget
 
 N_STEPS = 60

@@ -1,8 +1,7 @@
 import pytest
 
 from services.questions.program import InvalidProgram, Node, Program
-from services.targets.iep.assembly import Question, assemble
-from services.targets.iep.vocabulary import COMPARING, JOINING, KINDS, MAPPING, READING
+from services.targets.iep.assembly import COMPARING, JOINING, KINDS, MAPPING, READING, Question, assemble
 
 pytestmark = pytest.mark.slow
 

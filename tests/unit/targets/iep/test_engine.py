@@ -7,10 +7,8 @@ import torch
 from torch import Tensor, nn
 
 from services.questions.program import Node, Program
-from services.targets.iep.assembly import Question, assemble
-from services.targets.iep.engine import Engine
-from services.targets.iep.stem import N_CELLS
-from services.targets.iep.vocabulary import COMPARING, JOINING, MAPPING, READING
+from services.targets.iep.assembly import COMPARING, JOINING, MAPPING, READING, Question, assemble
+from services.targets.iep.engine import N_CELLS, Engine
 from tests.unit.targets.iep import world
 
 pytestmark = pytest.mark.slow

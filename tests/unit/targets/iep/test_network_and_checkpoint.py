@@ -7,9 +7,8 @@ from safetensors.torch import load_file, save_file
 from services.questions.program import Node, Program
 from services.targets.iep.assembly import Question, assemble
 from services.targets.iep.checkpoint import MAX_BYTES, load, to_bytes
-from services.targets.iep.network import Network
+from services.targets.iep.engine import CHANNELS, Network, Trunk
 from services.targets.iep.program_generator import ProgramGenerator
-from services.targets.iep.trunk import CHANNELS, Trunk
 
 ASSEMBLY = assemble(
     [Question(Program((Node("scene", (), ()), Node("filter_size", (0,), ("large",)), Node("count", (1,), ()))))]

@@ -3,7 +3,7 @@ from random import Random
 import pytest
 
 from services.questions.program import InvalidProgram
-from services.targets.iep.prefix import TOKENS, from_prefix, to_prefix
+from services.targets.iep.program_generator import TOKENS, from_prefix, to_prefix
 from tests.unit.targets.iep import world
 
 COMPARED = [

@@ -4,8 +4,7 @@ import torch
 from services.errors import InvalidRequest
 from services.questions.program import InvalidProgram, Program
 from services.questions.text import UnknownWord, encoded
-from services.targets.iep.prefix import TOKENS
-from services.targets.iep.program_generator import ProgramGenerator
+from services.targets.iep.program_generator import TOKENS, ProgramGenerator
 
 QUESTIONS = ("How many cubes are there?", "red?", "Are there any other red things that are big?")
 

@@ -13,8 +13,7 @@ from services.targets import registry
 from services.targets.iep.assembly import Question, assemble
 from services.targets.iep.card import CARD
 from services.targets.iep.checkpoint import Checkpoint, load, to_bytes
-from services.targets.iep.prefix import TOKENS
-from services.targets.iep.program_generator import ProgramGenerator
+from services.targets.iep.program_generator import TOKENS, ProgramGenerator
 from services.targets.iep.target import IepTarget, read
 from tests.unit.targets.iep.seeded import COUNT, INFO, SAME, TAUGHT, generator, network, program, target
 

@@ -13,7 +13,7 @@ from torch import Tensor
 from services.questions.program import Node
 from services.questions.text import WORDS
 from services.scenes.library import Library
-from services.targets.iep.prefix import TOKENS
+from services.targets.iep.program_generator import TOKENS
 from tests.unit.targets.iep import world
 from tests.unit.training.iep.small import stages
 from training.iep.examples import Example

@@ -12,7 +12,7 @@ from services.questions.program import Program
 from services.statistics import wilson
 from services.targets.iep.assembly import Question, assemble
 from services.targets.iep.checkpoint import Checkpoint
-from services.targets.iep.network import Network
+from services.targets.iep.engine import Network
 from tests.unit.targets.iep import world
 from training.iep import checking
 from training.iep.checking import Outcome, answered, disagreements, figures

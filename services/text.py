@@ -1,0 +1,128 @@
+"""Texts that people write and read: what names, titles, tags and notes may not have, suggestions for unknown names, and
+numbers with a sign.
+
+A control character steers a terminal, and a bidirectional override shows a text in another order than it has. Names
+that are similar to an unknown one are so in spelling or in sound.
+"""
+
+import re
+import unicodedata
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+_OVERRIDES = "\u202a-\u202e\u2066-\u2069"
+_CONTROLS = "\x00-\x08\x0b-\x1f\x7f-\x9f"
+"""But for tab and newline, which a text of several lines may have."""
+_IN_NO_LINE = re.compile(f"[{_CONTROLS}\t\n\u2028\u2029{_OVERRIDES}]")
+_IN_NO_TEXT = re.compile(f"[{_CONTROLS}{_OVERRIDES}]")
+_UNSEEN = ("Zs", "Zl", "Zp", "Cc", "Cf")
+"""Unicode's categories of blanks and of characters without a picture."""
+
+
+def line(text: str) -> str:
+    """Returns a name, title or tag itself. Raises ValueError unless it is a line that can be seen."""
+    _check(text, _IN_NO_LINE, "a line of text")
+    if is_blank(text):
+        raise ValueError("it is blank; write something that can be seen")
+    return text
+
+
+def line_or_nothing(text: str) -> str:
+    """Returns a text that is empty or a `line`. Raises ValueError for others."""
+    return line(text) if text else text
+
+
+def paragraphs(text: str) -> str:
+    """Returns a text of any number of lines itself. Raises ValueError for one that may not be."""
+    _check(text, _IN_NO_TEXT, "a text")
+    return text
+
+
+def unfit(text: str) -> re.Match[str] | None:
+    """The first character of a text that no line has; None if there is none."""
+    return _IN_NO_LINE.search(text)
+
+
+def is_blank(text: str) -> bool:
+    """Whether nothing of a text can be seen."""
+    return all(unicodedata.category(character) in _UNSEEN for character in text)
+
+
+def character(found: re.Match[str]) -> str:
+    """The name of a character: "U+001B"."""
+    return f"U+{ord(found[0]):04X}"
+
+
+def visible(text: str) -> str:
+    """Returns a text for a terminal, with a replacement character for each that would steer it. Newlines stay."""
+    return _IN_NO_TEXT.sub("\ufffd", text)
+
+
+def escaped(json_text: str) -> str:
+    """Returns JSON that says the same, with those characters as its escapes."""
+    return _IN_NO_TEXT.sub(lambda found: f"\\u{ord(found[0]):04x}", json_text)
+
+
+def _check(text: str, unfit: re.Pattern[str], what: str) -> None:
+    if found := unfit.search(text):
+        raise ValueError(
+            f"it has the character {character(found)}; {what} has no control characters and no bidirectional overrides"
+        )
+
+
+MOST_SUGGESTED = 3
+MAX_SUGGESTED_LETTERS = 100
+"""Longest name that is compared with others; comparing takes time that grows with its length."""
+_CLASSES = {
+    letter: code for code, letters in enumerate(("bfpv", "cgjkqsxz", "dt", "l", "mn", "r"), 1) for letter in letters
+}
+"""Consonants that sound alike, as Soundex (Russell 1918) has them."""
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Returns the end of an error message about an unknown name: "; did you mean 'a' or 'b'?".
+
+    At most three known names are suggested: the closest in spelling first, and at least one that sounds like it, if
+    there is one. The result is empty if none is close.
+    """
+    found = closest(name, known)
+    return f"; did you mean {' or '.join(map(repr, found))}?" if found else ""
+
+
+def closest(name: str, known: Iterable[str]) -> list[str]:
+    """Returns the known names that `did_you_mean` suggests for an unknown one, the closest first."""
+    if len(name) > MAX_SUGGESTED_LETTERS:
+        return []
+    names = list(known)
+    close = get_close_matches(name, names, n=MOST_SUGGESTED, cutoff=0.5)
+    heard = [one for one in _sounding_like(name, names) if one not in close][:1]
+    return [*close[: MOST_SUGGESTED - len(heard)], *heard]
+
+
+def there_are(name: str, known: Iterable[str]) -> str:
+    """Returns the known names, and those that are similar to an unknown one: "there are a, b; did you mean 'a'?"."""
+    names = list(known)
+    return f"there are {', '.join(names)}{did_you_mean(name, names)}"
+
+
+def _sounding_like(name: str, known: Iterable[str]) -> list[str]:
+    """The known names that sound like a name, whole or without their folder."""
+    wanted = {sound(name), sound(name.rpartition("/")[2])}
+    wanted = {one for one in wanted if len(one) > 1}  # nearly everything sounds like a single consonant
+    return [one for one in known if {sound(one), sound(one.rpartition("/")[2])} & wanted]
+
+
+def sound(word: str) -> str:
+    """Returns the classes of a word's consonants, without vowels and repetitions; digits stay as "#" and the digit."""
+    word = re.sub(r"[^a-z0-9]", "", word.casefold().replace("ph", "f"))
+    found = ""
+    for letter in word:
+        code = f"#{letter}" if letter.isdigit() else str(_CLASSES.get(letter, ""))
+        if code and not found.endswith(code):
+            found += code
+    return found
+
+
+def signed(value: float, form: str) -> str:
+    """A number with its sign in a format such as ".3f" or ".3g": "+0.120", "-3.4". A zero has no minus."""
+    return f"{value:+z{form}}"
