@@ -153,7 +153,7 @@ def test_a_loss_that_the_number_of_classes_rules_out_is_refused(monkeypatch: pyt
     monkeypatch.setattr("services.pipeline.prepare.registry.labels", lambda _: target.labels)
     monkeypatch.setattr("services.pipeline.prepare.registry.load", lambda _: target)
     monkeypatch.setattr("services.pipeline.prepare.registry.has_gradient", lambda _: True)
-    monkeypatch.setattr(target, "logits", lambda images, _: torch.stack([images.sum((1, 2, 3)), images[:, 0, 0, 0]], 1))
+    monkeypatch.setattr(target, "logits", lambda images: torch.stack([images.sum((1, 2, 3)), images[:, 0, 0, 0]], 1))
     attack = {"renderer": "image", "method": "apgd", "loss": "dlr"}
     with pytest.raises(InvalidRequest, match="dlr needs at least 3 classes") as refused:
         preflight(spec(attack=attack), LIBRARY)
