@@ -95,7 +95,7 @@ def test_waiting_ends_when_the_time_is_over(client: Client) -> None:
     ],
 )
 def test_preferences(prefer: str | None, seconds: float | None) -> None:
-    from api.routes.jobs import wait_preferred
+    from api.requests import wait_preferred
 
     assert wait_preferred(prefer) == seconds
 
