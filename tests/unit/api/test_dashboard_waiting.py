@@ -2,8 +2,10 @@
 
 import pytest
 
+from services.jobs.placement import Demand, Needs, Priority
 from services.jobs.record import Record
-from tests.unit.api.dashboard_records import add, start
+from services.jobs.scheduler import Waiting
+from tests.unit.api.dashboard_records import SPEC, add, start
 from tests.unit.api.test_dashboard_pages import Tags, anyio_backend, get, record
 
 __all__ = ["anyio_backend", "record"]
@@ -12,8 +14,10 @@ pytestmark = pytest.mark.anyio
 
 async def test_a_job_that_no_worker_can_run_says_why(record: Record) -> None:
     why = "no worker that is running has the network <x>"
-    job, other = add(record), add(record)
-    record.scheduler.explain([job.id], why)
+    job = add(record)
+    other, _ = record.jobs.create(SPEC, 1000, None, lambda _: {}, demand=Demand(priority=Priority.LOW))
+    assert other is not None
+    record.scheduler.explain(Waiting(job.priority, Needs.read(job.needs), None), why)
     assert Tags((await get(record, "/")).text).text.count(why) == 1
     tags = Tags((await get(record, f"/jobs/{job.id}")).text)
     assert f"Waiting for a worker: {why}." in tags.text
