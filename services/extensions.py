@@ -44,6 +44,8 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         self._registers = re.compile(rf"^@?{function}\(", re.MULTILINE)
         self._entries: dict[str, Entry] = {}
         self._complete = False
+        self._finding = False
+        self._lock = threading.RLock()
 
     def add(self, name: str, entry: Entry) -> None:
         """Adds an entry. Raises ValueError for a name that is taken, or that is not made of a-z, 0-9, - and _."""
@@ -77,11 +79,15 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
     def _find(self) -> None:
         if self._complete:
             return
-        self._complete = True
-        root = Path(str(files(self._package)))
-        for path in sorted(root.rglob("*.py")):
-            if self._registers.search(path.read_text("utf-8")):
-                import_module(".".join([self._package, *path.relative_to(root).with_suffix("").parts]))
+        with self._lock:  # another thread waits until all entries are there
+            if self._finding:
+                return  # a module looks entries up while it is imported
+            self._finding = True
+            root = Path(str(files(self._package)))
+            for path in sorted(root.rglob("*.py")):
+                if self._registers.search(path.read_text("utf-8")):
+                    import_module(".".join([self._package, *path.relative_to(root).with_suffix("").parts]))
+            self._complete = True
 
 
 @dataclass(frozen=True)
