@@ -202,5 +202,36 @@ def test_built_in_modules_are_those_that_register(tmp_path: Path, monkeypatch: p
         del sys.modules[name]
 
 
+def test_a_second_thread_waits_until_all_entries_are_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first look-up stands still in the middle of the built-in modules while another thread looks an entry up."""
+    package = tmp_path / "halfway"
+    package.mkdir()
+    (package / "__init__.py").write_text("from threading import Event\nbegun, go_on = Event(), Event()\n")
+    (package / "one.py").write_text(
+        "from halfway import begun, go_on\nfrom halfway.things import register\n"
+        "begun.set()\ngo_on.wait(30)\nregister('one', 1)\n"
+    )
+    (package / "things.py").write_text(
+        "from services.extensions import Registry\nTHINGS = Registry('thing', 'halfway')\nregister = THINGS.add\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    from importlib import import_module
+
+    things, halfway = import_module("halfway.things").THINGS, import_module("halfway")
+    found: list[int | None] = []
+    first = threading.Thread(target=lambda: found.append(things.get("one")))
+    second = threading.Thread(target=lambda: found.append(things.get("one")))
+    first.start()
+    assert halfway.begun.wait(30)
+    second.start()
+    second.join(0.5)  # it ends at once, without the entry, if it does not wait
+    halfway.go_on.set()
+    first.join(30)
+    second.join(30)
+    for name in [name for name in sys.modules if name.partition(".")[0] == "halfway"]:
+        del sys.modules[name]
+    assert found == [1, 1]
+
+
 def test_the_module_under_test_is_the_one_that_is_used() -> None:
     assert extensions.load is load
