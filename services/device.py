@@ -1,19 +1,19 @@
 """The device on which networks and the torch renderer compute (SCENE_ATTACK_DEVICE), and a test of tensors for
 infinities and NaN.
+
+The API checks the setting too, and it loads no torch: nothing here imports it before it is needed.
 """
 
 import os
 from math import isfinite
 from typing import TYPE_CHECKING
 
-import torch
-from torch import Tensor
-
 from services.errors import InvalidRequest
 from services.process import options
 
 if TYPE_CHECKING:
     import torch
+    from torch import Tensor
 
 
 def device() -> "torch.device":
@@ -58,7 +58,7 @@ def _make_deterministic() -> None:
     torch.use_deterministic_algorithms(True, warn_only=True)
 
 
-def finite(values: Tensor) -> bool:
+def finite(values: "Tensor") -> bool:
     """Returns whether every value is finite. The minimum and maximum, which a single pass computes, suffice."""
-    low, high = torch.aminmax(values.detach())
+    low, high = values.detach().aminmax()
     return isfinite(float(low)) and isfinite(float(high))

@@ -62,7 +62,7 @@ def _differences(found: dict[str, str], wanted: dict[str, str]) -> list[str]:
 
 
 def _recorded(record: Record) -> int:
-    with record._read() as session:  # noqa: SLF001 - the service has no use for it
+    with record.database.read() as session:
         return session.scalar(select(func.count()).select_from(Job).where(Job.kind == JobKind.ATTACK)) or 0
 
 
