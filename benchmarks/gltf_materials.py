@@ -1,4 +1,4 @@
-"""Compares our images of glTF materials with those of stock pyrender. Writes results/gltf_materials.json, docs/gltf.md.
+"""Compares our images of glTF materials with those of stock pyrender. It writes gltf_materials.json and gltf.md.
 
 Both renderers draw the ten models of `benchmarks.gltf_models` under a point light, a directional light and a spot
 light, without ambient light. Stock pyrender reads the file by trimesh, clamps linear light to [0,1], raises it to

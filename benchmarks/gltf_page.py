@@ -1,4 +1,4 @@
-"""Writes the table of docs/gltf.md from results/gltf_materials.json; no figure of its table is typed by hand."""
+"""Writes the table of docs/reports/gltf.md from results/gltf_materials.json; none of its figures is typed by hand."""
 
 import json
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import Any
 
 from benchmarks.report import RESULTS
 
-PAGE = Path(__file__).parents[1] / "docs" / "gltf.md"
+PAGE = Path(__file__).parents[1] / "docs" / "reports" / "gltf.md"
 REASONS = {
     "emissive": "Stock pyrender's shader multiplies the emission by its factor twice.",
     "masked": "Stock pyrender's shader has no alpha cutoff and its loader blends every material; the backs of "

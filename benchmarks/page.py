@@ -1,4 +1,4 @@
-"""Writes docs/benchmarks.md from the committed results. No figure of that page is typed by hand.
+"""Writes docs/reports/benchmarks.md from the committed results. No figure of that page is typed by hand.
 
 Run after any benchmark: python -m benchmarks.page
 """
@@ -10,7 +10,7 @@ from typing import Any
 
 from benchmarks.report import RESULTS
 
-PAGE = Path(__file__).parents[1] / "docs" / "benchmarks.md"
+PAGE = Path(__file__).parents[1] / "docs" / "reports" / "benchmarks.md"
 
 
 def page() -> str:

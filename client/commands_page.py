@@ -1,4 +1,4 @@
-"""Writes docs/commands.md, the reference of the command line: `python -m client.commands_page > docs/commands.md`."""
+"""Writes the reference of the command line: `python -m client.commands_page > docs/reference/commands.md`."""
 
 import re
 from collections.abc import Iterator
@@ -24,7 +24,7 @@ key; `--show-completion` prints the script instead.
 
 
 def page() -> str:
-    """The text of docs/commands.md."""
+    """The text of docs/reference/commands.md."""
     return "\n".join([HEAD, *(_section(name, command) for name, command in commands())])
 
 

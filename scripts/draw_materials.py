@@ -1,4 +1,4 @@
-"""Draws a white sphere of every material preset under several environment maps, for docs/materials.md.
+"""Draws a white sphere of every material preset under several environment maps, for docs/reports/materials.md.
 
 python scripts/draw_materials.py               writes docs/images/materials.png
 python scripts/draw_materials.py --help        what can be set

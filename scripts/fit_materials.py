@@ -3,7 +3,7 @@
     python scripts/fit_materials.py                writes services/rendering/torch_renderer/presets.json
     python scripts/fit_materials.py --help         what can be set
 
-The references and how they are brought to (θ_h, θ_d) are described in docs/materials.md.
+The references and how they are brought to (θ_h, θ_d) are described in docs/reports/materials.md.
 """
 
 import argparse

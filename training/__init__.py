@@ -1,1 +1,1 @@
-"""Trains the networks that ship with the project on views of library meshes; see docs/training.md."""
+"""Trains the networks that ship with the project on views of library meshes; see docs/reports/training.md."""

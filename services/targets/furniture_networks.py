@@ -1,4 +1,4 @@
-"""AlexNet and ResNet-34 trained on views of the furniture library; see docs/training.md."""
+"""AlexNet and ResNet-34 trained on views of the furniture library; see docs/reports/training.md."""
 
 from __future__ import annotations
 

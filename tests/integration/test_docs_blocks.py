@@ -30,7 +30,6 @@ FOOLED = {
 LISTED = "it lists commands with ids of many jobs, and is no session; test_help_examples runs each of them"
 MACHINE = "it sets up other programs or other machines"
 ELSEWHERE = {
-    ("commands.md", ""): "python -m client.commands_page writes it; test_help_examples runs its examples",
     ("tutorial.md", ""): "test_tutorial runs the page in its order, with a mesh and a network of the test's own",
     ("targets.md", ""): "tests/unit/docs/test_targets_page.py runs its files, which need each other; the weights of "
     "IEP are the reader's",
@@ -40,7 +39,6 @@ ELSEWHERE = {
     ("quickstart.md", "scene-attack accuracy"): "minutes of measurements; tests of services/accuracy run their parts",
     ("quickstart.md", "python -m training"): "hours; tests of training run their parts",
     ("campaigns.md", "scene-attack campaign list"): LISTED,
-    ("training.md", ""): "hours; tests of training run their parts",
     (
         "operations.md",
         "scene-attack keys",

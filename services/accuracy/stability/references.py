@@ -10,8 +10,8 @@ Lamps: the pyrender renderer's Lambertian body under a rough dielectric coat, in
 distribution (Walter et al. 2007, equation 33), Smith's height-correlated shadowing from its Λ (Heitz 2014, equation
 99), Schlick's Fresnel term. It meets the surface by rays.
 
-Surfaces of glTF files, from docs/gltf.md: pyrender's BRDF, written in angles: GGX with α = roughness², Schlick's
-Fresnel term, Schlick's approximation of Smith's shadowing with k = (roughness + 1)² / 8, a diffuse body.
+Surfaces of glTF files, from docs/reports/gltf.md: pyrender's BRDF, written in angles: GGX with α = roughness²,
+Schlick's Fresnel term, Schlick's approximation of Smith's shadowing with k = (roughness + 1)² / 8, a diffuse body.
 """
 
 from collections.abc import Callable, Iterator

@@ -236,7 +236,8 @@ OMISSIONS = """
 - The viewer is far away, as is the default. One at the camera (`viewer: perspective`) is summed pixel by pixel.
 - The function whose gradient shading is judged by is a weighted sum of the image with smooth random weights.
 - Attacks are measured without a floor and shadows.
-- Mitsuba has no material of this model; [Benchmarks](../benchmarks.md) compares its speed on a problem of that size."""
+- Mitsuba has no material of this model; [Benchmarks](../reports/benchmarks.md) compares its speed on a problem of that
+  size."""
 
 
 def markdown(made: Report) -> str:

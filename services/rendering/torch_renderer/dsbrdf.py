@@ -12,8 +12,8 @@ log κ and log γ are polynomials of θ_d held by DEGREE + 1 Bernstein coefficie
 the coefficients. Bernstein, because its basis functions are positive and sum to 1: bounds on the coefficients bound the
 curve, moving all coefficients by s moves the curve by s, and there are no knots to choose.
 
-The paper gives learning rates but not the units of L and m. docs/materials.md says where ours come from. The named
-materials are fitted to analytic reference BRDFs by scripts/fit_materials.py.
+The paper gives learning rates but not the units of L and m. docs/reports/materials.md says where ours come from. The
+named materials are fitted to analytic reference BRDFs by scripts/fit_materials.py.
 
 A dielectric's gloss is reflected at its surface and has the colour of the light; what enters the body and comes out
 again, and what a conductor reflects, has the mesh's colour. So the radiance of an object is

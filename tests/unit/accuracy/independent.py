@@ -1,4 +1,4 @@
-"""The image of one object by a second program: a loop over pixels, written from the formulas of docs/materials.md.
+"""The image of one object by a second program: a loop over pixels, from the formulas of docs/reports/materials.md.
 
 It shares no code with services.rendering. Texels are averaged from the map's file, directions, solid angles, half
 vectors, material curves and exposure are computed anew, in world space, where the renderer works in the camera's; and

@@ -1,4 +1,4 @@
-"""The drawing in docs/architecture.md against the imports in the code."""
+"""The drawing in docs/reference/architecture.md against the imports in the code."""
 
 import re
 from pathlib import Path
@@ -8,7 +8,7 @@ import networkx
 import pytest
 
 ROOT = Path(__file__).parents[3]
-PAGE = (ROOT / "docs" / "architecture.md").read_text("utf-8")
+PAGE = (ROOT / "docs" / "reference" / "architecture.md").read_text("utf-8")
 DRAWN_ROOMS = dict(re.findall(r'^    (\w+)\["([\w/]+):', PAGE, re.MULTILINE))
 DRAWN_ARROWS = set(re.findall(r"^    (\w+) --> (\w+)$", PAGE, re.MULTILINE))
 GROUND_FLOOR = {path.stem for path in (ROOT / "services").glob("*.py")}

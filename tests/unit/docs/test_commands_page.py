@@ -19,13 +19,13 @@ pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[3]
 EXAMPLES = [example for _, command in commands() for example in examples(command)]
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")]
 TYPED = [
     (page.name, line.removeprefix(".venv/bin/"))
     for page in sorted(PAGES)
     for block in re.findall(r"^```(?:sh|bash)[^\n]*\n(.*?)^```$", page.read_text("utf-8"), re.M | re.S)
     for line in block.replace("\\\n", " ").splitlines()
-    if re.match(r"(\.venv/bin/)?(scene-attack|python -m training) ", line) and page.name != "commands.md"
+    if re.match(r"(\.venv/bin/)?(scene-attack|python -m training) ", line) and "reference" not in page.parts
 ]
 
 

@@ -31,9 +31,12 @@ def stability_page(_: Path) -> str:
 
 
 WRITTEN: dict[str, tuple[str, Callable[[Path], str]]] = {
-    "benchmarks.md": ("python -m benchmarks.page", lambda _: benchmarks_page.page()),
-    "gltf.md": ("python -m benchmarks.gltf_materials", lambda _: gltf_page.page()),
-    "commands.md": ("python -m client.commands_page > docs/commands.md", lambda _: commands_page.page()),
+    "reports/benchmarks.md": ("python -m benchmarks.page", lambda _: benchmarks_page.page()),
+    "reports/gltf.md": ("python -m benchmarks.gltf_materials", lambda _: gltf_page.page()),
+    "reference/commands.md": (
+        "python -m client.commands_page > docs/reference/commands.md",
+        lambda _: commands_page.page(),
+    ),
     "scene.md": (
         "python -m services.pipeline.field_tables",
         lambda _: field_tables.page((DOCS / "scene.md").read_text("utf-8")),

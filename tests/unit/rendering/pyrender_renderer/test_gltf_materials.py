@@ -69,7 +69,7 @@ def expected(
     emission: Numbers = (0, 0, 0),
     occlusion: float = 1.0,
 ) -> np.ndarray:
-    """Radiance of the plane z = 0 at each pixel, written from docs/gltf.md in terms of angles."""
+    """Radiance of the plane z = 0 at each pixel, written from docs/reports/gltf.md in terms of angles."""
     eye, ray = shapes.rays(description.camera)
     points = eye + ray * (-eye[2] / ray[..., 2])[..., None]
     n, color = np.array(normal), np.array(base)

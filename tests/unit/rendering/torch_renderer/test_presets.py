@@ -123,7 +123,7 @@ def test_no_preset_makes_light(name: str, incidence: float) -> None:
 
 
 def brdf(coefficients: Array, theta_h: Array, theta_d: Array) -> Array:
-    """The formula of docs/materials.md for one channel's coefficients [3, 2, 6], without bounds on exponents."""
+    """The formula of docs/reports/materials.md for one channel's coefficients [3, 2, 6], exponents unbounded."""
     t = theta_d / (pi / 2)
     basis = np.stack([comb(5, i) * t**i * (1 - t) ** (5 - i) for i in range(6)], -1)
     values = 0.0

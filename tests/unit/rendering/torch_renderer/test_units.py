@@ -1,4 +1,4 @@
-"""The derivation of docs/materials.md: why a step of the paper's size moves the image as the paper says."""
+"""The derivation of docs/reports/materials.md: why a step of the paper's size moves the image as the paper says."""
 
 import pytest
 import torch
@@ -9,7 +9,7 @@ from tests.unit.rendering.shading import sky, sphere_gbuffer, sphere_scene
 U = 18 / 255
 ONE_WAY = {"illumination": 1 / 3, "material": 1.0}
 """How much of the farthest move, all coordinates one way, must stay within U. Attacks on light mix their signs and move
-the image far less than a uniform move would (docs/materials.md)."""
+the image far less than a uniform move would (docs/reports/materials.md)."""
 
 
 def farthest(rate: float, steps: int = 120, momentum: float = 0.9) -> float:
