@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 
 from rich.text import Text
 
-from client.console import table
-from client.fitted_table import FittedTable
-from client.live import LOG_EVERY, ProgressLine
+from client.console import FittedTable, table
+from client.progress import LOG_EVERY, ProgressLine
 from services.errors import InvalidRequest
 
 if TYPE_CHECKING:

@@ -1,6 +1,7 @@
 """Checks of an installation: what the service needs, whether it is there and works, and what to do where it does not.
 
-What may take a process down with it, drivers and compiled code, is tried in a process of its own.
+What may take a process down with it, drivers and compiled code, is tried in a process of its own, `python -m
+client.checkup`, which prints a line of JSON for each trial as soon as it has ended.
 """
 
 import json
@@ -20,8 +21,10 @@ from packaging.requirements import Requirement
 from redis.exceptions import RedisError
 from sqlalchemy.exc import SQLAlchemyError
 
-from client.unknown_variables import unknown_variables
-from services.errors import InvalidRequest, JobFailure, without_folders
+from client.settings import unknown_variables
+from services.errors import InvalidRequest, JobFailure, printable, summary, without_folders
+from services.pipeline.extensions import set_up
+from services.process import options
 from services.settings import Settings
 
 Level = Literal["ok", "warn", "fail"]
@@ -218,7 +221,7 @@ def additions(settings: Settings) -> Iterator[Finding]:
 
 def trial(settings: Settings) -> Iterator[Finding]:
     """Tries the device, OpenGL, the kernels and the default network, in another process."""
-    command = [sys.executable, "-m", "client.trial"]
+    command = [sys.executable, "-m", "client.checkup"]
     environ = os.environ | settings.environ()
     try:
         done = subprocess.run(command, env=environ, capture_output=True, text=True, timeout=TRIAL_SECONDS, check=False)
@@ -236,3 +239,65 @@ def trial(settings: Settings) -> Iterator[Finding]:
         yield Finding(
             "trial", "fail", without_folders(text), "try SCENE_ATTACK_GL=osmesa, and SCENE_ATTACK_KERNEL=torch"
         )
+
+
+# What follows runs in the process of its own.
+
+
+def main() -> None:
+    """Tries everything; an error of one thing does not keep the others from being tried."""
+    set_up(Settings())
+    _try("device", _device, "set SCENE_ATTACK_DEVICE to auto or cpu")
+    _try("OpenGL", _opengl, "install what it names; SCENE_ATTACK_GL says which platform is tried")
+    _try("kernels", _kernels, "install g++, then run scripts/setup")
+    _try("default network", _network, "run scripts/setup: its weights come with a package")
+
+
+def _try(subject: str, attempt: Callable[[], tuple[str, str]], remedy: str) -> None:
+    try:
+        level, text = attempt()
+    except InvalidRequest as error:
+        level, text = "fail", f"{error.field}: {error.detail}"
+    except JobFailure as error:
+        level, text = "fail", error.detail
+    except Exception as error:
+        level, text = "fail", summary(error)
+    said = {"subject": subject, "level": level, "text": printable(text), "remedy": "" if level == "ok" else remedy}
+    print(json.dumps(said), flush=True)
+
+
+def _device() -> tuple[str, str]:
+    from services.device import describe, device
+
+    return "ok", describe(device())
+
+
+def _opengl() -> tuple[str, str]:
+    """Makes a context; it draws and reads back once when it is made."""
+    from services.rendering.opengl.context import gl_backend
+
+    return "ok", gl_backend()
+
+
+def _kernels() -> tuple[str, str]:
+    from services.rendering.kernels import compiled
+
+    backend = compiled.backend()
+    compiler = shutil.which("g++")
+    if backend != "torch":
+        return "ok", backend
+    if options().kernel == "torch":
+        return "ok", "torch, as SCENE_ATTACK_KERNEL says"
+    return "warn", f"none, so torch does their work some ten times slower; compiler: {compiler or 'none'}"
+
+
+def _network() -> tuple[str, str]:
+    from services.pipeline.spec import DEFAULT_TARGET
+    from services.targets import registry
+
+    registry.load(DEFAULT_TARGET)
+    return "ok", f"{DEFAULT_TARGET} is loaded"
+
+
+if __name__ == "__main__":
+    main()

@@ -5,24 +5,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from client.commands import (
-    accuracy,
-    analyse,
-    assets,
-    backup,
-    campaign,
-    demo,
-    doctor,
-    export,
-    jobs,
-    keys,
-    plan,
-    render,
-    run,
-    serve,
-    submit,
-    targets,
-)
+from client.commands import accuracy, analyse, assets, campaign, demo, export, jobs, keys, run, serve, targets
 from services.errors import InvalidRequest, JobFailure
 
 app = typer.Typer(
@@ -55,10 +38,7 @@ def _root(
 run.register(app)
 analyse.register(app)
 export.register(app)
-plan.register(app)
-render.register(app)
-submit.register(app)
-app.add_typer(jobs.app, name="jobs")
+jobs.register(app)
 app.add_typer(campaign.app, name="campaign")
 app.add_typer(assets.app, name="assets")
 app.add_typer(keys.app, name="keys")
@@ -66,8 +46,6 @@ app.add_typer(targets.app, name="targets")
 app.add_typer(accuracy.app, name="accuracy")
 serve.register(app)
 demo.register(app)
-doctor.register(app)
-backup.register(app)
 
 
 def main() -> None:

@@ -1,15 +1,16 @@
-"""Output of the command line: tables and progress, or JSON. Results go to stdout, everything else to stderr."""
+"""Output of the command line: tables, or JSON. Results go to stdout, everything else to stderr."""
 
 import json
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Console, ConsoleOptions, RenderableType
+from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
+from rich.measure import Measurement
 from rich.segment import Segment
+from rich.table import Table
 from rich.text import Text
 
-from client.fitted_table import FittedTable
 from services.text import escaped, visible
 
 if TYPE_CHECKING:
@@ -35,31 +36,71 @@ def err() -> Console:
     return PlainConsole(stderr=True, width=None if sys.stderr.isatty() else 200)
 
 
-def report_extensions() -> None:
-    """Prints on stderr the extensions that were left out, with the reasons."""
-    from services.errors import printable
-    from services.pipeline.extensions import loaded_extensions
-
-    for extension in loaded_extensions():
-        if extension.error is not None:
-            file = printable(str(extension.path))
-            err().print(f"extension left out: {file}: {extension.error}", markup=False, highlight=False)
-
-
-def report_targets() -> None:
-    """Prints on stderr the folders of networks that were left out. A request that names one is told the reason."""
-    from services.pipeline.extensions import target_folders
-
-    for folder in target_folders():
-        if folder.error is not None:
-            err().print(f"target left out: {folder.name}: {folder.error}", markup=False, highlight=False)
-
-
 def print_json(data: Any) -> None:
     """Prints data, which may be a model, as one JSON document on stdout. ValueError for a number that is not finite."""
     if hasattr(data, "model_dump"):
         data = data.model_dump(mode="json")
     print(escaped(json.dumps(data, indent=1, ensure_ascii=False, allow_nan=False)))
+
+
+Row = Sequence[str | Text]
+MAX_WORD = 40
+"""Characters of a word that a column makes room for; a longer one, such as a hash, is broken."""
+
+
+class FittedTable:
+    """A table of cells of plain text; a column whose heading ends in ">" is aligned to the right.
+
+    Where the words of the columns do not fit side by side, a table of one row becomes a list of its fields, and one of
+    several rows loses columns from `spare`, the first ones first, and says below which.
+    """
+
+    def __init__(
+        self, columns: Sequence[str], rows: Sequence[Row], *, title: str | None = None, spare: Sequence[str] = ()
+    ) -> None:
+        self.columns = list(columns)
+        self.rows = [list(row) for row in rows]
+        self.title = title
+        self.spare = spare
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Rich's protocol."""
+        table, left_out = _table(self.columns, self.rows, self.title), list[str]()
+        if len(self.rows) == 1 and not _fits(table, console, options):
+            fields = [[name.removesuffix(">"), cell] for name, cell in zip(self.columns, self.rows[0], strict=True)]
+            yield _table(["", ""], fields, self.title)
+            return
+        for name in self.spare:
+            if _fits(table, console, options):
+                break
+            left_out.append(name.removesuffix(">"))
+            kept = [at for at, column in enumerate(self.columns) if column.removesuffix(">") not in left_out]
+            columns, rows = [self.columns[at] for at in kept], [[row[at] for at in kept] for row in self.rows]
+            table = _table(columns, rows, self.title)
+        yield table
+        if left_out:
+            yield Text(f"A wider terminal also shows: {', '.join(left_out)}.", style="dim")
+
+
+def _fits(table: Table, console: Console, options: ConsoleOptions) -> bool:
+    # What the words need side by side, which rich itself cuts at the width of the console.
+    wide = options.update(max_width=10_000)
+    return Measurement.get(console, wide, table).minimum <= options.max_width
+
+
+def _table(columns: Sequence[str], rows: Sequence[Row], title: str | None) -> Table:
+    made = Table(title=title, title_justify="left", header_style="bold", show_header=any(columns))
+    for at, column in enumerate(columns):
+        words = " ".join([column.removesuffix(">"), *(str(row[at]) for row in rows)]).split()
+        made.add_column(
+            column.removesuffix(">"),
+            justify="right" if column.endswith(">") else "left",
+            overflow="fold",
+            min_width=min(max(map(len, words), default=1), MAX_WORD),  # rich breaks words to widen other columns
+        )
+    for row in rows:
+        made.add_row(*(cell if isinstance(cell, Text) else Text(cell) for cell in row))
+    return made
 
 
 def table(
@@ -104,3 +145,23 @@ def small(value: float | str) -> str:
 def yes(value: bool | None) -> Text:
     """The word "yes" in green, "no" in yellow, nothing for None."""
     return Text("") if value is None else Text("yes", style="green") if value else Text("no", style="yellow")
+
+
+def report_extensions() -> None:
+    """Prints on stderr the extensions that were left out, with the reasons."""
+    from services.errors import printable
+    from services.pipeline.extensions import loaded_extensions
+
+    for extension in loaded_extensions():
+        if extension.error is not None:
+            file = printable(str(extension.path))
+            err().print(f"extension left out: {file}: {extension.error}", markup=False, highlight=False)
+
+
+def report_targets() -> None:
+    """Prints on stderr the folders of networks that were left out. A request that names one is told the reason."""
+    from services.pipeline.extensions import target_folders
+
+    for folder in target_folders():
+        if folder.error is not None:
+            err().print(f"target left out: {folder.name}: {folder.error}", markup=False, highlight=False)

@@ -46,9 +46,9 @@ def attack(
     """
     from torch import nn
 
-    from client.local_meshes import local_library
     from client.result_folder import check_free, prepare_folder
     from client.settings import read_settings
+    from client.specs import local_library
     from services.pipeline.execute import execute
     from services.pipeline.extensions import set_up
     from services.targets.custom.loading import describe
@@ -116,7 +116,7 @@ def _labels(given: Any) -> tuple[str, ...]:
 
 
 def _spec(scene: Mapping[str, Any], name: str, spec: Mapping[str, Any], settings: Settings) -> JobSpec:
-    from client.local_meshes import local_library, to_library, with_meshes_added
+    from client.specs import local_library, to_library, with_meshes_added
     from services.pipeline.names_known import names_in
     from services.pipeline.spec import parse
 

@@ -1,23 +1,23 @@
-"""The settings of a command: its options, and the environment for the others."""
+"""The settings of a command: its options, and the environment for the others; and misspelt variables."""
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
 from pydantic import ValidationError
 
 from services.errors import InvalidFields, InvalidRequest
 from services.pipeline.error_words import in_words
+from services.settings import Settings
+from services.text import did_you_mean
 
-if TYPE_CHECKING:
-    from services.settings import Settings
+COMMAND_LINE = ("SCENE_ATTACK_URL", "SCENE_ATTACK_KEY")
+"""Variables that are no settings of the service: where a client finds it, and with which key."""
 
 
-def read_settings(**options: object) -> "Settings":
+def read_settings(**options: object) -> Settings:
     """The settings of the environment, with the given `options` over them; None stands for an option left out.
 
     Raises InvalidFields, which names each wrong option or variable.
     """
-    from services.settings import Settings
-
     given = {name: value for name, value in options.items() if value is not None}
     try:
         return Settings(**given)  # type: ignore[arg-type]
@@ -27,7 +27,7 @@ def read_settings(**options: object) -> "Settings":
         ) from error
 
 
-def settings_to_run() -> "Settings":
+def settings_to_run() -> Settings:
     """The settings of the environment, by which this process is set up to render and attack.
 
     Raises InvalidRequest, which names the variable, also for a device that is not there.
@@ -39,6 +39,13 @@ def settings_to_run() -> "Settings":
     set_up(settings)
     check_device()
     return settings
+
+
+def unknown_variables(environ: Mapping[str, str]) -> dict[str, str]:
+    """The variables of an environment that look like settings and are none, each with its error."""
+    known = [*(f"SCENE_ATTACK_{name.upper()}" for name in Settings.model_fields), *COMMAND_LINE]
+    unknown = sorted(name for name in environ if name.startswith("SCENE_ATTACK_") and name not in known)
+    return {name: f"there is no such setting{did_you_mean(name, known)}" for name in unknown}
 
 
 def _written(name: str, given: dict[str, object]) -> str:

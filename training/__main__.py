@@ -32,7 +32,7 @@ def split(
 ) -> None:
     """Divide the library's models by family, and choose the classes inside the training models."""
     from client.console import err
-    from client.local_meshes import local_library
+    from client.specs import local_library
     from training.making_split import make
     from training.split import PATH, save
 
@@ -74,7 +74,7 @@ def _train(name: str, minutes: float | None, epochs: int | None, out: Path, seed
 
     from client.console import err
     from client.console import out as stdout
-    from client.local_meshes import local_library
+    from client.specs import local_library
     from services.errors import InvalidRequest
     from training.data import gather
     from training.export import write

@@ -36,7 +36,7 @@ def iep(
 ) -> None:
     """Train IEP: draw scenes, train its parts, measure it. A training that ended early goes on where it was."""
     from client.console import out as stdout
-    from client.local_meshes import local_library
+    from client.specs import local_library
     from services.errors import InvalidRequest
     from training.iep.export import SHIPPED, write
     from training.iep.export import check as checked

@@ -48,9 +48,9 @@ def analyse(
     The table of subsets and the groups' Shapley values are always made; options ask for more. All of it is written to
     analyses.json in the directory.
     """
-    from client.analysis_tables import print_analyses, print_subsets
     from client.console import err, print_json
     from client.settings import settings_to_run
+    from client.tables import print_analyses, print_subsets
 
     settings = settings_to_run()
     request: dict[str, Any] = {
@@ -73,7 +73,7 @@ def analyse(
 
 def _analyse(directory: Path, request: dict[str, Any], settings: "Settings") -> "StoredAnalysis":
     from client.commands.run import library
-    from client.live import JobLine
+    from client.progress import JobLine
     from client.result_folder import check_finished
 
     check_finished(directory)
@@ -106,13 +106,13 @@ def rerender(
     """
     from pydantic import ValidationError
 
-    from client.analysis_tables import rerendering_table
     from client.commands.run import library
     from client.console import out as stdout
     from client.console import print_json
-    from client.live import JobLine
-    from client.local_meshes import read_job
+    from client.progress import JobLine
     from client.settings import settings_to_run
+    from client.specs import read_job
+    from client.tables import rerendering_table
     from services.analysis.requests import RerenderingRequest
     from services.errors import InvalidFields, InvalidRequest
     from services.pipeline.error_words import in_words

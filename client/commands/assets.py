@@ -25,8 +25,8 @@ def list_assets(
 ) -> None:
     """List the meshes of this machine, with their creators and licences."""
     from client.console import err, out, print_json, table
-    from client.local_meshes import local_library
     from client.settings import read_settings
+    from client.specs import local_library
 
     found = local_library(read_settings()).entries(category=category, creator=creator, licence=licence, search=search)
     entries = [entry for entry in found if entry.kind != "environment"]
@@ -42,8 +42,8 @@ def list_assets(
 def show(mesh: Annotated[str, typer.Argument(help="A name from `assets list`.")], as_json: JsonOption = False) -> None:
     """Show one mesh: its parts, size, hash and creator."""
     from client.console import out, print_json, table
-    from client.local_meshes import local_library
     from client.settings import read_settings
+    from client.specs import local_library
 
     library = local_library(read_settings())
     loaded, entry = library.mesh(mesh), library.entry(mesh)
@@ -160,8 +160,8 @@ def delete(
 def environments(as_json: JsonOption = False) -> None:
     """List the environment maps of this machine, with their creators and licences."""
     from client.console import out, print_json, table
-    from client.local_meshes import local_library
     from client.settings import read_settings
+    from client.specs import local_library
 
     library = local_library(read_settings())
     uploaded = [entry for entry in library.entries(category="upload") if entry.kind == "environment"]

@@ -47,9 +47,9 @@ def run(
     from client.commands.run import keep_memory, library
     from client.console import err, print_json, report_extensions
     from client.console import out as stdout
-    from client.local_meshes import read_campaign
     from client.result_folder import prepare_folder
     from client.settings import settings_to_run
+    from client.specs import read_campaign
     from services.pipeline.campaign_check import check_size
     from services.pipeline.campaign_plan import nothing_chosen
     from services.scenes.furniture import slugify
@@ -93,12 +93,12 @@ def submit(
     as_json: JsonOption = False,
 ) -> None:
     """Start a campaign at a running service."""
-    from client import operations, spec_input
+    from client import operations, specs
     from client.client import Client
     from client.console import out, print_json
-    from client.local_meshes import folder_of, sent
+    from client.specs import folder_of, sent
 
-    data = spec_input.read(spec)
+    data = specs.read(spec)
     with Client(url) as client:
         found = sent(data, folder_of(spec), client, lambda data: operations.submit_campaign(data, priority=priority))
         if as_json:
@@ -117,8 +117,8 @@ def list_campaigns(
     from client import operations
     from client.campaigns import campaign_state
     from client.client import Client
+    from client.commands.options import SHORT
     from client.console import out, print_json, table
-    from client.ids import SHORT
 
     with Client(url) as client:
         page = client.call(operations.list_campaigns(limit=limit))
@@ -145,7 +145,7 @@ def list_campaigns(
 def show(campaign_id: CampaignId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
     """Show one campaign: its progress, its outcomes so far and the time left."""
     from client.client import Client
-    from client.ids import campaign_id as whole_id
+    from client.commands.options import campaign_id as whole_id
 
     with Client(url) as client:
         _print(client.get_campaign(whole_id(client, campaign_id)), as_json)
@@ -191,8 +191,8 @@ def table(
     from client import operations
     from client.campaigns import results
     from client.client import Client
+    from client.commands.options import campaign_id as whole_id
     from client.console import err, out, print_json
-    from client.ids import campaign_id as whole_id
 
     with Client(url) as client:
         found = client.call(operations.get_campaign_table(whole_id(client, campaign_id)))
@@ -228,7 +228,7 @@ def export(
         raise InvalidRequest("source", f"there is no folder {source}, and a campaign's id has 32 hexadecimal digits")
     else:
         from client.client import Client
-        from client.ids import campaign_id as whole_id
+        from client.commands.options import campaign_id as whole_id
 
         with Client(url) as client:
             source = whole_id(client, source)
@@ -241,7 +241,7 @@ def export(
 
 def _move(operation: Callable[[str], Request[CampaignView]], campaign_id: str, url: str, as_json: bool) -> None:
     from client.client import Client
-    from client.ids import campaign_id as whole_id
+    from client.commands.options import campaign_id as whole_id
 
     with Client(url) as client:
         campaign = client.call(operation(whole_id(client, campaign_id)))

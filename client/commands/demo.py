@@ -1,15 +1,59 @@
 """`demo`: the service, attacking furniture and the answer to a question."""
 
-from contextlib import suppress
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from time import sleep
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from services.errors import JobFailure
 
 if TYPE_CHECKING:
     from api.schemas import JobView
     from client.client import Client
-    from client.fitted_table import FittedTable
+    from client.console import FittedTable
+
+
+SCENES: dict[str, dict[str, Any]] = {
+    "soccer ball": {"objects": [{"mesh": "furniture/soccer-ball"}]},
+    "grand piano": {"objects": [{"mesh": "furniture/grand-piano", "material": "glossy-paint"}]},
+    "power drill": {"objects": [{"mesh": "furniture/drill", "material": "plastic"}]},
+}
+"""The scenes by their true label, which is the network's answer to the original image.
+
+The network is confident of two (log-probability margins of at least 4.7 in pyrender's image) and less so of the third
+(2.5). Light, colour and pose rarely fool a confident network, and the demonstration should show both outcomes.
+"""
+ATTACKS: tuple[dict[str, Any], ...] = (
+    {"renderer": "image", "method": "fgsm"},
+    {"renderer": "torch", "groups": ["normals", "illumination", "material"], "method": "fgsm"},
+    {"renderer": "pyrender", "method": "zoo", "steps": 60, "weight": 1e-3, "learning_rate": 5e-3},
+)
+"""FGSM has the paper's settings. ZOO has a λ a hundred times smaller than the paper's 0.1, with which no physical
+attack fooled the network in our trials."""
+QUESTION: dict[str, Any] = {
+    "generate": {"seed": 8, "objects": 4},
+    "target": {"name": "iep", "question": "What is the color of the object that is left of the cyan thing?"},
+    "attack": {"renderer": "torch", "groups": ["normals", "illumination"], "method": "fgsm", "steps": 40},
+}
+"""The request of `examples/vqa-torch.json`."""
+
+
+def specs() -> list[dict[str, Any]]:
+    """One request per scene and attack, and that of the question."""
+    furniture = [
+        {"scene": scene, "goal": {"leave": label}, "attack": attack}
+        for label, scene in SCENES.items()
+        for attack in ATTACKS
+    ]
+    return [*furniture, QUESTION]
+
 
 LOOK_EVERY = 0.5
 """Seconds between two looks at the jobs."""
@@ -33,10 +77,8 @@ def demo(
     """
     from client.client import Client
     from client.console import err, out
-    from client.demo_jobs import specs
-    from client.outcomes import successes
-    from client.service_process import running_service
     from client.settings import settings_to_run
+    from client.tables import successes
 
     values, say = settings_to_run(), err()
     data = values.data_dir / "demo"
@@ -92,7 +134,7 @@ def _watch(client: "Client", ids: list[str]) -> list["JobView"]:
 
 def _table(jobs: list["JobView"]) -> "FittedTable":
     from client.console import state_text, table
-    from client.outcomes import COLUMNS, SPARE, cells
+    from client.tables import COLUMNS, SPARE, cells
 
     rows = []
     for job in jobs:
@@ -119,3 +161,48 @@ def _free_port(host: str, wanted: int) -> int:
     except OSError:
         return 0
     return wanted
+
+
+STOP_SECONDS = 30.0
+
+
+@contextmanager
+def running_service(data: Path, environ: dict[str, str]) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
+    """Starts `scene-attack serve` with the data directory `data` and the environment variables `environ`.
+
+    Gives its URL and its process once it takes jobs. Its log is `data`/service.log. The service is stopped on leaving,
+    also by SIGTERM or SIGINT. Raises JobFailure("internal") if it ends before it is ready.
+    """
+    from services.confinement.system_calls import die_with_parent
+
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    # A shell without job control starts background processes with SIGINT ignored, and Python then leaves it ignored.
+    # The service has to be stopped in order, so this process handles the signal, as `serve` does.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    data.mkdir(parents=True, exist_ok=True)
+    log = data / "service.log"
+    with log.open("ab") as errors:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "client", "serve"],
+            env=os.environ | environ | {"SCENE_ATTACK_DATA": str(data)},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=errors,
+            text=True,
+            start_new_session=True,  # Ctrl-C then reaches this process alone, which stops the service
+            preexec_fn=die_with_parent,  # safe: there is one thread; it ends the service if this process is killed
+        )
+    assert process.stdout is not None
+    try:
+        word, _, url = process.stdout.readline().strip().partition(" ")
+        if word != "ready":
+            raise JobFailure("internal", f"the service did not start; its log: {log}")
+        yield url, process
+    finally:
+        process.send_signal(signal.SIGTERM)
+        try:
+            process.wait(STOP_SECONDS)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+        process.stdout.close()

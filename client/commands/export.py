@@ -52,7 +52,7 @@ def export(
 def _export_folder(folder: Path, to: Path | None) -> Path:
     """Exports a result folder into a zip file, whose files are in a folder of its own, or into a folder; returns it."""
     from client.commands.run import library
-    from client.live import JobLine
+    from client.progress import JobLine
     from client.settings import settings_to_run
     from services import disk
 
@@ -81,7 +81,7 @@ def _export_job(job: str, to: Path | None, url: str) -> Path:
 
     from client import operations
     from client.client import Client
-    from client.ids import SHORT, job_id
+    from client.commands.options import SHORT, job_id
     from services.export.destinations import into_folder
     from services.scenes.bundle import clean_name
 

@@ -1,4 +1,6 @@
-"""The commands `jobs`: list, show, follow, name, repeat, continue, cancel and download the jobs of a service."""
+"""The commands `submit`, which queues a job at a service, and `jobs`: list, show, follow, name, repeat, continue,
+cancel, delete and download the jobs of a service.
+"""
 
 from __future__ import annotations
 
@@ -8,22 +10,118 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from client.commands.options import DEFAULT_URL, JsonOption, UrlOption
+from client.commands.options import DEFAULT_URL, JsonOption, PriorityOption, SeedOption, UrlOption
 
 if TYPE_CHECKING:
     from rich.text import Text
 
     from api.schemas import JobView
+    from client.client import Job
     from client.operations import Request, StateName
+
 
 app = typer.Typer(
     help="List, show, follow, name, repeat, continue, cancel and download the jobs of a running service.",
     no_args_is_help=True,
 )
 
+
+def register(commands: typer.Typer) -> None:
+    """Adds `submit`, and the group `jobs`."""
+    commands.command(
+        epilog="Examples: [bold]scene-attack submit examples/image-fgsm.json --watch[/bold]\n\n"
+        "[bold]scene-attack submit - --url http://10.0.0.7:8008 < spec.json[/bold]"
+    )(submit)
+    commands.add_typer(app, name="jobs")
+
+
 JobId = Annotated[
     str, typer.Argument(metavar="ID", help="The id that `submit` printed, or as much of its beginning as no other has.")
 ]
+
+
+def submit(
+    spec: Annotated[str, typer.Argument(metavar="SPEC", help="A job as JSON; - reads it from stdin.")],
+    url: UrlOption = DEFAULT_URL,
+    watch: Annotated[bool, typer.Option("--watch", "-w", help="Follow the job until it ends.")] = False,
+    seed: SeedOption = None,
+    priority: PriorityOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Queue a job at a running service.
+
+    With --watch the exit code is 0 if the job succeeded (ran to its end), 2 if it was rejected because its request
+    cannot run, and 1 if it failed or was cancelled.
+    """
+    from client import operations, specs
+    from client.client import Client, Job
+    from client.console import err, out, print_json
+    from client.specs import folder_of, sent
+    from client.tables import warn
+
+    data = specs.read(spec, seed)
+    with Client(url) as client:
+        job = sent(data, folder_of(spec), client, lambda data: operations.submit_job(data, priority=priority))
+        warn(job.warnings)
+        if not job.checked:
+            err().print("accepted before its check had ended; a worker checks it first")
+        if watch:
+            err().print(f"{client.url}/jobs/{job.id}", markup=False, highlight=False)
+            job = follow(Job(job, client))
+        if as_json:
+            print_json(job)
+        elif watch:
+            print_job(job)
+        else:
+            out().print(f"{job.id}  {client.url}/jobs/{job.id}", markup=False, highlight=False)
+    if watch and job.state != "succeeded":
+        raise typer.Exit(2 if job.state == "rejected" else 1)
+
+
+def follow(job: Job) -> JobView:
+    """Shows the job's progress until it has ended; returns the finished job. Ctrl-C ends the showing, not the job."""
+    from client.console import err
+    from client.progress import JobLine
+
+    try:
+        with JobLine(f"{job.data.name}, {job.data.attack}") as line:
+            for event in job.watch():
+                if event.kind == "progress":
+                    rows = event.data["rows"]
+                    last = rows[-1] if rows else None
+                    line.update(event.data["phase"], event.data["step"], event.data["steps"], last)
+    except KeyboardInterrupt:
+        words = f"The job goes on. `scene-attack jobs watch {job.id}` follows it, `jobs cancel` ends it."
+        err().print(words, markup=False, highlight=False, soft_wrap=True)
+        raise
+    return job.data
+
+
+def print_job(job: JobView) -> None:
+    """Prints a job: its outcome if it succeeded, otherwise its state and the reason for a failure; then what people
+    said of it.
+    """
+    from client.console import err, out, state_text, table
+    from client.tables import COLUMNS, SPARE, cells, print_answered
+    from services.pipeline.result import Result
+
+    scene = job.title or job.name
+    if job.outcome is not None:
+        out().print(table(COLUMNS, [cells(scene, job.attack, job.outcome)], spare=SPARE))
+        if isinstance(job.result, Result):
+            print_answered(job.result.questions)
+    else:
+        row: list[str | Text] = [job.id, state_text(job.state), scene, job.attack]
+        out().print(table(("id", "state", "scene", "attack"), [row]))
+    messages = [f"waits: {job.waiting}"] if job.waiting else []
+    messages += [f"rejected: {error.field}: {error.detail}" for error in job.errors]
+    messages += [f"failed ({job.failure.kind}): {job.failure.detail}"] if job.failure else []
+    for message in messages:
+        err().print(message, markup=False, highlight=False)
+    if job.tags:
+        out().print(f"tags: {' '.join(job.tags)}", markup=False, highlight=False)
+    if job.note:
+        out().print(f"note: {job.note}", markup=False, highlight=False)
 
 
 @app.command(
@@ -68,9 +166,9 @@ def list_jobs(
     from itertools import islice
 
     from client.client import Client
+    from client.commands.options import SHORT, campaign_id
     from client.console import err, out, print_json, state_text, table
-    from client.ids import SHORT, campaign_id
-    from client.outcomes import answer_cell, outcome_cell, verified
+    from client.tables import answer_cell, outcome_cell, verified
 
     with Client(url) as client:
         about = None if campaign is None else campaign_id(client, campaign)
@@ -103,32 +201,30 @@ def list_jobs(
 def show(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
     """Show one job: its state, outcome, or the reason it failed."""
     from client.client import Client
-    from client.commands import submit
+    from client.commands.options import job_id as whole_id
     from client.console import print_json
-    from client.ids import job_id as whole_id
 
     with Client(url) as client:
         job = client.get_job(whole_id(client, job_id)).data
     if as_json:
         print_json(job)
     else:
-        submit.show(job)
+        print_job(job)
 
 
 @app.command(epilog="Example: [bold]scene-attack jobs watch 0f3c…[/bold]")
 def watch(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = False) -> None:
     """Follow a job until it ends. The exit code is 0 when it succeeded."""
     from client.client import Client
-    from client.commands import submit
+    from client.commands.options import job_id as whole_id
     from client.console import print_json
-    from client.ids import job_id as whole_id
 
     with Client(url) as client:
-        job = submit.follow(client.get_job(whole_id(client, job_id)))
+        job = follow(client.get_job(whole_id(client, job_id)))
     if as_json:
         print_json(job)
     else:
-        submit.show(job)
+        print_job(job)
     if job.state != "succeeded":
         raise typer.Exit(1)
 
@@ -138,8 +234,8 @@ def cancel(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = Fa
     """Ask a job to stop; a running job stops within one step. A job that has ended stays as it is."""
     from client import operations
     from client.client import Client
+    from client.commands.options import job_id as whole_id
     from client.console import out, print_json
-    from client.ids import job_id as whole_id
 
     with Client(url) as client:
         job = client.call(operations.cancel_job(whole_id(client, job_id)))
@@ -167,8 +263,8 @@ def go_on(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = Fal
 
 def _queue_again(operation: Callable[[str], Request[JobView]], job_id: str, url: str, as_json: bool) -> None:
     from client.client import Client
+    from client.commands.options import job_id as whole_id
     from client.console import out, print_json
-    from client.ids import job_id as whole_id
 
     with Client(url) as client:
         job = client.call(operation(whole_id(client, job_id)))
@@ -191,8 +287,8 @@ def edit(
     """Give a job a title, tags and a note, by which lists find it (`tag:paper`). No result changes."""
     from client import operations
     from client.client import Client
+    from client.commands.options import job_id as whole_id
     from client.console import out, print_json
-    from client.ids import job_id as whole_id
 
     changes: dict[str, object] = {name: said for name, said in (("title", title), ("note", note)) if said is not None}
     with Client(url) as client:
@@ -213,8 +309,8 @@ def delete(job_id: JobId, url: UrlOption = DEFAULT_URL, as_json: JsonOption = Fa
     """Delete a job that has ended, with its files."""
     from client import operations
     from client.client import Client
+    from client.commands.options import job_id as whole_id
     from client.console import out, print_json
-    from client.ids import job_id as whole_id
 
     with Client(url) as client:
         whole = whole_id(client, job_id)
@@ -238,8 +334,8 @@ def download(
     """
     from client import operations
     from client.client import Client
+    from client.commands.options import job_id as whole_id
     from client.console import out, print_json
-    from client.ids import job_id as whole_id
     from client.result_folder import check_same_files, prepare_folder
 
     prepare_folder(to)

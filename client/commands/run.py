@@ -1,4 +1,4 @@
-"""The commands `run` and `replay`: one job in this process, without a service."""
+"""The commands that take one job and this machine: `run`, `replay`, `plan` and `render`, without a service."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,8 +10,10 @@ from client.commands.options import JsonOption, SeedOption
 if TYPE_CHECKING:
     from rich.text import Text
 
-    from client.live import JobLine
+    from client.progress import JobLine
     from services.pipeline.execute import Progress
+    from services.pipeline.job_plan import JobPlan
+    from services.pipeline.preview_record import PlannedCost, Preview
     from services.pipeline.result import Result
     from services.pipeline.spec import JobSpec
     from services.scenes.library import Library
@@ -25,6 +27,10 @@ def register(app: typer.Typer) -> None:
         "[bold]scene-attack run - --out out/x < spec.json[/bold]"
     )(run)
     app.command(epilog="Example: [bold]scene-attack replay out/combined[/bold]")(replay)
+    app.command(epilog="Example: [bold]scene-attack plan examples/torch-combined.json[/bold]")(plan)
+    app.command(epilog="Example: [bold]scene-attack render examples/torch-combined.json --out picture.png[/bold]")(
+        render
+    )
 
 
 def run(
@@ -38,15 +44,13 @@ def run(
     If it is interrupted, the same command resumes it. The exit code is 0 if the job ran to its end, whether the network
     was fooled or held. A directory that holds the result of another job is refused.
     """
-    from client.analysis_tables import print_analyses, print_subsets
     from client.console import err, print_json, report_extensions, table
     from client.console import out as stdout
-    from client.live import JobLine
-    from client.local_meshes import local_library, read_job
-    from client.outcomes import COLUMNS, cells, goal_line
-    from client.question_tables import print_answered
+    from client.progress import JobLine
     from client.result_folder import check_free, prepare_folder
     from client.settings import settings_to_run
+    from client.specs import local_library, read_job
+    from client.tables import COLUMNS, cells, goal_line, print_analyses, print_answered, print_subsets
     from services.pipeline.names import attack_name, job_name
 
     settings = settings_to_run()
@@ -79,6 +83,64 @@ def run(
     for credit in result.provenance.credits:
         err().print(f"Shown: {credit}", markup=False, highlight=False)
     err().print(f"Files in {out}", markup=False, highlight=False)
+
+
+def _execute(spec: "JobSpec", out: Path, settings: "Settings", line: "JobLine") -> "Result":
+    """Runs the job; a checkpoint in `out` is resumed from if it is of this very job, and removed at the end."""
+    from client.tables import warn
+    from services.errors import InvalidRequest
+    from services.pipeline.execute import execute
+
+    def report(progress: "Progress") -> None:
+        row = None if progress.row is None else progress.row.model_dump()
+        line.update(progress.analysis or progress.phase, progress.step, progress.steps, row)
+
+    checkpoint, begun = out / "checkpoint", out / "checkpoint.json"
+    words = spec.model_dump_json()
+    if not (begun.exists() and begun.read_text("utf-8") == words):
+        checkpoint.unlink(missing_ok=True)
+        begun.write_text(words, "utf-8")
+    try:
+        result = execute(
+            spec,
+            out,
+            library(settings),
+            progress=report,
+            checkpoint=checkpoint,
+            checked=lambda _, warnings: warn(warnings),
+        )
+    except InvalidRequest:
+        begun.unlink()
+        raise
+    checkpoint.unlink(missing_ok=True)
+    begun.unlink(missing_ok=True)
+    return result
+
+
+def keep_memory() -> None:
+    """Starts this process again with the allocator settings of a worker; they are read at start only."""
+    import os
+    import sys
+
+    from services.jobs.child import ALLOCATOR
+
+    if not ALLOCATOR.keys() <= os.environ.keys():
+        os.execve(sys.executable, [sys.executable, "-m", "client", *sys.argv[1:]], os.environ | ALLOCATOR)
+
+
+def library(settings: "Settings") -> "Library":
+    """Meshes and maps of this machine, and torch with as many threads as the settings say."""
+    import gc
+
+    gc.disable()  # importing torch makes objects by the hundred thousand, all to stay; looking for garbage takes 0.3 s
+    import torch
+
+    gc.freeze()
+    gc.enable()
+    from client.specs import local_library
+
+    torch.set_num_threads(settings.threads)
+    return local_library(settings)
 
 
 def replay(
@@ -118,59 +180,131 @@ def replay(
         raise typer.Exit(1)
 
 
-def keep_memory() -> None:
-    """Starts this process again with the allocator settings of a worker; they are read at start only."""
-    import os
-    import sys
+def plan(
+    spec: Annotated[str, typer.Argument(metavar="SPEC", help="A job as JSON; - reads it from stdin.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Print how a job's images would be rendered: the parts kept, those left out and why, and the estimated error.
 
-    from services.jobs.child import ALLOCATOR
+    Of a question about the image it prints the program, the right answer and what limits the search. The command runs
+    no attack; it rasterises the scene, asks the network once, and measures errors of images and gradients. A job that
+    cannot run ends with the same error as in `run`.
+    """
+    from client.console import err, print_json, report_extensions
+    from client.settings import settings_to_run
+    from client.specs import read_job
 
-    if not ALLOCATOR.keys() <= os.environ.keys():
-        os.execve(sys.executable, [sys.executable, "-m", "client", *sys.argv[1:]], os.environ | ALLOCATOR)
+    settings = settings_to_run()
+    report_extensions()
+    job = read_job(spec, settings)
+    with err().status("loading") as line:
+        assets = library(settings)
+        from services.pipeline.prepare import plan as compile_plan
+
+        line.update("planning")
+        found = compile_plan(job, assets)
+    if as_json:
+        print_json(found.model_dump(mode="json"))
+    else:
+        _print_plan(found)
 
 
-def library(settings: "Settings") -> "Library":
-    """Meshes and maps of this machine, and torch with as many threads as the settings say."""
-    import gc
+def _print_plan(found: "JobPlan") -> None:
+    from client.console import out, small, table
+    from client.tables import print_asked
 
-    gc.disable()  # importing torch makes objects by the hundred thousand, all to stay; looking for garbage takes 0.3 s
-    import torch
-
-    gc.freeze()
-    gc.enable()
-    from client.local_meshes import local_library
-
-    torch.set_num_threads(settings.threads)
-    return local_library(settings)
-
-
-def _execute(spec: "JobSpec", out: Path, settings: "Settings", line: "JobLine") -> "Result":
-    """Runs the job; a checkpoint in `out` is resumed from if it is of this very job, and removed at the end."""
-    from client.outcomes import warn
-    from services.errors import InvalidRequest
-    from services.pipeline.execute import execute
-
-    def report(progress: "Progress") -> None:
-        row = None if progress.row is None else progress.row.model_dump()
-        line.update(progress.analysis or progress.phase, progress.step, progress.steps, row)
-
-    checkpoint, begun = out / "checkpoint", out / "checkpoint.json"
-    words = spec.model_dump_json()
-    if not (begun.exists() and begun.read_text("utf-8") == words):
-        checkpoint.unlink(missing_ok=True)
-        begun.write_text(words, "utf-8")
-    try:
-        result = execute(
-            spec,
-            out,
-            library(settings),
-            progress=report,
-            checkpoint=checkpoint,
-            checked=lambda _, warnings: warn(warnings),
+    height, width = found.size
+    out().print(
+        f"{found.renderer}: {', '.join(found.groups)}, {width}×{height} pixels; tolerance {small(found.tolerance)}, "
+        f"estimated error {small(found.error)} of displayed values in [0,1] "
+        + ("(their maximum)" if found.error_is == "maximum" else "(their mean over covered pixels)"),
+        highlight=False,
+    )
+    print_asked(found.questions)
+    kept = [[f"{i.part} {i.what}".strip(), f"{i.kept:,}", f"{i.of:,}", i.why, small(i.error)] for i in found.items]
+    out().print(table(("item", "kept>", "of>", "why the others are left out", "error>"), kept))
+    done = [
+        [f"{s.part} {s.name}".strip(), s.method, s.when, f"{s.evaluations:,} {s.unit}", s.why, small(s.error)]
+        for s in found.stages
+    ]
+    if done:
+        out().print(table(("stage", "method", "when", "work>", "why", "error>"), done))
+    if found.gradients:
+        rows = [
+            [f"{g.part} {g.group}".strip(), small(g.relative), f"{100 * g.wrong_signs:.2g} %"] for g in found.gradients
+        ]
+        out().print(table(("gradient", "relative error>", "wrong signs>"), rows))
+    if found.environment_map_error is not None:
+        out().print(
+            f"environment map's resolution: error {small(found.environment_map_error)} against 64×128 texels, not part "
+            "of the estimated error",
+            highlight=False,
         )
-    except InvalidRequest:
-        begun.unlink()
-        raise
-    checkpoint.unlink(missing_ok=True)
-    begun.unlink(missing_ok=True)
-    return result
+
+
+def render(
+    spec: Annotated[str, typer.Argument(metavar="SPEC", help="A job as JSON; - reads it from stdin.")],
+    out: Annotated[Path | None, typer.Option(help="Write the image to this PNG file.")] = None,
+    plan: Annotated[bool, typer.Option("--plan", help="Make the plan, too, and state what the attack costs.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Render a job's scene and ask the network, without an attack: the image and the first five answers.
+
+    It is what POST /v1/preview answers. A job that cannot run ends with the same error as in `run`.
+    """
+    from client.console import err, print_json, report_extensions
+    from client.settings import settings_to_run
+    from client.specs import read_job
+    from services.errors import InvalidRequest
+
+    settings = settings_to_run()
+    report_extensions()
+    job = read_job(spec, settings)
+    if out is not None and not out.parent.is_dir():
+        raise InvalidRequest("--out", f"there is no folder {out.parent}; make it first")
+    with err().status("loading") as line:
+        assets = library(settings)
+        from services.analysis.images import save_png
+        from services.pipeline.preview import planned_cost, preview
+
+        line.update("rendering")
+        shown, image = preview(job, assets)
+        planned = None
+        if plan:
+            line.update("planning")
+            planned = planned_cost(job, assets)
+    if out is not None:
+        save_png(image, out)
+    if as_json:
+        print_json(shown.model_dump(mode="json") | ({} if planned is None else planned.model_dump(mode="json")))
+    else:
+        _print_answers(shown)
+        if planned is not None:
+            _print_cost(planned)
+        if out is not None:
+            err().print(f"Image in {out}", markup=False, highlight=False)
+
+
+def _print_answers(shown: "Preview") -> None:
+    from client.console import err, out, table
+
+    for one in shown.answers:
+        rows = [[label, f"{probability:.3f}"] for label, probability in one.answer.top]
+        out().print(table(("answer", "probability>"), rows, title=one.question))
+    for warning in shown.warnings:
+        err().print(f"warning: {warning.field}: {warning.text}", markup=False, highlight=False)
+
+
+def _print_cost(planned: "PlannedCost") -> None:
+    from client.console import out, small
+
+    plan, cost = planned.plan, planned.cost
+    height, width = plan.size
+    limit = "" if cost.queries is None else f", at most {cost.queries:,} queries"
+    lines = (
+        f"{plan.renderer}: {', '.join(plan.groups)}, {width}×{height} pixels; estimated error {small(plan.error)}",
+        f"up to {cost.steps:,} steps{limit}; an image takes {1000 * cost.image_seconds:.3g} ms and a query "
+        f"{1000 * cost.query_seconds:.3g} ms, so at least {cost.least_seconds:.2g} s in all, and gradients besides",
+    )
+    for line in lines:
+        out().print(line, markup=False, highlight=False, soft_wrap=True)

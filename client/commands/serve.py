@@ -1,16 +1,20 @@
-"""`serve`, `api` and `worker`: the service, whole or in parts. Options are settings; see docs/operations.md."""
+"""The commands that run and look after a service: `serve`, `api` and `worker` run it whole or in parts, `doctor` checks
+the machine, `backup` copies the data. Options are settings; see docs/operations.md.
+"""
 
 import os
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from client.commands.options import DataOption
+from client.commands.options import DataOption, JsonOption
 
 if TYPE_CHECKING:
     from services.settings import Settings
+
 
 HostOption = Annotated[
     str | None,
@@ -24,6 +28,7 @@ PortOption = Annotated[
     int | None, typer.Option("--port", "-p", help="Port to listen on, 0 for a free one [SCENE_ATTACK_PORT, 8008].")
 ]
 WorkersOption = Annotated[int | None, typer.Option("--workers", "-w", help="Job processes [SCENE_ATTACK_WORKERS, 1].")]
+COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}
 
 
 def register(app: typer.Typer) -> None:
@@ -33,6 +38,14 @@ def register(app: typer.Typer) -> None:
         epilog="Example: [bold]SCENE_ATTACK_REDIS_URL=redis://redis:6379 scene-attack api --host 0.0.0.0[/bold]"
     )(api)
     app.command(epilog="Example: [bold]SCENE_ATTACK_REDIS_URL=redis://redis:6379 scene-attack worker[/bold]")(worker)
+    app.command(epilog="Example: [bold]scene-attack doctor[/bold]")(doctor)
+    app.command(
+        epilog="Examples: [bold]scene-attack backup /backups/monday[/bold]\n\n"
+        "[bold]scene-attack backup /backups/monday --data /srv/scene-attack[/bold]\n\n"
+        "To restore, start the service on a copy of the folder: [bold]scene-attack serve --data /srv/restored[/bold]. "
+        "Of PostgreSQL, restore database.dump first: "
+        "[bold]pg_restore --no-owner --dbname=URL /backups/monday/database.dump[/bold]"
+    )(backup)
 
 
 def serve(
@@ -66,8 +79,7 @@ def worker(workers: WorkersOption = None, data: DataOption = None) -> None:
 
 def _settings(**options: str | int | Path | None) -> "Settings":
     """The settings of a service, whose device and kernels are there. Names the variables that are no settings."""
-    from client.settings import read_settings
-    from client.unknown_variables import unknown_variables
+    from client.settings import read_settings, unknown_variables
     from services.device import check_device
     from services.process import use
     from services.rendering.kernels.build import check_kernels
@@ -79,3 +91,51 @@ def _settings(**options: str | int | Path | None) -> "Settings":
     check_device()
     check_kernels()
     return settings
+
+
+def doctor(as_json: JsonOption = False) -> None:
+    """Check libraries, folders, disk, database, Redis, meshes, OpenGL, kernels and weights, and say what to do.
+
+    Checks this machine with the settings of this environment. The exit code is 1 if something is missing without which
+    the service cannot run, and 0 if all is well or the service only lacks something.
+    """
+    from client.checkup import checkup
+    from client.console import out, print_json
+    from client.settings import read_settings
+
+    found = []
+    console = out()
+    for one in checkup(read_settings()):
+        found.append(one)
+        if not as_json:
+            console.print(f"[{COLOURS[one.level]}]{one.level:<4}[/]", end="  ")
+            console.print(f"{one.subject}: {one.text}", markup=False, highlight=False, soft_wrap=True)
+            if one.remedy:
+                console.print(f"      → {one.remedy}", markup=False, highlight=False, soft_wrap=True)
+    if as_json:
+        print_json([asdict(one) for one in found])
+    if any(one.level == "fail" for one in found):
+        raise typer.Exit(1)
+
+
+def backup(
+    folder: Annotated[Path, typer.Argument(help="A folder that does not exist yet, or is empty.")],
+    data: DataOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Copy database, artifacts and uploaded meshes into FOLDER, while the service runs or not.
+
+    The database is that of SCENE_ATTACK_DATABASE_URL, or SQLite in the data directory; PostgreSQL needs pg_dump, of the
+    server's version or newer. Artifacts and meshes are those of SCENE_ATTACK_ARTIFACT_URL, or of the data directory.
+    The copy is a data directory itself. Jobs that were running are taken up again where it is restored.
+    """
+    from client.console import out, print_json
+    from client.settings import read_settings
+    from services.jobs.backup import back_up
+
+    made = back_up(read_settings(data=data), folder)
+    if as_json:
+        print_json({"folder": str(folder), "files": made.files, "bytes": made.size, "jobs": made.jobs})
+    else:
+        said = f"{folder}  {made.jobs:,} jobs, {made.files:,} files, {made.size:,} bytes"
+        out().print(said, markup=False, highlight=False)

@@ -11,7 +11,7 @@ import httpx
 import psutil
 import pytest
 
-from client.demo_jobs import QUESTION, specs
+from client.commands.demo import QUESTION, specs
 from tests.integration.conftest import PATIENCE
 
 pytestmark = pytest.mark.integration

@@ -5,7 +5,7 @@ import io
 from rich.console import Console
 
 from client.console import table
-from client.outcomes import COLUMNS, SPARE
+from client.tables import COLUMNS, SPARE
 
 LONG = "normals+illumination+material"
 CELLS = ["grand-piano", f"torch {LONG} fgsm", "grand piano 0.77", "upright 0.41", "fooled", "yes", "12.34", "12.30",

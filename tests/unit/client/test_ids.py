@@ -7,7 +7,7 @@ from typer.testing import CliRunner
 
 from client import Client
 from client.cli import app
-from client.ids import campaign_id, job_id
+from client.commands.options import campaign_id, job_id
 from services.errors import InvalidRequest
 from tests.unit.client.scripted_service import Script, client, job, says, script
 

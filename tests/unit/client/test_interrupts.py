@@ -9,7 +9,7 @@ import pytest
 
 from api.schemas import JobView
 from client.client import Client, Event, Job
-from client.commands import run, submit
+from client.commands import jobs, run
 from tests.unit.client.scripted_service import job
 
 SPHERE = {"scene": {"objects": [{"mesh": "primitive/sphere"}]}}
@@ -25,7 +25,7 @@ class Interrupted(Client):
 
 def test_a_job_of_a_service_goes_on(capfd: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(KeyboardInterrupt):
-        submit.follow(Job(JobView.model_validate(job(id="0f3c")), Interrupted()))
+        jobs.follow(Job(JobView.model_validate(job(id="0f3c")), Interrupted()))
     assert "The job goes on. `scene-attack jobs watch 0f3c` follows it" in capfd.readouterr().err
 
 

@@ -8,9 +8,9 @@ import pytest
 from torch import nn
 from typer.testing import CliRunner
 
-from client import Client, attack, local_meshes
+from client import Client, attack, specs
 from client.cli import app
-from client.local_meshes import Adding, bundle_at, folder_of, read_campaign, read_job, to_library, with_meshes_added
+from client.specs import Adding, bundle_at, folder_of, read_campaign, read_job, to_library, with_meshes_added
 from services.errors import InvalidFields, InvalidRequest
 from services.scenes.library import Library
 from services.settings import DEFAULTS, Settings
@@ -91,7 +91,7 @@ def test_files_that_are_no_meshes_are_refused_with_all_else_that_is_wrong(
 ) -> None:
     (tmp_path / "bad.obj").write_bytes(b"hello")
     (tmp_path / "chair.obj").write_bytes(OBJ)
-    monkeypatch.setattr(local_meshes, "to_library", lambda _: into(library))
+    monkeypatch.setattr(specs, "to_library", lambda _: into(library))
     meshes = ("primitive/cube", "./none.obj", "./bad.obj", "chair.obj")
     spec = written(tmp_path, request_with(*meshes) | {"target": {"name": "nobody"}, "attack": {"steps": -3}})
     with pytest.raises(InvalidFields) as refused:

@@ -2,7 +2,7 @@ from typing import Any
 
 import pytest
 
-from client.outcomes import goal_line, outcome_cell, successes, verified, warn
+from client.tables import goal_line, outcome_cell, successes, verified, warn
 from services.pipeline.outcome import Outcome
 from services.pipeline.warning import JobWarning
 from tests.unit.client.scripted_service import SUCCEEDED

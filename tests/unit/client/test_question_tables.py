@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from client.question_tables import print_answered, print_asked, program_text
+from client.tables import print_answered, print_asked, program_text
 from services.analysis.records import Answer
 from services.attacks.verdict import Verdict
 from services.pipeline.question_record import Asked, Attended, QuestionResult

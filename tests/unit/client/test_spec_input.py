@@ -3,19 +3,19 @@ from pathlib import Path
 
 import pytest
 
-from client import spec_input
+from client import specs
 from services.errors import InvalidRequest
 
 
 def test_reads_a_file_and_puts_the_seed_over_its_own(tmp_path: Path) -> None:
     (tmp_path / "s.json").write_text('{"seed": 1, "scene": {}}')
-    assert spec_input.read(str(tmp_path / "s.json")) == {"seed": 1, "scene": {}}
-    assert spec_input.read(str(tmp_path / "s.json"), 9) == {"seed": 9, "scene": {}}
+    assert specs.read(str(tmp_path / "s.json")) == {"seed": 1, "scene": {}}
+    assert specs.read(str(tmp_path / "s.json"), 9) == {"seed": 9, "scene": {}}
 
 
 def test_dash_is_standard_input(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO('{"seed": 3}'))
-    assert spec_input.read("-") == {"seed": 3}
+    assert specs.read("-") == {"seed": 3}
 
 
 @pytest.mark.parametrize(
@@ -31,10 +31,10 @@ def test_dash_is_standard_input(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_says_what_is_wrong_with_a_file(tmp_path: Path, text: bytes, said: str) -> None:
     (tmp_path / "s.json").write_bytes(text)
     with pytest.raises(InvalidRequest, match=said) as error:
-        spec_input.read(str(tmp_path / "s.json"))
+        specs.read(str(tmp_path / "s.json"))
     assert error.value.field == "SPEC"
 
 
 def test_a_missing_file_is_bad_input(tmp_path: Path) -> None:
     with pytest.raises(InvalidRequest, match="No such file"):
-        spec_input.read(str(tmp_path / "none.json"))
+        specs.read(str(tmp_path / "none.json"))

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from client.demo_jobs import QUESTION
+from client.commands.demo import QUESTION
 from services.pipeline.spec import parse
 from services.questions.executor import answer
 from services.questions.facts import Facts

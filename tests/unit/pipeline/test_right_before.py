@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from benchmarks.views import VIEWS
-from client.demo_jobs import specs
+from client.commands.demo import specs
 from services.accuracy.work_precision.attacks import NETWORK, SCENES
 from services.pipeline.prepare import preflight
 from services.pipeline.result import Result

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from benchmarks.gltf_materials import View
-from client.local_meshes import bundle_at
+from client.specs import bundle_at
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.scenes.description import SceneObject
 from services.scenes.library import Library

@@ -1,10 +1,14 @@
-"""Meshes in files of this machine, which a request names by their paths."""
+"""Requests in files: reads a job or a campaign from a file or from standard input, and adds or uploads the meshes of
+this machine that it names by their paths.
+"""
 
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from services.errors import InvalidFields, InvalidRequest
+from services.strict import NotJson, read_json
 
 if TYPE_CHECKING:
     from client.client import Client
@@ -14,6 +18,7 @@ if TYPE_CHECKING:
     from services.scenes.bundle import Bundle
     from services.scenes.library import Library
     from services.settings import Settings
+
 
 Adding = Callable[[Path], tuple[str, Sequence[str]]]
 """Adds the mesh in a file. Returns its name in a scene, and what of the file is not shown. Raises InvalidRequest."""
@@ -28,37 +33,51 @@ _NAMED = ("furniture/", "primitive/", "sha256:")
 """How the names of meshes begin, which are no names of files."""
 
 
-def is_path(mesh: object) -> bool:
-    """Whether a spec's mesh is a path, which begins with `./`, `../` or `/`, and not a name."""
-    return isinstance(mesh, str) and mesh.startswith(("./", "../", "/"))
-
-
-def folder_of(spec: str) -> Path:
-    """The folder that the paths in the file `spec` are relative to: its own or, for "-", the working directory."""
-    return Path.cwd() if spec == "-" else Path(spec).absolute().parent
-
-
 def read_job(spec: str, settings: "Settings", seed: int | None = None) -> "JobSpec":
     """The job in the file `spec`, as `spec_input.read` has it, with its meshes added to this machine's uploads.
 
     Raises InvalidFields with every wrong field, and every name that there is not.
     """
-    from client import spec_input
     from services.pipeline.names_known import names_in
     from services.pipeline.spec import parse
 
-    data, not_added = with_meshes_added(spec_input.read(spec, seed), folder_of(spec), to_library(settings))
+    data, not_added = with_meshes_added(read(spec, seed), folder_of(spec), to_library(settings))
     return parse(data, names_in(local_library(settings), not_read=not_added))
 
 
 def read_campaign(spec: str, settings: "Settings") -> "CampaignSpec":
     """The campaign in the file `spec`; as `read_job`."""
-    from client import spec_input
     from services.pipeline.campaign_spec import parse
     from services.pipeline.names_known import names_in
 
-    data, not_added = with_meshes_added(spec_input.read(spec), folder_of(spec), to_library(settings))
+    data, not_added = with_meshes_added(read(spec), folder_of(spec), to_library(settings))
     return parse(data, names_in(local_library(settings), not_read=not_added))
+
+
+def read(path: str, seed: int | None = None) -> dict[str, Any]:
+    """The JSON object in the file `path`, or on standard input for "-". A given `seed` replaces the spec's seed.
+
+    Raises InvalidRequest("SPEC") for a file that does not exist or does not hold a JSON object.
+    """
+    try:
+        text = sys.stdin.read() if path == "-" else Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+        raise InvalidRequest("SPEC", f"cannot read {path}: {reason}; give a JSON file, or - for stdin") from error
+    try:
+        data = read_json(text)
+    except NotJson as error:
+        raise InvalidRequest("SPEC", f"{path} cannot be read: {error}") from error
+    if not isinstance(data, dict):
+        raise InvalidRequest("SPEC", f'{path} holds a JSON {type(data).__name__}; a spec is an object: {{"scene": …}}')
+    if seed is not None:
+        data["seed"] = seed
+    return data
+
+
+def folder_of(spec: str) -> Path:
+    """The folder that the paths in the file `spec` are relative to: its own or, for "-", the working directory."""
+    return Path.cwd() if spec == "-" else Path(spec).absolute().parent
 
 
 def with_meshes_added(data: dict[str, Any], folder: Path, add: Adding) -> tuple[dict[str, Any], dict[str, str]]:
@@ -118,6 +137,29 @@ def sent(
         raise InvalidFields([*wrong.values(), *(one for one in found if one.field not in wrong)]) from error
 
 
+def _replaced(data: Any, steps: Sequence[str], named: Callable[[str, str], str], place: str = "") -> Any:
+    """The data with `named(text, its place)` for each text at the end of the steps; the rest is left to the parser."""
+    if not steps:
+        return named(data, place) if isinstance(data, str) else data
+    step, rest = steps[0], steps[1:]
+    if step == "*" and isinstance(data, list | tuple):
+        return [_replaced(one, rest, named, f"{place}.{k}") for k, one in enumerate(data)]
+    if step != "*" and isinstance(data, Mapping) and step in data:
+        return {**data, step: _replaced(data[step], rest, named, f"{place}.{step}".removeprefix("."))}
+    return data
+
+
+def is_path(mesh: object) -> bool:
+    """Whether a spec's mesh is a path, which begins with `./`, `../` or `/`, and not a name."""
+    return isinstance(mesh, str) and mesh.startswith(("./", "../", "/"))
+
+
+def _say(words: str) -> None:
+    from client.console import err
+
+    err().print(words, markup=False, highlight=False, soft_wrap=True)
+
+
 def to_library(settings: "Settings") -> Adding:
     """Returns what adds a mesh to the uploads of this machine."""
 
@@ -133,6 +175,21 @@ def local_library(settings: "Settings") -> "Library":
     from services.scenes.library import Library
 
     return Library(settings.cache_dir, settings.files)
+
+
+def bundle_at(path: Path, limits: "Settings") -> "Bundle":
+    """Returns the mesh in a file, or in a zip file, with the files beside it that it names. Its title is its name.
+
+    Raises InvalidRequest.
+    """
+    from client.mesh_files import with_files_beside
+    from services.scenes.bundle import About, title_of
+    from services.scenes.uploads import max_unpacked, to_bundle
+
+    files = [(name, one.read_bytes()) for name, one in with_files_beside([path])]
+    return to_bundle(
+        files, None, path.name if len(files) > 1 else None, About(title=title_of(path)), max_unpacked(limits)
+    )
 
 
 def to_service(client: "Client") -> Adding:
@@ -153,36 +210,3 @@ def to_service(client: "Client") -> Adding:
         return entry.name, entry.notes
 
     return add
-
-
-def bundle_at(path: Path, limits: "Settings") -> "Bundle":
-    """Returns the mesh in a file, or in a zip file, with the files beside it that it names. Its title is its name.
-
-    Raises InvalidRequest.
-    """
-    from client.mesh_files import with_files_beside
-    from services.scenes.bundle import About, title_of
-    from services.scenes.uploads import max_unpacked, to_bundle
-
-    files = [(name, one.read_bytes()) for name, one in with_files_beside([path])]
-    return to_bundle(
-        files, None, path.name if len(files) > 1 else None, About(title=title_of(path)), max_unpacked(limits)
-    )
-
-
-def _replaced(data: Any, steps: Sequence[str], named: Callable[[str, str], str], place: str = "") -> Any:
-    """The data with `named(text, its place)` for each text at the end of the steps; the rest is left to the parser."""
-    if not steps:
-        return named(data, place) if isinstance(data, str) else data
-    step, rest = steps[0], steps[1:]
-    if step == "*" and isinstance(data, list | tuple):
-        return [_replaced(one, rest, named, f"{place}.{k}") for k, one in enumerate(data)]
-    if step != "*" and isinstance(data, Mapping) and step in data:
-        return {**data, step: _replaced(data[step], rest, named, f"{place}.{step}".removeprefix("."))}
-    return data
-
-
-def _say(words: str) -> None:
-    from client.console import err
-
-    err().print(words, markup=False, highlight=False, soft_wrap=True)

@@ -1,0 +1,352 @@
+"""Text tables of what a job gives: its outcome and warnings, its analyses, its questions and their answers."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+from rich.text import Text
+
+from client.console import FittedTable, answer_text, err, out, table, yes
+from services.analysis.records import (
+    AdaptiveAttack,
+    Analyses,
+    Attribution,
+    Interpretation,
+    MinimalChange,
+    Rerendering,
+    Subset,
+    Transferred,
+)
+from services.attacks.verdict import SUCCESS, WRONG_BEFORE, Verdict, held_within
+from services.pipeline.outcome import Outcome
+from services.pipeline.question_record import Asked, QuestionResult, first_changed
+from services.pipeline.warning import JobWarning
+from services.questions.program import TYPE_WORDS, Program
+from services.text import signed
+
+OUTCOME_STYLES = {"fooled": "bold magenta", "held": "bold blue"}
+"""The colours of outcomes; the others are yellow, since they are neither a success nor a failure."""
+COLUMNS = ("scene", "attack", "before", "after", "network", "verified", "p ×1e-3>", "p saved>", "queries>", "seconds>")
+SPARE = ("p saved", "seconds", "queries", "verified", "before")
+"""The columns that a narrow terminal does not show; a wide one, and --json, do."""
+
+
+def cells(scene: str, attack: str, outcome: Outcome) -> list[str | Text]:
+    """The cells of one table row, in the order of COLUMNS."""
+    return [
+        scene,
+        attack,
+        answer_cell(outcome, "before"),
+        answer_cell(outcome, "after"),
+        outcome_cell(outcome),
+        verified(outcome),
+        thousandths(outcome.float_perceptibility),
+        thousandths(outcome.perceptibility),
+        f"{outcome.queries:,}",
+        f"{outcome.seconds:.1f}",
+    ]
+
+
+def goal_line(spec: Mapping[str, Any]) -> str | None:
+    """The goal of a full spec, if there are wrong answers that do not meet it; None for other goals."""
+    goal = spec["goal"]
+    if goal.get("reach") is not None:
+        return f"Goal: the answer {goal['reach']!r}. Another wrong answer does not meet it."
+    if goal.get("leave_kind"):
+        return (
+            "Goal: an answer of another kind than the question asks for. A wrong answer of its kind does not meet it."
+        )
+    return None
+
+
+def thousandths(p: float | None) -> str:
+    """A perceptibility in thousandths; a dash where it was not measured, as in results of version 0.1."""
+    return "–" if p is None else f"{p * 1000:.2f}"
+
+
+def answer_cell(outcome: Outcome, when: Literal["before", "after"]) -> str:
+    """The network's answer "before" or "after" the attack, with its confidence, e.g. "grand piano 0.77".
+
+    Of several questions the answers to each, e.g. "4, cyan, yes".
+    """
+    if outcome.answers:
+        return ", ".join(before if when == "before" else after for before, after in outcome.answers)
+    if when == "before":
+        return f"{outcome.before} {outcome.before_confidence:.2f}"
+    return f"{outcome.after} {outcome.after_confidence:.2f}"
+
+
+def outcome_cell(outcome: Outcome) -> Text:
+    """What the attack came to, and what bound a search that held."""
+    bound = held_within(outcome.model_dump())
+    return verdict(outcome.outcome).append(f" {bound}" if bound else "")
+
+
+def verdict(word: Verdict) -> Text:
+    """The word for what an attack came to, e.g. "fooled" or "held", in its colour."""
+    return Text(word, style=OUTCOME_STYLES.get(word, "yellow"))
+
+
+def verified(outcome: Outcome) -> Text:
+    """Whether the adversary was verified; nothing where the network was wrong before, since no success can follow."""
+    return yes(None if outcome.outcome in WRONG_BEFORE else outcome.verified)
+
+
+def successes(outcomes: Iterable[Outcome]) -> str:
+    """How many attacks succeeded, of those on scenes that the network is known to have had right before."""
+    counted = [outcome for outcome in outcomes if outcome.right_before]
+    won = sum(outcome.outcome == SUCCESS and outcome.verified for outcome in counted)
+    return f"Fooled and verified: {won} of {len(counted)} attacks on scenes that the network had right before"
+
+
+def warn(warnings: Iterable[JobWarning]) -> None:
+    """Prints the warnings of a job on stderr."""
+    for warning in warnings:
+        err().print(f"warning: {warning.field}: {warning.text}", markup=False, highlight=False)
+
+
+STRONGEST = 20
+"""Number of coordinates that a table shows, those of the largest Shapley values; the JSON has all."""
+
+FIT_COLUMNS = ("ℓ1 at the start ×1e-3>", "ℓ1 at best ×1e-3>")
+
+
+def print_subsets(rows: Sequence[Subset], attribution: Attribution | None) -> None:
+    """Prints the table of subsets and the groups' Shapley values, if there are several groups."""
+    if len(rows) <= 2:
+        return
+    columns = (
+        "groups applied",
+        "the network says",
+        "confidence>",
+        "goal's label>",
+        "p ×1e-3>",
+        "p saved>",
+        "meets the goal",
+    )
+    cells: list[list[str | Text]] = [
+        [
+            " + ".join(row.groups) or "none",
+            row.label,
+            f"{row.confidence:.3f}",
+            f"{row.goal_probability:.3g}",
+            thousandths(row.float_perceptibility),
+            thousandths(row.perceptibility),
+            yes(row.fooled),
+        ]
+        for row in rows
+    ]
+    out().print(table(columns, cells, title="Subsets of the groups"))
+    if attribution is not None:
+        out().print(_attribution(attribution, "Shapley values of the groups"))
+
+
+def print_analyses(found: Analyses) -> None:
+    """Prints those analyses that were made."""
+    for made in _analysis_tables(found):
+        out().print(made)
+
+
+def _analysis_tables(found: Analyses) -> Iterator[FittedTable]:
+    if found.coordinates is not None:
+        yield _attribution(found.coordinates, "Shapley values of the coordinates")
+    if found.minimal is not None:
+        yield from _minimal(found.minimal)
+    if found.transfer is not None:
+        yield _transfer(found.transfer)
+    if found.interpretation is not None:
+        yield _interpretation(found.interpretation)
+    if found.rerendering is not None:
+        yield rerendering_table(found.rerendering)
+    if found.adaptive is not None:
+        yield _adaptive(found.adaptive)
+
+
+def _attribution(found: Attribution, title: str) -> FittedTable:
+    errors, orders = found.log_odds.standard_error, found.orders
+    how = f"mean over {orders} random orders" if errors is not None else "exact"
+    by_size = sorted(range(len(found.parts)), key=lambda i: -abs(found.log_odds.shapley[i]))[:STRONGEST]
+    rows = []
+    for i in by_size if len(found.parts) > STRONGEST else range(len(found.parts)):
+        error = "" if errors is None else f" ± {errors[i]:.3f}"
+        rows.append(
+            [
+                found.parts[i],
+                f"{signed(found.log_odds.shapley[i], '.3f')}{error}",
+                f"{signed(100 * found.probability.shapley[i], '.2f')} %",
+                _strongest_partner(found, i),
+            ]
+        )
+    effect = signed(100 * found.probability.effect, ".2f")
+    rows.append(["all", signed(found.log_odds.effect, ".3f"), f"{effect} %", ""])
+    columns = ("part", "log-odds of the goal's label>", "its probability>", "strongest interaction (log-odds)")
+    return table(columns, rows, title=f"{title}, {how}, {found.images:,} images")
+
+
+def _strongest_partner(found: Attribution, part: int) -> str:
+    matrix = found.log_odds.interactions
+    if matrix is None or len(matrix) < 2:
+        return ""
+    other = max((j for j in range(len(matrix)) if j != part), key=lambda j: abs(matrix[part][j]))
+    return f"{signed(matrix[part][other], '.3f')} with {found.parts[other]}"
+
+
+def _minimal(found: MinimalChange) -> Iterator[FittedTable]:
+    if found.smallest is None:
+        title = f"Minimal change: none of {len(found.scan)} scales of the perturbation fools the network"
+    else:
+        steady = "" if found.fools_from is None else f"; every scanned scale from {found.fools_from:.4g} on fools"
+        title = (
+            f"Minimal change: {found.smallest.label} {found.smallest.confidence:.2f} at scale "
+            f"{found.smallest.scale:.5g}, held at {found.holds_at:.5g}{steady}; p "
+            f"{thousandths(found.smallest.float_perceptibility)}e-3, {found.images} images"
+        )
+    columns = ("group", "what", "measure", "minimal>", "stored>", "unit")
+    least = [f"{change.value:.4g}" for change in found.change] or ["–"] * len(found.stored_change)
+    rows = [
+        [stored.group, stored.subject, stored.measure, value, f"{stored.value:.4g}", stored.unit]
+        for value, stored in zip(least, found.stored_change, strict=True)
+    ]
+    yield table(columns, rows, title=title)
+
+
+def _transfer(found: Sequence[Transferred]) -> FittedTable:
+    rows: list[list[str | Text]] = [
+        [
+            one.target,
+            one.renderer,
+            answer_text(one.before),
+            answer_text(one.after),
+            verdict(one.outcome),
+            yes(one.right_before),
+            one.note,
+        ]
+        for one in found
+    ]
+    columns = ("target", "renderer", "original", "attacked", "network", "right before", "note")
+    return table(columns, rows, title="Transfer")
+
+
+def _interpretation(found: Interpretation) -> FittedTable:
+    rows = [
+        [
+            one.optimiser,
+            f"{one.rate:.0e}",
+            f"{one.losses[0] * 1000:.3f}",
+            f"{min(one.losses) * 1000:.3f}",
+            answer_text(one.after),
+            "yes" if one.after.label == found.image.label else "no",
+        ]
+        for one in found.fits
+    ]
+    columns = ("optimiser", "rate>", *FIT_COLUMNS, "label after", "attacked label kept")
+    said = f"image: {answer_text(found.image)}, scene: {answer_text(found.scene)}"
+    return table(columns, rows, title=f"Interpretation: fits of physical parameters to the image ({said})")
+
+
+def rerendering_table(found: Rerendering) -> FittedTable:
+    """The re-rendering defence as a table of one row."""
+    row = [
+        answer_text(found.before),
+        answer_text(found.after),
+        f"{found.losses[0] * 1000:.3f}",
+        f"{min(found.losses) * 1000:.3f}",
+        thousandths(found.distance),
+    ]
+    columns = ("image", "re-rendered", *FIT_COLUMNS, "p of the difference>")
+    return table(columns, [row], title=f"Re-rendering defence: {found.optimiser}, rate {found.rate:g}")
+
+
+def _adaptive(found: AdaptiveAttack) -> FittedTable:
+    row: list[str | Text] = [
+        yes(found.fooled),
+        str(found.steps),
+        answer_text(found.image),
+        answer_text(found.rerendered),
+        f"{found.goal_probability[0]:.3f} → {found.goal_probability[-1]:.3f}",
+        thousandths(found.perceptibility),
+    ]
+    columns = (
+        "defence fooled",
+        "steps>",
+        "attacked image",
+        "re-rendered",
+        "goal's label, re-rendered",
+        "p saved ×1e-3>",
+    )
+    return table(columns, [row], title="Attack on pixels through the re-rendering defence")
+
+
+QUESTIONS_TITLE = "Questions about the image"
+ASKED_COLUMNS = ("question", "asks for", "right answer")
+_ANSWERS = ("answer before", "answer after", "of that kind", "network")
+ANSWERED_COLUMNS = ("question", "asks for", "right", "right after", *_ANSWERS)
+ATTENTION_FILES = "attention-<question>-<function>-before.png and -after.png"
+
+
+def print_asked(questions: Sequence[Asked]) -> None:
+    """Prints questions before an attack, e.g. those of a plan: each with its program and its right answer."""
+    if questions:
+        rows = [[_words(number, one), _asks_for(one), one.right] for number, one in enumerate(questions)]
+        _print_questions(table(ASKED_COLUMNS, rows, title=QUESTIONS_TITLE), map(_program, questions))
+
+
+def print_answered(questions: Sequence[QuestionResult], folder: Path | None = None) -> None:
+    """Prints questions and their answers before and after an attack. folder: that of the job's files, if it is here."""
+    if not questions:
+        return
+    rows: list[list[str | Text]] = [
+        [
+            _words(number, one),
+            _asks_for(one),
+            one.right,
+            one.right_after or "ill-posed",
+            answer_text(one.before),
+            answer_text(one.after),
+            yes(one.before_of_kind) + Text(" → ") + yes(one.after_of_kind),
+            verdict(one.outcome),
+        ]
+        for number, one in enumerate(questions)
+    ]
+    lines = [f"{_program(one)}; {_changed(one)}" for one in questions]
+    _print_questions(table(ANSWERED_COLUMNS, rows, title=QUESTIONS_TITLE), lines)
+    if folder is not None:
+        line = f"Images of what the functions attend to: {folder / ATTENTION_FILES}"
+        out().print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def program_text(program: Program) -> str:
+    """A program in a line, each function with its number and the numbers of those it takes.
+
+    E.g. "0 scene, 1 filter_color[red](0), 2 count(1)".
+    """
+    return ", ".join(
+        f"{number} {node.label}" + (f"({', '.join(map(str, node.inputs))})" if node.inputs else "")
+        for number, node in enumerate(program.nodes)
+    )
+
+
+def _print_questions(made: FittedTable, lines: Iterable[str]) -> None:
+    console = out()
+    console.print(made)
+    for number, line in enumerate(lines):
+        console.print(f"Program of question {number}: {line}", markup=False, highlight=False, soft_wrap=True)
+
+
+def _program(question: Asked) -> str:
+    return program_text(Program.read(question.program))
+
+
+def _changed(question: QuestionResult) -> str:
+    first = first_changed(question.attention)
+    if first is None:
+        return "each function attends to the same objects after the attack"
+    return f"function {first.node} is the first to attend to other objects after the attack"
+
+
+def _words(number: int, question: Asked) -> str:
+    return f"{number}  {question.question or '(given as a program)'}"
+
+
+def _asks_for(question: Asked) -> str:
+    return TYPE_WORDS[Program.read(question.program).types[-1]]
