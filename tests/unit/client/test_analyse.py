@@ -1,4 +1,4 @@
-"""The commands `analyse` and `rerender` as processes."""
+"""The commands `analyse` and `rerender`."""
 
 import json
 from pathlib import Path
@@ -15,7 +15,7 @@ from services.pipeline.analyse_stored import StoredAnalysis, analyse_stored
 from services.pipeline.execute import execute
 from services.pipeline.perturbation_file import PERTURBATION
 from services.pipeline.prepare import prepare
-from tests.unit.client.test_cli import cli
+from tests.unit.client.command_line import cli
 from tests.unit.jobs.small import LIBRARY, SPHERE, spec
 
 pytestmark = pytest.mark.slow

@@ -1,4 +1,4 @@
-"""The command line as a process: what it says and with which exit code."""
+"""What the command line says, and with which exit code."""
 
 import json
 import os
@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from client.cli import app
 from services.rendering.plan import Plan
+from tests.unit.client.command_line import cli, process
 
 pytestmark = pytest.mark.slow
 
@@ -39,18 +40,6 @@ COMMANDS = [
     *(["keys", *rest] for rest in ([], ["create"], ["list"], ["revoke"])),
     *(["accuracy", *rest] for rest in ([], ["stability"], ["work-precision"])),
 ]
-
-
-def cli(*arguments: str, stdin: str = "", **environ: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "client", *arguments],
-        input=stdin,
-        capture_output=True,
-        text=True,
-        env=os.environ | environ,
-        check=False,
-        timeout=120,
-    )
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
@@ -95,7 +84,7 @@ def test_a_command_imports_nothing_heavy_that_it_does_not_need(arguments: str, h
 
 
 def test_version() -> None:
-    assert cli("--version").stdout.startswith("scene-attack 0.")
+    assert process("--version").stdout.startswith("scene-attack 0.")
 
 
 @pytest.mark.parametrize(
@@ -178,7 +167,7 @@ def test_a_device_that_is_not_there_is_named_before_anything_starts(command: str
     out = tmp_path / "out"
     data = {"SCENE_ATTACK_DATA": str(tmp_path / "data"), "SCENE_ATTACK_REDIS_URL": "redis://127.0.0.1:1"}
     arguments = command.format(out=out).split()
-    done = cli(*arguments, stdin=PLANNED % "1e-3", SCENE_ATTACK_DEVICE="cuda:99", **data)
+    done = process(*arguments, stdin=PLANNED % "1e-3", SCENE_ATTACK_DEVICE="cuda:99", **data)
     assert done.returncode == 2, done.stderr
     assert "SCENE_ATTACK_DEVICE=cuda:99: this machine has" in done.stderr
     assert "use auto or cpu" in done.stderr

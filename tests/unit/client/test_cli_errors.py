@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.unit.client.test_cli import cli
+from tests.unit.client.command_line import Done, cli, process
 
 pytestmark = pytest.mark.slow
 
@@ -26,7 +26,15 @@ def taken() -> Iterator[int]:
 
 def said(*arguments: str, **environ: str) -> tuple[int, str]:
     """The exit code, and what follows "scene-attack: " in the last line of stderr, which has no traceback."""
-    done = cli(*arguments, **environ)
+    return _said(cli(*arguments, **environ))
+
+
+def process_said(*arguments: str, **environ: str) -> tuple[int, str]:
+    """The same of a process: parts of a service change the process in which they start."""
+    return _said(process(*arguments, **environ))
+
+
+def _said(done: Done) -> tuple[int, str]:
     assert "Traceback" not in done.stderr
     assert done.stdout == ""
     return done.returncode, done.stderr.splitlines()[-1].removeprefix("scene-attack: ")
@@ -35,7 +43,7 @@ def said(*arguments: str, **environ: str) -> tuple[int, str]:
 @pytest.mark.parametrize("program", ["serve", "api"])
 def test_a_taken_port(program: str, taken: int, tmp_path: Path) -> None:
     redis = {"SCENE_ATTACK_REDIS_URL": "redis://127.0.0.1:1"}
-    code, text = said(program, "--port", str(taken), "--data", str(tmp_path), **redis)
+    code, text = process_said(program, "--port", str(taken), "--data", str(tmp_path), **redis)
     assert (code, text) == (
         2,
         f"bad input: --port: cannot listen on 127.0.0.1:{taken} (Address already in use); try --port 0",
@@ -46,14 +54,14 @@ def test_a_taken_port(program: str, taken: int, tmp_path: Path) -> None:
 def test_a_data_folder_that_cannot_be_made(program: str, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     redis = {"SCENE_ATTACK_REDIS_URL": "redis://127.0.0.1:1"}
-    code, text = said(program, "--data", str(tmp_path / "file"), **redis)
+    code, text = process_said(program, "--data", str(tmp_path / "file"), **redis)
     assert code == 2
     assert text.startswith(f"bad input: SCENE_ATTACK_DATA: the folder {tmp_path / 'file'} cannot be made")
 
 
 @pytest.mark.parametrize("program", ["api", "worker"])
 def test_no_redis_for_parts_of_the_service(program: str, tmp_path: Path) -> None:
-    code, text = said(program, "--data", str(tmp_path / "data"))
+    code, text = process_said(program, "--data", str(tmp_path / "data"))
     assert code == 2
     assert text.startswith("bad input: SCENE_ATTACK_REDIS_URL: is needed")
     assert not (tmp_path / "data").exists()
@@ -61,7 +69,9 @@ def test_no_redis_for_parts_of_the_service(program: str, tmp_path: Path) -> None
 
 @pytest.mark.parametrize("program", ["serve", "api", "worker"])
 def test_a_url_that_is_no_redis_is_not_shown_because_it_may_have_a_password(program: str, tmp_path: Path) -> None:
-    code, text = said(program, "--data", str(tmp_path / "data"), SCENE_ATTACK_REDIS_URL="http://:secret@redis:6379")
+    code, text = process_said(
+        program, "--data", str(tmp_path / "data"), SCENE_ATTACK_REDIS_URL="http://:secret@redis:6379"
+    )
     assert code == 2
     assert text.startswith("bad input: SCENE_ATTACK_REDIS_URL: must be a URL such as redis://")
     assert "secret" not in text
@@ -70,7 +80,7 @@ def test_a_url_that_is_no_redis_is_not_shown_because_it_may_have_a_password(prog
 @pytest.mark.parametrize("command", ["serve", "keys list"])
 def test_a_database_that_is_away(command: str, tmp_path: Path) -> None:
     url = "postgresql://alice:secret@127.0.0.1:1/scenes"
-    code, text = said(*command.split(), SCENE_ATTACK_DATABASE_URL=url, SCENE_ATTACK_DATA=str(tmp_path / "data"))
+    code, text = process_said(*command.split(), SCENE_ATTACK_DATABASE_URL=url, SCENE_ATTACK_DATA=str(tmp_path / "data"))
     assert code == 1
     assert text.startswith("the database does not answer")
     assert text.endswith("scene-attack doctor says what to do")
@@ -129,7 +139,7 @@ def test_a_host_that_does_not_exist() -> None:
 
 def test_a_redis_that_is_away(tmp_path: Path) -> None:
     url = "redis://:secret@127.0.0.1:1"
-    code, text = said("serve", "--port", "0", "--data", str(tmp_path), SCENE_ATTACK_REDIS_URL=url)
+    code, text = process_said("serve", "--port", "0", "--data", str(tmp_path), SCENE_ATTACK_REDIS_URL=url)
     assert code == 2
     assert text.startswith("bad input: SCENE_ATTACK_REDIS_URL: no Redis answers there (")
     assert text.endswith("start it, or unset the variable, and serve brings one")
@@ -194,6 +204,6 @@ def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
 def test_a_folder_of_a_network_that_is_left_out_is_named_where_it_is_asked_for(tmp_path: Path) -> None:
     (tmp_path / "mine/empty").mkdir(parents=True)
     targets = {"SCENE_ATTACK_TARGETS": str(tmp_path / "mine")}
-    assert "target left out: empty: card.json" in cli("targets", **targets).stderr
-    assert cli("plan", "no-such-file", **targets).stderr.startswith("scene-attack: bad input: SPEC: ")
-    assert "card.json" in cli("targets", "check", "empty", **targets).stderr
+    assert "target left out: empty: card.json" in process("targets", **targets).stderr
+    assert process("plan", "no-such-file", **targets).stderr.startswith("scene-attack: bad input: SPEC: ")
+    assert "card.json" in process("targets", "check", "empty", **targets).stderr
