@@ -1,7 +1,9 @@
+import os
 import secrets
 import subprocess
 import time
 from collections.abc import Iterator
+from typing import cast
 
 import pytest
 from redis import Redis
@@ -13,7 +15,28 @@ from tests import object_store, postgresql
 from tests.postgresql import Postgresql
 from worker.redis_server import EmbeddedRedis
 
+# Torch has one thread in every process of the tests: in this one, from when it is imported, in those that a test
+# starts, and in those that follow the setting. So the two processes of `scripts/test` do not fight for cores, and all
+# name the same backend, of which the number of threads is a part.
+for variable in ("OMP_NUM_THREADS", "SCENE_ATTACK_THREADS"):
+    os.environ.setdefault(variable, "1")
+
 set_up(Settings())
+
+SERVERS = {"postgresql_server", "redis_url", "s3_server"}
+"""Fixtures that start a server."""
+SERVED = {"postgresql", "S3"}
+"""Values of parameters for which a fixture asks for one of these by its name."""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Marks the tests that start a server as slow."""
+    for item in items:
+        function = cast("pytest.Function", item)
+        values = function.callspec.params.values() if hasattr(function, "callspec") else ()
+        if SERVERS & set(function.fixturenames) or any(value in SERVED for value in values if isinstance(value, str)):
+            item.add_marker(pytest.mark.slow)
 
 
 @pytest.fixture(scope="session")

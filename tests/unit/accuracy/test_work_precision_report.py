@@ -21,6 +21,7 @@ SHADOW = ShadowRow(
 )
 
 
+@pytest.mark.slow
 def test_the_report_says_everything(tmp_path: Path) -> None:
     tiny = dataclasses.replace(
         QUICK,

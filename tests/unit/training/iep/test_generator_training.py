@@ -8,6 +8,8 @@ from tests.unit.training.iep.conftest import Data
 from training.iep.generator_training import generator_step, right_programs
 from training.iep.loop import Schedule, TrainingLoop
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.usefixtures("one_thread")
 def test_the_generator_learns_the_programs_of_questions(simple: tuple[Data, Data], tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from tests.unit.training.iep.small import RECIPE, After, never, silent, stages
 from training.iep.export import check, write
 from training.iep.stages import Stages
 
-pytestmark = pytest.mark.usefixtures("one_thread")
+pytestmark = [pytest.mark.usefixtures("one_thread"), pytest.mark.slow]
 
 
 def test_a_training_that_ends_early_again_and_again_ends_in_the_same_bits(
