@@ -39,10 +39,10 @@ def attack(
     have their truth, or None for "0" to "K-1". `preprocessing` has the fields of
     services.targets.custom.card.Preprocessing: `input_size` (height and width, default 224×224), `mean`, `scale`,
     `resize`, `channels`. `scene` is the scene of a request and `spec` its other fields, such as `attack`, `goal` and
-    `seed`; docs/scene.md describes them. A `mesh` may be a path relative to the working directory, "./chair.obj". The
-    files of a job are written into the folder `out` if it is given; it may hold no other job's result. Meshes, device
-    and the like are those of the SCENE_ATTACK_ variables. Raises InvalidRequest, which names the field or the argument,
-    for anything that cannot run, and JobFailure for a run that fails.
+    `seed`; docs/reference/fields.md describes them. A `mesh` may be a path relative to the working directory,
+    "./chair.obj". The files of a job are written into the folder `out` if it is given; it may hold no other job's
+    result. Meshes, device and the like are those of the SCENE_ATTACK_ variables. Raises InvalidRequest, which names
+    the field or the argument, for anything that cannot run, and JobFailure for a run that fails.
     """
     from torch import nn
 

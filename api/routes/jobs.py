@@ -23,7 +23,9 @@ from services.pipeline.spec import JobSpec
 
 QueryText = Annotated[
     str | None,
-    Query(max_length=LONGEST_QUERY, description=f"which jobs to list, such as `{EXAMPLE}`; docs/api.md has the fields"),
+    Query(
+        max_length=LONGEST_QUERY, description=f"which jobs to list, such as `{EXAMPLE}`; docs/service.md has the terms"
+    ),
 ]
 Sort = Annotated[
     str, Query(pattern=SORT_PATTERN, description='what to sort by; with "-" before it the greatest or newest first')

@@ -2,7 +2,7 @@
 
 An attack is one file: it derives its settings from `AttackSettings`, writes its method as a class
 (services.attacks.method), and registers both with `@register(Settings)`. The request's union of attacks, the paths of
-errors, openapi.yaml and the tables in docs/scene.md follow from the registry. `services.attacks.limits` applies the
+errors, openapi.yaml and docs/reference/fields.md follow from the registry. `services.attacks.limits` applies the
 limits that are stated here.
 """
 

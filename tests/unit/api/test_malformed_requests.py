@@ -265,7 +265,7 @@ def test_bytes_that_are_hardly_http(client: Client, name: str) -> None:
         closed = status != 400 or closes(connection)
     head, _, body = said.partition(b"\r\n\r\n")
     assert int(head.split(b" ", 2)[1]) == status, said[:500]
-    # docs/api.md says so: the server below the application knows no problem documents.
+    # docs/service.md says so: the server below the application knows no problem documents.
     kind = {400: b"text/plain", 200: b"application/json"}.get(status, b"application/problem+json")
     assert b"\r\ncontent-type: " + kind in head
     assert body

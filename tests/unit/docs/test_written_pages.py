@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from api import openapi
 from benchmarks import gltf_page
 from benchmarks import page as benchmarks_page
 from benchmarks.study.pages import FOLDER, PAGES
@@ -37,10 +38,8 @@ WRITTEN: dict[str, tuple[str, Callable[[Path], str]]] = {
         "python -m client.commands_page > docs/reference/commands.md",
         lambda _: commands_page.page(),
     ),
-    "scene.md": (
-        "python -m services.pipeline.field_tables",
-        lambda _: field_tables.page((DOCS / "scene.md").read_text("utf-8")),
-    ),
+    "reference/fields.md": ("python -m services.pipeline.field_tables", lambda _: field_tables.page()),
+    "reference/api.md": ("python -m api.openapi page > docs/reference/api.md", lambda _: openapi.page()),
     "accuracy/stability.md": ("scene-attack accuracy stability", stability_page),
 } | {
     f"accuracy/work-precision.{kind}": (

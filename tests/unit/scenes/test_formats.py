@@ -1,4 +1,4 @@
-"""What is kept of each format, as the table of docs/meshes.md says it; and hostile files in XML and JSON."""
+"""What is kept of each format, as the table of docs/scene.md says it; and hostile files in XML and JSON."""
 
 import base64
 import io
@@ -15,7 +15,7 @@ from services.scenes.isolated_reading import reader
 from tests.unit.scenes.format_files import BOUND, MODEL, TEXTURED, dae, gltf, obj, off, ply, three_mf, zipped
 from tests.unit.scenes.mesh_files import MAX_FACES, extent
 
-PAGE = Path(__file__).parents[3] / "docs" / "meshes.md"
+PAGE = Path(__file__).parents[3] / "docs" / "scene.md"
 BASE = {"baseColorTexture": {"index": 0}}
 MTL = "newmtl a\nKd 1 0 0\n{}\nnewmtl b\nKd 0 0 1\n"
 BUMP = TEXTURED.replace("diffuse", "bump")
