@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.mitsuba_scenes import Image, interior, thing
 from benchmarks.report import RESULTS, save
 from client.settings import settings_to_run
 from services.rendering.color import to_display
@@ -33,7 +32,7 @@ from services.rendering.torch_renderer.renderer import TorchRenderer
 from services.scenes.clevr.description import describe
 from services.scenes.clevr.generator import generate
 from services.scenes.library import Library
-from services.scenes.resolve import ResolvedScene, resolve
+from services.scenes.resolve import PlacedMesh, ResolvedScene, resolve
 
 SCENES, SEED = 10, 7
 SAMPLES = {"layers": 16, "presets": 10}
@@ -74,7 +73,7 @@ def _requested(scene: ResolvedScene, number: int, directory: Path) -> dict[str, 
         "field_of_view": description.camera.field_of_view,
         "lights": [light.model_dump() for light in description.lights.points],
         "softness": description.shadows.softness,
-        "things": [thing(placed, directory / f"{number}-{k}.ply") for k, placed in enumerate(scene.placed)],
+        "things": [_thing(placed, directory / f"{number}-{k}.ply") for k, placed in enumerate(scene.placed)],
         "model": "layers",
         "samples": SAMPLES["layers"],
         "out": str(directory / f"points-{number}.npz"),
@@ -106,15 +105,15 @@ def _pyrender(scene: ResolvedScene, other: dict[str, Any]) -> dict[str, Any]:
     dark = scene.description.model_copy(update={"lights": lights})
     own = PyrenderRenderer(replace(scene, description=dark), tolerance="exact").radiance({})[0].double().numpy()
     apart = _shown(EXPOSURE * own[..., :3]) - _shown(EXPOSURE * other["radiance"])
-    return _means(scene, apart, interior(scene) & other["sharp"] & (own[..., 3] == 1))
+    return _means(scene, apart, _interior(scene) & other["sharp"] & (own[..., 3] == 1))
 
 
 def _torch(scene: ResolvedScene, other: dict[str, Any]) -> dict[str, Any]:
     own = TorchRenderer(scene, rasterise(scene), tolerance="exact").render({})[0].numpy()
-    return _means(scene, own - _shown(other["radiance"]), interior(scene))
+    return _means(scene, own - _shown(other["radiance"]), _interior(scene))
 
 
-def _means(scene: ResolvedScene, apart: Image, chosen: np.ndarray) -> dict[str, Any]:
+def _means(scene: ResolvedScene, apart: np.ndarray, chosen: np.ndarray) -> dict[str, Any]:
     owner = rasterise(scene).object_index.numpy()
     off, count = 255 * np.abs(apart).mean(axis=-1), len(scene.meshes)
     things = scene.description.objects
@@ -131,9 +130,40 @@ def _means(scene: ResolvedScene, apart: Image, chosen: np.ndarray) -> dict[str, 
     return found
 
 
-def _shown(radiance: Image) -> Image:
-    shown: Image = to_display(torch.as_tensor(radiance)).double().numpy()
-    return shown
+def _shown(radiance: np.ndarray) -> np.ndarray:
+    return to_display(torch.as_tensor(radiance)).double().numpy()
+
+
+def _interior(scene: ResolvedScene) -> np.ndarray:
+    """Pixels that show one object, like all of their eight neighbours; bool [H, W]."""
+    owner = rasterise(scene).object_index.numpy()
+    inside = np.zeros(owner.shape, bool)
+    blocks = np.lib.stride_tricks.sliding_window_view(owner, (3, 3))
+    inside[1:-1, 1:-1] = (blocks == owner[1:-1, 1:-1, None, None]).all(axis=(-2, -1)) & (owner[1:-1, 1:-1] >= 0)
+    return inside
+
+
+def _thing(placed: PlacedMesh, path: Path) -> dict[str, Any]:
+    """Writes a mesh in world space as a PLY file; returns what Mitsuba needs to know of it."""
+    [part] = placed.mesh.parts
+    turn, move = placed.model[:3, :3], placed.model[:3, 3]
+    vertices = part.vertices.astype(np.float64) @ turn.T + move
+    normals = part.normals.astype(np.float64) @ np.linalg.inv(turn)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(vertices)}\n"
+    header += "".join(f"property float {name}\n" for name in ("x", "y", "z", "nx", "ny", "nz"))
+    header += f"element face {len(part.faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    rows = np.zeros(len(part.faces), [("count", "u1"), ("corners", "<i4", 3)])
+    rows["count"], rows["corners"] = 3, part.faces
+    path.write_bytes(header.encode() + np.hstack([vertices, normals]).astype("<f4").tobytes() + rows.tobytes())
+    described = placed.described
+    return {
+        "file": str(path),
+        "color": described.color,
+        "metallic": described.metallic,
+        "roughness": described.roughness,
+        "preset": described.material,
+    }
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Draws scenes with Mitsuba 3, direct light only. benchmarks/mitsuba_scenes.py and mitsuba_clevr.py run it.
+"""Draws scenes with Mitsuba 3, direct light only. benchmarks/mitsuba_clevr.py runs it.
 
 Reads a list of scenes as JSON from standard input; for each, writes an .npz file with `radiance` [H, W, 3], linear. A
 scene is lit by the point lights `lights`, and then the file has `lit` bool [H, W], the pixels whose middle ray meets a
@@ -30,7 +30,7 @@ Surface = Callable[[dict[str, Any]], dict[str, Any]]
 
 
 def main() -> None:
-    """Draws the scenes; `benchmarks.mitsuba_scenes.mitsuba` writes the requests."""
+    """Draws the scenes; `benchmarks.mitsuba_clevr` writes the requests."""
     os.environ.setdefault("DRJIT_LIBLLVM_PATH", LLVM)
     reach()
     import drjit as dr
@@ -45,9 +45,8 @@ def main() -> None:
                 scene = mi.load_dict(_scene(mi, request, None, bsdf))
                 for seed in range(request["samples"]):
                     radiance = radiance + np.array(mi.render(scene, spp=MOST, seed=seed)) / request["samples"]
-        for light in request.get(
-            "lights", ()
-        ):  # each by itself: Mitsuba samples one of several at random, which is noise
+        # each light by itself: of several, Mitsuba samples one at random, which is noise
+        for light in request.get("lights", ()):
             for bsdf in MODELS[request["model"]]:
                 scene = mi.load_dict(_scene(mi, request, light, bsdf))
                 radiance = radiance + np.array(mi.render(scene, spp=request["samples"], seed=0))
@@ -92,11 +91,6 @@ def _preset_gloss(thing: dict[str, Any]) -> dict[str, Any]:
     return _gloss(thing | {"metallic": float(thing["preset"] == "metal"), "roughness": ALPHA[thing["preset"]] ** 0.5})
 
 
-def _principled(thing: dict[str, Any]) -> dict[str, Any]:
-    values = {"metallic": thing["metallic"], "roughness": thing["roughness"], "specular": 0.5}
-    return {"type": "principled", "base_color": _rgb(thing["color"])} | values
-
-
 def _body(thing: dict[str, Any]) -> dict[str, Any]:
     return {"type": "diffuse", "reflectance": _rgb([BODY * (1 - thing["metallic"]) * c for c in thing["color"]])}
 
@@ -115,13 +109,11 @@ def _rgb(color: list[float]) -> dict[str, Any]:
 AROUND = np.concatenate([np.eye(3), -np.eye(3), np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T / 3**0.5])
 """Points of a unit ball's surface."""
 MODELS: dict[str, list[Surface]] = {
-    "principled": [_principled],
     "layers": [_body, _gloss],
     "presets": [_preset_body, _preset_gloss],
 }
-"""The BSDFs whose images are added up. Either Disney's principled one of the same base colour, metallic and roughness,
-with 4 % at normal incidence; or a Lambertian body and a rough dielectric, and for metals a rough conductor; or the same
-of the torch renderer's presets matte, rubber and metal."""
+"""The BSDFs whose images are added up: a Lambertian body and a rough dielectric, and for metals a rough conductor; or
+the same of the torch renderer's presets matte, rubber and metal."""
 
 
 def _lit(mi: Any, scene: Any, request: dict[str, Any], position: Sequence[float]) -> np.ndarray:

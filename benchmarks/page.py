@@ -4,263 +4,176 @@ Run after any benchmark: python -m benchmarks.page
 """
 
 import json
-from collections.abc import Iterable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from benchmarks.report import RESULTS
+from services.accuracy.tables import table
 
 PAGE = Path(__file__).parents[1] / "docs" / "reports" / "benchmarks.md"
+INTRODUCTION = """# Benchmarks
 
-
-def page() -> str:
-    """The whole page as Markdown."""
-    sections = (_shading, _jobs, _image_attacks, _peer_attacks, _zoo, _differences, _surrogates, _questions)
-    return "\n\n".join(["# Benchmarks", INTRODUCTION, *(part for section in sections for part in section())]) + "\n"
-
-
-INTRODUCTION = """Each table is of one run of one command, after a warm-up: times are the shortest of several repeats
+Each table is of one run of one command, after a warm-up: times are the shortest of several repeats
 (of jobs the median), ratios are of numbers of the same run, side by side. `benchmarks/setup` installs the peers. Errors
 are of displayed values in [0,1]."""
 
+Row = dict[str, Any]
+Cell = Callable[[Row], str]
 
-def _result(name: str) -> dict[str, Any]:
-    loaded: dict[str, Any] = json.loads((RESULTS / f"{name}.json").read_text("utf-8"))
+
+@dataclass(frozen=True)
+class Rows:
+    """A table: the rows of a result, and what writes the cells of each column by its heading."""
+
+    of: Callable[[Row], list[Row]]
+    columns: dict[str, Cell]
+
+
+@dataclass(frozen=True)
+class Section:
+    """A result by its name, and what the page says of it: text with {fields} of the result, and tables."""
+
+    heading: str
+    result: str
+    parts: tuple[str | Rows, ...]
+
+    def lines(self) -> Iterator[str]:
+        """The paragraphs, the last of which is the provenance."""
+        result = load(self.result)
+        yield f"## {self.heading}"
+        for part in self.parts:
+            yield table(part.columns, part.of(result)) if isinstance(part, Rows) else part.format_map(result)
+        yield provenance(result)
+
+
+def load(name: str) -> Row:
+    """A committed result."""
+    loaded: Row = json.loads((RESULTS / f"{name}.json").read_text("utf-8"))
     return loaded
 
 
-def _table(columns: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
-    columns = list(columns)
-    rule = [":---", *("---:" for _ in columns[1:])]
-    return "\n".join("| " + " | ".join(cells) + " |" for cells in (columns, rule, *rows))
-
-
-def _foot(result: dict[str, Any]) -> str:
+def provenance(result: Row) -> str:
+    """The command, seed, backend, versions and machine of a result."""
     versions = ", ".join(f"{name} {number}" for name, number in result["versions"].items())
     seed = "" if result["seed"] is None else f", seed {result['seed']}"
     return f"<small>`{result['command']}`{seed}; {result['backend']}; {versions}; {result['machine']}</small>"
 
 
-def _shading() -> list[str]:
-    result = _result("shading")
-    rows = [
-        [
-            f"{row['method']}, {row['groups']}" + (f", {row['tolerance']}" if "tolerance" in row else ""),
-            f"{1e3 * row['seconds']:.0f}",
-            f"{row['times faster than chunked eager']:.3g}",
-            f"{row['max']:.1e}" if "max" in row else "",
-            f"{row['estimated']:.1e}" if "estimated" in row else "",
-        ]
-        for row in result["rows"]
-    ]
-    parts = [
-        "## Shading",
-        f"An image of {result['pixels']:,} object pixels at 448² under 512 directions, 3 lobes × RGB, and the "
-        "gradients of the attacked groups. *Chunked* and *one shot* are plain torch with autograd.",
-        _table(("way, attacked, tolerance", "ms", "× chunked", "error", "estimated"), rows),
-    ]
-    if result["mitsuba"]:
-        mitsuba = [
-            [
-                str(row["samples"]),
-                f"{1e3 * row['seconds']:.0f}",
-                f"{row['times slower than ours, all groups']:.3g}",
-                f"{row['rms']:.1e}",
-                f"{row['rms / ours']:.3g}",
-            ]
-            for row in result["mitsuba"]["rows"]
-        ]
-        parts += [
-            f"Mitsuba {result['mitsuba']['mitsuba']} on a problem of the same size, against its own of many samples:",
-            _table(("samples", "ms", "× ours, all groups", "RMS error", "× ours"), mitsuba),
-        ]
-    return [*parts, _foot(result)]
+def number(key: str, form: str, times: float = 1) -> Cell:
+    """A value of a row as text, multiplied by `times`; empty if the row lacks it."""
+    return lambda row: "" if row.get(key) is None else format(row[key] if times == 1 else times * row[key], form)
 
 
-def _jobs() -> list[str]:
-    result = _result("jobs")
-    rows = [
-        [
-            row["attack"],
-            f"{row['loop s']:.2f}",
-            f"{row['loop / network']:.2f}",
-            f"{row['job / network']:.2f}",
-            f"{row['peak MiB at 448²']:.0f}",
-        ]
-        for row in result["rows"]
-    ]
-    return [
-        "## FGSM jobs",
-        f"Jobs of {result['steps']} steps at 224², each step beside a forward and backward pass of EfficientNet-Lite0 "
-        "alone. Memory is the peak of a fresh process at 448².",
-        _table(("attacked", "loop s", "loop / network", "job / network", "MiB"), rows),
-        _foot(result),
-    ]
+def milliseconds(key: str = "seconds") -> Cell:
+    """Seconds of a row as milliseconds."""
+    return number(key, ".0f", 1e3)
 
 
-def _image_attacks() -> list[str]:
-    result = _result("image_attacks")
-    timing = [
-        [str(value) if not isinstance(value, float) else f"{value:.3g}" for value in row.values()]
-        for row in result["timing"]
-    ]
-    success = [
-        [str(value) if not isinstance(value, float) else f"{value:.3g}" for value in row.values()]
-        for row in result["success"]
-    ]
-    return [
-        "## Attacks on pixels",
-        result["about"].split("\n\n")[1].replace("\n", " "),
-        _table(result["timing"][0], timing),
-        _table(result["success"][0], success),
-        _foot(result),
-    ]
-
-
-def _peer_attacks() -> list[str]:
-    result = _result("peer_attacks")
-    used = result["settings"]
-    rows = [
-        [
-            row["attack"],
-            f"{row['fooled']} of {row['of']}",
-            f"{row['margin']:.2f}",
-            "" if row["queries"] is None else f"{row['queries']:.1f}",
-        ]
-        for row in result["rows"]
-    ]
-    return [
-        "## Attacks on pixels by several packages",
-        *(part.replace("\n", " ").strip() for part in result["about"].split("\n\n")[1:]),
-        f"ε is {used['epsilon']}/255, for Square {used['square epsilon']}/255; APGD takes {used['steps']} steps, "
-        f"Square at most {used['queries']} queries.",
-        _table(("attack", "fooled", "margin", "queries"), rows),
-        _foot(result),
-    ]
-
-
-def _zoo() -> list[str]:
-    result = _result("zoo_step")
-    rows = [
-        [
-            view["mesh"],
-            f"{view['faces']:,}",
-            f"{1e3 * view['seconds']['zoo_step']:.0f}",
-            *(
-                f"{view['ratios'][name]:.2f}"
-                for name in (
-                    "zoo_step / network_28",
-                    "loop_of_28 / zoo_step",
-                    "images_28_alone / images_28_shared",
-                    "frame / stock_pyrender_frame",
-                )
+SECTIONS = (
+    Section(
+        "Shading",
+        "shading",
+        (
+            "An image of {pixels:,} object pixels at 448² under 512 directions, 3 lobes × RGB, and the gradients of "
+            "the attacked groups. *Chunked* and *one shot* are plain torch with autograd.",
+            Rows(
+                lambda result: result["rows"],
+                {
+                    "way, attacked, tolerance": lambda row: ", ".join(
+                        str(row[key]) for key in ("method", "groups", "tolerance") if key in row
+                    ),
+                    "ms>": milliseconds(),
+                    "× chunked>": number("times faster than chunked eager", ".3g"),
+                    "error>": number("max", ".1e"),
+                    "estimated>": number("estimated", ".1e"),
+                },
             ),
-        ]
-        for view in result["views"]
-    ]
-    return [
-        "## A step of ZOO",
-        "Differences of all 14 coordinates on pyrender at 224², beside the network's batch of 28, and beside a loop "
-        "that renders a frame and asks the network one at a time; its 28 images beside OpenGL's one by one, and a "
-        "frame beside stock pyrender's.",
-        _table(
-            (
-                "mesh",
-                "faces",
-                "step ms",
-                "step / network",
-                "loop / step",
-                "OpenGL / images",
-                "frame / stock frame",
+            "Mitsuba {mitsuba[mitsuba]} on a problem of the same size, against its own of many samples:",
+            Rows(
+                lambda result: result["mitsuba"]["rows"],
+                {
+                    "samples>": number("samples", "d"),
+                    "ms>": milliseconds(),
+                    "× ours, all groups>": number("times slower than ours, all groups", ".3g"),
+                    "RMS error>": number("rms", ".1e"),
+                    "× ours>": number("rms / ours", ".3g"),
+                },
             ),
-            sorted(rows, key=lambda row: int(row[1].replace(",", ""))),
         ),
-        _foot(result),
-    ]
-
-
-def _differences() -> list[str]:
-    result = _result("image_differences")
-    rows = [
-        [
-            row["mesh"],
-            row["way"],
-            "yes" if row["verified"] else "no",
-            str(row["steps"]),
-            f"{row['queries']:,}",
-            f"{1e3 * row['p']:.0f}",
-            " → ".join(f"{value:.2f}" for value in row["advantage"]),
-            " → ".join(f"{row['objective'][key]:.2f}" for key in ("start", "lowest", "end")),
-            str(row["objective"]["step of lowest"]),
-        ]
-        for row in result["rows"]
-    ]
-    queries = result["queries"]
-    steps = ", ".join(f"{group} {1e3 * p:.1f}" for group, p in result["steps"].items())
-    return [
-        "## Gradients by differences of the image",
-        "Attacks on the paper's 14 parameters of pyrender at 224² without a limit U. *fgsm* takes the network's "
-        "gradient with respect to the image times differences of the image, *zoo* differences of the network's "
-        "objective; both with their defaults, and *zoo* with the paper's settings. The objective is stated at the "
-        "start, at its lowest and at the end.",
-        _table(
-            ("mesh", "attack", "verified", "steps", "queries", "p ×10⁻³", "advantage", "objective", "lowest at step"),
-            rows,
+    ),
+    Section(
+        "FGSM jobs",
+        "jobs",
+        (
+            "Jobs of {steps} steps at 224², each step beside a forward and backward pass of EfficientNet-Lite0 alone. "
+            "Memory is the peak of a fresh process at 448².",
+            Rows(
+                lambda result: result["rows"],
+                {
+                    "attacked": number("attack", ""),
+                    "loop s>": number("loop s", ".2f"),
+                    "loop / network>": number("loop / network", ".2f"),
+                    "job / network>": number("job / network", ".2f"),
+                    "MiB>": number("peak MiB at 448²", ".0f"),
+                },
+            ),
         ),
-        f"Of {queries['fooled by fgsm']} views that *fgsm* fools with {queries['queries of fgsm']:,} queries in all, "
-        f"*zoo* fools {queries['of these by zoo']} with {queries['queries of zoo']:,}, and "
-        f"{queries['within 10 times the queries']} within ten times the queries of *fgsm*. p of one step at random "
-        f"signs, ×10⁻³: {steps}.",
-        _foot(result),
-    ]
+    ),
+    Section(
+        "Attacks on pixels by several packages",
+        "peer_attacks",
+        (
+            "All attack the same images, which the network classifies correctly, with the same ε, step size and number "
+            "of steps, and without ending early; so what is compared is the method, not the loop around it. Every "
+            "adversary is rounded to 8 bits and classified by the same network: *fooled* counts those whose label is "
+            "not the right one any more, *margin* is the mean of the right label's score over the largest other, which "
+            "the methods lower. Ours see the rounded image inside the attack, the others the unrounded one. APGD and "
+            "Square begin at random; two seeds of one package show the noise. Square ends at the first success: "
+            "*queries* is the mean over all images, those that held counted with all their queries.",
+            "Foolbox's MI-FGSM for L∞ does not divide the gradients by their ℓ1 norm, which the paper (Dong et al. "
+            "2018, equation 6) does, so it is listed but not the same method. Foolbox has no APGD and no Square.",
+            "ε is {settings[epsilon]}/255, for Square {settings[square epsilon]}/255; APGD takes {settings[steps]} "
+            "steps, Square at most {settings[queries]} queries.",
+            Rows(
+                lambda result: result["rows"],
+                {
+                    "attack": number("attack", ""),
+                    "fooled>": lambda row: f"{row['fooled']} of {row['of']}",
+                    "margin>": number("margin", ".2f"),
+                    "queries>": number("queries", ".1f"),
+                },
+            ),
+        ),
+    ),
+    Section(
+        "A step of ZOO",
+        "zoo_step",
+        (
+            "Differences of all 14 coordinates on pyrender at 224², beside the network's batch of 28, and beside a "
+            "loop that renders a frame and asks the network one at a time; its 28 images beside OpenGL's one by one, "
+            "and a frame beside stock pyrender's.",
+            Rows(
+                lambda result: sorted(result["views"], key=lambda view: int(view["faces"])),
+                {
+                    "mesh": number("mesh", ""),
+                    "faces>": number("faces", ",d"),
+                    "step ms>": lambda row: milliseconds("zoo_step")(row["seconds"]),
+                    "step / network>": lambda row: number("zoo_step / network_28", ".2f")(row["ratios"]),
+                    "loop / step>": lambda row: number("loop_of_28 / zoo_step", ".2f")(row["ratios"]),
+                    "OpenGL / images>": lambda row: number("images_28_alone / images_28_shared", ".2f")(row["ratios"]),
+                    "frame / stock frame>": lambda row: number("frame / stock_pyrender_frame", ".2f")(row["ratios"]),
+                },
+            ),
+        ),
+    ),
+)
 
 
-def _surrogates() -> list[str]:
-    result = _result("surrogates")
-    rows = [
-        [
-            f"{row['target']}, {row['renderer']}, {row['surrogate'] or 'none'}",
-            f"{row['verified']} of {row['views']}",
-            f"{row['queries']:,}",
-            f"{row['fall']:.2f}",
-            "" if row["surrogate"] is None or row["without"] is None else f"{row['without']:.2f}",
-        ]
-        for row in result["summary"]
-    ]
-    return [
-        "## Queries that a surrogate saves",
-        f"p-rgf with {result['pairs']} random directions a step, a rate of {result['rate']:g} ε and at most "
-        f"{result['budget']} queries; on pixels ε is 8/255. Views are of models that neither furniture network was "
-        "trained on. *Queries* are the sum over all views, those that held counted with all of theirs. *Fall* is the "
-        "mean of the fall of the advantage. *Without* is the sum of the same search without a surrogate over this one: "
-        "a lower bound where that search held more often.",
-        _table(("target, renderer, surrogate", "verified", "queries", "fall", "without"), rows),
-        "Weights: " + ", ".join(f"{name} `{sha[:12]}`" for name, sha in result["weights"].items()) + ".",
-        _foot(result),
-    ]
-
-
-def _questions() -> list[str]:
-    result = _result("questions")
-    rows = [
-        [
-            row["case"],
-            f"{1e3 * row['seconds']['batch']:.0f}",
-            f"{1e3 * row['seconds']['one at a time']:.0f}",
-            f"{row['ratio']:.1f}",
-            f"{row['processor_ratio']:.1f}",
-            f"{row['largest_difference']:.1e}",
-        ]
-        for row in result["rows"]
-    ]
-    return [
-        "## Questions",
-        f"{result['questions']} questions of mixed programs, with {result['mean_nodes']:.1f} functions on average, to "
-        "IEP's network: as one batch and one at a time. The project accepts ratios of processor time from "
-        f"{result['least']:g} on. {result['note']}",
-        _table(("case", "batch ms", "one at a time ms", "ratio", "of processor time", "difference of scores"), rows),
-        _foot(result),
-    ]
+def page() -> str:
+    """The whole page as Markdown."""
+    return "\n\n".join([INTRODUCTION, *(line for section in SECTIONS for line in section.lines())]) + "\n"
 
 
 if __name__ == "__main__":

@@ -1,16 +1,6 @@
 """Compares FGSM, MI-FGSM, APGD and Square on pixels with Foolbox's and torchattacks'. Writes results/peer_attacks.json.
 
-All attack the same images, which the network classifies correctly, with the same ε, step size and number of steps, and
-without ending early; so what is compared is the method, not the loop around it. Every adversary is rounded to 8 bits
-and classified by the same network: `fooled` counts those whose label is not the right one any more, `margin` is the
-mean of the right label's score over the largest other, which the methods lower. Ours see the rounded image inside the
-attack, the others the unrounded one. APGD and Square begin at random, so ours and torchattacks' run with two seeds
-each: the difference between two seeds of one package is the noise. Square ends at the first success: `queries` is the
-mean over all images, those that held counted with all their queries.
-
-Foolbox's MI-FGSM for L∞ does not divide the gradients by their ℓ1 norm, which the paper (Dong et al. 2018, equation 6)
-does, so it is listed but not the same method. Foolbox has no APGD and no Square; auto-attack, where both come from, is
-not a published package, and torchattacks' are its code.
+docs/reports/benchmarks.md says what is compared, and how.
 """
 
 import argparse
@@ -212,19 +202,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     target, plain = registry.load("efficientnet-lite0"), Lite0(torch.channels_last)
     saved, labels, names = right_images(Library(settings.cache_dir, settings.data_dir), options.images)
     case = Case(saved, labels, options.epsilon / 255, target, plain)
-    rows = [row("none", case, saved)]
-    for name, images in one_step_and_momentum(case, 0.25 * case.epsilon, 8).items():
-        rows.append(row(name, case, images))
-        print(rows[-1], flush=True)
-    for name, images in apgd(case, options.steps).items():
-        rows.append(row(name, case, images))
-        print(rows[-1], flush=True)
     wide = replace(case, epsilon=options.square_epsilon / 255)
+    attacked = one_step_and_momentum(case, 0.25 * case.epsilon, 8) | apgd(case, options.steps)
+    rows = [row("none", case, saved)]
+    for name, images in attacked.items():
+        rows.append(row(name, case, images))
     for who, square in (("ours", our_square), ("torchattacks", torchattacks_square)):
         for seed in SEEDS:
-            images, queries = square(wide, options.queries, seed)
-            rows.append(row(f"Square, {who}, seed {seed}", wide, images, queries))
-            print(rows[-1], flush=True)
+            rows.append(row(f"Square, {who}, seed {seed}", wide, *square(wide, options.queries, seed)))
     save(
         options.out, __doc__ or "", target.backend, SEEDS[0], rows=rows, views=names,
         settings={"epsilon": options.epsilon, "steps": options.steps, "square epsilon": options.square_epsilon,

@@ -3,10 +3,10 @@ results/zoo_step.json.
 
 For each view it measures in turn: the network's pass over 28 images; our step (both sides of 14 differences rendered
 and classified, and the move); the same step as a loop that renders and classifies 28 images one by one (as 3DB does);
-the 28 images alone, with shared stages and one by one; a frame of ours, the pass over the geometry alone (one pixel
-read), and a frame of pyrender's own renderer (8 bits, its own shading). It runs with the allocator settings of a job's
+the 28 images alone, with shared stages and one by one; a frame of ours, and a frame of pyrender's own renderer (8 bits,
+its own shading). It runs with the allocator settings of a job's
 process. Seconds are the shortest of the rounds, and ratios are medians over the rounds, because the speed of a shared
-machine changes from second to second. Times are given by the clock and by the processor.
+machine changes from second to second.
 """
 
 import argparse
@@ -19,8 +19,6 @@ from statistics import median
 
 import numpy as np
 import torch
-from rich.console import Console
-from rich.table import Table
 
 from benchmarks.report import RESULTS, save
 from benchmarks.views import right
@@ -31,10 +29,7 @@ from services.jobs.child import ALLOCATOR
 from services.pipeline.prepare import prepare
 from services.pipeline.spec import parse
 from services.rendering.opengl import context
-from services.rendering.pyrender_renderer.parameters import SceneParameters
 from services.rendering.pyrender_renderer.planner import both_sides
-from services.rendering.pyrender_renderer.rasteriser import SAMPLES
-from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.scenes.library import Library
 from services.scenes.resolve import ResolvedScene
 
@@ -56,7 +51,6 @@ def main() -> None:
     torch.set_num_threads(settings.threads)
     library = Library(settings.cache_dir, settings.data_dir)
     rows = [_measure(library, mesh, label, options.repeats) for mesh, label in right(library, options.views)]
-    _show(rows)
     backend = f"{context.gl_backend()}; torch {torch.__version__} {torch.get_num_threads()} threads"
     save(options.out, str(__doc__).split("\n\n")[0], backend, SEED, limit=LIMIT, allocator=ALLOCATOR, views=rows)
 
@@ -88,7 +82,6 @@ def _measure(library: Library, mesh: str, label: str, repeats: int) -> dict[str,
                 "images_28_shared": lambda: renderer.render(sides),
                 "images_28_alone": lambda: exact.render(sides),
                 "frame": lambda: renderer.render(start),
-                "bare_pass": _bare(renderer, ready.scene),
                 "stock_pyrender_frame": _stock(ready.scene),
             },
             repeats,
@@ -97,56 +90,28 @@ def _measure(library: Library, mesh: str, label: str, repeats: int) -> dict[str,
         "zoo_step / network_28": ("zoo_step", "network_28"),
         "loop_of_28 / zoo_step": ("loop_of_28", "zoo_step"),
         "images_28_alone / images_28_shared": ("images_28_alone", "images_28_shared"),
-        "frame / bare_pass": ("frame", "bare_pass"),
         "frame / stock_pyrender_frame": ("frame", "stock_pyrender_frame"),
     }
     return {
         "mesh": mesh,
         "faces": sum(m.triangles for m in ready.scene.meshes),
-        "seconds": {name: min(clock for clock, _ in runs) for name, runs in times.items()},
-        "processor_seconds": {name: min(processor for _, processor in runs) for name, runs in times.items()},
-        "ratios": {name: _ratio(times[a], times[b], 0) for name, (a, b) in ratios.items()},
-        "processor_ratios": {name: _ratio(times[a], times[b], 1) for name, (a, b) in ratios.items()},
+        "seconds": {name: min(runs) for name, runs in times.items()},
+        "ratios": {
+            name: median(one / other for one, other in zip(times[a], times[b], strict=True))
+            for name, (a, b) in ratios.items()
+        },
     }
 
 
-def _in_turn(works: dict[str, Callable[[], object]], rounds: int) -> dict[str, list[tuple[float, float]]]:
-    """Seconds of each work's runs by clock and by processor; they take turns, after a round that warms up."""
-    took: dict[str, list[tuple[float, float]]] = {name: [] for name in works}
+def _in_turn(works: dict[str, Callable[[], object]], rounds: int) -> dict[str, list[float]]:
+    """Seconds of each work's runs; they take turns, after a round that warms up."""
+    took: dict[str, list[float]] = {name: [] for name in works}
     for _ in range(rounds + 1):
         for name, work in works.items():
-            clock, processor = time.perf_counter(), time.process_time()
+            began = time.perf_counter()
             work()
-            took[name].append((time.perf_counter() - clock, time.process_time() - processor))
+            took[name].append(time.perf_counter() - began)
     return {name: runs[1:] for name, runs in took.items()}
-
-
-def _ratio(ones: list[tuple[float, float]], others: list[tuple[float, float]], kind: int) -> float:
-    return median(one[kind] / other[kind] for one, other in zip(ones, others, strict=True))
-
-
-def _bare(renderer: PyrenderRenderer, scene: ResolvedScene) -> Callable[[], object]:
-    """The pass over the geometry of the start, all faces, of which one pixel is read so that it has happened."""
-    values = SceneParameters(scene)
-    start = values.checked({})
-    view = values.view(start["camera"][0])
-    poses = values.poses(start["translation"][0], start["rotation"][0])
-    lit = values.lit(start["illumination"], start["color"], view, poses, (0, 1, 0, 1))
-    return lambda: context.current().renderer.draw(
-        renderer.drawing,
-        "radiance.frag",
-        lit.view,
-        lit.poses,
-        lit.colors,
-        lit.uniforms,
-        {},
-        size=renderer.size,
-        samples=SAMPLES,
-        outputs=1,
-        blend=True,
-        lights=lit.light_counts,
-        rectangle=lit.part,
-    )
 
 
 def _stock(scene: ResolvedScene) -> Callable[[], object]:
@@ -174,18 +139,6 @@ def _stock(scene: ResolvedScene) -> Callable[[], object]:
     context.current()
     renderer = pyrender.Renderer(width, height)
     return lambda: renderer.render(stock, pyrender.RenderFlags.OFFSCREEN)
-
-
-def _show(rows: list[dict[str, object]]) -> None:
-    console = Console()
-    for kind in ("ratios", "processor_ratios"):
-        table = Table(title=f"{kind.replace('_', ' ')} ({SAMPLES} samples)")
-        names = list(rows[0][kind])  # type: ignore[call-overload]
-        for name in ("view", "faces", *names):
-            table.add_column(name)
-        for row in rows:
-            table.add_row(str(row["mesh"]), str(row["faces"]), *(f"{row[kind][name]:.2f}" for name in names))  # type: ignore[index]
-        console.print(table)
 
 
 if __name__ == "__main__":

@@ -59,8 +59,7 @@ def quantize(images: Tensor) -> tuple[Tensor, Tensor]:
     """Rounds images in [0,1], of any shape, to 8 bits. Returns them as uint8 and as k/255 in float32.
 
     The derivative of the float32 result is that of the unrounded images (a straight-through derivative), so one pass of
-    the network gives both the verdict on the saved image and the gradient. benchmarks/rounded_gradient.py compares
-    this gradient with the unrounded image's.
+    the network gives both the verdict on the saved image and the gradient.
     """
     result: tuple[Tensor, Tensor] = _Quantize.apply(images)  # type: ignore[no-untyped-call]
     return result

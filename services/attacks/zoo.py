@@ -28,7 +28,7 @@ noise. Through a renderer without gradients `measured` has a λ and learning rat
 WEIGHT = 1e-3
 """λ of `measured` through a renderer without gradients. There objects move, and with the paper's 0.1 the objective
 rises: Adam moves every coordinate by its rate, silhouettes with it, and λ times the sum of squares outweighs what that
-gains. Of three views it was above its start after 40 steps on all (benchmarks/image_differences.py)."""
+gains."""
 RATE = 2e-3
 """Adam's learning rate there for a group whose renderer suggests no step: the paper's."""
 SPEED = 10

@@ -4,8 +4,8 @@ With one object and one point light, those that are attacked by default are the 
 
 The suggested steps are 0.005 of a light or a colour, 0.0005 scene units and 0.001 radians. A step of all coordinates
 of a group at random signs changes an image of 224² by a perceptibility p of about 1e-3 (illumination), 2e-4 (color) and
-6e-3 to 1e-2 (translation, rotation, camera), as benchmarks/image_differences.py measures. Light and colour change an
-image smoothly and may take longer steps than what moves silhouettes, whose p grows with the root of the step.
+6e-3 to 1e-2 (translation, rotation, camera). Light and colour change an image smoothly and may take
+longer steps than what moves silhouettes, whose p grows with the root of the step.
 """
 
 from services.rendering.declaration import Declaration, Group, labelled, register

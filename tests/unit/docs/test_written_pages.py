@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from api import openapi
-from benchmarks import gltf_page
+from benchmarks import gltf_materials
 from benchmarks import page as benchmarks_page
 from benchmarks.study.pages import FOLDER, PAGES
 from client import commands_page
@@ -33,7 +33,7 @@ def stability_page(_: Path) -> str:
 
 WRITTEN: dict[str, tuple[str, Callable[[Path], str]]] = {
     "reports/benchmarks.md": ("python -m benchmarks.page", lambda _: benchmarks_page.page()),
-    "reports/gltf.md": ("python -m benchmarks.gltf_materials", lambda _: gltf_page.page()),
+    "reports/gltf.md": ("python -m benchmarks.gltf_materials", lambda _: gltf_materials.page()),
     "reference/commands.md": (
         "python -m client.commands_page > docs/reference/commands.md",
         lambda _: commands_page.page(),

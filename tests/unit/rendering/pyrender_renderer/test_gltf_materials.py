@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.gltf_materials import LIMIT, View, difference, ours, stock
+from benchmarks.gltf_materials import LIMIT, REASONS, View, difference, ours, stock
 from benchmarks.gltf_models import MODELS, Writer, checks
-from benchmarks.gltf_page import REASONS
 from services.rendering.opengl.gbuffer import rasterise
 from services.rendering.pyrender_renderer.renderer import PyrenderRenderer
 from services.rendering.torch_renderer.renderer import TorchRenderer
