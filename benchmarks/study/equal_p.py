@@ -7,7 +7,7 @@ exact image, is within the limit. All attacks of a network have the same views a
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from benchmarks.study.chart import Panel, Series, figure
+from benchmarks.study.curves import Panel, Series, figure
 from benchmarks.study.record import Job, Record
 from benchmarks.study.tables import NONE, OF, markdown, title
 from services.analysis.campaign_table import Corners, Rate, corners, share_at

@@ -38,7 +38,7 @@ class Asked(_Record):
     """Whether the answer after the attack is of the kind that is asked for."""
     outcome: str | None = None
     first: int | None = None
-    """The number of the function that was fooled first (benchmarks.study.fooled_first); None if it was not fooled."""
+    """The number of the function that was fooled first (benchmarks.study.recording); None if it was not fooled."""
 
     @property
     def fooled(self) -> bool:

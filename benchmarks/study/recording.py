@@ -1,30 +1,53 @@
-"""Makes the record of a campaign out of the folder that `scene-attack campaign run` wrote."""
+"""Makes the record of a campaign out of the folder that `scene-attack campaign run` wrote.
+
+Of a question it says which module of the network the attack fooled first, by what the modules attend to. A module's
+result is read as objects. An object is in a set if the mask at the cell of its centre is at least HALF; it has left or
+joined the set if the mask passed HALF and changed by more than LEAST, so that a mask that hovers there is no change.
+The module `unique` picks the object with the largest mask. The first module whose objects changed is the one that was
+fooled first: those before it see what they saw. Counts, queries and comparisons attend to nothing. If no set and no
+object changed, the end of the program was fooled: its last function, with the counts or queries that it compares.
+"""
+
+from __future__ import annotations
 
 import json
 import platform
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from benchmarks.study.asked import asked
-from benchmarks.study.record import Job, Record, Views
+from safetensors.torch import load_file
+
+from benchmarks.study.record import Asked, Job, Record, Views
 from services.analysis.campaign_table import CURVES, MeanCurves
-from services.pipeline.campaign_plan import (
-    CampaignResult,
-    FirstAnswer,
-    PlannedJob,
-    View,
-    case_of,
-    plan,
-    views,
-)
+from services.pipeline.campaign_plan import CampaignResult, FirstAnswer, PlannedJob, View, case_of, plan, views
 from services.pipeline.campaign_spec import CampaignSpec
+from services.pipeline.described import can_carry, described
+from services.pipeline.perturbation_file import PERTURBATION
+from services.pipeline.question_record import ATTENTION, QuestionResult
 from services.pipeline.result import Result
 from services.pipeline.spec import JobSpec
+from services.questions.answers import kind_asked
+from services.questions.program import Program
+from services.questions.records import QuestionRecord
+from services.questions.templates.families import FAMILIES
+from services.scenes.clevr.description import record_after
+from services.scenes.clevr.records import SceneRecord
+from training.iep.examples import ObjectTruth
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 DIGITS = 12
 """Hexadecimal digits kept of a SHA-256: enough to find a request or a scene again."""
 CURVE_DIGITS = 4
 """Significant digits of the mean curves."""
+CONFIDENCE_DIGITS = 5
+"""Significant digits of confidences."""
+HALF = 0.5
+"""Between 1, for which masks are trained at the cell of a member's centre, and 0 at other cells."""
+LEAST = 0.25
+"""Half of the way from HALF to either end."""
 
 
 def of_folder(folder: Path) -> Record:
@@ -159,3 +182,90 @@ def _rounded(curves: MeanCurves) -> MeanCurves:
 
 def _short(value: float | None, digits: int = 5) -> Any:
     return None if value is None else float(f"{value:.{digits}g}")
+
+
+def asked(questions: Sequence[QuestionRecord], result: Result | None, folder: Path) -> tuple[Asked, ...]:
+    """Returns the records of a job's questions. `folder` has its files; `result` is None if it failed.
+
+    Raises ValueError if the network had another program than that of a question.
+    """
+    found = []
+    for number, question in enumerate(questions):
+        program, family, right = question.program, question.question_family_index, question.answer
+        if program is None or family is None or right is None:
+            raise ValueError(f"{question.question!r} has no program, family or answer")
+        about = Asked(
+            text=question.question,
+            family=FAMILIES[family].kind,
+            kind=kind_asked(program),
+            functions=tuple(node.function for node in program.nodes),
+            right=right,
+        )
+        if result is not None:
+            about = _answered(about, program, result.questions[number])
+            if about.fooled:
+                about = about.model_copy(update={"first": _first(number, program, result, folder)})
+        found.append(about)
+    return tuple(found)
+
+
+def _answered(about: Asked, program: Program, came: QuestionResult) -> Asked:
+    if came.program != program.written() or came.right != about.right:
+        raise ValueError(f"{about.text!r}: the result is of another program or truth")
+    return about.model_copy(
+        update={
+            "right_after": came.right_after,
+            "before": came.before.label,
+            "before_confidence": float(f"{came.before.confidence:.{CONFIDENCE_DIGITS}g}"),
+            "after": came.after.label,
+            "after_confidence": float(f"{came.after.confidence:.{CONFIDENCE_DIGITS}g}"),
+            "of_kind": came.after_of_kind,
+            "outcome": came.outcome,
+        }
+    )
+
+
+def _first(number: int, program: Program, result: Result, folder: Path) -> int:
+    spec = JobSpec.model_validate(result.spec)
+    assert spec.record is not None
+    masks = load_file(folder / ATTENTION)
+    nodes = [int(node) for question, node, when in (key.split(".") for key in masks) if question == str(number)]
+    before, after = ({node: masks[f"{number}.{node}.{when}"] for node in nodes} for when in ("before", "after"))
+    return fooled_first(program, before, after, _cells(spec.record), _cells(_attacked(spec, folder)))
+
+
+def _cells(record: SceneRecord) -> list[int]:
+    return [ObjectTruth.of(one).cell for one in record.objects]
+
+
+def _attacked(spec: JobSpec, folder: Path) -> SceneRecord:
+    assert spec.record is not None
+    moved = load_file(folder / PERTURBATION)
+    if not can_carry(spec.attack.renderer, tuple(moved)):
+        return spec.record
+    scene, _, _ = described(spec.scene, spec.attack.renderer, moved)
+    return record_after(spec.record, scene)
+
+
+def fooled_first(
+    program: Program,
+    before: Mapping[int, Tensor],
+    after: Mapping[int, Tensor],
+    cells_before: Sequence[int],
+    cells_after: Sequence[int],
+) -> int:
+    """Returns the number of the function that was fooled first; the last one if no mask says otherwise.
+
+    before and after: what functions attend to, by number, masks [h, w] in [0,1]. cells: the number of each object's
+    cell, row by row, before and after the attack, which may have moved it.
+    """
+    for number in sorted(before):
+        old = before[number].flatten()[list(cells_before)]
+        new = after[number].flatten()[list(cells_after)]
+        if program.types[number] == "object":
+            changed = bool(old.argmax() != new.argmax())
+        else:
+            changed = bool((((old >= HALF) != (new >= HALF)) & ((new - old).abs() > LEAST)).any())
+        if changed:
+            return number
+    return len(program.nodes) - 1

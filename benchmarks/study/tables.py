@@ -1,14 +1,19 @@
-"""The tables of the study: our rows beside the paper's, in the paper's layout."""
+"""The tables of the study: our rows beside the paper's, in the paper's layout; why attacks on the scene succeed or
+fail; and what was asked, by family and by kind of answer, with the modules that were fooled first.
+"""
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from statistics import median_low
-from typing import Any
+from typing import Any, get_args
 
-from benchmarks.study.record import Record
+from benchmarks.study.record import Asked, Job, Record
 from services.analysis.campaign_table import Cell, Rate, share_at
+from services.questions.answers import KINDS, kind_of
+from services.questions.templates.families import Kind
 
 TITLES = {
     "alexnet-furniture": "AlexNet",
@@ -234,3 +239,192 @@ def _percent(rate: float | None) -> str:
 def milli(value: float | None) -> str:
     """A p in thousandths, as in all tables."""
     return NONE if value is None else f"{1000 * value:.1f}"
+
+
+GROUPS = {
+    "scene": "scene",
+    "filter": "filter",
+    "unique": "unique",
+    "relate": "relate",
+    "same": "same",
+    "union": "or",
+    "intersect": "and",
+    "count": "count",
+    "exist": "exist",
+    "query": "query",
+    "equal_integer": "compare integers",
+    "less": "compare integers",
+    "greater": "compare integers",
+    "equal": "compare attributes",
+}
+"""Names of the groups of functions, in the order of a program, by how the functions' names begin."""
+
+
+def group(function: str) -> str:
+    """Returns the group of a function, such as "filter" of "filter_color"."""
+    return GROUPS.get(function) or GROUPS[function.partition("_")[0]]
+
+
+LONGEST = (6, 12)
+"""Lengths of programs, in functions, that end a row."""
+SHOWN = 6
+"""Answers of another kind that are listed."""
+
+
+def alone(record: Record) -> list[Job]:
+    """Returns the jobs with one question, which the network had right."""
+    return [job for job in record.jobs if job.right and len(job.questions) == 1]
+
+
+def attacks(record: Record) -> list[str]:
+    """Returns the attacks of these jobs, in the order of the campaign."""
+    return list(dict.fromkeys(job.attack for job in alone(record)))
+
+
+def by_question(record: Record) -> str:
+    """Success by kind of family, by kind of the answer, and by length of the program: a row for each that was asked."""
+    rows = []
+    for heading, of, values in (
+        ("family", lambda one: one.family, get_args(Kind)),
+        ("answer", lambda one: one.kind, tuple(KINDS)),
+        ("functions", lambda one: _length(len(one.functions)), tuple(map(_length, (*LONGEST, LONGEST[-1] + 1)))),
+    ):
+        block = [_asked_row(record, value, of) for value in values]
+        block = [cells for cells in block if any(cell != NONE for cell in cells[1:])]
+        rows += [[f"**{heading}**" if number == 0 else "", *cells] for number, cells in enumerate(block)]
+    return markdown(("", "", *attacks(record)), rows, texts=2)
+
+
+def left_kind(record: Record) -> str:
+    """How often a wrong answer after an attack is of another kind than is asked for, and some of these answers."""
+    rows, said = [], []
+    for attack in attacks(record):
+        fooled = [job.questions[0] for job in alone(record) if job.attack == attack and job.success]
+        left = [one for one in fooled if one.of_kind is False]
+        to = Counter(kind_of(one.after) for one in left if one.after is not None)
+        rows.append(
+            [attack, str(len(fooled)), str(len(left)), ", ".join(f"{kind} {n}" for kind, n in to.most_common()) or NONE]
+        )
+        said += [f"- {attack}: “{one.text}” {one.right}, then **{one.after}**" for one in left]
+    table = markdown(("attack", "fooled", "of another kind", "which"), rows)
+    return "\n\n".join([table, "\n".join(said[:SHOWN])]) if said else table
+
+
+def fooled_first(record: Record) -> str:
+    """Of the fooled questions whose program has a group of functions, those in which one of it was fooled first."""
+    rows = []
+    columns = {
+        attack: [job.questions[0] for job in alone(record) if job.attack == attack and job.success]
+        for attack in attacks(record)
+    }
+    for name in dict.fromkeys(GROUPS.values()):
+        cells = [_first(name, fooled) for fooled in columns.values()]
+        if any(cell != NONE for cell in cells):
+            rows.append([name, *cells])
+    return markdown(("module", *columns), rows)
+
+
+def _first(name: str, fooled: Sequence[Asked]) -> str:
+    having = [one for one in fooled if name in map(group, one.functions)]
+    first = [one for one in having if one.first is not None and group(one.functions[one.first]) == name]
+    return f"{len(first)}{OF}{len(having)}" if having else NONE
+
+
+def _asked_row(record: Record, value: str, of: Callable[[Asked], str]) -> list[str]:
+    cells = []
+    for attack in attacks(record):
+        own = [job for job in alone(record) if job.attack == attack and of(job.questions[0]) == value]
+        cells.append(f"{sum(job.success for job in own)}{OF}{len(own)}" if own else NONE)
+    return [value.replace("_", " "), *cells]
+
+
+def _length(functions: int) -> str:
+    low = 1
+    for high in LONGEST:
+        if functions <= high:
+            return f"{low}–{high}"
+        low = high + 1
+    return f"{low} and more"
+
+
+COLUMNS = ("normals", "combined")
+"""The columns of the first table by which the paper fools most views, of those that attack the scene."""
+RANGES = ((0.0, 0.10), (0.10, 0.15), (0.15, 0.20), (0.20, 1.01))
+"""Ranges of covered shares, each without its upper edge."""
+ENOUGH = RANGES[0][1]
+"""A share of the image from which on the successes are stated once more."""
+
+
+def by_coverage(records: Sequence[Record]) -> str:
+    """For each network and each range of covered shares: views, successes, and how far the others were pushed."""
+    rows, sums = [], []
+    for record in records:
+        for target in record.table().targets:
+            jobs = [job for job in record.jobs if job.target == target and job.attack in COLUMNS and job.share]
+            ranges = {(low, high): [job for job in jobs if low <= (job.share or 0.0) < high] for low, high in RANGES}
+            found = [[_range(low, high), *_covered_row(own)] for (low, high), own in ranges.items() if own]
+            rows += [[f"**{title(target)}**" if number == 0 else "", *row] for number, row in enumerate(found)]
+            broad = [job for job in jobs if (job.share or 0.0) >= ENOUGH]
+            if broad:
+                sums.append(f"{title(target)} {' and '.join(f'{_rate(broad, name)} by {name}' for name in COLUMNS)}")
+    if not rows:
+        return NONE
+    heads = ("network", "covered", "held", "views", *COLUMNS, "truncated")
+    said = f"Of the views with at least {100 * ENOUGH:.0f} % covered are fooled: {'; '.join(sums)}."
+    return f"{markdown(heads, rows, texts=3)}\n\n{said}"
+
+
+def by_confidence(records: Sequence[Record]) -> str:
+    """For each network and attack: the confidence before the attack and p, of the fooled and of the held views."""
+    rows = []
+    for record in records:
+        table = record.table()
+        for target in table.targets:
+            for number, attack in enumerate(table.attacks):
+                jobs = [job for job in record.jobs if (job.target, job.attack) == (target, attack) and job.right]
+                fooled, held = ([job for job in jobs if job.success is which] for which in (True, False))
+                cells = [cell for own in (fooled, held) for cell in (str(len(own)), _sure(own), _far(own))]
+                rows.append([f"**{title(target)}**" if number == 0 else "", attack, *cells])
+    heads = ("network", "attack", "fooled", "confidence", "p", "held", "confidence", "p")
+    return markdown(heads, rows, texts=2)
+
+
+def _range(low: float, high: float) -> str:
+    if low == 0.0:
+        return f"below {100 * high:.0f} %"
+    return f"{100 * low:.0f}–{100 * high:.0f} %" if high <= 1 else f"{100 * low:.0f} % and more"
+
+
+def _covered_row(jobs: Sequence[Job]) -> list[str]:
+    held = [job for job in jobs if not job.success]
+    names = sorted({job.mesh.rpartition("/")[2] for job in held})
+    counts = [_count([job for job in jobs if job.attack == name]) for name in COLUMNS]
+    return [", ".join(names) or NONE, str(len({job.scene for job in jobs})), *counts, _pushed(held)]
+
+
+def _count(jobs: Sequence[Job]) -> str:
+    return f"{sum(job.success for job in jobs)}{OF}{len(jobs)}" if jobs else NONE
+
+
+def _rate(jobs: Sequence[Job], attack: str) -> str:
+    own = [job for job in jobs if job.attack == attack]
+    return f"{100 * sum(job.success for job in own) / len(own):.1f} %" if own else NONE
+
+
+def _pushed(held: Sequence[Job]) -> str:
+    """Of the views that held, the share of covered pixels with a value beyond U in some step: the median."""
+    return _middle((job.truncated or 0) / (job.covered or 1) for job in held)
+
+
+def _sure(jobs: Sequence[Job]) -> str:
+    return _middle(job.before_confidence for job in jobs)
+
+
+def _far(jobs: Sequence[Job]) -> str:
+    values = [job.p for job in jobs if job.p is not None]
+    return milli(median_low(values) if values else None)
+
+
+def _middle(shares: Iterable[float]) -> str:
+    found = list(shares)
+    return f"{100 * median_low(found):.0f}\u00a0%" if found else NONE

@@ -5,7 +5,8 @@ from typing import Any
 import pytest
 import torch
 
-from benchmarks.study.fooled_first import fooled_first, group
+from benchmarks.study.recording import fooled_first
+from benchmarks.study.tables import group
 from services.questions.functions import FUNCTIONS
 from tests.unit.targets.iep.seeded import program
 

@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from benchmarks.study import question_tables
+from benchmarks.study import tables
+from benchmarks.study.pages import VQA
 from benchmarks.study.record import Asked, Record, load, save
 from benchmarks.study.recording import of_folder
-from benchmarks.study.vqa import VQA
 from services.pipeline.campaign_plan import write
 from services.pipeline.campaign_run import run_campaign
 from services.pipeline.campaign_spec import parse
@@ -67,7 +67,7 @@ def cells(table: str) -> list[list[str]]:
 
 
 def test_success_by_what_was_asked(record: Record) -> None:
-    assert cells(question_tables.by_question(record)) == [
+    assert cells(tables.by_question(record)) == [
         ["**family**", "zero hop", "2 of 2"],
         ["", "two hop", "1 of 2"],
         ["**answer**", "shape", "3 of 4"],
@@ -77,13 +77,13 @@ def test_success_by_what_was_asked(record: Record) -> None:
 
 
 def test_answers_that_left_their_kind_are_counted_and_named(record: Record) -> None:
-    text = question_tables.left_kind(record)
+    text = tables.left_kind(record)
     assert cells(text) == [["normals", "3", "2", "boolean 2"]]
     assert text.count("“What shape is it?” cube, then **no**") == 2
 
 
 def test_the_module_that_was_fooled_first_is_counted_of_the_programs_that_have_it(record: Record) -> None:
-    assert cells(question_tables.fooled_first(record)) == [
+    assert cells(tables.fooled_first(record)) == [
         ["scene", "0 of 3"],
         ["filter", "1 of 3"],
         ["unique", "1 of 3"],

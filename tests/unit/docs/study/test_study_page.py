@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.study import equal_p, reasons, tables
-from benchmarks.study.classification import CLASSIFICATION
+from benchmarks.study import equal_p, tables
+from benchmarks.study.pages import CLASSIFICATION
 from benchmarks.study.record import load
 from services.pipeline.campaign_spec import parse
 from tests.unit.docs.study.test_study_records import SMALL, job, raw, won
@@ -88,7 +88,7 @@ def test_successes_are_counted_by_the_share_of_the_image_that_shows_the_object(t
     whole["jobs"] = [one.model_dump(mode="json") for one in jobs]
     (tmp_path / "r.json").write_text(json.dumps(whole), "utf-8")
     record = load(tmp_path / "r.json")
-    _, _, thin, broad, _, said = reasons.by_coverage([record]).splitlines()
+    _, _, thin, broad, _, said = tables.by_coverage([record]).splitlines()
     mesh = jobs[0].mesh.rpartition("/")[2]
     assert [cell.strip() for cell in thin.split("|")][2:8] == [
         "below 10 %",
@@ -101,7 +101,7 @@ def test_successes_are_counted_by_the_share_of_the_image_that_shows_the_object(t
     wins = ["15–20 %", "–", "1", "1\u00a0of\u00a01", "1\u00a0of\u00a01", "–"]
     assert [cell.strip() for cell in broad.split("|")][2:8] == wins
     assert said.endswith("fooled: t 100.0 % by normals and 100.0 % by combined.")
-    normals = next(line for line in reasons.by_confidence([record]).splitlines() if " normals " in line)
+    normals = next(line for line in tables.by_confidence([record]).splitlines() if " normals " in line)
     assert [cell.strip() for cell in normals.split("|")][3:9] == ["1", "100\u00a0%", "10.0", "1", "100\u00a0%", "10.0"]
 
 
