@@ -59,9 +59,9 @@ def goal_line(spec: Mapping[str, Any]) -> str | None:
     return None
 
 
-def thousandths(p: float | None) -> str:
-    """A perceptibility in thousandths; a dash where it was not measured, as in results of version 0.1."""
-    return "–" if p is None else f"{p * 1000:.2f}"
+def thousandths(p: float) -> str:
+    """A perceptibility in thousandths."""
+    return f"{p * 1000:.2f}"
 
 
 def answer_cell(outcome: Outcome, when: Literal["before", "after"]) -> str:
@@ -111,7 +111,7 @@ STRONGEST = 20
 FIT_COLUMNS = ("ℓ1 at the start ×1e-3>", "ℓ1 at best ×1e-3>")
 
 
-def print_subsets(rows: Sequence[Subset], attribution: Attribution | None) -> None:
+def print_subsets(rows: Sequence[Subset], attribution: Attribution) -> None:
     """Prints the table of subsets and the groups' Shapley values, if there are several groups."""
     if len(rows) <= 2:
         return
@@ -137,8 +137,7 @@ def print_subsets(rows: Sequence[Subset], attribution: Attribution | None) -> No
         for row in rows
     ]
     out().print(table(columns, cells, title="Subsets of the groups"))
-    if attribution is not None:
-        out().print(_attribution(attribution, "Shapley values of the groups"))
+    out().print(_attribution(attribution, "Shapley values of the groups"))
 
 
 def print_analyses(found: Analyses) -> None:

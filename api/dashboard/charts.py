@@ -182,7 +182,7 @@ class Group:
 
     y: float
     words: str
-    shapley: float | None
+    shapley: float
     start: float
     width: float
 
@@ -205,7 +205,7 @@ class Upset:
 
 def upset(
     subsets: Sequence[Mapping[str, Any]],
-    attribution: Mapping[str, Any] | None,
+    attribution: Mapping[str, Any],
     words: Mapping[str, str],
     files: Sequence[str],
 ) -> Upset | None:
@@ -217,14 +217,12 @@ def upset(
         return None
     bars = GAP + IMAGE + GAP + BAR
     rows = {group: bars + GAP + ROW * (k + 0.5) for k, group in enumerate(words)}
-    shapley: dict[str, float] = {}
-    if attribution is not None:
-        shapley = dict(zip(attribution["parts"], attribution["log_odds"]["shapley"], strict=True))
-    largest = max((abs(value) for value in shapley.values()), default=0.0) or 1.0
+    shapley = dict(zip(attribution["parts"], attribution["log_odds"]["shapley"], strict=True))
+    largest = max(abs(value) for value in shapley.values()) or 1.0
     groups = []
     for group, name in words.items():
-        value = shapley.get(group)
-        length = SHAPLEY * (value or 0.0) / largest
+        value = shapley[group]
+        length = SHAPLEY * value / largest
         groups.append(Group(rows[group], name, value, ZERO + min(0.0, length), abs(length)))
     columns = [
         _column(k, one, len(subsets), rows, words, set(files), GROUPS_WIDTH + COLUMN * (k + 0.5), bars)

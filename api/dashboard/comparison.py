@@ -15,7 +15,6 @@ from api.dashboard.views import all_events, trace_of
 from api.state import Services, ServicesDependency, no_such
 from services.access.caller import Caller
 from services.analysis.campaign_table import Cell, Table
-from services.attacks.verdict import with_outcome
 from services.errors import InvalidRequest
 from services.jobs.models import CampaignState, Job, State
 
@@ -154,7 +153,7 @@ def _compared_job(services: Services, job: Job, letter: str) -> ComparedJob:
     trace = trace_of(job, all_events(services.record, job.id))
     images = {one.name for one in services.record.jobs.artifacts(job.id) if one.media_type == "image/png"}
     about = (job.title or job.name or "", f"/jobs/{job.id}", job.state, job.spec)
-    return ComparedJob(letter, *about, job, with_outcome(job.outcome), trace, images)
+    return ComparedJob(letter, *about, job, job.outcome, trace, images)
 
 
 def named(listed: str, ticked: Sequence[str], what: str) -> list[str]:
@@ -200,10 +199,7 @@ def _fields(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 def _curve(compared: Sequence[ComparedJob], name: str, against: str) -> Chart | None:
     title, include = CURVES[name]
-    curves = [
-        (one.letter, [(row[against], row[name]) for row in one.trace if name in row and against in row])
-        for one in compared
-    ]
+    curves = [(one.letter, [(row[against], row[name]) for row in one.trace]) for one in compared]
     return overlay(title, against, curves, include)
 
 
@@ -211,9 +207,8 @@ def _table(compared: Sequence[ComparedJob], against: str) -> list[list[tuple[flo
     """For each job (x, advantage, p) of some of its rows, first and last among them."""
     columns = []
     for one in compared:
-        trace = [row for row in one.trace if against in row]  # results of version 0.1 count no queries
-        every = -(-len(trace) // ROWS) or 1
-        kept = [row for number, row in enumerate(trace) if number % every == 0 or number == len(trace) - 1]
+        every = -(-len(one.trace) // ROWS) or 1
+        kept = [row for number, row in enumerate(one.trace) if number % every == 0 or number == len(one.trace) - 1]
         columns.append([(row[against], row["advantage"], row["perceptibility"]) for row in kept])
     return [list(row) for row in zip_longest(*columns)]
 

@@ -16,7 +16,6 @@ from api.dashboard.pages import HEADERS, html
 from api.schemas import MOST_TAGS, TAG_WORDS, is_tag
 from api.state import Services, ServicesDependency
 from services.access.caller import Caller
-from services.attacks.verdict import with_outcome
 from services.errors import InUse, InvalidRequest, QuotaExceeded
 from services.jobs.job_list import EXAMPLE, LONGEST_QUERY, ListedJob, ListTotals, parse_query
 from services.jobs.jobs import QueueFull
@@ -177,6 +176,6 @@ def shown(
     page = services.record.lists.page(terms, PAGE, sort=sort, after=place.after, before=place.before, owner=caller.only)
     older = write_cursor(sort, page.last, backwards=False) if page.last and page.more_after else None
     newer = write_cursor(sort, page.first, backwards=True) if page.first and page.more_before else None
-    lines: list[tuple[ListedJob, Any]] = [(job, with_outcome(job.outcome)) for job in page.jobs]
+    lines: list[tuple[ListedJob, Any]] = [(job, job.outcome) for job in page.jobs]
     totals = services.record.lists.totals(terms, caller.only) if terms else strip.totals
     return html(template, strip=strip, error=None, lines=lines, totals=totals, older=older, newer=newer, **about)

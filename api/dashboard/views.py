@@ -10,7 +10,7 @@ from typing import Any
 
 from api.dashboard.charts import Chart, Upset, chart, upset
 from api.dashboard.questions import Question, SceneObject, objects, questions
-from services.attacks.verdict import judge, with_outcome
+from services.attacks.verdict import judge
 from services.jobs.job_list import ListedJob
 from services.jobs.models import Artifact, Event, Job, State
 from services.jobs.record import Record
@@ -92,7 +92,7 @@ class Page:
     result: dict[str, Any] | None
     subsets: list[dict[str, Any]]
     attribution: dict[str, Any] | None
-    """The attribution to the groups, which it calls as pages do; None in earlier results and for a single group."""
+    """The attribution to the groups, which it calls as pages do; None without a result and for a single group."""
     upset: Upset | None
     """The plot of the subsets; None without a result or for a single group."""
     last: dict[str, Any] | None
@@ -136,7 +136,7 @@ def line(job: Job | ListedJob) -> Line:
         phase=job.phase,
         step=job.step,
         steps=job.steps,
-        outcome=with_outcome(job.outcome),
+        outcome=job.outcome,
         failure_kind=job.failure_kind,
         waiting=job.waiting if job.state is State.QUEUED else None,
     )
@@ -153,7 +153,7 @@ def page(job: Job, events: Iterable[Event], artifacts: Sequence[Artifact], best:
     things = objects(job.result, job.spec)
     rows = subsets(job.result)
     names = {group: group_words(job.spec, group) for group in (rows[-1]["groups"] if rows else ())}
-    shares = None if job.result is None else job.result.get("attribution")
+    shares = None if job.result is None else job.result["attribution"]
     has_checkpoint = any(one.name == CHECKPOINT for one in artifacts)
     # It has a checkpoint from its beginning. One that only repeats has none with a result, and else its own later.
     went_on = (
@@ -167,12 +167,12 @@ def page(job: Job, events: Iterable[Event], artifacts: Sequence[Artifact], best:
         failure_detail=job.failure_detail,
         errors=job.errors or [],
         warnings=job.warnings,
-        result=with_outcome(job.result),
+        result=job.result,
         subsets=rows,
         attribution=shares | {"parts": [names[part] for part in shares["parts"]]}
         if shares and len(names) > 1
         else None,
-        upset=upset(rows, shares, names, [one.name for one in artifacts]),
+        upset=shares and upset(rows, shares, names, [one.name for one in artifacts]),
         last=trace[-1] if trace else None,
         by_step=charts(trace, job.spec, "step"),
         by_queries=charts(trace, job.spec, "queries"),
@@ -184,7 +184,7 @@ def page(job: Job, events: Iterable[Event], artifacts: Sequence[Artifact], best:
         continuable=has_checkpoint and job.state in (State.CANCELLED, State.FAILED),
         went_on=went_on,
         cancellable=not job.state.terminal and job.state != State.CANCELLING,
-        analysed=job.result is not None and any(job.result.get("analyses", {}).values()),
+        analysed=job.result is not None and any(job.result["analyses"].values()),
         questions=asked,
         objects=things,
         effect_groups=[one for one in job.spec["attack"]["groups"] if any(one in thing.effects for thing in things)],
@@ -203,7 +203,7 @@ def subsets(result: dict[str, Any] | None) -> list[dict[str, Any]]:
     """The table of subsets, each with its outcome as if its groups were all of the perturbation."""
     if result is None:
         return []
-    truth, first = result.get("truth", ()), result["original"]["label"]
+    truth, first = result["truth"], result["original"]["label"]
     return [one | {"outcome": judge(truth, first, one["label"], one["fooled"])} for one in result["subsets"]]
 
 

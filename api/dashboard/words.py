@@ -62,11 +62,10 @@ def milli(value: float) -> str:
 def both_p(record: Mapping[str, Any]) -> str:
     """The two p of a result, an outcome or a subset in thousandths, the paper's first: "3.46 (6.80 as saved)".
 
-    Results of version 0.1 have that of the saved image only. A line may break before the parenthesis, nowhere else.
+    A line may break before the parenthesis, nowhere else.
     """
-    paper = record.get("float_perceptibility")
     saved = f"{milli(record['perceptibility'])} as saved".replace(" ", "\N{NO-BREAK SPACE}")
-    return saved if paper is None else f"{milli(paper)} ({saved})"
+    return f"{milli(record['float_perceptibility'])} ({saved})"
 
 
 def strongest_interaction(attribution: Mapping[str, Any], part: int) -> str:

@@ -43,7 +43,6 @@ def of_subsets(rows: Sequence[Subset]) -> Attribution:
     groups = rows[-1].groups
     table = torch.zeros(len(rows), 2, dtype=torch.float64)
     for row in rows:
-        assert row.goal_log_odds is not None, "the table is of a result of version 0.1"
         at = sum(1 << groups.index(group) for group in row.groups)
         table[at] = torch.tensor([row.goal_log_odds, row.goal_probability], dtype=torch.float64)
     return _exact(groups, table, max(0, len(rows) - 2))

@@ -33,13 +33,8 @@ class Subset(Record):
     label: str
     confidence: float
     goal_probability: float
-    goal_log_odds: float | None = Field(
-        None, description="log-odds of the goal's label; null in results of version 0.1, which did not record them"
-    )
-    float_perceptibility: float | None = Field(
-        None,
-        description="p(ΔY) before the images are rounded to 8 bits, as the paper's; null in results of version 0.1",
-    )
+    goal_log_odds: float = Field(description="log-odds of the goal's label")
+    float_perceptibility: float = Field(description="p(ΔY) before the images are rounded to 8 bits, as the paper's")
     perceptibility: float = Field(description="p(ΔY) of the images as saved, of 8 bits")
     fooled: bool
 

@@ -501,6 +501,6 @@ def sampled_error(state: AttackState, problem: AttackProblem) -> ImageError | No
 
 def _rank(row: TraceRow) -> tuple[bool, float, float]:
     """How good a perturbation is to store. Without an expectation it is the advantage alone."""
-    if row.share is None or row.objective is None:
+    if row.share is None:
         return False, 0.0, -row.advantage
     return row.advantage < 0, row.share, -row.objective

@@ -18,10 +18,9 @@ class TraceRow(BaseModel):
         "p_reach; with a least confidence c the larger of that and log(c / (1 − c)) − the new answer's log-odds; below "
         "0: the goal is met"
     )
-    objective: float | None = Field(
-        None,
+    objective: float = Field(
         description="what the method minimises: the advantage, or for a method with gradients the log-odds of the "
-        "label to leave or minus those of the label to reach, plus λ·distance²; null in traces of earlier versions",
+        "label to leave or minus those of the label to reach, plus λ·distance²"
     )
     share: float | None = Field(
         None,

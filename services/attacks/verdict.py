@@ -53,17 +53,7 @@ def held_within(outcome: Mapping[str, Any]) -> str:
     """
     if outcome["outcome"] != "held" or not outcome.get("epsilon_bound"):
         return ""
-    limit, p = outcome.get("perceptibility_limit"), outcome.get("float_perceptibility")
-    if limit is None or p is None:
+    limit = outcome.get("perceptibility_limit")
+    if limit is None:
         return "within ε"
-    return f"within ε, p used {1000 * p:.2f} of {1000 * limit:.2f} ×10⁻³"
-
-
-def with_outcome(record: Any) -> Any:
-    """Returns a stored result or outcome with its field `outcome`, which earlier versions did not write.
-
-    Its truth is not known, so that it says of a verified perturbation that the answer changed.
-    """
-    if isinstance(record, dict) and "outcome" not in record:
-        return record | {"outcome": "changed" if record.get("verified") else "held"}
-    return record
+    return f"within ε, p used {1000 * outcome['float_perceptibility']:.2f} of {1000 * limit:.2f} ×10⁻³"

@@ -52,7 +52,7 @@ def report(result: Result, name: str, table: ParameterTable, files: Files, job: 
         images=[(title, _inline(files[name]())) for name, title in IMAGES if name in files],
         curves=curves(result.trace),
         groups=[[group_words(result.spec, group) for group in one.groups] for one in result.subsets],
-        parts=[group_words(result.spec, part) for part in result.attribution.parts] if result.attribution else [],
+        parts=[group_words(result.spec, part) for part in result.attribution.parts],
         table=table,
         request=json.dumps(result.spec, indent=2, ensure_ascii=False),
         bibtex=bibtex(),

@@ -279,7 +279,7 @@ class Campaigns:
 
     def attributions(self, campaign_id: str, limit: int) -> list[tuple[str, str, dict[str, Any]]]:
         """Target, attack and attribution (services.analysis.records.Attribution) of the first `limit` jobs with a
-        result, in their order; without those that have none.
+        result, in their order.
         """
         attribution = Job.result["attribution"].as_json().label("attribution")
         query = (
@@ -291,7 +291,7 @@ class Campaigns:
         )
         with self._database.read() as session:
             rows = session.execute(query).all()
-        return [(row.target, row.attack, row.attribution) for row in rows if row.attribution]
+        return [(row.target, row.attack, row.attribution) for row in rows]
 
 
 def _first(session: Session, key: Key) -> Campaign | None:

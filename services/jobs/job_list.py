@@ -21,7 +21,7 @@ from sqlalchemy import ColumnElement, Float, Row, Select, and_, case, func, lite
 from sqlalchemy import delete as deletion
 from sqlalchemy.orm import InstrumentedAttribute
 
-from services.attacks.verdict import SUCCESS, Verdict, with_outcome
+from services.attacks.verdict import SUCCESS, Verdict
 from services.errors import InvalidRequest
 from services.jobs.database import Database
 from services.jobs.models import Job, JobKind, JobTag, State, UtcTime
@@ -179,17 +179,13 @@ def listed(spec: Mapping[str, Any], titles: Mapping[str, str] | None = None) -> 
 
 
 def listed_outcome(outcome: Mapping[str, Any]) -> dict[str, Any]:
-    """The columns of an outcome (services.pipeline.outcome) that lists sort and filter by; p is the paper's, or that of
-    the saved image in results of version 0.1.
-    """
-    record = with_outcome(outcome)
-    paper = record.get("float_perceptibility")
+    """The columns of an outcome (services.pipeline.outcome) that lists sort and filter by; p is the paper's."""
     return {
-        "verdict": record["outcome"],
-        "verified": record["outcome"] == SUCCESS and bool(record.get("verified")),
-        "p": record.get("perceptibility") if paper is None else paper,
-        "queries": record.get("queries"),
-        "seconds": record.get("seconds"),
+        "verdict": outcome["outcome"],
+        "verified": outcome["outcome"] == SUCCESS and outcome["verified"],
+        "p": outcome["float_perceptibility"],
+        "queries": outcome["queries"],
+        "seconds": outcome["seconds"],
     }
 
 

@@ -110,9 +110,10 @@ class Leases:
     def succeed(
         self, attempt: Attempt, result: dict[str, Any], outcome: dict[str, Any], artifacts: Sequence[Artifact]
     ) -> bool:
-        """Records the result; the artifacts' bytes must be in the store already. Returns False if fenced off."""
-        reached = _reached(outcome["steps"], outcome["queries"]) if "queries" in outcome else {}
-        reached |= listed_outcome(outcome)
+        """Records the result, and the outcome of an attack; of other work it is empty. The artifacts' bytes must be in
+        the store already. Returns False if fenced off.
+        """
+        reached = _reached(outcome["steps"], outcome["queries"]) | listed_outcome(outcome) if outcome else {}
         with self._database.write() as session:
             ended = self._end(session, attempt, State.SUCCEEDED, result=result, outcome=outcome, **reached)
             if ended:

@@ -3,9 +3,9 @@
 import operator
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field
 
-from services.attacks.verdict import SUCCESS, Verdict, with_outcome
+from services.attacks.verdict import SUCCESS, Verdict
 from services.pipeline.result import Result
 
 
@@ -31,9 +31,7 @@ class Outcome(BaseModel):
         description="of several questions attacked together: the answers to each, before and after; `before` and "
         "`after` then say whether all of them have left",
     )
-    float_perceptibility: float | None = Field(
-        None, description="p of the image before rounding, the paper's; null in results of version 0.1"
-    )
+    float_perceptibility: float = Field(description="p of the image before rounding, the paper's")
     perceptibility: float = Field(description="p of the image as saved, of 8 bits")
     perceptibility_limit: float | None = Field(
         None, exclude_if=lambda limit: limit is None, description="the largest p that the request allowed"
@@ -46,11 +44,6 @@ class Outcome(BaseModel):
     steps: int
     queries: int
     seconds: float
-
-    @model_validator(mode="before")
-    @classmethod
-    def _of_an_earlier_version(cls, data: Any) -> Any:
-        return with_outcome(data)
 
 
 def success(record: Outcome | Result) -> bool:

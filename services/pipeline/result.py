@@ -1,13 +1,12 @@
 """The record of a finished job: `result.json`, the API's `result`, and the content of the dashboard's job page."""
 
 import operator
-from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field
 
 from services.analysis.records import Analyses, Answer, Attribution, HeldOver, Subset
 from services.attacks.trace import TraceRow
-from services.attacks.verdict import Verdict, with_outcome
+from services.attacks.verdict import Verdict
 from services.pipeline.question_record import QuestionResult
 from services.pipeline.warning import JobWarning
 from services.rendering.physical_change import Change
@@ -88,10 +87,9 @@ class Result(_Record):
     original: Answer
     attacked: Answer = Field(description="the answer to the exact image of the stored perturbation")
     in_loop: Answer = Field(description="the answer to the loop's image, truncated, at the stored step")
-    float_perceptibility: float | None = Field(
-        None,
+    float_perceptibility: float = Field(
         description="p(ΔY) of the exact image of the stored perturbation before it is rounded to 8 bits, which is the "
-        "paper's p; in [0, √3]; null in results of version 0.1, which did not measure it",
+        "paper's p; in [0, √3]"
     )
     perceptibility: float = Field(
         description="p(ΔY) of the exact image of the stored perturbation as it is saved, rounded to 8 bits; in [0, √3]"
@@ -124,16 +122,12 @@ class Result(_Record):
         "64×128; null if the renderer uses no map or one of that size",
     )
     subsets: list[Subset]
-    attribution: Attribution | None = Field(
-        None,
-        description="Shapley values and interactions of the groups, from `subsets`; null in results of version 0.1",
-    )
+    attribution: Attribution = Field(description="Shapley values and interactions of the groups, from `subsets`")
     expectation: HeldOver | None = Field(
         None, description="the share of the attack's range of views, light and noise for which the adversary holds"
     )
     changes: list[Change] = Field(
-        default_factory=list,
-        description="what the stored perturbation did to the scene, in words and units; empty in earlier results",
+        default_factory=list, description="what the stored perturbation did to the scene, in words and units"
     )
     analyses: Analyses = Field(Analyses(), description="the analyses that the request asked for")
     questions: list[QuestionResult] = Field(
@@ -156,8 +150,3 @@ class Result(_Record):
     def epsilon_bound(self) -> bool:
         """Whether any value of the stored perturbation is at its ε."""
         return any(group.coordinates for group in self.at_epsilon.values())
-
-    @model_validator(mode="before")
-    @classmethod
-    def _of_an_earlier_version(cls, data: Any) -> Any:
-        return with_outcome(data)

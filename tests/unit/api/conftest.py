@@ -12,31 +12,15 @@ from fastapi import FastAPI
 from api.main import create_app, server
 from api.state import Services
 from services.jobs.models import Artifact
-from services.pipeline.outcome import Outcome
 from services.pipeline.spec import parse
 from services.settings import Settings
 from tests.unit.api.guarded import Guarded, guarding
+from tests.unit.jobs.records import OUTCOME
 
 SPHERE: dict[str, Any] = {
     "scene": {"camera": {"size": [32, 32]}, "objects": [{"mesh": "primitive/sphere"}]},
     "attack": {"renderer": "pyrender", "steps": 1, "queries": 20},
 }
-
-OUTCOME = Outcome(
-    outcome="fooled",
-    right_before=True,
-    fooled=True,
-    verified=True,
-    stopped="verified",
-    before="balloon",
-    before_confidence=0.5,
-    after="golf ball",
-    after_confidence=0.4,
-    perceptibility=0.003,
-    steps=1,
-    queries=4,
-    seconds=0.1,
-)
 
 
 @pytest.fixture(scope="session")
@@ -109,5 +93,5 @@ def finished(services: Services, tmp_path: Path) -> str:
     assert attempt is not None
     services.record.leases.progress(attempt, "attacking", 1, 2, [{"step": 1}])
     file = Artifact(job_id=job_id, name="original.png", sha256=stored.sha256, media_type="image/png", size=stored.size)
-    services.record.leases.succeed(attempt, {}, OUTCOME.model_dump(), [file])
+    services.record.leases.succeed(attempt, {}, OUTCOME, [file])
     return job_id

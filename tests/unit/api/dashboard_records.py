@@ -58,6 +58,7 @@ def row(step: int, **changed: Any) -> dict[str, Any]:
         "label": "grand piano" if step < 4 else "upright",
         "confidence": 0.8 if step < 4 else 0.55,
         "advantage": 3.0 - step,
+        "objective": 3.0 - step,
         "distance": 2.0 * step,
         "perceptibility": 0.003 * step,
         "truncated": 0,

@@ -140,20 +140,3 @@ async def test_job_page_shows_the_range_and_the_surrogates_queries(record: Recor
         "Weights of the surrogate " + "5" * 64,
     ):
         assert words in text, words
-
-
-async def test_a_result_of_version_0_1_is_shown_with_the_p_that_it_has(record: Record) -> None:
-    job = add(record)
-    old = result()
-    for name in ("float_perceptibility", "attribution", "analyses"):
-        del old[name]
-    for subset in old["subsets"]:
-        del subset["float_perceptibility"], subset["goal_log_odds"]
-    again = Result.model_validate(old)
-    assert again.float_perceptibility is again.attribution is again.analyses.minimal is None
-    succeed(record, job, old)
-    text = Tags((await get(record, f"/jobs/{job.id}")).text).text
-    assert "p = 12.30 as saved × 10⁻³" in text
-    assert "surface normals + illumination upright 60.0 % 31.0 % 8.00 as saved fooled" in text
-    assert "Shapley" not in text
-    assert "Analyses" not in text

@@ -10,8 +10,6 @@ from httpx import ASGITransport
 
 from services.errors import InvalidRequest
 from services.jobs.record import Record
-from services.pipeline.outcome import outcome as line_of
-from services.pipeline.result import Result
 from services.pipeline.spec import parse
 from services.pipeline.warning import JobWarning
 from tests.unit.api.dashboard_records import SPEC, add, app, open_record, result, row, start, succeed
@@ -173,21 +171,6 @@ async def test_each_outcome_has_its_badge_and_its_sentence(record: Record, outco
         assert ("badge verified" in classes) == (outcome in ("fooled", "changed"))
     assert sentence in page.text
     assert ("Right is harp. Perceptibility p" in page.text) == met
-
-
-async def test_a_result_without_an_outcome_is_not_shown_as_a_success(record: Record) -> None:
-    """As earlier versions stored it, in the result and beside it."""
-    found = result()
-    new = ("outcome", "truth", "right_before", "labels_to_leave", "warnings")
-    job = add(record)
-    attempt = start(record, job)
-    stored = {name: value for name, value in found.items() if name not in new}
-    line = {name: value for name, value in line_of(Result.model_validate(found)).items() if name not in new}
-    assert record.leases.succeed(attempt, stored, line, [])
-    for path in ("/", f"/jobs/{job.id}"):
-        classes = [a.get("class") for a in Tags((await get(record, path)).text).all("span")]
-        assert "badge changed" in classes
-        assert "badge fooled" not in classes
 
 
 async def test_the_job_s_page_has_its_warnings(record: Record) -> None:

@@ -14,7 +14,8 @@ from services.errors import InvalidRequest, without_folders
 from services.jobs.files import ArtifactStore
 from services.jobs.models import Artifact
 from services.pipeline.spec import parse
-from tests.unit.api.conftest import OUTCOME, SPHERE
+from tests.unit.api.conftest import SPHERE
+from tests.unit.jobs.records import OUTCOME
 
 JSON = {"content-type": "application/json"}
 MOST_ANSWER = 300_000
@@ -179,7 +180,7 @@ def _finished(services: Services) -> str:
     attempt = services.record.leases.lease(job.id, "test", 60)
     assert attempt is not None
     file = Artifact(job_id=job.id, name="original.png", sha256="0" * 64, media_type="image/png", size=1)
-    services.record.leases.succeed(attempt, {}, OUTCOME.model_dump(), [file])
+    services.record.leases.succeed(attempt, {}, OUTCOME, [file])
     return job.id
 
 

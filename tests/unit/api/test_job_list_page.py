@@ -10,6 +10,7 @@ from httpx import ASGITransport
 from api.dashboard.comparison import differences
 from services.errors import InvalidRequest
 from services.jobs.record import Record
+from services.pipeline.rerendering_spec import RerenderingSpec
 from services.pipeline.spec import parse
 from tests.unit.api.dashboard_records import SPEC, add, app, open_record, result, start, succeed
 from tests.unit.api.test_dashboard_pages import Tags
@@ -47,6 +48,16 @@ async def test_the_strip_and_the_totals(record: Record) -> None:
     text = Tags((await send(record, "/?q=scene:piano")).text).text
     assert "Running 1 Queued 2 Time left about 3.8 s Fooled, verified 1 of 1" in text
     assert "3 jobs that meet the query; fooled and verified 1 of 1; 1,234 queries; 1.2 s of run time" in text
+
+
+async def test_a_re_rendering_has_no_outcome_and_is_in_no_rate(record: Record) -> None:
+    fit = {"image": "ab" * 32, "scene": SPEC.scene, "target": SPEC.target, "fit": {"steps": 1}}
+    job, _ = record.jobs.create(RerenderingSpec.model_validate(fit), 1000, None, lambda _: {})
+    assert job is not None
+    assert record.leases.succeed(start(record, job), {"rerendering": {}}, {}, [])
+    page = await send(record, "/?q=kind:rerendering")
+    assert rows(page) == [job.id]
+    assert "fooled and verified 0 of 0" in Tags(page.text).text
 
 
 async def test_a_query_that_cannot_be_read_says_where(record: Record) -> None:

@@ -33,6 +33,9 @@ def test_a_column_has_the_image_bar_and_dots_of_its_subset() -> None:
     assert made.columns[3].words == "surface normals + illumination"
     assert made.columns[3].x + COLUMN / 2 == made.width
     assert made.columns[0].x - COLUMN / 2 == GROUPS_WIDTH
+    without = upset(SUBSETS, ATTRIBUTION, WORDS, [])
+    assert without is not None
+    assert {one.image for one in without.columns} == {""}
 
 
 def test_bars_of_shapley_values_leave_zero_to_either_side() -> None:
@@ -44,12 +47,5 @@ def test_bars_of_shapley_values_leave_zero_to_either_side() -> None:
     assert (short.start, short.width) == (ZERO, SHAPLEY / 4)
 
 
-def test_an_earlier_result_has_no_shapley_values() -> None:
-    made = upset(SUBSETS, None, WORDS, [])
-    assert made is not None
-    assert [(one.shapley, one.width) for one in made.groups] == [(None, 0), (None, 0)]
-    assert {one.image for one in made.columns} == {""}
-
-
 def test_of_one_group_there_is_nothing_to_tell() -> None:
-    assert upset(SUBSETS[:2], None, {"normals": "surface normals"}, FILES) is None
+    assert upset(SUBSETS[:2], ATTRIBUTION, {"normals": "surface normals"}, FILES) is None

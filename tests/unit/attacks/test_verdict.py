@@ -4,7 +4,7 @@ from itertools import product
 
 import pytest
 
-from services.attacks.verdict import SUCCESS, Verdict, judge, with_outcome
+from services.attacks.verdict import SUCCESS, Verdict, judge
 
 TRUTH, RIGHT, ALSO_RIGHT, WRONG, ALSO_WRONG = (0, 1), 0, 1, 2, 3
 
@@ -57,10 +57,3 @@ def test_a_success_was_right_is_wrong_and_met_the_goal() -> None:
     for truth, first, attacked, met in product(((), (0,), TRUTH), range(4), range(4), (False, True)):
         success = judge(truth, first, attacked, met) == SUCCESS
         assert success == (first in truth and attacked not in truth and met)
-
-
-def test_a_record_without_an_outcome_does_not_become_a_success() -> None:
-    assert with_outcome({"verified": True})["outcome"] == "changed"
-    assert with_outcome({"verified": False, "fooled": True})["outcome"] == "held"
-    assert with_outcome({"verified": True, "outcome": "fooled"})["outcome"] == "fooled"
-    assert with_outcome(None) is None

@@ -6,10 +6,26 @@ from services.jobs.job_list import ListedJob, parse_query
 from services.jobs.leases import Attempt
 from services.jobs.models import Artifact, Job, State
 from services.jobs.record import Record
+from services.pipeline.outcome import Outcome
 from services.pipeline.spec import JobSpec, parse
 
 SPEC = parse({"scene": {"objects": [{"mesh": "primitive/sphere"}]}, "seed": 7})
-OUTCOME = {"fooled": True, "verified": False}
+OUTCOME = Outcome(
+    outcome="fooled",
+    right_before=True,
+    fooled=True,
+    verified=True,
+    stopped="verified",
+    before="balloon",
+    before_confidence=0.5,
+    after="golf ball",
+    after_confidence=0.4,
+    float_perceptibility=0.0025,
+    perceptibility=0.003,
+    steps=1,
+    queries=4,
+    seconds=0.1,
+).model_dump(mode="json")
 
 
 def add(record: Record, spec: JobSpec = SPEC, *, checked: bool = True) -> Job:

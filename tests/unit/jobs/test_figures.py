@@ -6,7 +6,7 @@ from services.jobs.models import State
 from services.jobs.record import Record
 from services.jobs.statistics import Figures
 from tests.unit.jobs.conftest import Clock
-from tests.unit.jobs.records import SPEC, add, start
+from tests.unit.jobs.records import OUTCOME, SPEC, add, start
 
 
 @pytest.fixture
@@ -48,7 +48,7 @@ def test_steps_and_queries_never_fall_and_repeated_ones_count_once(
     attempt = start(record, job)
     record.leases.progress(attempt, "attacking", 1, 9, rows(2, 3))
     assert figures.read().totals["queries"] == {"": 4}
-    record.leases.succeed(attempt, {}, {"steps": 5, "queries": 12}, [])
+    record.leases.succeed(attempt, {}, OUTCOME | {"steps": 5, "queries": 12}, [])
     with engine.execution_options(writes=True).begin() as connection:
         connection.exec_driver_sql("DELETE FROM jobs")
     found = figures.read()

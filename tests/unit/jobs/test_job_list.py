@@ -12,7 +12,7 @@ from services.jobs.models import State
 from services.jobs.record import Record
 from services.pipeline.spec import parse
 from tests.unit.jobs.conftest import Clock
-from tests.unit.jobs.records import add, start
+from tests.unit.jobs.records import OUTCOME, add, start
 
 pytestmark = pytest.mark.slow
 
@@ -34,8 +34,9 @@ def jobs(record: Record, clock: Clock) -> list[str]:
         clock.advance(n % 2)
         if n % 3:
             attempt = start(record, job)
-            found = {"outcome": VERDICTS[n % 3], "fooled": True, "verified": True, "perceptibility": (n % 4) / 1000}
-            record.leases.succeed(attempt, {}, found | {"steps": n, "queries": n % 5, "seconds": n / 2}, [])
+            found = {"outcome": VERDICTS[n % 3], "float_perceptibility": (n % 4) / 1000}
+            found |= {"steps": n, "queries": n % 5, "seconds": n / 2}
+            record.leases.succeed(attempt, {}, OUTCOME | found, [])
         made.append(job.id)
     return made
 
@@ -139,7 +140,7 @@ def test_only_a_success_is_verified(lists: JobLists, record: Record) -> None:
     ids = []
     for verdict in VERDICTS:
         job = add(record)
-        record.leases.succeed(start(record, job), {}, {"outcome": verdict, "verified": True, "perceptibility": 0.1}, [])
+        record.leases.succeed(start(record, job), {}, OUTCOME | {"outcome": verdict}, [])
         ids.append(job.id)
     assert listed(lists, "verified") == ids[:1]
     assert lists.totals(()).verified == 1

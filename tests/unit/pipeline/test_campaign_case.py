@@ -29,11 +29,6 @@ def test_a_case_has_the_papers_p_and_that_of_the_loop_at_the_stored_step() -> No
     assert curves_of(stored).loss == [row.loss for row in stored.trace]
 
 
-def test_a_result_of_version_0_1_has_only_the_p_of_the_saved_image() -> None:
-    stored = result(float_perceptibility=None)
-    assert case_of(PLANNED, stored).perceptibility == stored.perceptibility
-
-
 @pytest.mark.parametrize(
     ("changed", "right", "success", "loop_success"),
     [

@@ -22,6 +22,7 @@ ROW = {
     "label": "balloon",
     "confidence": 0.5,
     "advantage": 0.1,
+    "objective": 0.1,
     "distance": 0.0,
     "perceptibility": 0.0,
     "truncated": 0,
