@@ -27,6 +27,8 @@ from services.settings import Settings
 
 WAITING_SHARE = 0.1
 """Longest wait of a check for a process, as a share of the time that it may take: 0.5 seconds by default."""
+PREVIEW_SHARE = 2
+"""Longest preview, longest plan and longest wait for either, as a multiple of the time that a check may take."""
 EXPORT_SECONDS = 120.0
 """Longest time for one export, and longest wait for those before it."""
 MOST_SLOW = 1000
@@ -53,9 +55,9 @@ class Checks:
         await run_in_threadpool(lambda: check_names(spec, self._names(caller)))
         return await self._check(spec)
 
-    async def check_campaign(self, campaign: CampaignSpec, caller: Caller, max_jobs: int) -> None:
+    async def check_campaign(self, campaign: CampaignSpec, caller: Caller) -> None:
         """Checks the size of a campaign, its names, and one job of each kind. Raises as `check` does."""
-        check_size(campaign, max_jobs)
+        check_size(campaign)
         await run_in_threadpool(lambda: check_names(campaign, self._names(caller)))
         for spec, places in await run_in_threadpool(lambda: list(samples(campaign))):
             try:
@@ -98,7 +100,7 @@ class Checks:
         return Checked(JobSpec.model_validate(answer["spec"]), warnings)
 
     async def _preview(self, what: str, spec: JobSpec, client: str) -> dict[str, Any]:
-        seconds = self._settings.preview_seconds
+        seconds = PREVIEW_SHARE * self._settings.check_seconds
         try:
             return await self._pool.work({what: spec.model_dump(mode="json")}, client, seconds, seconds)
         except NoneFree as error:

@@ -127,7 +127,6 @@ def create_app(values: Settings) -> FastAPI:
             storage=Storage(values.data_dir, store),
             housekeeping=Housekeeping(record, store, values.data_dir),
             deleted_assets=DeletedAssets(record.database, library),
-            max_campaign_jobs=values.max_campaign_jobs,
         )
         service_metrics = ServiceMetrics(record.figures, queue, watcher.streams)
         metrics.registry.register(service_metrics)

@@ -53,7 +53,6 @@ class Services:
     storage: Storage
     housekeeping: Housekeeping
     deleted_assets: DeletedAssets
-    max_campaign_jobs: int
 
 
 async def services(request: Request) -> Services:  # a function that is not async would be called in a thread

@@ -77,10 +77,7 @@ class Settings(BaseSettings):
         5.0,
         gt=0,
         description="longest check of a request, and a tenth of it the longest wait for one; after either a job is "
-        "accepted, and checked by its worker",
-    )
-    preview_seconds: float = Field(
-        10.0, gt=0, description="longest preview, and longest wait for one; a preview has two parts, the plan apart"
+        "accepted, and checked by its worker; a preview, its plan, and the wait for either may take twice as long",
     )
     max_queued: int = Field(1000, ge=1, description="queued jobs beyond which new ones get 503")
     owner_queued: int = Field(
@@ -88,19 +85,12 @@ class Settings(BaseSettings):
     )
     owner_campaigns: int = Field(50, ge=1, description="campaigns of one owner that have not ended")
     owner_upload_bytes: int = Field(10 * 2**30, ge=0, description="bytes of all uploads of one owner")
-    max_campaign_jobs: int = Field(10_000, ge=1, description="largest campaign, in jobs and in views")
-    max_campaign_queued: int = Field(
-        8, ge=1, le=1000, description="queued jobs of all campaigns; more workers than that need more"
-    )
     lease_seconds: float = Field(12.0, gt=0, description="a running job whose worker is silent so long is taken back")
     stall_seconds: float = Field(
         40.0,
         gt=0,
         description="a process that gives no sign of life for so long hangs: it is killed, and its job goes on; a job "
         "process's sign is that it uses the processor",
-    )
-    max_attempts: int = Field(
-        5, ge=1, description="attempts in a row whose process died before it got further, until a job fails"
     )
     cache_bytes: int = Field(
         10 * 2**30, ge=0, description="processed meshes in the cache; beyond it those that were not used for longest go"

@@ -24,6 +24,9 @@ from services.scenes.library import Library
 from services.settings import Settings
 from worker.supervisor import Program, Supervisor
 
+QUEUED_OF_CAMPAIGNS = 8
+"""Queued jobs of all campaigns together, or as many as there are workers. A job sent alone waits behind few."""
+
 log = logger(__name__)
 
 
@@ -59,7 +62,7 @@ def _worker(index: int, values: Settings, record: Record) -> Program:
 
     def ended() -> None:
         try:
-            lost = record.leases.take_back(values.max_attempts, owner=name)
+            lost = record.leases.take_back(owner=name)
         except SQLAlchemyError as error:
             log.warning("jobs of a dead worker not taken back yet", error=str(error))
         else:
@@ -77,7 +80,7 @@ def housekeeping(values: Settings, record: Record) -> Callable[[], None]:
     Several supervisors may do so at once; each step is a transaction that changes a job at most once.
     """
     queue = Queue(connect_redis(values.redis_url))
-    feeder = Feeder(record.database, values.max_campaign_queued)
+    feeder = Feeder(record.database, max(QUEUED_OF_CAMPAIGNS, values.workers))
     store = ArtifactStore(values.files)
     meshes = values.cache_dir / "meshes", values.cache_bytes
     deleted = DeletedAssets(record.database, Library(values.cache_dir, values.files))
@@ -87,7 +90,7 @@ def housekeeping(values: Settings, record: Record) -> Callable[[], None]:
     def tick() -> None:
         nonlocal failing
         try:
-            for job_id in record.leases.take_back(values.max_attempts):
+            for job_id in record.leases.take_back():
                 log.warning("job taken back, its lease had lapsed", job=job_id)
             feeder.tick()
             reconcile(record.scheduler, queue)

@@ -123,7 +123,7 @@ class Runner:
             self.close()
             log.warning("attempt lost with its job process", job=job_id, attempt=attempt.number)
             with suppress(SQLAlchemyError):
-                self._record.leases.lose(attempt, self._settings.max_attempts)
+                self._record.leases.lose(attempt)
         except OutOfMemory as error:
             log.warning("job process ended, it has too much memory", job=job_id, attempt=attempt.number)
             with suppress(SQLAlchemyError):  # before the process has ended: freeing gigabytes may outlast the lease
@@ -194,7 +194,7 @@ class Runner:
             watchdog.alive()
             try:
                 if unseen:
-                    self._record.leases.lose(attempt, self._settings.max_attempts, f"it met an outage ({outage})")
+                    self._record.leases.lose(attempt, f"it met an outage ({outage})")
                 else:
                     self._record.leases.give_back(attempt)
             except SQLAlchemyError:

@@ -59,7 +59,7 @@ async def submit_campaign(
         key = Key(idempotency_key, await run_in_threadpool(request_digest, spec), caller.owner)
     campaign = None if key is None else await run_in_threadpool(services.campaigns.record.of_key, key)
     if campaign is None:
-        await while_connected(request, services.checks.check_campaign(spec, caller, services.max_campaign_jobs))
+        await while_connected(request, services.checks.check_campaign(spec, caller))
         whose, most = caller.owner, services.quotas.campaigns_of(caller.owner)
         campaign = await run_in_threadpool(services.campaigns.submit, spec, idempotency_key, whose, asked, most)
     # The answer to a long list of jobs is large, so it is written in a thread too.

@@ -58,7 +58,7 @@ def run(
     keep_memory()
     report_extensions()
     campaign = read_campaign(spec, settings)
-    check_size(campaign, settings.max_campaign_jobs)
+    check_size(campaign)
     folder = out or Path("out") / (slugify(campaign.name) or "campaign")
     prepare_folder(folder)
     assets = library(settings)

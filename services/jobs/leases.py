@@ -26,6 +26,10 @@ from services.pipeline.warning import JobWarning
 ACTIVE = (State.RUNNING, State.CANCELLING)
 PHASES = ("loading", "selecting", "attacking", "analysing")
 """The phases of jobs, in their order."""
+MAX_ATTEMPTS = 5
+"""Attempts in a row whose process died before it had got further than those before, after which a job fails: so many
+do not die by chance.
+"""
 DIED = "its process died or hung"
 
 
@@ -167,16 +171,16 @@ class Leases:
     def give_back(self, attempt: Attempt) -> None:
         """Queues the job again when its worker is shut down. The attempt does not count as lost."""
         with self._database.write() as session:
-            self._return(session, attempt, lost=0, max_attempts=1)
+            self._return(session, attempt, lost=0)
 
-    def lose(self, attempt: Attempt, max_attempts: int, why: str = DIED) -> None:
-        """Queues the job again after its attempt was lost, or fails it after `max_attempts` such losses in a row that
+    def lose(self, attempt: Attempt, why: str = DIED) -> None:
+        """Queues the job again after its attempt was lost, or fails it after `MAX_ATTEMPTS` such losses in a row that
         came before the attempt had got further than those before. `why` is the part of a sentence that says the reason.
         """
         with self._database.write() as session:
-            self._return(session, attempt, lost=1, max_attempts=max_attempts, why=why)
+            self._return(session, attempt, lost=1, why=why)
 
-    def take_back(self, max_attempts: int, owner: str | None = None) -> list[str]:
+    def take_back(self, owner: str | None = None) -> list[str]:
         """Ends all attempts whose lease has lapsed, or that the dead worker `owner` holds, as `lose` does. Returns the
         ids of their jobs.
         """
@@ -188,10 +192,10 @@ class Leases:
             # in one order, so that two supervisors that take jobs back at once wait for each other and never in a ring
             found = session.execute(ended.order_by(Job.id).with_for_update()).all()
             for job_id, number in found:
-                self._return(session, Attempt(job_id, number), lost=1, max_attempts=max_attempts)
+                self._return(session, Attempt(job_id, number), lost=1)
         return [job_id for job_id, _ in found]
 
-    def _return(self, session: Session, attempt: Attempt, *, lost: int, max_attempts: int, why: str = DIED) -> None:
+    def _return(self, session: Session, attempt: Attempt, *, lost: int, why: str = DIED) -> None:
         lock(session, attempt.job_id)
         fence = _fence(attempt)[1:]
         free: dict[str, Any] = {"lease_owner": None, "lease_until": None}
@@ -207,9 +211,9 @@ class Leases:
         if lost:
             reason = {
                 "failure_kind": "worker-lost",
-                "failure_detail": f"{why}, {max_attempts} times in a row without getting any further",
+                "failure_detail": f"{why}, {MAX_ATTEMPTS} times in a row without getting any further",
             }
-            if free["lost"] >= max_attempts:
+            if free["lost"] >= MAX_ATTEMPTS:
                 change_state(session, attempt.job_id, State.FAILED, fence, **free, **reason)
                 return
         change_state(session, attempt.job_id, State.QUEUED, fence, **free, phase_at=None)

@@ -23,7 +23,11 @@ def most_jobs(campaign: CampaignSpec) -> int:
     return total
 
 
-def check_size(campaign: CampaignSpec, limit: int) -> None:
+MOST_JOBS = 10_000
+"""Largest campaign, in jobs and in views: days of work for many processes, and a page that a browser still shows."""
+
+
+def check_size(campaign: CampaignSpec, limit: int = MOST_JOBS) -> None:
     """Raises InvalidRequest if the campaign may have more than `limit` jobs, or has more than `limit` views.
 
     Counts without making the scenes.

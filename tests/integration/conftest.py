@@ -106,7 +106,6 @@ def serving(data: Path, **environ: str) -> Iterator[Stack]:
         "SCENE_ATTACK_LEASE_SECONDS": "5",
         "SCENE_ATTACK_THREADS": "1",
         "SCENE_ATTACK_CHECK_SECONDS": "120",
-        "SCENE_ATTACK_PREVIEW_SECONDS": "120",
         **environ,
     }
     with (

@@ -32,7 +32,6 @@ def settings(redis_url: str, tmp_path_factory: pytest.TempPathFactory) -> Settin
         max_upload_bytes=300_000,
         max_faces=5000,
         check_seconds=120,
-        preview_seconds=120,
     )
 
 

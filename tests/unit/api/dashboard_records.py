@@ -226,6 +226,5 @@ def app(record: Record, campaigns: CampaignService | None = None) -> FastAPI:
         storage=none,
         housekeeping=none,
         deleted_assets=none,
-        max_campaign_jobs=0,
     )
     return made

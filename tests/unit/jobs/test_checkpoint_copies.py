@@ -136,7 +136,7 @@ def test_a_copy_goes_with_its_job(record: Record, url: str, store: Blobs, tmp_pa
         until(lambda: store.exists(job.id))
     for other in others:
         copied(url, path, other.id)
-    record.leases.lose(attempt, 3)
+    record.leases.lose(attempt)
     attempt = start(record, job)
     with second.checkpoint(attempt) as path:
         assert path.read_bytes() == data

@@ -44,7 +44,7 @@ def test_steps_and_queries_never_fall_and_repeated_ones_count_once(
     attempt = start(record, job)
     record.leases.progress(attempt, "attacking", 2, 9, rows(2, 3, 4))
     assert figures.read().totals["steps"] == {"": 2}
-    record.leases.lose(attempt, 3)
+    record.leases.lose(attempt)
     attempt = start(record, job)
     record.leases.progress(attempt, "attacking", 1, 9, rows(2, 3))
     assert figures.read().totals["queries"] == {"": 4}

@@ -125,7 +125,7 @@ def test_a_job_that_was_interrupted_goes_before_new_ones(record: Record, clock: 
     attempt = record.leases.lease(interrupted.id, "w", 20)
     assert attempt is not None
     assert record.scheduler.next_job(Priority.NORMAL, CPU) == new.id
-    record.leases.lose(attempt, 5)
+    record.leases.lose(attempt)
     assert record.scheduler.next_job(Priority.NORMAL, CPU) == interrupted.id
 
 

@@ -13,7 +13,7 @@ from services.access.caller import KEYLESS
 from services.access.quotas import Quotas
 from services.errors import QuotaExceeded
 from services.jobs.jobs import Key, KeyReused, QueueFull
-from services.jobs.leases import Attempt, Standing
+from services.jobs.leases import MAX_ATTEMPTS, Attempt, Standing
 from services.jobs.models import Job, State
 from services.jobs.placement import NO_DEMAND
 from services.jobs.queue import Queue, connect
@@ -42,7 +42,7 @@ def test_a_new_attempt_has_come_nowhere_yet(record: Record) -> None:
     job = add(record)
     attempt = start(record, job)
     record.leases.progress(attempt, "attacking", 3, 9, [])
-    record.leases.lose(attempt, 3)
+    record.leases.lose(attempt)
     start(record, job)
     found = row(record, job)
     assert (found["phase"], found["step"], found["steps"], found["phase_at"]) == (None, None, None, None)
@@ -53,7 +53,7 @@ def test_with_a_dead_workers_jobs_those_whose_lease_has_lapsed_are_taken_back(re
     for job, owner, seconds in zip(jobs, ("dead", "lapsed", "alive"), (60, 5, 60), strict=True):
         start(record, job, owner, seconds)
     clock.advance(6)
-    assert set(record.leases.take_back(3, owner="dead")) == {jobs[0].id, jobs[1].id}
+    assert set(record.leases.take_back(owner="dead")) == {jobs[0].id, jobs[1].id}
 
 
 def test_an_attempt_that_gets_less_far_does_not_lower_the_mark(record: Record) -> None:
@@ -61,7 +61,7 @@ def test_an_attempt_that_gets_less_far_does_not_lower_the_mark(record: Record) -
     for step in (5, 2, 5):
         attempt = start(record, job)
         record.leases.progress(attempt, "attacking", step, 9, [])
-        record.leases.lose(attempt, 9)
+        record.leases.lose(attempt)
         lost.append(row(record, job)["lost"])
     assert lost == [0, 1, 2]
 
@@ -100,7 +100,7 @@ def test_a_late_write_of_an_old_attempt_changes_nothing(record: Record, clock: C
     job = add(record)
     old = start(record, job)
     clock.advance(21)
-    record.leases.take_back(max_attempts=3)
+    record.leases.take_back()
     if since != "taken back":
         new = start(record, job)
         if since == "over":
@@ -112,7 +112,7 @@ def test_a_late_write_of_an_old_attempt_changes_nothing(record: Record, clock: C
         "fail": lambda: record.leases.fail(old, "internal", "late"),
         "cancelled": lambda: record.leases.cancelled(old),
         "give_back": lambda: record.leases.give_back(old),
-        "lose": lambda: record.leases.lose(old, 3),
+        "lose": lambda: record.leases.lose(old),
         "renew": lambda: record.leases.renew(old, 1000) is not Standing.LOST,
     }
     assert not writes[write]()
@@ -135,9 +135,9 @@ def test_a_lease_lapses_unless_it_is_renewed(record: Record, clock: Clock) -> No
     clock.advance(15)
     assert record.leases.renew(attempt, 20) is Standing.GO_ON
     clock.advance(15)
-    assert record.leases.take_back(max_attempts=3) == []
+    assert record.leases.take_back() == []
     clock.advance(6)
-    assert record.leases.take_back(max_attempts=3) == [job.id]
+    assert record.leases.take_back() == [job.id]
     found = record.jobs.get(job.id)
     assert found is not None
     assert (found.state, found.lost) == (State.QUEUED, 1)
@@ -148,19 +148,19 @@ def test_the_leases_of_a_dead_worker_are_taken_back_at_once(record: Record) -> N
     dead, alive = add(record), add(record)
     start(record, dead, owner="dead")
     start(record, alive, owner="alive")
-    assert record.leases.take_back(max_attempts=3, owner="dead") == [dead.id]
+    assert record.leases.take_back(owner="dead") == [dead.id]
     assert state(record, alive.id) is State.RUNNING
 
 
 def test_a_job_that_loses_its_process_too_often_fails(record: Record) -> None:
     job = add(record)
-    for _ in range(2):
-        record.leases.lose(start(record, job), max_attempts=3)
+    for _ in range(MAX_ATTEMPTS - 1):
+        record.leases.lose(start(record, job))
         assert state(record, job.id) is State.QUEUED
-    record.leases.lose(start(record, job), max_attempts=3)
+    record.leases.lose(start(record, job))
     found = record.jobs.get(job.id)
     assert found is not None
-    assert (found.state, found.failure_kind, found.lost) == (State.FAILED, "worker-lost", 3)
+    assert (found.state, found.failure_kind, found.lost) == (State.FAILED, "worker-lost", MAX_ATTEMPTS)
     assert record.jobs.events(job.id, 0)[-1].data["failure"]["kind"] == "worker-lost"
 
 
@@ -171,16 +171,19 @@ def test_an_attempt_that_got_further_does_not_count(record: Record) -> None:
     for phase, step in ways:
         attempt = start(record, job)
         record.leases.progress(attempt, phase, step, 9, [])
-        record.leases.lose(attempt, max_attempts=2)
+        record.leases.lose(attempt)
         found = record.jobs.get(job.id)
         assert found is not None
         losses.append(found.lost)
     assert losses == [1, 0, 0, 0, 0]
-    for expected in (State.QUEUED, State.FAILED):  # it dies twice where it was, having been further back
+    for expected in [
+        *[State.QUEUED] * (MAX_ATTEMPTS - 1),
+        State.FAILED,
+    ]:  # it dies where it was, no further
         attempt = start(record, job)
         record.leases.progress(attempt, "attacking", 8, 9, [])
         record.leases.progress(attempt, "analysing", 2, 9, [])
-        record.leases.lose(attempt, max_attempts=2)
+        record.leases.lose(attempt)
         assert state(record, job.id) is expected
 
 
@@ -201,8 +204,8 @@ def test_a_job_that_was_to_stop_is_not_started_again(record: Record, clock: Cloc
     clock.advance(21)
     {
         "give_back": lambda: record.leases.give_back(attempt),
-        "lose": lambda: record.leases.lose(attempt, 3),
-        "take_back": lambda: record.leases.take_back(3),
+        "lose": lambda: record.leases.lose(attempt),
+        "take_back": lambda: record.leases.take_back(),
     }[end]()
     assert state(record, job.id) is State.CANCELLED
 

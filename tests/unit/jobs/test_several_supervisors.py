@@ -62,7 +62,7 @@ def test_supervisors_that_take_back_at_once_count_a_death_once(record: Record, c
         start(record, job)
     clock.advance(21)
     with ThreadPoolExecutor(4) as pool:
-        taken = [job_id for some in pool.map(lambda _: record.leases.take_back(3), range(4)) for job_id in some]
+        taken = [job_id for some in pool.map(lambda _: record.leases.take_back(), range(4)) for job_id in some]
     assert sorted(taken) == sorted(job.id for job in jobs)
     assert {job.lost for job in attacks(record)} == {1}
 
@@ -96,7 +96,7 @@ def test_a_lease_is_by_the_databases_clock(engine: Engine, monkeypatch: pytest.M
     job = add(here)
     start(here, job, seconds=60)
     monkeypatch.setattr(database_module, "datetime", Fast)
-    assert Record(engine).leases.take_back(3) == []
+    assert Record(engine).leases.take_back() == []
     monkeypatch.undo()
     found = here.jobs.get(job.id)
     assert found is not None

@@ -9,7 +9,7 @@ from tests.unit.jobs.records import add, start
 def test_sweeping_removes_what_is_over_and_keeps_what_is_not(record: Record, tmp_path: Path) -> None:
     working_files = WorkingFiles(tmp_path)
     running, queued, over = add(record), add(record), add(record)
-    record.leases.lose(start(record, running), 3)
+    record.leases.lose(start(record, running))
     start(record, running)
     record.leases.fail(start(record, over), "internal", "because")
     for job in (running, queued, over):

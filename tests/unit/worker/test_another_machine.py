@@ -83,7 +83,7 @@ def test_another_machine_goes_on_from_the_checkpoint_of_a_dead_one(
     attempt = start(record, job)
     with pytest.raises(Died):
         Jobs(first).run(attempt)
-    record.leases.lose(attempt, 3)
+    record.leases.lose(attempt)
     Jobs(second).run(start(record, job))
     assert seen[:4] == [0, 1, 2, 3]
     assert 0 < seen[4] <= 3, "the other machine began again"

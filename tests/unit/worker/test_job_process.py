@@ -87,7 +87,7 @@ def test_a_job_that_must_stop_is_told_at_the_next_look(record: Record, why: str)
     if why == "cancelled":
         record.jobs.request_cancel(job.id)
     else:
-        record.leases.lose(attempt, 3)
+        record.leases.lose(attempt)
     seconds.now += POLL_SECONDS
     assert reporter.stop()
     assert reporter.stop()

@@ -140,7 +140,7 @@ def test_a_process_whose_job_was_taken_back_is_killed_and_the_job_left_alone(
 
     def take() -> None:
         if not others:
-            stage.record.leases.take_back(3, owner="w")
+            stage.record.leases.take_back(owner="w")
             others.append(start(stage.record, job, "other"))
 
     stage.runner.run(Priority.NORMAL, take)
