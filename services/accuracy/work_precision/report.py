@@ -244,7 +244,7 @@ def markdown(made: Report) -> str:
     """The page: which tolerance to choose, then error against seconds, option by option; of the parts measured."""
     sections = [
         "# Error against run time",
-        f"Every row is in [{NAME}.csv]({NAME}.csv). [Plans](../plans.md) says what a plan leaves out, and why.",
+        f"Every row is in [{NAME}.csv]({NAME}.csv). [How it works](../how-it-works.md) says what a plan leaves out.",
         *_tolerances(made),
         *_plans(made.shading),
         *_sums(made.shading),

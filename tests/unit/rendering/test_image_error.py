@@ -1,4 +1,4 @@
-"""The two numbers of an image's error, what a tolerance allows, and what a plan estimates from them (docs/plans.md)."""
+"""The two numbers of an image's error, what a tolerance allows, and what a plan estimates from them."""
 
 import pytest
 import torch
